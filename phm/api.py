@@ -1,0 +1,154 @@
+"""What a check is: the whole surface that a check, ours or anyone's, is written against.
+
+A check is a class that judges what probes say about one or more *units*. It is found through the
+entry-point group ``phm.checks``; the entry point's name is the check's name::
+
+    from phm import api
+
+    class Battery(api.Check):
+        "The battery that feeds the companion computer."
+        name, slot, layer = "battery", api.Slot.USER_1, api.Layer.CUSTOM
+
+        def run(self, world: api.World) -> api.Result:
+            volts = read_volts()
+            if volts < 14.0:
+                return api.error(f"battery at {volts:.1f} V, expected 14.0 V or more: land and swap it",
+                                 brief=f"battery {volts:.1f} V", condition="battery_low")
+            return api.ok(f"battery at {volts:.1f} V", battery_v=volts)
+
+`run` may block, raise and be slow: it has a thread of its own, and an exception or a passed deadline
+becomes STALE, a statement about PHM and never a fault of the vehicle.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from phm.facts import (
+    Attachment,
+    AutopilotFact,
+    CannotTell,
+    ContainerFact,
+    DeviceFact,
+    DeviceMapping,
+    DiskFact,
+    EndpointFact,
+    FileFact,
+    HostFact,
+    LinkFact,
+    Mount,
+    NotPermitted,
+    RateFact,
+    RosFact,
+    SelfFact,
+    TopicFact,
+    World,
+)
+from phm.model import Layer, Level, Result, Slot, Value
+from phm.settings import ContainerSettings, Settings, TopicSettings
+
+__all__ = [
+    "Attachment", "AutopilotFact", "CannotTell", "Check", "ContainerFact", "ContainerSettings",
+    "DeviceFact", "DeviceMapping", "DiskFact", "EndpointFact", "FileFact", "HostFact", "Layer",
+    "Level", "LinkFact", "Mount", "NotPermitted", "RateFact", "Result", "RosFact", "SelfFact",
+    "Settings", "Slot", "TopicFact", "TopicSettings", "Unit", "Value", "World", "bypass", "error",
+    "ok", "stale", "topic_id", "warn", "worst",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One subject that gets a level of its own, a node of the graph of needs.
+
+    id:     ``check`` or ``check/subject``, e.g. ``container/ros_app``, ``nodes/agent_1/node_1``.
+    needs:  ids of units without which this one cannot be well. A need that is not configured is ignored.
+            When a need is found wrong, this unit is STALE `blocked_by` it instead of a fault of its own.
+    target: name of the container that a recovery for this unit acts on, or empty. While any action on a
+            target runs, all units with that target are held: they raise no fault.
+    settle_s: how long a bad result must last before it is told, for evidence that arrives before that of
+            its cause (a topic falls silent before discovery notices that its node is dead).
+    grace_s: how long, after PHM's start, after a need recovered and after an action on the target, a bad
+            result counts as `not known yet` (discovery needs seconds to fill the graph).
+    """
+
+    id: str
+    needs: tuple[str, ...] = ()
+    target: str = ""
+    settle_s: float = 0.0
+    grace_s: float = 0.0
+
+
+class Check(ABC):
+    """One judge. Subclass, name it, and say in `run` how its units are.
+
+    Class attributes: `name` (as in the entry point), `slot`, `layer`; `period_s` how often it runs between
+    the passes (None: at each pass only); `deadline_s` after which it is overdue; `failures` how many runs
+    in a row must be bad before it is told. A user may override the last three in the configuration.
+    """
+
+    name: ClassVar[str]
+    slot: ClassVar[Slot]
+    layer: ClassVar[Layer]
+    period_s: ClassVar[float | None] = None
+    deadline_s: ClassVar[float] = 10.0
+    failures: ClassVar[int] = 1
+
+    @classmethod
+    def build(cls, settings: Settings) -> Iterable[Check]:
+        """The instances that this configuration asks for; each gets a thread. Default: one."""
+        return [cls()]
+
+    @property
+    def subject(self) -> str:
+        """What makes instances of one class differ, e.g. the container's name; empty for a single one."""
+        return ""
+
+    @property
+    def units(self) -> Sequence[Unit]:
+        """The units judged by `run`. Default: one, named like the check."""
+        return (Unit(f"{self.name}/{self.subject}" if self.subject else self.name),)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        """Subjects whose events wake this check: ``container:NAME``, ``network``, ``ros``, ``device``, ``link``."""
+        return frozenset()
+
+    @abstractmethod
+    def run(self, world: World) -> Result | Mapping[str, Result]:
+        """One result for the only unit, or a result by unit id. A unit left out is STALE."""
+
+
+def ok(summary: str, **values: Value) -> Result:
+    return Result(Level.OK, summary, values=values)
+
+
+def bypass(summary: str, **values: Value) -> Result:
+    """Nothing to judge: counts as OK, logged as BYPASS."""
+    return Result(Level.OK, summary, values=values, bypass=True)
+
+
+def warn(summary: str, *, brief: str, condition: str = "", target: str = "", **values: Value) -> Result:
+    return Result(Level.WARN, summary, brief, condition, target, values)
+
+
+def error(summary: str, *, brief: str, condition: str, target: str = "", **values: Value) -> Result:
+    return Result(Level.ERROR, summary, brief, condition, target, values)
+
+
+def stale(summary: str, *, brief: str = "", **values: Value) -> Result:
+    """Could not tell. Never opens a fault and never triggers recovery."""
+    return Result(Level.STALE, summary, brief, values=values)
+
+
+def worst(results: Iterable[Result]) -> Result:
+    """The first of the worst results: ERROR, WARN, STALE, OK."""
+    rank = {Level.ERROR: 0, Level.WARN: 1, Level.STALE: 2, Level.OK: 3}
+    return min(results, key=lambda result: rank[result.level])
+
+
+def topic_id(name: str) -> str:
+    """A ROS name as it stands in a unit id: ``/agent_1/node_1`` -> ``agent_1/node_1``."""
+    return name.lstrip("/")

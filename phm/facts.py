@@ -1,0 +1,314 @@
+"""What probes say about the world, and the protocols by which checks ask them.
+
+Probes report what *is*; they never judge. Every method has a deadline of its own and raises
+`CannotTell` with a sentence when it could not find out: the check is then STALE, and no recovery
+follows. Times named `age_s` are seconds before the call on the monotonic clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from phm.clock import Clock
+
+
+class CannotTell(Exception):
+    """The probe could not find out; the message says why and what to do."""
+
+
+class NotPermitted(CannotTell):
+    """The other side answered that PHM may not (HTTP 403, EACCES)."""
+
+
+# ---------------------------------------------------------------- Docker
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """One network of a container, from NetworkSettings.Networks."""
+
+    name: str
+    network_id: str
+    address: str
+    gateway: str = ""
+    aliases: tuple[str, ...] = ()
+    fixed_address: str = ""
+    """The address asked for by the user (IPAMConfig), empty when Docker chose it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    kind: str
+    """bind, volume or tmpfs."""
+    source: str
+    """Path on the host (for a volume: where the engine keeps it)."""
+    destination: str
+    name: str = ""
+    writable: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceMapping:
+    host_path: str
+    container_path: str
+    permissions: str = "rwm"
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerFact:
+    """State of one container, from the engine's inspect call."""
+
+    name: str
+    id: str
+    status: str
+    """created, running, paused, restarting, removing, exited or dead."""
+    started_at: str
+    """The engine's own stamp; with `id` it identifies one life of the container."""
+    exit_code: int = 0
+    oom_killed: bool = False
+    error: str = ""
+    pid: int = 0
+    health: str = "none"
+    """none, starting, healthy or unhealthy."""
+    health_streak: int = 0
+    health_output: str = ""
+    restart_count: int = 0
+    restart_policy: str = "no"
+    network_mode: str = "default"
+    networks: tuple[Attachment, ...] = ()
+    mounts: tuple[Mount, ...] = ()
+    devices: tuple[DeviceMapping, ...] = ()
+    device_rules: tuple[str, ...] = ()
+    privileged: bool = False
+
+    @property
+    def running(self) -> bool:
+        """The process exists and is not frozen."""
+        return self.status == "running"
+
+    @property
+    def life(self) -> str:
+        """Changes exactly when the container is recreated or started again."""
+        return f"{self.id}@{self.started_at}"
+
+
+@dataclass(frozen=True, slots=True)
+class FileFact:
+    """One path, as `lstat` sees it after following links. `sha256` is empty unless it was asked for."""
+
+    path: str
+    kind: str
+    """file, directory or other."""
+    size: int
+    mode: int
+    executable: bool
+    sha256: str = ""
+    seen_through: str = ""
+    """volume or engine: by which way the file was looked at."""
+
+
+class DockerProbe(Protocol):
+    def engine(self) -> str:
+        """Version of the answering engine. Raises CannotTell when none answers in time."""
+
+    def container(self, name: str) -> ContainerFact | None:
+        """The container configured as `name` (its alias), or None when there is none.
+
+        Raises CannotTell when the engine does not answer, or when a label names several containers.
+        """
+
+    def myself(self) -> ContainerFact | None:
+        """PHM's own container; None when PHM does not run in one."""
+
+    def network_id(self, name: str) -> str:
+        """Id of the network, or empty when it does not exist."""
+
+    def reachable(self, address: str) -> bool:
+        """Whether `address` answers from here (ICMP echo, else ARP/TCP evidence), within 1 s."""
+
+
+class FileProbe(Protocol):
+    def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
+        """The file at `path` inside the container, or None when it is not there.
+
+        Looks through a volume mounted into PHM where one covers the path, else asks the engine. With
+        `digest` the SHA-256 is read too (cached until size, mtime or inode change).
+        """
+
+
+# ---------------------------------------------------------------- devices and host
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceFact:
+    """One device file of the host. `openable` is None when opening it was not tried or proves nothing."""
+
+    path: str
+    character: bool
+    major: int
+    minor: int
+    openable: bool | None
+    reason: str = ""
+    description: str = ""
+    """For serial ports, pyserial's words: product, maker, serial number, USB ids."""
+
+
+class DeviceProbe(Protocol):
+    def look(self, path: str, *, open_it: bool) -> DeviceFact | None:
+        """The host's device at `path`, or None when it is not there.
+
+        `open_it` False checks permission bits alone: opening an idle serial port raises DTR, which
+        resets some autopilots and radios.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class DiskFact:
+    path: str
+    used_percent: float
+    free_bytes: int
+    inodes_used_percent: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class HostFact:
+    """None stands for `this machine does not tell`."""
+
+    cpu_percent: float
+    """Of all cores, since the last reading; 0 to 100."""
+    memory_percent: float
+    memory_available_bytes: int
+    disks: tuple[DiskFact, ...]
+    load_per_core: float = 0.0
+    temperature_c: float | None = None
+    temperature_of: str = ""
+    throttled: tuple[str, ...] | None = None
+    """Words such as `under-voltage now`, `frequency capped now`; empty when none; None when not told."""
+    clock_synchronized: bool | None = None
+    clock_step_s: float = 0.0
+    """How far UTC has jumped against the monotonic clock since the last reading."""
+
+
+class HostProbe(Protocol):
+    def read(self) -> HostFact: ...
+
+
+# ---------------------------------------------------------------- ROS
+
+
+@dataclass(frozen=True, slots=True)
+class EndpointFact:
+    """One publisher or subscription of a topic, as discovery reports it."""
+
+    node: str
+    """Full name, e.g. /agent_1/node_1."""
+    type: str
+    reliability: str = ""
+    durability: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RateFact:
+    """What the sampler measured on one topic over its last window.
+
+    hz:       None until two samples far enough apart have been seen.
+    silent_s: seconds since the sampler last saw the publisher advance; None before the first sample.
+    problem:  a reason why there is no rate (`type unknown`, `ambiguous`), or empty.
+    """
+
+    hz: float | None
+    silent_s: float | None
+    window_s: float = 0.0
+    samples: int = 0
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicFact:
+    publishers: tuple[EndpointFact, ...] = ()
+    subscribers: tuple[EndpointFact, ...] = ()
+    rate: RateFact | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RosFact:
+    """The newest picture of the ROS graph from the child process.
+
+    age_s: since the child sent it. up_s: how long this child has been looking; a graph that is only a
+    second old does not prove absence. nodes: full name -> how often it is listed. topics: those that
+    the configuration names, by full name.
+    """
+
+    age_s: float
+    up_s: float
+    nodes: Mapping[str, int] = field(default_factory=dict)
+    topics: Mapping[str, TopicFact] = field(default_factory=dict)
+
+
+class RosProbe(Protocol):
+    def look(self) -> RosFact:
+        """Raises CannotTell when rclpy is missing, or the child is being replaced or is silent."""
+
+
+# ---------------------------------------------------------------- links and PHM itself
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotFact:
+    """Of the last HEARTBEAT of the vehicle's autopilot component."""
+
+    age_s: float
+    armed: bool
+    custom_mode: int = 0
+    system_status: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class LinkFact:
+    name: str
+    open: bool
+    error: str = ""
+
+
+class LinkProbe(Protocol):
+    def gcs_age_s(self) -> float | None:
+        """Since the last HEARTBEAT of any ground station; None when none was ever heard."""
+
+    def autopilot(self) -> AutopilotFact | None:
+        """None when no autopilot was ever heard."""
+
+    def links(self) -> tuple[LinkFact, ...]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class SelfFact:
+    """PHM about itself: how its own parts do. Empty tuples mean all is well."""
+
+    uptime_s: float
+    overdue: tuple[str, ...] = ()
+    """Checks that have not come back within their deadline."""
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    """Events lost by a slow reporter, by reporter."""
+    problems: tuple[str, ...] = ()
+    """Sentences, e.g. `log: no space left on /var/log/phm, 12 lines kept in memory`."""
+    ros_restarts: int = 0
+
+
+class SelfProbe(Protocol):
+    def look(self) -> SelfFact: ...
+
+
+@dataclass(frozen=True)
+class World:
+    """Everything a check may ask. Handed to `Check.run`; tests build it from `phm.testing`."""
+
+    clock: Clock
+    docker: DockerProbe
+    files: FileProbe
+    devices: DeviceProbe
+    host: HostProbe
+    ros: RosProbe
+    links: LinkProbe
+    myself: SelfProbe

@@ -1,0 +1,245 @@
+"""The words of PHM as types: levels, slots, results, transitions, faults, reports.
+
+Pure data: no clock, no input or output, no third-party import, so that every other module may
+import this one. All records are frozen; what changes is kept by its owner (tracker, executor).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+
+Value = str | int | float | bool | None
+"""What a result's `values` may hold: exactly what JSON can carry without loss."""
+
+
+class Level(IntEnum):
+    """How a subject is; numbers and names of `diagnostic_msgs/DiagnosticStatus`.
+
+    STALE means *not known*: not run yet, overdue, could not tell, or blocked by another fault.
+    """
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+    @property
+    def bad(self) -> bool:
+        """WARN or ERROR: something about the subject is known to be wrong."""
+        return self in (Level.WARN, Level.ERROR)
+
+
+class Slot(IntEnum):
+    """Place in the status array; 1 to 8 are numbered as in Fig. 5 of the PHM paper."""
+
+    COMPANION = 1
+    CONTAINER = 2
+    FILES = 3
+    NETWORK = 4
+    DEVICES = 5
+    NODES = 6
+    TOPICS = 7
+    RATES = 8
+    HOST = 9
+    AUTOPILOT = 10
+    RADIO = 11
+    PEERS = 12
+    USER_1 = 13
+    USER_2 = 14
+    USER_3 = 15
+
+
+class Layer(str, Enum):
+    """The three layers of the paper, the links between them, and the user's own checks."""
+
+    COMPANION = "companion"
+    DOCKER = "docker"
+    ROS = "ros"
+    LINK = "link"
+    CUSTOM = "custom"
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """One moment on both clocks: `utc` seconds since the epoch, `mono` seconds of the monotonic clock.
+
+    Intervals are differences of `mono` only; `utc` may jump.
+    """
+
+    utc: float
+    mono: float
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a check says about one unit (see `phm.api.Unit`) after one run.
+
+    level:     OK, WARN, ERROR, or STALE when the check could not tell.
+    summary:   one sentence for the log: what, expected, seen, and what to do.
+    brief:     at most 38 ASCII characters for the operator's line, e.g. ``node_1 dead``; empty when OK.
+    condition: one machine word that names what is wrong (``exited``, ``unhealthy``); it selects the
+               ladder of recovery actions. Empty when OK.
+    target:    name of the container (as in the configuration) that a recovery may act on, or empty.
+    values:    numbers behind the judgement, for the JSON log; units in the key names.
+    bypass:    the check had nothing to judge and counts as OK (logged as BYPASS).
+    """
+
+    level: Level
+    summary: str
+    brief: str = ""
+    condition: str = ""
+    target: str = ""
+    values: Mapping[str, Value] = field(default_factory=dict)
+    bypass: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class UnitState:
+    """What the tracker currently publishes about one unit."""
+
+    unit: str
+    check: str
+    slot: Slot
+    layer: Layer
+    level: Level
+    result: Result
+    since: Stamp
+    blocked_by: str = ""
+    fault: str = ""
+    duration_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """A debounced change of what is published about a unit.
+
+    `changed_text` is set when the level stayed but its cause or its wording did (a second network
+    lost while the first still is): reporters tell it, recovery looks again.
+    """
+
+    at: Stamp
+    old: Level
+    state: UnitState
+    changed_text: bool = False
+
+    @property
+    def unit(self) -> str:
+        return self.state.unit
+
+    @property
+    def new(self) -> Level:
+        return self.state.level
+
+
+class Outcome(str, Enum):
+    """How a fault ended. REATTRIBUTED: it was found to follow from another, open fault."""
+
+    OPEN = "open"
+    RESOLVED = "resolved"
+    ESCALATED = "escalated"
+    REATTRIBUTED = "reattributed"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """An episode at one unit, from the transition to ERROR until it is over.
+
+    `by` is ``itself`` or the name of the action that ended it; `blocks` lists the units that are
+    STALE because of it, in the order in which they were found.
+    """
+
+    id: str
+    unit: str
+    slot: Slot
+    layer: Layer
+    result: Result
+    opened: Stamp
+    closed: Stamp | None = None
+    outcome: Outcome = Outcome.OPEN
+    by: str = ""
+    blocks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class FaultOpened:
+    at: Stamp
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class FaultClosed:
+    """Sent once for each fault; `fault.outcome` and `fault.by` say how it ended."""
+
+    at: Stamp
+    fault: Fault
+
+
+class Phase(str, Enum):
+    """Where an action stands. ADVISED and REFUSED change nothing in the world."""
+
+    ADVISED = "advised"
+    REFUSED = "refused"
+    STARTED = "started"
+    DONE = "done"
+    FAILED = "failed"
+    VERIFIED = "verified"
+    ESCALATED = "escalated"
+
+
+@dataclass(frozen=True, slots=True)
+class ActionEvent:
+    """One step of a recovery. `detail` is a sentence for the log, with the next step when it failed."""
+
+    at: Stamp
+    fault: str
+    unit: str
+    action: str
+    target: str
+    phase: Phase
+    detail: str = ""
+    attempt: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A line for the log that is no judgement: kind DOCKER, INJECT or PHM."""
+
+    at: Stamp
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReportStarted:
+    at: Stamp
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One pass over all checks. `units` is in configuration order."""
+
+    at: Stamp
+    number: int
+    started: Stamp
+    units: tuple[UnitState, ...]
+
+
+Event = Transition | FaultOpened | FaultClosed | ActionEvent | Note | ReportStarted | Report
+
+
+def worst_by_slot(units: tuple[UnitState, ...]) -> dict[Slot, Level]:
+    """The level of each used slot: ERROR, then WARN, then STALE, then OK wins.
+
+    STALE beats OK, so that a slot with an unknown part never claims to be well, but loses to what is
+    known to be wrong.
+    """
+    rank = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
+    slots: dict[Slot, Level] = {}
+    for state in units:
+        seen = slots.get(state.slot)
+        if seen is None or rank[state.level] > rank[seen]:
+            slots[state.slot] = state.level
+    return slots

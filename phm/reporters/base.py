@@ -1,0 +1,72 @@
+"""What a reporter is: one file that takes events from the bus to one place outside.
+
+Found through the entry-point group ``phm.reporters``. The bus gives each reporter a bounded queue and a
+thread of its own, so a slow sink delays nobody; what does not fit is dropped, oldest first, and counted.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+from phm.clock import Clock
+from phm.facts import LinkFact
+from phm.model import Event, UnitState
+from phm.settings import Settings
+
+
+class MavlinkPort(Protocol):
+    """The sending side of the MAVLink endpoints (`phm.transport.mavlink.MavlinkHub`)."""
+
+    def send(self, message: Any) -> None:
+        """Queue one unpacked pymavlink message for every endpoint; never blocks."""
+
+    def links(self) -> tuple[LinkFact, ...]: ...
+
+
+@dataclass(frozen=True)
+class ReporterContext:
+    """What a reporter may know.
+
+    states: what the tracker publishes now, in configuration order.
+    alive:  False when the engine has stalled; a dead man's switch for heartbeats.
+    health: a snapshot of PHM's own condition for `phm status` (JSON-able).
+    """
+
+    settings: Settings
+    clock: Clock
+    boot_id: str
+    states: Callable[[], tuple[UnitState, ...]]
+    alive: Callable[[], bool]
+    health: Callable[[], dict[str, Any]]
+    mavlink: MavlinkPort | None = None
+
+
+class Reporter(ABC):
+    """One sink. `period_s` asks for `tick` that often; `kinds` are the event classes it takes."""
+
+    name: ClassVar[str]
+    period_s: ClassVar[float | None] = None
+    kinds: ClassVar[tuple[type, ...]] = ()
+    queue_size: ClassVar[int] = 1000
+
+    @classmethod
+    @abstractmethod
+    def build(cls, context: ReporterContext) -> Reporter | None:
+        """The reporter, or None when the configuration does not ask for it."""
+
+    @abstractmethod
+    def handle(self, event: Event) -> None:
+        """Take one event. An exception is counted and reported, and never stops the reporter."""
+
+    def tick(self) -> None:
+        """Called every `period_s` seconds, between events."""
+
+    def close(self) -> None:
+        """Called once at the end, after the last event."""
+
+    def problem(self) -> str:
+        """A sentence when the sink is not well, else empty."""
+        return ""

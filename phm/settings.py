@@ -1,0 +1,377 @@
+"""The shape of `phm.yaml` as pydantic models: what the rest of PHM reads, and nothing about files.
+
+Reading YAML, line numbers, `${VAR}` and the words of error messages are `phm.config`'s. Every field has
+a description, which is the source of the JSON schema. Durations are seconds, sizes bytes, rates hertz,
+shares percent; the YAML may carry a unit (`20s`, `500ms`, `5MB`, `10Hz`, `90%`), see `Seconds` and its
+neighbours.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator
+
+_UNITS: dict[str, dict[str, float]] = {
+    "duration": {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0},
+    "size": {"B": 1, "kB": 1e3, "KB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30},
+    "rate": {"mHz": 1e-3, "Hz": 1.0, "kHz": 1e3},
+    "share": {"%": 1.0},
+    "temperature": {"C": 1.0, "°C": 1.0},
+}
+_QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-z%°]*)\s*$")
+
+
+def _quantity(kind: str) -> Callable[[Any], Any]:
+    """A validator that turns `20s` into 20.0 and names the units it knows when it cannot."""
+    units = _UNITS[kind]
+
+    def parse(value: Any) -> Any:
+        if isinstance(value, bool):
+            raise ValueError(f"is no {kind}: write a number, or a number with one of {', '.join(units)}")
+        if not isinstance(value, str):
+            return value
+        match = _QUANTITY.match(value)
+        if match is None:
+            raise ValueError(f"{value!r} is no {kind}: write a number, or a number with one of {', '.join(units)}")
+        number, unit = match.groups()
+        if unit and unit not in units:
+            raise ValueError(f"{value!r} has the wrong unit {unit!r} for a {kind}: allowed are {', '.join(units)}")
+        return float(number) * (units[unit] if unit else 1.0)
+
+    return parse
+
+
+def _schema(kind: str) -> WithJsonSchema:
+    pattern = rf"^\s*[0-9.eE+-]+\s*({'|'.join(_UNITS[kind])})?\s*$"
+    return WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string", "pattern": pattern}]})
+
+
+Seconds = Annotated[float, BeforeValidator(_quantity("duration")), _schema("duration"), Field(allow_inf_nan=False)]
+Bytes = Annotated[float, BeforeValidator(_quantity("size")), _schema("size"), Field(allow_inf_nan=False)]
+Hertz = Annotated[float, BeforeValidator(_quantity("rate")), _schema("rate"), Field(allow_inf_nan=False)]
+Percent = Annotated[float, BeforeValidator(_quantity("share")), _schema("share"), Field(ge=0, le=100)]
+Celsius = Annotated[float, BeforeValidator(_quantity("temperature")), _schema("temperature"), Field(allow_inf_nan=False)]
+# The engine's own rule for names; anything else cannot exist, so it is a typing mistake.
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=128)]
+RosName = Annotated[str, Field(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=255)]
+AbsolutePath = Annotated[str, Field(pattern=r"^/", max_length=4096)]
+
+
+class Section(BaseModel):
+    """Base of all sections: unknown keys are refused, values are not guessed, nothing changes later."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, str_strip_whitespace=True)
+
+
+class AgentSettings(Section):
+    """Who this agent is."""
+
+    name: Name = "agent_1"
+    """Name in logs; names the agent for people."""
+    id: Annotated[int, Field(ge=1, le=250)] = 1
+    """Number in the swarm, 1 to 250 but not 51 (taken by SiK radios); the vehicle's MAVLink system id."""
+
+    @field_validator("id")
+    @classmethod
+    def _not_a_radio(cls, value: int) -> int:
+        if value == 51:
+            raise ValueError("51 is the system id of SiK radios: choose another of 1 to 250")
+        return value
+
+
+class FileSettings(Section):
+    """One file or directory that the application needs."""
+
+    path: AbsolutePath
+    """Path inside the container."""
+    present: bool = True
+    """False: the path must not exist."""
+    executable: bool = False
+    """True: some execute bit must be set."""
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-fA-F]{64}$")] | None = None
+    """Expected SHA-256 of the content, 64 hexadecimal digits."""
+
+
+class DeviceSettings(Section):
+    """One device file of the host that the application uses."""
+
+    path: AbsolutePath
+    """Path on the host, e.g. /dev/ttyACM0 or /dev/serial/by-id/..."""
+    in_container: AbsolutePath | None = None
+    """Path inside the container when it differs; the mapping is checked."""
+    mapped: bool = True
+    """False: the device need not be mapped into the container."""
+    open: Literal["auto", "always", "never"] = "auto"
+    """Whether to try opening it. `auto` opens everything but serial ports, whose DTR line rises when opened."""
+
+
+class ContainerSettings(Section):
+    """One container of the application."""
+
+    name: Name | None = None
+    """The container's name. Give this or `label`."""
+    label: Annotated[str, Field(pattern=r"^[^=\s]+(=.*)?$")] | None = None
+    """A label, `key` or `key=value`, that exactly one container carries; for names that Compose makes."""
+    alias: Name | None = None
+    """What PHM calls it in logs and in the rest of this file; default: the name, or the label's value."""
+    recover: bool = False
+    """Opt-in: PHM may start, restart, unpause and reconnect this container."""
+    flight_critical: bool = False
+    """True: nothing is done to it while the autopilot is armed (advice only)."""
+    healthcheck: Literal["auto", "required", "ignore"] = "auto"
+    """`auto`: judged when the image has a HEALTHCHECK, else BYPASS. `required`: having none is an error."""
+    networks: list[Name] = Field(default_factory=list)
+    """Networks it must be connected to; PHM joins them itself."""
+    address: bool = True
+    """Whether its address on those networks must answer."""
+    files: list[FileSettings] = Field(default_factory=list)
+    """Files that must be there."""
+    devices: list[DeviceSettings] = Field(default_factory=list)
+    """Devices that it uses."""
+
+    @property
+    def key(self) -> str:
+        """The name used in unit ids, targets and logs."""
+        return self.alias or self.name or (self.label or "").rpartition("=")[2]
+
+
+class NodeSettings(Section):
+    """One ROS node that must run."""
+
+    name: RosName
+    """Full name, e.g. /agent_1/node_1 (a missing first slash is added)."""
+    container: Name | None = None
+    """The container it runs in; default: the only configured one. Recovery restarts it."""
+
+
+class TopicSettings(Section):
+    """One ROS topic that must flow."""
+
+    name: RosName
+    """Full name, e.g. /agent_1/topic_1 (a missing first slash is added)."""
+    type: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*$")] | None = None
+    """Expected type, e.g. std_msgs/msg/String; default: not judged."""
+    rate: Annotated[Hertz, Field(ge=0)] | None = None
+    """Expected rate in Hz; 0 for a latched topic (judged by its publisher alone); default: not judged."""
+    tolerance: Percent = 10.0
+    """How far the rate may be off before WARN; twice that is ERROR."""
+    publishers: list[RosName] = Field(default_factory=list)
+    """Nodes that must publish it; default: any one."""
+    subscribers: list[RosName] = Field(default_factory=list)
+    """Nodes that must subscribe to it; default: none needed."""
+    container: Name | None = None
+    """The container it comes from; default: that of its first publisher, else the only configured one."""
+
+
+class RosSettings(Section):
+    """The ROS graph of this agent."""
+
+    domain: Annotated[int, Field(ge=0, le=232)] | None = None
+    """ROS_DOMAIN_ID; default: that of PHM's environment, else 0."""
+    nodes: list[NodeSettings] = Field(default_factory=list)
+    """Nodes that must run."""
+    topics: list[TopicSettings] = Field(default_factory=list)
+    """Topics that must flow."""
+    grace: Annotated[Seconds, Field(ge=0, le=120)] = 8.0
+    """Seconds after a start or restart in which an incomplete graph is not yet a fault."""
+    silence: Annotated[Seconds, Field(gt=0, le=60)] = 3.0
+    """A topic without a sample for max(three periods, this) is silent."""
+    max_memory: Annotated[Bytes, Field(ge=50e6)] = 250e6
+    """The ROS child process is replaced when it uses more."""
+
+    @property
+    def used(self) -> bool:
+        return bool(self.nodes or self.topics)
+
+
+class EndpointSettings(Section):
+    """One MAVLink connection."""
+
+    url: Annotated[str, Field(min_length=1, max_length=512)]
+    """pymavlink's form: udpout:HOST:PORT, udpin:HOST:PORT, udpbcast:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, or /dev/tty... for serial."""
+    baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 57600
+    """Serial only: bits per second."""
+    name: Name | None = None
+    """What logs call it; default: the url."""
+
+    @property
+    def key(self) -> str:
+        return self.name or self.url
+
+    @field_validator("url")
+    @classmethod
+    def _known_form(cls, value: str) -> str:
+        scheme, _, rest = value.partition(":")
+        if value.startswith("/"):
+            return value
+        if scheme not in ("udpin", "udpout", "udpbcast", "tcp", "tcpin"):
+            raise ValueError(
+                f"{value!r} is no MAVLink endpoint: allowed are udpout:HOST:PORT, udpin:HOST:PORT, "
+                "udpbcast:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT and a device path such as /dev/ttyUSB0"
+            )
+        host, _, port = rest.rpartition(":")
+        if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
+            raise ValueError(f"{value!r} needs a host and a port of 1 to 65535, e.g. {scheme}:127.0.0.1:14550")
+        return value
+
+
+class MavlinkSettings(Section):
+    """How the ground is told."""
+
+    endpoints: list[EndpointSettings] = Field(default_factory=list)
+    """Connections; each is reopened when lost. None: nothing is sent."""
+    component_id: Annotated[int, Field(ge=2, le=250)] = 193
+    """MAVLink component id of PHM. 191 is used by MAVROS and MAVSDK, 194 by BlueOS, 1 is the autopilot."""
+    heartbeat: Annotated[Seconds, Field(ge=0.2, le=60)] = 2.0
+    """Seconds between HEARTBEATs, each with the status word."""
+    refresh: Annotated[Seconds, Field(ge=1)] | None = None
+    """Seconds between repeats of the status line; default: `interval`."""
+    gcs_timeout: Annotated[Seconds, Field(ge=1)] = 10.0
+    """A ground station once heard and silent for longer is reported as lost."""
+    autopilot: bool = False
+    """True: this agent has an autopilot on these endpoints; not hearing it counts as armed for recovery."""
+
+
+class Limit(Section):
+    """A pair of limits; `warn` must not be above `error`."""
+
+    warn: Percent
+    """WARN from here."""
+    error: Percent
+    """ERROR from here."""
+
+
+class HostSettings(Section):
+    """Limits for the companion computer."""
+
+    cpu: Limit = Limit(warn=90, error=98)
+    """Share of all cores in use, averaged over `cpu_window`."""
+    cpu_window: Annotated[Seconds, Field(ge=1, le=600)] = 10.0
+    """Seconds over which CPU use is averaged before it is judged."""
+    memory: Limit = Limit(warn=85, error=95)
+    """Share of memory that is not available."""
+    disk: Limit = Limit(warn=85, error=95)
+    """Share of each disk in use."""
+    disks: list[AbsolutePath] = Field(default_factory=lambda: ["/"])
+    """Paths whose disks are watched, as PHM sees them."""
+    temperature_warn: Celsius = 75.0
+    """Degrees Celsius of the hottest sensor of the processor for WARN (a Pi throttles at 80)."""
+    temperature_error: Celsius = 85.0
+    """Degrees Celsius for ERROR."""
+    clock_step: Annotated[Seconds, Field(gt=0)] = 2.0
+    """A jump of the UTC clock by more than this is a WARN."""
+    dev_root: AbsolutePath = "/dev"
+    """Where the host's /dev is mounted in PHM's container (docker/compose.yaml: /host/dev)."""
+
+
+class RecoverySettings(Section):
+    """What PHM may do about faults. Only containers with `recover: true` are ever touched."""
+
+    mode: Literal["act", "advise", "off"] = "act"
+    """`act` does it, `advise` only says what it would do, `off` says nothing."""
+    backoff: Annotated[Seconds, Field(gt=0)] = 1.0
+    """Seconds before the second attempt; doubled for each further one."""
+    backoff_max: Annotated[Seconds, Field(gt=0)] = 60.0
+    """Longest wait between attempts."""
+    budget: Annotated[int, Field(ge=1, le=100)] = 5
+    """Most actions on one container within `window`."""
+    window: Annotated[Seconds, Field(ge=1)] = 600.0
+    """Seconds over which the budget counts."""
+    same_failure: Annotated[int, Field(ge=1, le=100)] = 3
+    """The same failure this many times: give up, say so, and leave it to the operator."""
+    verify: Annotated[Seconds, Field(ge=1)] = 30.0
+    """Seconds within which the check must be OK again after an action, else it failed."""
+    stop_timeout: Annotated[Seconds, Field(ge=0, le=300)] = 5.0
+    """Seconds between SIGTERM and SIGKILL when a container is restarted."""
+    ladders: dict[str, list[str]] = Field(default_factory=dict)
+    """Per condition, the actions in order, replacing the built-in ladder, e.g. `unhealthy: [restart]`."""
+
+
+class LogSettings(Section):
+    """The log on board."""
+
+    directory: AbsolutePath = "/var/log/phm"
+    """Where phm.log (text) and phm.jsonl (the record) are written."""
+    max_size: Annotated[Bytes, Field(ge=10e3)] = 5e6
+    """A file is rotated at this size."""
+    files: Annotated[int, Field(ge=1, le=100)] = 5
+    """How many rotated files of each kind are kept."""
+    sync: bool = False
+    """True: fsync after each fault and report (survives power loss; wears SD cards)."""
+
+
+class DockerSettings(Section):
+    """The Docker Engine."""
+
+    socket: Annotated[str, Field(pattern=r"^(unix:///.+|tcp://.+)$")] = "unix:///var/run/docker.sock"
+    """Where the engine answers: unix:///path or tcp://host:port (a socket proxy)."""
+    timeout: Annotated[Seconds, Field(gt=0, le=60)] = 5.0
+    """Wall-clock limit of each call."""
+    compare: Annotated[Seconds, Field(ge=0.5, le=60)] = 3.0
+    """Seconds between comparisons of the container list, for events that the stream lost."""
+    container: Name | None = None
+    """PHM's own container; default: found out by itself."""
+
+
+class CheckSettings(Section):
+    """Overrides for one check, by its name as in `phm checks`."""
+
+    enabled: bool = True
+    """False: it is not run and its slot stays unused."""
+    period: Annotated[Seconds, Field(ge=0.1)] | None = None
+    """Seconds between runs; default: the check's own."""
+    deadline: Annotated[Seconds, Field(gt=0)] | None = None
+    """Seconds after which a run is overdue (STALE); default: the check's own."""
+    failures: Annotated[int, Field(ge=1, le=100)] | None = None
+    """How many bad runs in a row it takes; default: the check's own."""
+    needs: list[str] = Field(default_factory=list)
+    """Further needs: names of checks or ids of units."""
+    options: dict[str, Any] = Field(default_factory=dict)
+    """Whatever the check itself documents; for checks that are not part of PHM."""
+
+
+class Settings(Section):
+    """The whole of `phm.yaml`."""
+
+    agent: AgentSettings = AgentSettings()
+    """Who this agent is."""
+    interval: Annotated[Seconds, Field(ge=1, le=3600)] = 20.0
+    """Reactivation interval: seconds between full passes. The environment's PHM_INTERVAL overrides it."""
+    containers: list[ContainerSettings] = Field(default_factory=list)
+    """The application's containers."""
+    ros: RosSettings = RosSettings()
+    """The ROS graph."""
+    mavlink: MavlinkSettings = MavlinkSettings()
+    """Links to the ground and the autopilot."""
+    host: HostSettings = HostSettings()
+    """Limits for the companion computer."""
+    recovery: RecoverySettings = RecoverySettings()
+    """What may be done about faults."""
+    log: LogSettings = LogSettings()
+    """The log on board."""
+    docker: DockerSettings = DockerSettings()
+    """The Docker Engine."""
+    checks: dict[str, CheckSettings] = Field(default_factory=dict)
+    """Overrides by check name."""
+    run_dir: AbsolutePath = "/run/phm"
+    """Where the running daemon keeps its status for `phm status` (in memory: a tmpfs)."""
+
+    def container(self, key: str) -> ContainerSettings | None:
+        return next((entry for entry in self.containers if entry.key == key), None)
+
+    def container_of_node(self, name: str) -> str:
+        """Key of the container that runs the node, or empty when it cannot be known."""
+        wanted = name.lstrip("/")
+        for node in self.ros.nodes:
+            if node.name.lstrip("/") == wanted and node.container:
+                return node.container
+        return self.containers[0].key if len(self.containers) == 1 else ""
+
+    def container_of_topic(self, topic: TopicSettings) -> str:
+        """Key of the container that the topic comes from, or empty when it cannot be known."""
+        if topic.container:
+            return topic.container
+        return self.container_of_node(topic.publishers[0] if topic.publishers else "")
