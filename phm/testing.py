@@ -1,0 +1,368 @@
+"""Fakes for tests of checks, ours or anyone's: a clock that the test moves, and probes that hold facts.
+
+Part of the public interface: whoever writes a check tests it with these::
+
+    from phm import testing
+
+    def test_a_stopped_container_is_an_error():
+        world = testing.world(docker=testing.FakeDocker(testing.container("ros_app", status="exited")))
+        assert my_check.run(world).level is api.Level.ERROR
+
+Each fake answers with the facts that it was given, until `fail` tells it to raise `CannotTell`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from phm.clock import Clock
+from phm.facts import (
+    AutopilotFact,
+    CannotTell,
+    ContainerFact,
+    DeviceFact,
+    DeviceProbe,
+    DiskFact,
+    DockerProbe,
+    FileFact,
+    FileProbe,
+    HostFact,
+    HostProbe,
+    LinkFact,
+    LinkProbe,
+    RosFact,
+    RosProbe,
+    SelfFact,
+    SelfProbe,
+    World,
+)
+from phm.model import Stamp
+from phm.settings import Settings
+
+__all__ = [
+    "FakeClock", "FakeDevices", "FakeDocker", "FakeFiles", "FakeHost", "FakeLinks", "FakeRos",
+    "FakeSelf", "container", "settings", "world",
+]  # fmt: skip
+
+# An event may be set by any thread without telling the clock, so sleepers look at it this often (real seconds).
+_LOOK_S = 0.002
+
+
+@dataclasses.dataclass(eq=False)
+class _Sleeper:
+    event: threading.Event
+    until: float | None
+
+
+class FakeClock:
+    """A `phm.clock.Clock` that stands still until the test moves it.
+
+    Invariant: a thread counts as sleeping only while neither its event is set nor its time is over, so
+    that after `advance` a `wait_for_sleepers` waits for the woken threads to have done their work.
+    """
+
+    def __init__(self, mono: float = 1000.0, utc: float = 1_700_000_000.0) -> None:
+        self._mono = mono
+        self._utc = utc
+        self._sleepers: list[_Sleeper] = []
+        self._moved = threading.Condition()
+
+    def mono(self) -> float:
+        with self._moved:
+            return self._mono
+
+    def utc(self) -> float:
+        with self._moved:
+            return self._utc
+
+    def stamp(self) -> Stamp:
+        with self._moved:
+            return Stamp(utc=self._utc, mono=self._mono)
+
+    def advance(self, seconds: float) -> None:
+        """Move both clocks forward and wake the threads whose time has come."""
+        if seconds < 0:
+            raise ValueError("the monotonic clock never goes back: use jump_utc")
+        with self._moved:
+            self._mono += seconds
+            self._utc += seconds
+            self._moved.notify_all()
+
+    def jump_utc(self, seconds: float) -> None:
+        """Set UTC forward or back, as an NTP client does; nobody wakes."""
+        with self._moved:
+            self._utc += seconds
+
+    @property
+    def sleepers(self) -> int:
+        """How many threads wait now for time or for their event."""
+        with self._moved:
+            return self._count()
+
+    def wait_for_sleepers(self, count: int, timeout_s: float = 5.0) -> None:
+        """Block, in real time, until at least `count` threads wait; TimeoutError when they do not come."""
+        limit = time.monotonic() + timeout_s
+        with self._moved:
+            while self._count() < count:
+                if time.monotonic() >= limit:
+                    raise TimeoutError(f"{self._count()} threads wait on the fake clock, expected {count}")
+                self._moved.wait(_LOOK_S)
+
+    def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
+        """As `phm.clock.Clock.wait`, in the time of this clock."""
+        with self._moved:
+            sleeper = _Sleeper(event, None if timeout_s is None else self._mono + timeout_s)
+            self._sleepers.append(sleeper)
+            try:
+                while self._asleep(sleeper):
+                    self._moved.wait(_LOOK_S)
+                return event.is_set()
+            finally:
+                self._sleepers.remove(sleeper)
+
+    def _asleep(self, sleeper: _Sleeper) -> bool:
+        return not sleeper.event.is_set() and (sleeper.until is None or sleeper.until > self._mono)
+
+    def _count(self) -> int:
+        return sum(1 for sleeper in self._sleepers if self._asleep(sleeper))
+
+
+class _Fake:
+    """What all fakes can: be told to fail, and count how often they were asked."""
+
+    def __init__(self) -> None:
+        self._problem: Exception | None = None
+        self.calls = 0
+
+    def fail(self, problem: str | Exception = "the fake was told to fail") -> None:
+        """From now on raise `problem`; a text becomes a `CannotTell`."""
+        self._problem = CannotTell(problem) if isinstance(problem, str) else problem
+
+    def work(self) -> None:
+        """Answer again."""
+        self._problem = None
+
+    def _asked(self) -> None:
+        self.calls += 1
+        if self._problem is not None:
+            raise self._problem
+
+
+def container(name: str = "ros_app", **fields: Any) -> ContainerFact:
+    """A running container; `fields` replace those of `ContainerFact`."""
+    running = ContainerFact(
+        name=name, id=f"id-of-{name}", status="running", started_at="2026-01-01T00:00:00.000000001Z", pid=4242
+    )
+    return dataclasses.replace(running, **fields)
+
+
+class FakeDocker(_Fake):
+    """Containers by name, networks (name -> id), addresses that do not answer, and PHM's own container."""
+
+    def __init__(
+        self,
+        *containers: ContainerFact,
+        networks: Mapping[str, str] | None = None,
+        me: ContainerFact | None = None,
+        version: str = "27.0",
+    ) -> None:
+        super().__init__()
+        self.containers = {fact.name: fact for fact in containers}
+        self.networks = dict(networks or {})
+        self.me = me
+        self.version = version
+        self.silent: set[str] = set()
+        self.problems: dict[str, Exception] = {}
+        """Exceptions raised by questions about one container, by its name."""
+
+    def put(self, fact: ContainerFact) -> None:
+        self.containers[fact.name] = fact
+
+    def change(self, name: str, **fields: Any) -> None:
+        """Replace fields of one container's fact."""
+        self.containers[name] = dataclasses.replace(self.containers[name], **fields)
+
+    def remove(self, name: str) -> None:
+        del self.containers[name]
+
+    def engine(self) -> str:
+        self._asked()
+        return self.version
+
+    def container(self, name: str) -> ContainerFact | None:
+        self._asked()
+        if name in self.problems:
+            raise self.problems[name]
+        return self.containers.get(name)
+
+    def myself(self) -> ContainerFact | None:
+        self._asked()
+        return self.me
+
+    def network_id(self, name: str) -> str:
+        self._asked()
+        return self.networks.get(name, "")
+
+    def reachable(self, address: str) -> bool:
+        self._asked()
+        return address not in self.silent
+
+
+class FakeFiles(_Fake):
+    """Files by (container, path); `put` adds an ordinary file."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.files: dict[tuple[str, str], FileFact] = {}
+        self.problems: dict[tuple[str, str], Exception] = {}
+        """Exceptions raised by questions about one file."""
+
+    def put(self, container: str, path: str, **fields: Any) -> None:
+        """Let a file be there: 100 bytes, mode 0644, no digest, seen through a volume, unless `fields` say else."""
+        plain = FileFact(path, "file", 100, 0o644, executable=False, seen_through="volume")
+        self.files[container, path] = dataclasses.replace(plain, **fields)
+
+    def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
+        self._asked()
+        if (container, path) in self.problems:
+            raise self.problems[container, path]
+        fact = self.files.get((container, path))
+        return fact if fact is None or digest else dataclasses.replace(fact, sha256="")
+
+
+class FakeDevices(_Fake):
+    """Devices by path on the host. `opened` lists the paths that a check asked to open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.devices: dict[str, DeviceFact] = {}
+        self.opened: list[str] = []
+        self.ports: tuple[DeviceFact, ...] = ()
+
+    def put(self, path: str, **fields: Any) -> None:
+        """Let a character device be there that can be opened, unless `fields` say else."""
+        plain = DeviceFact(path, character=True, major=188, minor=0, openable=True)
+        self.devices[path] = dataclasses.replace(plain, **fields)
+
+    def look(self, path: str, *, open_it: bool) -> DeviceFact | None:
+        self._asked()
+        if open_it:
+            self.opened.append(path)
+        return self.devices.get(path)
+
+    def serial_ports(self) -> tuple[DeviceFact, ...]:
+        self._asked()
+        return self.ports
+
+
+class FakeHost(_Fake):
+    """A calm machine, until `change` says otherwise."""
+
+    def __init__(self, **fields: Any) -> None:
+        super().__init__()
+        calm = HostFact(
+            cpu_percent=10.0,
+            memory_percent=40.0,
+            memory_available_bytes=2_000_000_000,
+            disks=(DiskFact("/", used_percent=50.0, free_bytes=10_000_000_000, inodes_used_percent=5.0),),
+            load_per_core=0.2,
+            temperature_c=50.0,
+            temperature_of="cpu_thermal",
+            throttled=(),
+            clock_synchronized=True,
+        )
+        self.fact = dataclasses.replace(calm, **fields)
+
+    def change(self, **fields: Any) -> None:
+        self.fact = dataclasses.replace(self.fact, **fields)
+
+    def read(self) -> HostFact:
+        self._asked()
+        return self.fact
+
+
+class FakeRos(_Fake):
+    """A picture of the graph, fresh and taken by a child that has looked for a minute."""
+
+    def __init__(self, **fields: Any) -> None:
+        super().__init__()
+        self.fact = dataclasses.replace(RosFact(age_s=0.1, up_s=60.0), **fields)
+
+    def change(self, **fields: Any) -> None:
+        self.fact = dataclasses.replace(self.fact, **fields)
+
+    def look(self) -> RosFact:
+        self._asked()
+        return self.fact
+
+
+class FakeLinks(_Fake):
+    """What was heard on the MAVLink endpoints."""
+
+    def __init__(
+        self, gcs_age_s: float | None = 1.0, autopilot: AutopilotFact | None = None, links: tuple[LinkFact, ...] = ()
+    ) -> None:
+        super().__init__()
+        self.gcs_age = gcs_age_s
+        self.pilot = autopilot
+        self.endpoints = links
+
+    def gcs_age_s(self) -> float | None:
+        self._asked()
+        return self.gcs_age
+
+    def autopilot(self) -> AutopilotFact | None:
+        self._asked()
+        return self.pilot
+
+    def links(self) -> tuple[LinkFact, ...]:
+        self._asked()
+        return self.endpoints
+
+
+class FakeSelf(_Fake):
+    """A PHM that is well."""
+
+    def __init__(self, **fields: Any) -> None:
+        super().__init__()
+        self.fact = dataclasses.replace(SelfFact(uptime_s=60.0), **fields)
+
+    def change(self, **fields: Any) -> None:
+        self.fact = dataclasses.replace(self.fact, **fields)
+
+    def look(self) -> SelfFact:
+        self._asked()
+        return self.fact
+
+
+def world(
+    *,
+    clock: Clock | None = None,
+    docker: DockerProbe | None = None,
+    files: FileProbe | None = None,
+    devices: DeviceProbe | None = None,
+    host: HostProbe | None = None,
+    ros: RosProbe | None = None,
+    links: LinkProbe | None = None,
+    myself: SelfProbe | None = None,
+) -> World:
+    """A world of fakes, with those parts replaced that are given."""
+    return World(
+        clock=clock or FakeClock(),
+        docker=docker or FakeDocker(),
+        files=files or FakeFiles(),
+        devices=devices or FakeDevices(),
+        host=host or FakeHost(),
+        ros=ros or FakeRos(),
+        links=links or FakeLinks(),
+        myself=myself or FakeSelf(),
+    )
+
+
+def settings(**yaml_like: Any) -> Settings:
+    """Settings as if these top-level keys stood in `phm.yaml`; raises pydantic's ValidationError."""
+    return Settings.model_validate(yaml_like)
