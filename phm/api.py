@@ -48,14 +48,23 @@ from phm.facts import (
     World,
 )
 from phm.model import Layer, Level, Result, Slot, Value
-from phm.settings import ContainerSettings, Settings, TopicSettings
+from phm.settings import (
+    ContainerSettings,
+    DeviceSettings,
+    FileSettings,
+    HostSettings,
+    NodeSettings,
+    Settings,
+    TopicSettings,
+)
 
 __all__ = [
     "Attachment", "AutopilotFact", "CannotTell", "Check", "ContainerFact", "ContainerSettings",
-    "DeviceFact", "DeviceMapping", "DiskFact", "EndpointFact", "FileFact", "HostFact", "Layer",
-    "Level", "LinkFact", "Mount", "NotPermitted", "RateFact", "Result", "RosFact", "SelfFact",
-    "Settings", "Slot", "TopicFact", "TopicSettings", "Unit", "Value", "World", "bypass", "error",
-    "ok", "stale", "topic_id", "warn", "worst",
+    "DeviceFact", "DeviceMapping", "DeviceSettings", "DiskFact", "EndpointFact", "FileFact",
+    "FileSettings", "HostFact", "HostSettings", "Layer", "Level", "LinkFact", "Mount", "NodeSettings",
+    "NotPermitted", "RateFact", "Result", "RosFact", "SelfFact", "Settings", "Slot", "TopicFact",
+    "TopicSettings", "Unit", "Value", "World", "bypass", "error", "ok", "stale", "topic_id", "warn",
+    "worst",
 ]  # fmt: skip
 
 

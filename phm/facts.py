@@ -163,6 +163,9 @@ class DeviceProbe(Protocol):
         resets some autopilots and radios.
         """
 
+    def serial_ports(self) -> tuple[DeviceFact, ...]:
+        """The serial ports that are there now, to be named when an expected one is missing."""
+
 
 @dataclass(frozen=True, slots=True)
 class DiskFact:
@@ -170,6 +173,8 @@ class DiskFact:
     used_percent: float
     free_bytes: int
     inodes_used_percent: float = 0.0
+    problem: str = ""
+    """Why this disk could not be read (a hung network mount); the numbers then mean nothing."""
 
 
 @dataclass(frozen=True, slots=True)
