@@ -1,0 +1,1 @@
+"""Recovery: the policy decides (pure), the executor acts and proves, actions are plug-ins."""

@@ -1,0 +1,145 @@
+"""Joins engine, tracker and bus: results in, events out, wake-ups back. Also counts the passes.
+
+One lock guards the tracker. Everything done under it is pure computation and queueing, so whoever
+brings a result (a check's own thread) never waits for the outside world here.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+
+from phm.bus import Bus
+from phm.clock import Clock
+from phm.model import Fault, FaultClosed, Level, Note, Report, ReportStarted, Result, Stamp, UnitState
+from phm.tracker import Step, Tracker
+
+WakeUnits = Callable[[Iterable[str], str], None]
+RECENT_FAULTS = 20
+
+
+class Pipeline:
+    """The one owner of the tracker. `pass_limit_s` ends a pass whose slowest check does not come back."""
+
+    def __init__(self, tracker: Tracker, bus: Bus, clock: Clock, pass_limit_s: float = 15.0) -> None:
+        self._tracker, self._bus, self._clock, self._pass_limit_s = tracker, bus, clock, pass_limit_s
+        self._lock = threading.Lock()
+        self._wake_units: WakeUnits = lambda units, reason: None
+        self._pass_number = 0
+        self._pass_started: Stamp | None = None
+        self._outstanding: set[str] = set()
+        self._recent: list[Fault] = []
+        self.last_batch = clock.mono()
+        """When a check last came back by itself (monotonic seconds): the engine's sign of life."""
+
+    def attach(self, wake_units: WakeUnits) -> None:
+        """Tell the pipeline how to have units run again."""
+        self._wake_units = wake_units
+
+    # ------------------------------------------------------------ from the engine
+
+    def observe(self, results: dict[str, Result], started: float, duration_s: float, *, overdue: bool = False) -> None:
+        """Take the results of one run; `started` in monotonic seconds."""
+        now = self._clock.stamp()
+        rerun: set[str] = set()
+        with self._lock:
+            if not overdue:
+                self.last_batch = now.mono
+            for unit, result in results.items():
+                rerun |= self._publish(self._tracker.observe(unit, result, started, now, duration_s))
+            if self._pass_started is not None and (started >= self._pass_started.mono or overdue):
+                self._outstanding.difference_update(results)
+                self._finish_pass(now)
+        self._wake(rerun)
+
+    def tick(self) -> None:
+        """Let time pass; called a few times a second."""
+        now = self._clock.stamp()
+        with self._lock:
+            rerun = self._publish(self._tracker.tick(now))
+            if self._pass_started is not None and now.mono - self._pass_started.mono >= self._pass_limit_s:
+                self._outstanding.clear()
+                self._finish_pass(now)
+        self._wake(rerun)
+
+    def begin_pass(self) -> None:
+        """A new report: it is complete when every unit has been run since now."""
+        with self._lock:
+            now = self._clock.stamp()
+            self._pass_number += 1
+            self._pass_started = now
+            self._outstanding = {state.unit for state in self._tracker.states()}
+            self._bus.publish(ReportStarted(now, self._pass_number))
+            units = set(self._outstanding)
+            self._finish_pass(now)
+        self._wake_units(units, "pass")
+
+    # ------------------------------------------------------------ from recovery
+
+    def hold(self, target: str, owner: str, action: str, at_most_s: float) -> None:
+        self._apply(lambda now: self._tracker.hold(target, owner, action, now, at_most_s))
+
+    def release(self, target: str, *, worked: bool) -> None:
+        self._apply(lambda now: self._tracker.release(target, now, worked=worked))
+
+    def escalate(self, fault_id: str) -> None:
+        self._apply(lambda now: self._tracker.escalate(fault_id, now))
+
+    def look_again(self, unit: str) -> None:
+        """Run a unit's check now, e.g. to verify an action."""
+        self._wake_units((unit,), "verify")
+
+    def well_since(self, unit: str, mono: float) -> bool:
+        """Whether a run that began after `mono` found the unit OK."""
+        with self._lock:
+            return self._tracker.state(unit).level is Level.OK and self._tracker.last_started(unit) >= mono
+
+    def bad_since(self, unit: str, mono: float) -> bool:
+        """Whether a run that began after `mono` still found the unit in ERROR."""
+        with self._lock:
+            return self._tracker.state(unit).level is Level.ERROR and self._tracker.last_started(unit) >= mono
+
+    # ------------------------------------------------------------ for reporters
+
+    def note(self, kind: str, text: str) -> None:
+        self._bus.publish(Note(self._clock.stamp(), kind, text))
+
+    def states(self) -> tuple[UnitState, ...]:
+        with self._lock:
+            return self._tracker.states()
+
+    def undecided(self) -> tuple[str, ...]:
+        with self._lock:
+            return self._tracker.undecided(self._clock.stamp())
+
+    def open_faults(self) -> tuple[Fault, ...]:
+        with self._lock:
+            return self._tracker.open_faults()
+
+    def recent_faults(self) -> tuple[Fault, ...]:
+        """The last RECENT_FAULTS closed faults, oldest first."""
+        with self._lock:
+            return tuple(self._recent)
+
+    # ------------------------------------------------------------ inside
+
+    def _apply(self, change: Callable[[Stamp], Step]) -> None:
+        with self._lock:
+            rerun = self._publish(change(self._clock.stamp()))
+        self._wake(rerun)
+
+    def _publish(self, step: Step) -> set[str]:
+        for event in step.events:
+            if isinstance(event, FaultClosed):
+                self._recent = [*self._recent, event.fault][-RECENT_FAULTS:]
+            self._bus.publish(event)
+        return step.rerun
+
+    def _wake(self, units: set[str]) -> None:
+        if units:
+            self._wake_units(units, "confirm")
+
+    def _finish_pass(self, now: Stamp) -> None:
+        if self._pass_started is not None and not self._outstanding:
+            self._bus.publish(Report(now, self._pass_number, self._pass_started, self._tracker.states()))
+            self._pass_started = None

@@ -1,0 +1,169 @@
+"""Decides what to do about a fault. Pure: fault, history and armed state in, a decision out.
+
+Rules, first match wins: not opted in -> nothing; no ladder for the condition -> nothing; the same
+failure `same_failure` times -> give up and say so; flight-critical while armed -> advise; mode advise ->
+advise; budget used up -> wait, and say so; back-off not over -> wait; else the rung of the ladder
+that follows the number of failed attempts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from phm.model import Fault
+from phm.settings import ContainerSettings, RecoverySettings
+
+CLEAN_S = 600.0
+"""After this long without an attempt, back-off starts anew (the issue's figure: 10 minutes)."""
+KEPT = 100
+"""Attempts remembered per target; more than any budget allows."""
+
+LADDERS: Mapping[str, tuple[str, ...]] = {
+    "exited": ("start", "restart"),
+    "oom": ("start", "restart"),
+    "created": ("start",),
+    "dead": ("restart",),
+    "paused": ("unpause", "restart"),
+    "unhealthy": ("restart",),
+    "disconnected": ("reconnect", "restart"),
+    "address_silent": ("reconnect", "restart"),
+    "sidecar_apart": ("join",),
+    "node_missing": ("restart",),
+}
+"""Built-in ladders by condition. Conditions that are not here are told and left alone: a missing file,
+a lost device or a slow topic is not mended by restarting."""
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """One action that was carried out: when it began (monotonic seconds), for what, and whether it was verified."""
+
+    at: float
+    unit: str
+    condition: str
+    action: str
+    worked: bool
+
+
+@dataclass(slots=True)
+class History:
+    """Attempts on one target, newest last, capped."""
+
+    attempts: list[Attempt] = field(default_factory=list)
+
+    def add(self, attempt: Attempt) -> None:
+        self.attempts = [*self.attempts, attempt][-KEPT:]
+
+    def within(self, since: float) -> list[Attempt]:
+        return [attempt for attempt in self.attempts if attempt.at >= since]
+
+
+@dataclass(frozen=True, slots=True)
+class Act:
+    action: str
+    attempt: int
+
+
+@dataclass(frozen=True, slots=True)
+class Advise:
+    """Say what would help; do nothing. `again_at` None: final for this fault."""
+
+    action: str
+    why: str
+    again_at: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    until: float
+    why: str
+    tell: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class GiveUp:
+    action: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Leave:
+    """Nothing that PHM may or can do."""
+
+    why: str
+
+
+Decision = Act | Advise | Wait | GiveUp | Leave
+ARMED_AGAIN_S = 2.0
+
+
+def decide(
+    fault: Fault,
+    history: History,
+    now: float,
+    *,
+    container: ContainerSettings | None,
+    armed: bool,
+    settings: RecoverySettings,
+    free_actions: frozenset[str] = frozenset(),
+) -> Decision:
+    """What to do about `fault` at `now` (monotonic seconds).
+
+    armed: True also when an autopilot is configured and silent (unknown counts as armed).
+    free_actions: actions on PHM's own container, which need no opt-in and endanger nobody.
+    """
+    condition = fault.result.condition
+    ladder = tuple(settings.ladders.get(condition, LADDERS.get(condition, ())))
+    if settings.mode == "off":
+        return Leave("recovery is off")
+    if not ladder:
+        return Leave(f"no action is known for {condition or 'this'}")
+    same = _same_failures(history, fault, now, settings.verify)
+    action = ladder[min(len(same), len(ladder) - 1)]
+    if action not in free_actions:
+        if container is None:
+            return Leave("no container to act on")
+        if not container.recover:
+            return Leave(f"{container.key} has not opted in (recover: true)")
+    if len(same) >= settings.same_failure:
+        return GiveUp(action, f"{len(same)} attempts did not help")
+    if action not in free_actions and container is not None and container.flight_critical and armed:
+        return Advise(action, "flight-critical and armed", again_at=now + ARMED_AGAIN_S)
+    if settings.mode == "advise":
+        return Advise(action, "recovery only advises")
+    recent = history.within(now - settings.window)
+    if len(recent) >= settings.budget:
+        return Wait(recent[0].at + settings.window, f"budget of {settings.budget} actions used up", tell=True)
+    ready = _ready_at(history, fault, now, settings)
+    if now < ready:
+        return Wait(ready, "backing off")
+    return Act(action, len(same) + 1)
+
+
+def _same_failures(history: History, fault: Fault, now: float, lasting_s: float) -> list[Attempt]:
+    """Attempts for the same unit and condition that did not help, since the last one that did or a clean time.
+
+    Help that did not last `lasting_s` was none: a container that starts and dies again counts as failing.
+    """
+    failures: list[Attempt] = []
+    broke_again = fault.opened.mono
+    for attempt in reversed(history.within(now - CLEAN_S)):
+        if (attempt.unit, attempt.condition) != (fault.unit, fault.result.condition):
+            continue
+        if attempt.worked and broke_again - attempt.at > lasting_s:
+            break
+        failures.append(attempt)
+        broke_again = attempt.at
+    return failures
+
+
+def _ready_at(history: History, fault: Fault, now: float, settings: RecoverySettings) -> float:
+    """Back-off: the first attempt at once, then 1, 2, 4 ... seconds after the last, whether it helped or not.
+
+    What helped and broke again so soon counts too, or a flapping container would be restarted without pause.
+    """
+    same = [a for a in history.within(now - CLEAN_S) if (a.unit, a.condition) == (fault.unit, fault.result.condition)]
+    if not same:
+        return now
+    return same[-1].at + float(min(settings.backoff * 2.0 ** (len(same) - 1), settings.backoff_max))

@@ -1,0 +1,79 @@
+"""Finds what is installed: checks, reporters and actions, ours and anyone's, by entry point.
+
+Nothing is scanned or registered by import: a package that declares an entry point is found, and one
+that cannot be loaded is reported with its cause and does not keep the others from running.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import TypeVar
+
+from phm.api import Check
+
+CHECKS, REPORTERS, ACTIONS = "phm.checks", "phm.reporters", "phm.actions"
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One entry point: its name, who provides it, and the class or the reason why there is none."""
+
+    name: str
+    source: str
+    """Distribution and version, e.g. `phm-sidecar 0.1.0`."""
+    loaded: type | None
+    problem: str = ""
+
+
+def find(group: str, base: type[T]) -> list[Found]:
+    """Everything declared in `group`, by name; each is loaded and must be a subclass of `base`."""
+    found = [_load(point, base) for point in entry_points(group=group)]
+    return sorted(_without_twins(found), key=lambda entry: entry.name)
+
+
+def checks() -> dict[str, type[Check]]:
+    """The usable checks by name. What could not be loaded is left out: see `find` for the reasons."""
+    return usable(find(CHECKS, Check))
+
+
+def usable(found: list[Found]) -> dict[str, type]:
+    return {entry.name: entry.loaded for entry in found if entry.loaded is not None}
+
+
+def _load(point: EntryPoint, base: type) -> Found:
+    """Three ways to fail, three sentences (after uvicorn's importer)."""
+    source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
+
+    def failed(reason: str) -> Found:
+        return Found(point.name, source, None, reason)
+
+    try:
+        loaded = point.load()
+    except ModuleNotFoundError as error:
+        return failed(f"module {point.module!r} cannot be imported: {error}; is its package fully installed?")
+    except AttributeError:
+        return failed(f"module {point.module!r} has no {point.attr!r}: correct the entry point")
+    except Exception as error:  # the plug-in's own code runs here; whatever it raises is about the plug-in
+        return failed(f"importing {point.value!r} failed: {type(error).__name__}: {error}")
+    if not (isinstance(loaded, type) and issubclass(loaded, base)):
+        return failed(f"{point.value!r} is no subclass of {base.__module__}.{base.__name__}")
+    if getattr(loaded, "name", None) != point.name:
+        return failed(f"{point.value!r} is named {getattr(loaded, 'name', None)!r}, its entry point {point.name!r}")
+    return Found(point.name, source, loaded)
+
+
+def _without_twins(found: list[Found]) -> list[Found]:
+    """Two packages with one name: neither can be trusted to be the one that is meant, so none is used."""
+    names: dict[str, list[Found]] = {}
+    for entry in found:
+        names.setdefault(entry.name, []).append(entry)
+    result: list[Found] = []
+    for name, entries in names.items():
+        sources = sorted({entry.source for entry in entries})
+        if len(sources) == 1:
+            result.append(entries[0])
+        else:
+            result.append(Found(name, ", ".join(sources), None, f"several packages provide {name!r}: remove all but one"))
+    return result

@@ -1,0 +1,102 @@
+"""The bus: bounded, counted, and never waiting."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from phm import testing
+from phm.bus import Bus
+from phm.clock import SystemClock
+from phm.model import Event, Note, ReportStarted, Stamp
+
+AT = Stamp(0.0, 0.0)
+
+
+def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
+    end = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end, "it did not happen in time"
+        time.sleep(0.002)
+
+
+def note(text: str) -> Note:
+    return Note(AT, "PHM", text)
+
+
+def test_events_arrive_in_order_and_only_of_the_kinds_asked_for() -> None:
+    """A subscriber sees what it named, in the order of publishing."""
+    bus, seen = Bus(SystemClock()), []
+    bus.subscribe("log", seen.append, kinds=(Note,))
+    bus.publish(ReportStarted(AT, 1))
+    for text in "abc":
+        bus.publish(note(text))
+    bus.close()
+    assert [event.text for event in seen if isinstance(event, Note)] == ["a", "b", "c"]
+    assert len(seen) == 3
+
+
+def test_a_slow_subscriber_delays_nobody_and_loses_the_oldest_counted() -> None:
+    """Publishing never waits; the newest is worth more than the oldest."""
+    bus, gate, seen = Bus(SystemClock()), threading.Event(), []
+
+    def slow(event: Event) -> None:
+        gate.wait(5)
+        seen.append(event)
+
+    bus.subscribe("slow", slow, size=3)
+    bus.publish(note("first"))
+    until(lambda: not bus._subscriptions[0]._queue)
+    for number in range(10):
+        bus.publish(note(str(number)))
+    assert bus.dropped() == {"slow": 7}
+    gate.set()
+    bus.close()
+    assert [event.text for event in seen if isinstance(event, Note)] == ["first", "7", "8", "9"]
+
+
+def test_with_a_key_the_newest_of_each_key_is_kept() -> None:
+    """Recovery never misses how things stand now."""
+    bus, gate, seen = Bus(SystemClock()), threading.Event(), []
+
+    def slow(event: Event) -> None:
+        gate.wait(5)
+        seen.append(event)
+
+    bus.subscribe("recovery", slow, key=lambda event: event.text[0] if isinstance(event, Note) else "")
+    bus.publish(note("x"))
+    until(lambda: not bus._subscriptions[0]._queue)
+    for text in ("a1", "b1", "a2", "a3"):
+        bus.publish(note(text))
+    gate.set()
+    bus.close()
+    assert [event.text for event in seen if isinstance(event, Note)] == ["x", "b1", "a3"]
+
+
+def test_a_subscriber_that_raises_is_counted_and_goes_on() -> None:
+    """A reporter is a plug-in: its errors are its own affair, and visible."""
+    bus, seen = Bus(SystemClock()), []
+
+    def handler(event: Event) -> None:
+        seen.append(event)
+        raise OSError("disk gone")
+
+    bus.subscribe("bad", handler)
+    bus.publish(note("a"))
+    bus.publish(note("b"))
+    bus.close()
+    assert len(seen) == 2
+    assert bus.problems() == ("bad: OSError: disk gone",)
+
+
+def test_ticks_come_every_period_without_events() -> None:
+    """A reporter's heartbeat does not depend on anything happening."""
+    clock = testing.FakeClock()
+    bus, ticks = Bus(clock), []
+    bus.subscribe("beat", lambda event: None, tick=lambda: ticks.append(clock.mono()), period_s=2.0)
+    for count in (1, 2, 3):
+        until(lambda count=count: len(ticks) == count)  # type: ignore[misc]
+        clock.wait_for_sleepers(1)
+        clock.advance(2.0)
+    bus.close()

@@ -1,0 +1,172 @@
+"""The engine: one thread a check, deadlines, and crashes that stay where they happen."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+
+import pytest
+
+from phm import api, testing
+from phm.engine import Batch, Engine, Scheduled
+
+
+def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
+    """Wait for something observable, in real time, with a limit."""
+    end = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end, "it did not happen in time"
+        time.sleep(0.002)
+
+
+class Scripted(api.Check):
+    """A check whose run is given by the test."""
+
+    name, slot, layer = "scripted", api.Slot.USER_1, api.Layer.CUSTOM
+
+    def __init__(self, run: Callable[[], api.Result | Mapping[str, api.Result]], name: str = "scripted") -> None:
+        self._run, self._name = run, name
+
+    @property
+    def units(self) -> tuple[api.Unit, ...]:
+        return (api.Unit(self._name), api.Unit(f"{self._name}/second"))
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return frozenset({f"subject:{self._name}"})
+
+    def run(self, world: api.World) -> api.Result | Mapping[str, api.Result]:
+        return self._run()
+
+
+class Rig:
+    """An engine on a fake clock, and what it delivered."""
+
+    def __init__(self) -> None:
+        self.clock = testing.FakeClock()
+        self.batches: list[Batch] = []
+        self.engines: list[Engine] = []
+
+    def start(self, *checks: api.Check, period_s: float = 20.0, deadline_s: float = 5.0) -> Engine:
+        scheduled = [Scheduled(check, period_s, deadline_s) for check in checks]
+        engine = Engine(scheduled, testing.world(), self.clock, self.batches.append)
+        self.engines.append(engine)
+        engine.start()
+        return engine
+
+    def summaries(self, unit: str) -> list[str]:
+        return [batch.units[unit].summary for batch in self.batches if unit in batch.units]
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    rig = Rig()
+    yield rig
+    for engine in rig.engines:
+        engine.stop(0.1)
+    rig.clock.advance(1000)
+
+
+def test_a_check_runs_at_start_and_then_every_period(rig: Rig) -> None:
+    """The first result does not wait for the first period."""
+    rig.start(Scripted(lambda: api.ok("well")), period_s=20.0)
+    until(lambda: len(rig.batches) == 1)
+    for count in (2, 3):
+        rig.clock.wait_for_sleepers(1)
+        rig.clock.advance(0.05)
+        rig.clock.wait_for_sleepers(1)
+        rig.clock.advance(20.0)
+        until(lambda count=count: len(rig.batches) == count)  # type: ignore[misc]
+
+
+def test_a_wake_runs_only_the_checks_that_named_the_subject(rig: Rig) -> None:
+    """An event costs the run of what it is about, not a whole pass."""
+    engine = rig.start(Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b"))
+    until(lambda: len(rig.batches) == 2)
+    rig.clock.wait_for_sleepers(2)
+    rig.clock.advance(0.05)
+    rig.clock.wait_for_sleepers(2)
+    engine.wake_subject("subject:a")
+    until(lambda: len(rig.summaries("a")) == 2)
+    assert len(rig.summaries("b")) == 1
+
+
+def test_a_crash_is_stale_about_phm_and_the_check_goes_on(rig: Rig) -> None:
+    """A check's own crash is never the vehicle's fault, not even SystemExit from a plug-in."""
+    answers: list[BaseException | None] = [ValueError("boom"), SystemExit(3), None]
+
+    def run() -> api.Result:
+        answer = answers.pop(0) if answers else None
+        if answer is not None:
+            raise answer
+        return api.ok("well again")
+
+    engine = rig.start(Scripted(run))
+    for count in (1, 2, 3):
+        until(lambda count=count: len(rig.batches) >= count)  # type: ignore[misc]
+        rig.clock.wait_for_sleepers(1)
+        rig.clock.advance(0.05)
+        engine.wake_all("test")
+    first, second, third = (batch.units["scripted"] for batch in rig.batches[:3])
+    assert first.level is second.level is api.Level.STALE
+    assert "ValueError: boom" in first.summary and "SystemExit" in second.summary
+    assert third.level is api.Level.OK
+
+
+def test_cannot_tell_is_stale_with_the_probes_sentence(rig: Rig) -> None:
+    """What the probe said reaches the log."""
+
+    def run() -> api.Result:
+        raise api.CannotTell("the engine did not answer in 5 s")
+
+    rig.start(Scripted(run))
+    until(lambda: len(rig.batches) == 1)
+    assert rig.batches[0].units["scripted"] == api.stale("the engine did not answer in 5 s")
+
+
+def test_a_unit_left_out_is_stale(rig: Rig) -> None:
+    """Silence is never OK."""
+    rig.start(Scripted(lambda: {"scripted": api.ok("well")}))
+    until(lambda: len(rig.batches) == 1)
+    assert rig.batches[0].units["scripted"].level is api.Level.OK
+    assert rig.batches[0].units["scripted/second"].level is api.Level.STALE
+
+
+def test_a_hung_check_makes_only_itself_stale(rig: Rig) -> None:
+    """The deadline is told once; the others go on; what comes back late is delivered."""
+    hung = threading.Event()
+
+    def hang() -> api.Result:
+        hung.wait()
+        return api.ok("back")
+
+    engine = rig.start(Scripted(hang, "hung"), Scripted(lambda: api.ok("b"), "other"))
+    until(lambda: len(rig.summaries("other")) == 1)
+    rig.clock.advance(6.0)
+    engine.look_for_overdue()
+    engine.look_for_overdue()
+    assert [("deadline of 5 s" in text) for text in rig.summaries("hung")] == [True]
+    assert engine.overdue() == ("hung",)
+    until(lambda: len(rig.summaries("other")) >= 1)
+    hung.set()
+    until(lambda: rig.summaries("hung")[-1] == "back")
+    assert engine.overdue() == ()
+
+
+def test_a_defect_behind_the_sink_does_not_end_the_thread(rig: Rig) -> None:
+    """A lost result must not mean that the unit is never looked at again."""
+    calls: list[Batch] = []
+
+    def sink(batch: Batch) -> None:
+        calls.append(batch)
+        raise RuntimeError("defect")
+
+    engine = Engine([Scheduled(Scripted(lambda: api.ok("well")), 20.0, 5.0)], testing.world(), rig.clock, sink)
+    rig.engines.append(engine)
+    engine.start()
+    until(lambda: len(calls) == 1)
+    rig.clock.wait_for_sleepers(1)
+    rig.clock.advance(0.05)
+    engine.wake_all("test")
+    until(lambda: len(calls) == 2)

@@ -1,0 +1,117 @@
+"""What recovery decides; nothing here acts."""
+
+from __future__ import annotations
+
+
+from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.recovery.policy import Act, Advise, Attempt, GiveUp, History, Leave, Wait, decide
+from phm.settings import ContainerSettings, RecoverySettings
+
+APP = ContainerSettings(name="app", recover=True)
+RULES = RecoverySettings()
+
+
+def fault(condition: str = "unhealthy", opened: float = 1000.0) -> Fault:
+    result = Result(Level.ERROR, "it is broken", "broken", condition, "app")
+    return Fault("F1", "health/app", Slot.CONTAINER, Layer.DOCKER, result, Stamp(0.0, opened))
+
+
+def attempts(*at: float, worked: bool = False, condition: str = "unhealthy") -> History:
+    return History([Attempt(when, "health/app", condition, "restart", worked) for when in at])
+
+
+def say(history: History | None = None, now: float = 1000.0, *, armed: bool = False, **more: object) -> object:
+    given: dict[str, object] = {"container": APP, "settings": RULES, "fault": fault(), **more}
+    return decide(given.pop("fault"), history or History(), now, armed=armed, **given)  # type: ignore[arg-type]
+
+
+def test_the_first_attempt_is_made_at_once() -> None:
+    """Waiting before the first attempt only prolongs the failure."""
+    assert say() == Act("restart", 1)
+
+
+def test_a_container_that_has_not_opted_in_is_never_touched() -> None:
+    """Opt-in by name; cve-search once had a backup restarted by a tool that took `all`."""
+    assert isinstance(say(container=ContainerSettings(name="app")), Leave)
+
+
+def test_mode_off_does_nothing_and_advise_only_says() -> None:
+    """`recovery.mode`."""
+    assert isinstance(say(settings=RecoverySettings(mode="off")), Leave)
+    assert isinstance(say(settings=RecoverySettings(mode="advise")), Advise)
+
+
+def test_a_condition_without_a_ladder_is_left_alone() -> None:
+    """A missing file is not mended by a restart."""
+    assert isinstance(say(fault=fault("file_missing")), Leave)
+
+
+def test_the_configuration_may_replace_a_ladder() -> None:
+    """Per condition, the user's ladder counts alone; an empty one switches healing off."""
+    assert say(settings=RecoverySettings(ladders={"unhealthy": ["start"]})) == Act("start", 1)
+    assert isinstance(say(settings=RecoverySettings(ladders={"unhealthy": []})), Leave)
+
+
+def test_the_next_rung_follows_a_failed_attempt() -> None:
+    """Reconnecting did not help, so restart."""
+    history = attempts(900.0, condition="disconnected")
+    assert say(history, fault=fault("disconnected")) == Act("restart", 2)
+
+
+def test_back_off_doubles_and_is_capped() -> None:
+    """1, 2, 4 ... seconds after the last attempt, never more than the cap."""
+    assert say(attempts(999.5)) == Wait(1000.5, "backing off")
+    assert say(attempts(990.0, 999.0)) == Wait(1001.0, "backing off")
+    capped = replace_rules(backoff=1.0, backoff_max=3.0, same_failure=50, budget=50)
+    assert say(attempts(990.0, 992.0, 994.0, 996.0, 999.0), settings=capped) == Wait(1002.0, "backing off")
+
+
+def replace_rules(**more: object) -> RecoverySettings:
+    return RULES.model_copy(update=more)
+
+
+def test_ten_clean_minutes_reset_the_back_off() -> None:
+    """Old trouble is forgotten."""
+    assert say(attempts(100.0, 101.0, 103.0), now=1000.0) == Act("restart", 1)
+
+
+def test_the_same_failure_three_times_is_given_up() -> None:
+    """A helper that retried 1437 times in 14 hours healed nothing."""
+    assert isinstance(say(attempts(900.0, 910.0, 920.0)), GiveUp)
+
+
+def test_help_that_lasts_starts_the_count_again() -> None:
+    """Three healed episodes, minutes apart, are no reason to give up."""
+    assert say(attempts(500.0, 700.0, 900.0, worked=True), fault=fault(opened=1000.0)) == Act("restart", 1)
+
+
+def test_help_that_does_not_last_counts_as_failure() -> None:
+    """A container that starts and dies again is a crash loop, not three successes."""
+    history = attempts(980.0, 985.0, 992.0, worked=True)
+    assert isinstance(say(history, fault=fault(opened=999.0), now=1010.0), GiveUp)
+
+
+def test_the_budget_counts_all_actions_on_the_target() -> None:
+    """Different troubles share one budget; the wait is told."""
+    history = History([Attempt(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(5)])
+    assert say(history) == Wait(1500.0, "budget of 5 actions used up", tell=True)
+
+
+def test_flight_critical_and_armed_is_advice_only() -> None:
+    """Nothing flight-critical is restarted in the air."""
+    critical = ContainerSettings(name="app", recover=True, flight_critical=True)
+    decision = say(container=critical, armed=True)
+    assert isinstance(decision, Advise) and decision.again_at is not None
+    assert say(container=critical, armed=False) == Act("restart", 1)
+    assert say(container=APP, armed=True) == Act("restart", 1)
+
+
+def test_phms_own_steps_need_no_opt_in() -> None:
+    """Joining a network moves nothing but PHM itself."""
+    decision = say(fault=fault("sidecar_apart"), container=ContainerSettings(name="app"), free_actions=frozenset({"join"}))
+    assert decision == Act("join", 1)
+
+
+def test_giving_up_needs_no_armed_state() -> None:
+    """What was given up is not advised again and again."""
+    assert isinstance(say(attempts(900.0, 910.0, 920.0), settings=replace_rules(budget=2)), GiveUp)

@@ -1,0 +1,362 @@
+"""The tracker's rules: one cause, one alarm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from phm.api import Layer, Level, Result, Slot, Unit, error, ok, stale, warn
+from phm.model import Event, FaultClosed, FaultOpened, Outcome, Stamp, Transition
+from phm.tracker import Step, Tracked, Tracker
+
+OK = ok("well")
+BAD = error("broken", brief="broken", condition="broken")
+
+
+@dataclass
+class Bench:
+    """A tracker with a hand-driven clock that collects events."""
+
+    tracked: list[Tracked]
+    now: float = 100.0
+    events: list[Event] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.tracker = Tracker(self.tracked, self.stamp())
+
+    def stamp(self) -> Stamp:
+        return Stamp(1e9 + self.now, self.now)
+
+    def take(self, step: Step) -> set[str]:
+        self.events += step.events
+        return step.rerun
+
+    def see(self, unit: str, result: Result, *, started: float | None = None) -> set[str]:
+        return self.take(self.tracker.observe(unit, result, self.now if started is None else started, self.stamp()))
+
+    def all_well(self) -> None:
+        for entry in self.tracked:
+            self.see(entry.unit.id, OK)
+        self.events.clear()
+
+    def later(self, seconds: float) -> set[str]:
+        self.now += seconds
+        return self.take(self.tracker.tick(self.stamp()))
+
+    def level(self, unit: str) -> Level:
+        return self.tracker.state(unit).level
+
+    def blocked_by(self, unit: str) -> str:
+        return self.tracker.state(unit).blocked_by
+
+    @property
+    def opened(self) -> list[str]:
+        return [event.fault.unit for event in self.events if isinstance(event, FaultOpened)]
+
+    @property
+    def closed(self) -> list[tuple[str, Outcome, str]]:
+        faults = [event.fault for event in self.events if isinstance(event, FaultClosed)]
+        return [(fault.unit, fault.outcome, fault.by) for fault in faults]
+
+
+def unit(name: str, *needs: str, failures: int = 1, **more: float | str) -> Tracked:
+    return Tracked(Unit(name, needs, **more), name, Slot.CONTAINER, Layer.DOCKER, failures, needs)  # type: ignore[arg-type]
+
+
+def chain(**more: float | str) -> Bench:
+    return Bench([unit("container"), unit("nodes", "container", **more), unit("topics", "nodes", **more)])
+
+
+def test_before_any_result_everything_is_stale() -> None:
+    """Silence is never OK."""
+    assert chain().level("nodes") is Level.STALE
+
+
+def test_an_error_without_needs_is_told_at_once() -> None:
+    """Nothing upstream can explain it, so waiting gains nothing."""
+    bench = chain()
+    bench.all_well()
+    bench.see("container", BAD)
+    assert bench.opened == ["container"]
+    assert bench.level("container") is Level.ERROR
+
+
+def test_needs_are_run_again_before_an_error_is_told() -> None:
+    """An ERROR below waits until everything above it has answered since."""
+    bench = chain()
+    bench.all_well()
+    bench.now += 1
+    assert bench.see("topics", BAD) == {"container", "nodes"}
+    assert bench.opened == []
+    bench.now += 0.1
+    bench.see("container", OK)
+    assert bench.opened == []
+    bench.see("nodes", OK)
+    assert bench.opened == ["topics"]
+
+
+def test_the_root_alone_is_told_whatever_the_order() -> None:
+    """Consequences seen before their cause raise nothing."""
+    bench = chain()
+    bench.all_well()
+    bench.now += 1
+    bench.see("topics", BAD)
+    bench.see("nodes", BAD)
+    bench.see("container", BAD)
+    bench.later(10)
+    assert bench.opened == ["container"]
+    assert bench.blocked_by("nodes") == bench.blocked_by("topics") == "container"
+    assert bench.level("topics") is Level.STALE
+
+
+def test_a_result_of_an_older_run_is_ignored() -> None:
+    """An overdue run that comes back late knows less than the one that followed it."""
+    bench = chain()
+    bench.all_well()
+    bench.see("container", BAD, started=bench.now - 5)
+    assert bench.opened == []
+
+
+def test_an_answer_from_before_the_question_does_not_count() -> None:
+    """A need's result that began before the dependent failed proves nothing about now."""
+    bench = chain()
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.see("container", OK, started=bench.now - 0.5)
+    assert bench.opened == []
+
+
+def test_an_open_fault_is_reattributed_when_its_cause_appears_later() -> None:
+    """Evidence of the cause that comes late still ends in one open fault, at the cause."""
+    bench = chain()
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    assert bench.opened == ["nodes"]
+    bench.now += 1
+    bench.see("container", BAD)
+    assert bench.closed == [("nodes", Outcome.REATTRIBUTED, "container")]
+    assert [fault.unit for fault in bench.tracker.open_faults()] == ["container"]
+
+
+def test_settling_keeps_early_evidence_back() -> None:
+    """A topic is silent before its node is known to be dead: settle_s bridges the gap."""
+    bench = chain(settle_s=2.0)
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    bench.later(1.9)
+    assert bench.opened == []
+    bench.later(0.2)
+    assert bench.opened == ["nodes"]
+
+
+def test_settling_starts_anew_after_a_good_result() -> None:
+    """A flicker shorter than settle_s is never told."""
+    bench = chain(settle_s=2.0)
+    bench.all_well()
+    for _ in range(5):
+        bench.now += 1
+        bench.see("nodes", BAD)
+        bench.see("container", OK)
+        bench.later(1)
+        bench.see("nodes", OK)
+    assert bench.opened == []
+
+
+def test_while_waiting_the_question_is_asked_again() -> None:
+    """A need without a period of its own would otherwise answer only at the next pass."""
+    bench = chain(settle_s=5.0)
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", BAD)
+    assert bench.later(1.0) == {"nodes", "container"}
+
+
+def test_failures_in_a_row_are_counted() -> None:
+    """`failures` bad runs it takes; one good run in between starts the count again."""
+    bench = Bench([unit("ping", failures=3)])
+    bench.all_well()
+    for result in (BAD, BAD, OK, BAD, BAD):
+        bench.now += 1
+        bench.see("ping", result)
+    assert bench.opened == []
+    bench.see("ping", BAD)
+    assert bench.opened == ["ping"]
+
+
+def test_grace_after_start() -> None:
+    """A graph that is still filling is not known yet, and not a fault."""
+    bench = Bench([unit("nodes", grace_s=5.0)])
+    bench.see("nodes", BAD)
+    assert bench.level("nodes") is Level.STALE
+    bench.later(4.9)
+    assert bench.opened == []
+    bench.later(0.2)
+    assert bench.opened == ["nodes"]
+
+
+def test_grace_after_a_need_recovered() -> None:
+    """What was blocked gets time to come back before it counts by itself."""
+    bench = chain(grace_s=5.0)
+    bench.later(6)
+    bench.all_well()
+    bench.see("container", BAD)
+    bench.see("nodes", BAD)
+    bench.now += 1
+    rerun = bench.see("container", OK)
+    assert "nodes" in rerun
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.later(2)
+    assert bench.opened == ["container"]
+    bench.later(5)
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    assert bench.opened == ["container", "nodes"]
+
+
+def test_stale_neither_opens_nor_closes() -> None:
+    """Not knowing is no fault and no cure."""
+    bench = chain()
+    bench.all_well()
+    bench.see("container", stale("engine silent"))
+    assert bench.opened == []
+    bench.see("container", BAD)
+    bench.see("container", stale("engine silent"))
+    assert bench.closed == []
+    assert len(bench.tracker.open_faults()) == 1
+    bench.see("container", OK)
+    assert bench.closed == [("container", Outcome.RESOLVED, "itself")]
+
+
+def test_a_warning_blocks_nobody_and_opens_no_fault() -> None:
+    """WARN is told as a transition; only ERROR can be a cause."""
+    bench = chain()
+    bench.all_well()
+    bench.see("container", warn("nearly", brief="nearly"))
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.see("container", warn("nearly", brief="nearly"))
+    assert bench.opened == ["nodes"]
+
+
+def test_an_unchanged_error_is_told_once() -> None:
+    """Transitions, not samples, cause things to happen."""
+    bench = Bench([unit("disk")])
+    for _ in range(5):
+        bench.now += 1
+        bench.see("disk", BAD)
+    assert sum(isinstance(event, Transition) for event in bench.events) == 1
+
+
+def test_other_words_for_the_same_level_are_told() -> None:
+    """Exited, then removed: the same ERROR stands for something else, and recovery must know."""
+    bench = Bench([unit("container")])
+    bench.see("container", BAD)
+    bench.see("container", error("gone", brief="gone", condition="missing"))
+    last = bench.events[-1]
+    assert isinstance(last, Transition) and last.changed_text
+    assert bench.opened == ["container"]
+    assert bench.tracker.open_faults()[0].result.condition == "missing"
+
+
+def holding() -> Bench:
+    """A node is dead and its container is about to be restarted."""
+    bench = Bench(
+        [
+            unit("container", target="app"),
+            unit("nodes", "container", target="app", grace_s=5.0),
+            unit("topics", "nodes", target="app", grace_s=5.0),
+        ]
+    )
+    bench.later(10)
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    bench.take(bench.tracker.hold("app", "nodes", "restart", bench.stamp(), 60.0))
+    bench.now += 1
+    return bench
+
+
+def test_what_breaks_because_of_the_repair_is_no_fault() -> None:
+    """Restarting the container stops it for a moment: the fault under repair is the cause."""
+    bench = holding()
+    bench.see("container", BAD)
+    bench.see("topics", BAD)
+    bench.later(3)
+    assert bench.opened == ["nodes"]
+    assert bench.blocked_by("container") == "nodes"
+    assert bench.blocked_by("topics") == "nodes"
+
+
+def test_a_verified_repair_is_credited_to_the_action() -> None:
+    """The fault that the action healed is resolved by it, and nothing else is told."""
+    bench = holding()
+    bench.see("container", BAD)
+    bench.now += 1
+    bench.see("container", OK)
+    bench.see("nodes", OK)
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=True))
+    bench.now += 1
+    bench.see("topics", BAD)
+    bench.later(2)
+    bench.see("topics", OK)
+    assert bench.closed == [("nodes", Outcome.RESOLVED, "restart")]
+    assert bench.opened == ["nodes"]
+
+
+def test_a_repair_that_did_not_help_gets_no_credit() -> None:
+    """What comes back later has healed by itself."""
+    bench = holding()
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.later(60)
+    bench.see("nodes", OK)
+    assert bench.closed == [("nodes", Outcome.RESOLVED, "itself")]
+
+
+def test_a_hold_ends_even_if_its_owner_has_died() -> None:
+    """An executor that vanished must not mute the target for ever."""
+    bench = holding()
+    bench.later(61)
+    bench.see("container", BAD)
+    assert [fault.unit for fault in bench.tracker.open_faults()] == ["container"]
+
+
+def test_an_escalated_fault_is_closed_once_and_not_opened_again() -> None:
+    """Giving up is said aloud, once; the unit stays ERROR until it is well."""
+    bench = Bench([unit("container")])
+    bench.see("container", BAD)
+    fault = bench.tracker.open_faults()[0]
+    bench.take(bench.tracker.escalate(fault.id, bench.stamp()))
+    bench.now += 1
+    bench.see("container", BAD)
+    assert bench.closed == [("container", Outcome.ESCALATED, "")]
+    assert bench.level("container") is Level.ERROR
+    bench.see("container", OK)
+    bench.see("container", BAD)
+    assert bench.opened == ["container", "container"]
+
+
+def test_independent_faults_are_each_told() -> None:
+    """Two causes, two alarms."""
+    bench = Bench([unit("a"), unit("b"), unit("c", "a")])
+    bench.all_well()
+    bench.see("a", BAD)
+    bench.see("b", BAD)
+    bench.see("c", BAD)
+    assert bench.opened == ["a", "b"]
+
+
+def test_a_fault_lists_what_it_blocks() -> None:
+    """The cause names its consequences."""
+    bench = chain()
+    bench.all_well()
+    bench.now += 1
+    bench.see("container", BAD)
+    bench.see("nodes", BAD)
+    bench.see("topics", BAD)
+    assert bench.tracker.open_faults()[0].blocks == ("nodes", "topics")
