@@ -1,0 +1,95 @@
+"""Wording that the checks share: names and output from outside made safe, lists, and numbers that keep still.
+
+Not a check: files of this folder that begin with an underscore are parts of checks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+BRIEF_MAX = 38
+"""Characters of `Result.brief`: what a STATUSTEXT leaves beside agent, word and slot."""
+
+
+def clean(text: str, most: int = 200) -> str:
+    """Text from outside as one printable line of at most `most` characters."""
+    line = " ".join("".join(char if char.isprintable() else " " for char in text[: most * 4]).split())
+    return line if len(line) <= most else f"{line[: most - 3]}..."
+
+
+def brief(subject: str, words: str = "") -> str:
+    """`subject words` in at most 38 ASCII characters. The front of the subject goes first: tails differ more."""
+    name = clean(subject).encode("ascii", "replace").decode()
+    tail = clean(words).encode("ascii", "replace").decode()
+    room = BRIEF_MAX - len(tail) - (1 if tail else 0)
+    if len(name) > room:
+        name = f"..{name[len(name) - max(room, 2) + 2 :]}" if room > 2 else ""
+    return f"{name} {tail}".strip()[:BRIEF_MAX]
+
+
+def last(name: str) -> str:
+    """The last part of a path or a ROS name: what people call it."""
+    return name.rstrip("/").rpartition("/")[2] or name
+
+
+def listed(names: Iterable[str], most: int = 5) -> str:
+    """`a, b, c and 4 more`; `none` when there are none."""
+    every = [clean(name, 80) for name in names]
+    if not every:
+        return "none"
+    shown = ", ".join(every[:most])
+    return shown if len(every) <= most else f"{shown} and {len(every) - most} more"
+
+
+def span(seconds: float) -> str:
+    """A duration for people: `0.4 s`, `12 s`, `5 min`."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    return f"{seconds:.0f} s" if seconds < 600 else f"{seconds / 60:.0f} min"
+
+
+def one_edit_apart(first: str, second: str) -> bool:
+    """Whether one inserted, dropped, changed or swapped character makes one of the other."""
+    if first == second or abs(len(first) - len(second)) > 1:
+        return False
+    short, long = sorted((first, second), key=len)
+    at = next((i for i, char in enumerate(short) if char != long[i]), len(short))
+    if len(short) < len(long):
+        return short[at:] == long[at + 1 :]
+    swapped = short[:at] + short[at : at + 2][::-1] + short[at + 2 :]
+    return short[at + 1 :] == long[at + 1 :] or swapped == long
+
+
+def did_you_mean(wanted: str, there: Iterable[str]) -> str:
+    """A sentence that offers names one edit away or with another namespace, or nothing."""
+    names = list(there)
+    near = [name for name in names if one_edit_apart(wanted, name)]
+    near += [name for name in names if name not in near and name != wanted and last(name) == last(wanted)]
+    return f" There is {listed(near, 3)}: is one of these meant?" if near else ""
+
+
+class Steady:
+    """Keeps the number in a text still until it has moved by more than `share` of itself.
+
+    A changed brief is told to the ground, so a jittering number must not change it at each reading.
+    """
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self._shown: dict[str, float] = {}
+
+    def show(self, subject: str, value: float) -> float:
+        """The number to write for `subject`. Subjects are those of the configuration, so few."""
+        shown = self._shown.get(subject)
+        if shown is None or abs(value - shown) > self._share * abs(shown):
+            self._shown[subject] = shown = value
+        return shown
+
+    def forget(self, subject: str) -> None:
+        """The subject is well again: the next number is shown as it is."""
+        self._shown.pop(subject, None)
+
+
+def joined(sentences: Sequence[str]) -> str:
+    """Findings as one text, each with its full stop."""
+    return " ".join(text if text.endswith((".", "?", "!")) else f"{text}." for text in sentences)

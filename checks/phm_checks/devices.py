@@ -1,0 +1,181 @@
+"""Slot 5: the devices that the application uses are there, usable, and mapped into its container."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from phm import api
+from phm.api import Slot
+from phm_checks._per_container import PerContainer
+from phm_checks._words import brief, clean, joined, last, listed
+
+_SERIAL_MAJORS = frozenset({166, 188, 204})
+"""ttyACM, ttyUSB and the UARTs of ARM boards, from the kernel's devices.txt; ttyS is 4 from minor 64 on."""
+_RULE = re.compile(r"^([acb])\s+(\d+|\*):(\d+|\*)(?:\s+[rwm]+)?$")
+
+
+def is_serial(fact: api.DeviceFact) -> bool:
+    """Whether opening it could raise a modem line and so reset what is behind it."""
+    return fact.major in _SERIAL_MAJORS or (fact.major == 4 and fact.minor >= 64) or bool(fact.description)
+
+
+class Devices(PerContainer):
+    """All configured devices of one container.
+
+    The unit needs no running container: Docker refuses to start one whose device is missing, so the
+    device is the cause then.
+    """
+
+    name, slot = "devices", Slot.DEVICES
+    period_s = 2.0
+
+    def __init__(self, entry: api.ContainerSettings) -> None:
+        super().__init__(entry)
+        self._numbers: dict[str, tuple[str, int, int]] = {}
+
+    @classmethod
+    def wanted(cls, entry: api.ContainerSettings) -> bool:
+        return bool(entry.devices)
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        return (api.Unit(self.unit_id, target=self.key),)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return super().wakes | {"device"}
+
+    def run(self, world: api.World) -> api.Result:
+        container, why = self._container(world)
+        findings = [self._judge(world, wanted, container, why) for wanted in self.entry.devices]
+        first = api.worst(findings)
+        values: dict[str, api.Value] = {
+            "devices": len(findings),
+            "devices_bad": sum(finding.level.bad for finding in findings),
+        }
+        if first.level is api.Level.OK:
+            said = joined([finding.summary for finding in findings])
+            return api.ok(f"Found {len(findings)} devices connected to container {self.key}: {said}", **values)
+        summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
+        return api.Result(first.level, summary, first.brief, first.condition, first.target, values)
+
+    def _container(self, world: api.World) -> tuple[api.ContainerFact | None, str]:
+        """The container, or None and why its mapping cannot be judged."""
+        try:
+            return world.docker.container(self.key), f"there is no container {self.key}"
+        except api.CannotTell as reason:
+            return None, clean(str(reason))
+
+    def _judge(
+        self, world: api.World, wanted: api.DeviceSettings, container: api.ContainerFact | None, why: str
+    ) -> api.Result:
+        path = wanted.path
+        try:
+            fact = world.devices.look(path, open_it=wanted.open == "always")
+            if fact is not None and wanted.open == "auto" and fact.character and not is_serial(fact):
+                fact = world.devices.look(path, open_it=True)
+        except api.CannotTell as reason:
+            return api.stale(f"device {path} cannot be judged: {clean(str(reason))}")
+        if fact is None:
+            return self._missing(world, path)
+        if not fact.character:
+            words = f"{path} is no character device{_because(fact.reason)}: remove what stands in its place"
+            return self._bad(path, words, "is no device", "device_wrong_type")
+        if fact.openable is False:
+            words = (
+                f"{path} is there but cannot be used{_because(fact.reason)}: check its driver, cable and access rights"
+            )
+            return self._bad(path, words, "refused", "device_refused")
+        found = f"{path} is there{_because(fact.description)}"
+        if not wanted.mapped:
+            return api.ok(found)
+        if container is None:
+            return api.stale(f"{found}, but whether {self.key} sees it is not known: {why}")
+        return self._mapping(world, wanted, fact, container, found)
+
+    def _missing(self, world: api.World, path: str) -> api.Result:
+        try:
+            ports = listed(f"{port.path}{_because(port.description)}" for port in world.devices.serial_ports())
+        except api.CannotTell:
+            ports = "not known"
+        words = f"device {path} is missing: check its cable and power. Serial ports that are there: {ports}"
+        return self._bad(path, words, "missing", "device_missing")
+
+    def _mapping(
+        self,
+        world: api.World,
+        wanted: api.DeviceSettings,
+        fact: api.DeviceFact,
+        container: api.ContainerFact,
+        found: str,
+    ) -> api.Result:
+        problem = ""
+        mapped = [one for one in container.devices if self._maps(world, one, wanted.path, fact)]
+        inside = wanted.in_container
+        if mapped:
+            names = [one.container_path for one in mapped]
+            if inside is not None and inside not in names:
+                problem = f"it appears there as {listed(names)}, expected {inside}"
+            elif self._renumbered(wanted.path, fact, container):
+                problem = "it was plugged in again and has new numbers that the container does not know: restart it"
+        elif not container.privileged:
+            problem = self._through_mount(wanted.path, fact, container)
+        if not problem:
+            return api.ok(f"{found}, mapped into {self.key}")
+        words = f"{wanted.path} is there, but {self.key} cannot use it: {problem}"
+        return self._bad(wanted.path, words, "not mapped", "device_unmapped")
+
+    @staticmethod
+    def _maps(world: api.World, mapping: api.DeviceMapping, path: str, fact: api.DeviceFact) -> bool:
+        """Whether this entry brings the device: by its path, by a folder above it, or by another name of it."""
+        host = mapping.host_path.rstrip("/")
+        if host in (path, fact.path) or path.startswith(f"{host}/") or fact.path.startswith(f"{host}/"):
+            return True
+        try:
+            other = world.devices.look(host, open_it=False) if host.startswith("/dev/") else None
+        except api.CannotTell:
+            return False
+        return other is not None and other.character and (other.major, other.minor) == (fact.major, fact.minor)
+
+    def _renumbered(self, path: str, fact: api.DeviceFact, container: api.ContainerFact) -> bool:
+        """Docker copies a device's numbers when the container starts; a device that comes back with others is lost to it."""
+        now = (container.life, fact.major, fact.minor)
+        before = self._numbers.get(path)
+        if before is None or before[0] != container.life:
+            self._numbers[path] = now
+            return False
+        return before != now
+
+    @staticmethod
+    def _through_mount(path: str, fact: api.DeviceFact, container: api.ContainerFact) -> str:
+        """Empty when a bind of /dev together with a device cgroup rule brings it; else what is lacking."""
+        bound = any(
+            one.kind == "bind" and (path == one.source or path.startswith(f"{one.source.rstrip('/')}/"))
+            for one in container.mounts
+        )
+        allowed = any(_allows(rule, fact) for rule in container.device_rules)
+        if bound and allowed:
+            return ""
+        rule = f"device_cgroup_rules: ['c {fact.major}:* rmw']"
+        if bound:
+            return f"it is bound into it, but no rule lets it open the device; add {rule}"
+        if allowed:
+            return "a rule lets it open the device, but nothing brings the device file; bind /dev into it"
+        return f"it is not among its devices; add `devices: ['{path}']`"
+
+    def _bad(self, path: str, words: str, short: str, condition: str) -> api.Result:
+        return api.error(words, brief=brief(last(path), short), condition=condition, target=self.key)
+
+
+def _because(text: str) -> str:
+    return f" ({clean(text, 120)})" if text else ""
+
+
+def _allows(rule: str, fact: api.DeviceFact) -> bool:
+    """Whether a device cgroup rule such as ``c 188:* rmw`` covers the device; one without reading does not help."""
+    match = _RULE.match(rule.strip())
+    if match is None or (" " in rule.strip() and not set(rule.split()[-1]) & set("r")):
+        return False
+    kind, major, minor = match.groups()
+    return kind in "ca" and major in ("*", str(fact.major)) and minor in ("*", str(fact.minor))

@@ -1,0 +1,42 @@
+"""Slot 2: the Docker Engine answers, and lets PHM ask."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from phm import api
+from phm.api import Layer, Slot
+from phm_checks._words import clean
+
+
+class Engine(api.Check):
+    """The Docker Engine. Here, unlike everywhere else, getting no answer *is* the fault."""
+
+    name, slot, layer = "engine", Slot.CONTAINER, Layer.DOCKER
+    period_s = 5.0
+    deadline_s = 15.0
+    failures = 2
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        """Nothing to judge when no container is configured."""
+        return [cls()] if settings.containers else []
+
+    def run(self, world: api.World) -> api.Result:
+        try:
+            version = clean(world.docker.engine(), 40)
+        except api.NotPermitted as refusal:
+            return api.error(
+                f"the Docker Engine refuses PHM: {clean(str(refusal))}. Give PHM's container the group of the "
+                "engine's socket (group_add in the compose file), or let the socket proxy allow these calls",
+                brief="docker engine refuses PHM",
+                condition="engine_refused",
+            )
+        except api.CannotTell as silence:
+            return api.error(
+                f"the Docker Engine does not answer: {clean(str(silence))}. Running containers go on without it, but "
+                "nothing can be seen or mended: check `systemctl status docker` and free space on its disk",
+                brief="docker engine silent",
+                condition="engine_down",
+            )
+        return api.ok(f"Docker Engine {version} answers", engine_version=version)

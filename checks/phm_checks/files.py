@@ -1,0 +1,88 @@
+"""Slot 3: the application's files are there, executable where they must be, and unaltered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from phm import api
+from phm.api import Slot
+from phm_checks._per_container import PerContainer
+from phm_checks._words import brief, clean, joined, last, listed
+
+
+class Files(PerContainer):
+    """All configured files of one container.
+
+    The unit does not need the running container: files are also seen in a stopped one, and a missing
+    file may be why it stopped.
+    """
+
+    name, slot = "files", Slot.FILES
+    period_s = 5.0
+    deadline_s = 20.0
+
+    @classmethod
+    def wanted(cls, entry: api.ContainerSettings) -> bool:
+        return bool(entry.files)
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        return (api.Unit(self.unit_id, needs=("engine",), target=self.key),)
+
+    def run(self, world: api.World) -> api.Result:
+        """All problems at once, the first in the brief; ERROR wins over what could not be seen."""
+        findings = [self._judge(world, wanted) for wanted in self.entry.files]
+        first = api.worst(findings)
+        values: dict[str, api.Value] = {
+            "files": len(findings),
+            "files_bad": sum(finding.level.bad for finding in findings),
+        }
+        if first.level is api.Level.OK:
+            paths = listed(wanted.path for wanted in self.entry.files)
+            return api.ok(f"File check passed: {paths}", **values)
+        summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
+        return api.Result(first.level, summary, first.brief, first.condition, first.target, values)
+
+    def _judge(self, world: api.World, wanted: api.FileSettings) -> api.Result:
+        where = f"{wanted.path} in {self.key}"
+        try:
+            fact = world.files.look(self.key, wanted.path, digest=wanted.sha256 is not None)
+            if fact is None and wanted.present and world.docker.container(self.key) is None:
+                return api.stale(f"{where} cannot be seen: there is no container {self.key}")
+        except api.CannotTell as reason:
+            return api.stale(f"{where} cannot be seen: {clean(str(reason))}")
+        if fact is None:
+            return self._absent(wanted, where)
+        if not wanted.present:
+            words = f"{where} is there, expected to be absent: remove it"
+            return self._bad(wanted, words, "unexpected", "file_unexpected")
+        if wanted.executable and (fact.kind != "file" or not fact.executable):
+            words = f"{where} is not executable (mode {fact.mode & 0o7777:04o}), expected an execute bit: `chmod +x` it"
+            return self._bad(wanted, words, "not executable", "file_not_executable")
+        return self._content(wanted, fact, where)
+
+    def _absent(self, wanted: api.FileSettings, where: str) -> api.Result:
+        if not wanted.present:
+            return api.ok(f"{where} is absent, as it must be")
+        words = f"{where} is missing, expected to be there: put it back, or check the volume that brings it"
+        return self._bad(wanted, words, "missing", "file_missing")
+
+    def _content(self, wanted: api.FileSettings, fact: api.FileFact, where: str) -> api.Result:
+        if wanted.sha256 is None:
+            return api.ok(f"{where} is there")
+        if fact.kind != "file":
+            return self._bad(
+                wanted, f"{where} is a {fact.kind}, expected a file with a SHA-256", "altered", "file_altered"
+            )
+        if not fact.sha256:
+            return api.stale(f"{where} is there, but its SHA-256 could not be read")
+        if fact.sha256.lower() != wanted.sha256.lower():
+            words = (
+                f"{where} was altered: SHA-256 {fact.sha256[:12]}..., expected {wanted.sha256[:12].lower()}...: restore it, "
+                "or enter the new sum"
+            )
+            return self._bad(wanted, words, "altered", "file_altered")
+        return api.ok(f"{where} is there and unaltered")
+
+    def _bad(self, wanted: api.FileSettings, words: str, short: str, condition: str) -> api.Result:
+        return api.error(words, brief=brief(last(wanted.path), short), condition=condition, target=self.key)

@@ -1,0 +1,57 @@
+"""Slot 2: what the image's own HEALTHCHECK says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from phm import api
+from phm.api import Slot
+from phm_checks._per_container import PerContainer
+from phm_checks._words import brief, clean
+
+
+class Health(PerContainer):
+    """Docker's health state of the container."""
+
+    name, slot = "health", Slot.CONTAINER
+
+    @classmethod
+    def wanted(cls, entry: api.ContainerSettings) -> bool:
+        return entry.healthcheck != "ignore"
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        return (api.Unit(self.unit_id, needs=(f"container/{self.key}",), target=self.key),)
+
+    def run(self, world: api.World) -> api.Result:
+        fact = world.docker.container(self.key)
+        if fact is None or not fact.running:
+            return api.stale(f"health of {self.key} is not known while it does not run")
+        output = clean(fact.health_output)
+        values: dict[str, api.Value] = {"health": fact.health, "failing_streak": fact.health_streak}
+        if fact.health == "healthy":
+            return api.ok(f"Health check of {self.key} passes", **values)
+        if fact.health == "unhealthy":
+            return api.error(
+                f"health check of {self.key} failed {fact.health_streak} times in a row, expected healthy. Last output: "
+                f"{output or 'none'}. `docker inspect {self.key}` shows the earlier ones",
+                brief=brief(self.key, "unhealthy"),
+                condition="unhealthy",
+                target=self.key,
+                **values,
+            )
+        if fact.health == "starting":
+            return api.stale(f"health check of {self.key} has not decided yet (starting)", brief="", **values)
+        return self._none(values)
+
+    def _none(self, values: dict[str, api.Value]) -> api.Result:
+        if self.entry.healthcheck != "required":
+            return api.bypass(f"No health check defined for {self.key}.", **values)
+        return api.error(
+            f"{self.key} has no health check, but the configuration requires one: add HEALTHCHECK to its image or "
+            "`healthcheck:` to its compose file, or set `healthcheck: auto`",
+            brief=brief(self.key, "has no healthcheck"),
+            condition="healthcheck_missing",
+            target=self.key,
+            **values,
+        )

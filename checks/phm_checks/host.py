@@ -1,0 +1,203 @@
+"""Slot 9: the companion computer has processor, memory, disk, cool and a steady clock to spare."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+
+from phm import api
+from phm.api import Layer, Level, Slot
+from phm_checks._words import Steady, brief, clean, joined, listed, span
+
+MARGIN = 0.05
+"""A level is left only when the value is this share of the limit below it, so that a value at the limit does not flap."""
+STEP_TOLD_S = 30.0
+"""A jump of the clock lasts one reading; it is told for this long so that it is seen."""
+_MOST_READINGS = 1000
+
+
+class Graded:
+    """A level by two limits, with memory: up at the limit, down only below limit minus margin."""
+
+    def __init__(self, warn: float, error: float) -> None:
+        self._limits = ((Level.ERROR, error), (Level.WARN, warn))
+        self._level = Level.OK
+
+    def level(self, value: float) -> Level:
+        for level, limit in self._limits:
+            stays = self._level is Level.ERROR or self._level is level
+            if value >= limit * (1 - MARGIN if stays else 1.0):
+                self._level = level
+                return level
+        self._level = Level.OK
+        return Level.OK
+
+
+class Host(api.Check):
+    """The machine: units host/cpu, host/memory, host/disk, host/temperature and host/clock."""
+
+    name, slot, layer = "host", Slot.HOST, Layer.COMPANION
+    period_s = 2.0
+
+    def __init__(self, limits: api.HostSettings) -> None:
+        self._limits = limits
+        self._cpu = Graded(limits.cpu.warn, limits.cpu.error)
+        self._memory = Graded(limits.memory.warn, limits.memory.error)
+        self._disks: dict[str, Graded] = {}
+        self._heat = Graded(limits.temperature_warn, limits.temperature_error)
+        self._readings: deque[tuple[float, float]] = deque(maxlen=_MOST_READINGS)
+        self._step: tuple[float, float] | None = None
+        self._steady = Steady(share=0.05)
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        return [cls(settings.host)]
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        return tuple(api.Unit(f"host/{part}") for part in ("cpu", "memory", "disk", "temperature", "clock"))
+
+    def run(self, world: api.World) -> Mapping[str, api.Result]:
+        fact = world.host.read()
+        now = world.clock.mono()
+        return {
+            "host/cpu": self._judge_cpu(fact, now),
+            "host/memory": self._judge_memory(fact),
+            "host/disk": self._judge_disks(fact),
+            "host/temperature": self._judge_temperature(fact),
+            "host/clock": self._judge_clock(fact, now),
+        }
+
+    def _judge_cpu(self, fact: api.HostFact, now: float) -> api.Result:
+        """The mean of the readings within the window; high use is told only once the window is full."""
+        window_s = self._limits.cpu_window
+        self._readings.append((now, fact.cpu_percent))
+        # One reading from before the window stays: it is what shows that the window is full.
+        while len(self._readings) > 1 and self._readings[1][0] <= now - window_s:
+            self._readings.popleft()
+        inside = [share for at, share in self._readings if at > now - window_s]
+        mean = sum(inside) / len(inside)
+        values: dict[str, api.Value] = {
+            "cpu_percent": round(mean, 1),
+            "load_per_core": round(fact.load_per_core, 2),
+        }
+        full = now - self._readings[0][0] >= window_s
+        level = self._cpu.level(mean)
+        if level is Level.OK:
+            self._steady.forget("cpu")
+            return api.ok(f"CPU at {mean:.0f} %", **values)
+        if not full:
+            return api.stale(f"CPU at {mean:.0f} %, averaging over {span(window_s)} before judging", brief="", **values)
+        words = (
+            f"CPU at {mean:.0f} % over {span(window_s)}, expected below {self._limits.cpu.warn:g} %: find the process with "
+            "`top`, or give its container a CPU limit"
+        )
+        return self._bad(level, words, f"CPU {self._steady.show('cpu', mean):.0f} %", "cpu_high", values)
+
+    def _judge_memory(self, fact: api.HostFact) -> api.Result:
+        used = fact.memory_percent
+        values: dict[str, api.Value] = {
+            "memory_percent": round(used, 1),
+            "memory_available_bytes": fact.memory_available_bytes,
+        }
+        level = self._memory.level(used)
+        if level is Level.OK:
+            self._steady.forget("memory")
+            return api.ok(f"Memory at {used:.0f} %", **values)
+        words = (
+            f"memory at {used:.0f} %, {fact.memory_available_bytes / 1e6:.0f} MB available, expected below "
+            f"{self._limits.memory.warn:g} %: find the leak, or give its container a memory limit"
+        )
+        return self._bad(level, words, f"memory {self._steady.show('memory', used):.0f} %", "memory_high", values)
+
+    def _judge_disks(self, fact: api.HostFact) -> api.Result:
+        if not fact.disks:
+            return api.bypass("No disk is watched.")
+        findings = [self._judge_disk(disk) for disk in fact.disks]
+        first = api.worst(findings)
+        values: dict[str, api.Value] = {}
+        for finding in findings:
+            values.update(finding.values)
+        if first.level is Level.OK:
+            return api.ok(joined([finding.summary for finding in findings]), **values)
+        summary = joined([finding.summary for finding in findings if finding.level is not Level.OK])
+        return api.Result(first.level, summary, first.brief, first.condition, values=values)
+
+    def _judge_disk(self, disk: api.DiskFact) -> api.Result:
+        path = clean(disk.path, 80)
+        if disk.problem:
+            return api.stale(f"disk {path} cannot be read: {clean(disk.problem)}")
+        most = max(disk.used_percent, disk.inodes_used_percent)
+        what = "full" if disk.used_percent >= disk.inodes_used_percent else "of inodes used"
+        graded = self._disks.setdefault(disk.path, Graded(self._limits.disk.warn, self._limits.disk.error))
+        values: dict[str, api.Value] = {
+            f"disk_percent {path}": round(disk.used_percent, 1),
+            f"inodes_percent {path}": round(disk.inodes_used_percent, 1),
+            f"disk_free_bytes {path}": disk.free_bytes,
+        }
+        level = graded.level(most)
+        if level is Level.OK:
+            self._steady.forget(disk.path)
+            return api.ok(f"Disk {path} is {disk.used_percent:.0f} % full", **values)
+        words = (
+            f"disk {path} at {most:.0f} % {what}, {disk.free_bytes / 1e6:.0f} MB free, expected below "
+            f"{self._limits.disk.warn:g} %: remove old logs, bags and images (`docker system df`)"
+        )
+        return self._bad(
+            level, words, brief(f"disk {path}", f"{self._steady.show(disk.path, most):.0f} %"), "disk_full", values
+        )
+
+    def _judge_temperature(self, fact: api.HostFact) -> api.Result:
+        """Heat and throttling: what both come to is a processor that runs slower than it should."""
+        if fact.temperature_c is None and fact.throttled is None:
+            return api.bypass("This machine does not tell its temperature.")
+        values: dict[str, api.Value] = {"temperature_c": fact.temperature_c}
+        findings = []
+        if fact.temperature_c is not None:
+            level = self._heat.level(fact.temperature_c)
+            if level is Level.OK:
+                self._steady.forget("heat")
+            else:
+                words = (
+                    f"{clean(fact.temperature_of, 40) or 'processor'} at {fact.temperature_c:.0f} C, expected below "
+                    f"{self._limits.temperature_warn:g} C: check fan, air flow and load"
+                )
+                short = f"CPU {self._steady.show('heat', fact.temperature_c):.0f} C"
+                findings.append(self._bad(level, words, short, "temperature_high", values))
+        now = [word for word in fact.throttled or () if word.endswith(" now")]
+        if now:
+            words = f"the processor is held back: {listed(now)}: check the power supply, its cable, and cooling"
+            findings.append(self._bad(Level.WARN, words, now[0], "throttled", values))
+        if findings:
+            first = api.worst(findings)
+            summary = joined([finding.summary for finding in findings])
+            return api.Result(first.level, summary, first.brief, first.condition, values=values)
+        heat = "Temperature not told" if fact.temperature_c is None else f"Temperature {fact.temperature_c:.0f} C"
+        earlier = f", earlier: {listed(fact.throttled)}" if fact.throttled else ""
+        return api.ok(f"{heat}{earlier}", **values)
+
+    def _judge_clock(self, fact: api.HostFact, now: float) -> api.Result:
+        """A jump is told; being unsynchronised is only said: an aircraft in the field often has no time source."""
+        if abs(fact.clock_step_s) > self._limits.clock_step:
+            self._step = (now, fact.clock_step_s)
+        values: dict[str, api.Value] = {
+            "clock_synchronized": fact.clock_synchronized,
+            "clock_step_s": round(fact.clock_step_s, 3),
+        }
+        if self._step is not None and now - self._step[0] < STEP_TOLD_S:
+            step = self._step[1]
+            words = (
+                f"the UTC clock jumped by {step:+.1f} s, expected at most {self._limits.clock_step:g} s: stamps before and "
+                "after do not fit; check chrony, NTP or the GPS time source"
+            )
+            return self._bad(Level.WARN, words, f"clock jumped {step:+.0f} s", "clock_step", values)
+        said = {
+            True: "Clock is synchronised",
+            False: "Clock is steady but not synchronised: logs of different agents may not line up",
+            None: "Clock is steady; this machine does not tell whether it is synchronised",
+        }
+        return api.ok(said[fact.clock_synchronized], **values)
+
+    @staticmethod
+    def _bad(level: Level, words: str, short: str, condition: str, values: Mapping[str, api.Value]) -> api.Result:
+        return api.Result(level, words, brief(short), condition, values=values)

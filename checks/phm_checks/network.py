@@ -1,0 +1,123 @@
+"""Slot 4: the container is on its networks, PHM is beside it, and its address answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from phm import api
+from phm.api import Slot
+from phm_checks._per_container import PerContainer
+from phm_checks._words import brief, clean, joined, listed
+
+_NO_ORDER = ("network_missing", "no_network", "disconnected", "sidecar_apart", "address_silent")
+"""Causes before consequences: the first of these that was found is the condition of the unit."""
+
+
+class Network(PerContainer):
+    """All configured networks of one container."""
+
+    name, slot = "network", Slot.NETWORK
+    period_s = 5.0
+
+    @classmethod
+    def wanted(cls, entry: api.ContainerSettings) -> bool:
+        return bool(entry.networks)
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        return (api.Unit(self.unit_id, needs=(f"container/{self.key}",), target=self.key),)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return super().wakes | {"network"}
+
+    def run(self, world: api.World) -> api.Result:
+        fact = world.docker.container(self.key)
+        if fact is None or not fact.running:
+            return api.stale(f"networks of {self.key} are not judged while it does not run")
+        special = self._mode(fact)
+        if special is not None:
+            return special
+        findings = [self._judge(world, fact, name) for name in self.entry.networks]
+        bad = sorted(
+            (finding for finding in findings if finding.level.bad),
+            key=lambda finding: _NO_ORDER.index(finding.condition),
+        )
+        values: dict[str, api.Value] = {"networks": len(findings), "networks_bad": len(bad)}
+        if bad:
+            summary = joined([finding.summary for finding in bad])
+            return api.Result(bad[0].level, summary, bad[0].brief, bad[0].condition, self.key, values)
+        return api.ok(joined([finding.summary for finding in findings]), **values)
+
+    def _mode(self, fact: api.ContainerFact) -> api.Result | None:
+        """The network modes in which a container cannot be on a network of its own."""
+        mode, names = fact.network_mode, listed(self.entry.networks)
+        if mode == "host":
+            return api.bypass(
+                f"{self.key} uses the host's network itself, so there is no connection to {names} to judge."
+            )
+        if mode.startswith("container:"):
+            return api.bypass(f"{self.key} shares the network of {clean(mode, 80)}: judge {names} at that container.")
+        if mode == "none" and not any(attached.name != "none" for attached in fact.networks):
+            return self._bad(
+                f"{self.key} runs with network_mode none and cannot be connected to {names}: start it without "
+                "network_mode, or remove `networks` from its configuration",
+                "has no network",
+                "no_network",
+            )
+        return None
+
+    def _judge(self, world: api.World, fact: api.ContainerFact, name: str) -> api.Result:
+        network_id = world.docker.network_id(name)
+        if not network_id:
+            similar = [one.name for one in fact.networks if one.name.endswith(f"_{name}")]
+            hint = f" {self.key} is on {listed(similar)}: is this meant?" if similar else ""
+            return self._bad(
+                f"there is no network {name}: create it with `docker network create {name}` or `docker compose up -d`.{hint}",
+                f"no network {name}",
+                "network_missing",
+                subject="",
+            )
+        attached = next((one for one in fact.networks if one.network_id == network_id), None)
+        if attached is None:
+            gone = any(one.name == name for one in fact.networks)
+            why = ": it is still attached to a network of that name that was removed and made again" if gone else ""
+            return self._bad(
+                f"{self.key} is not connected to {name}{why}; `docker network connect {name} {self.key}` connects it",
+                f"off {name}",
+                "disconnected",
+            )
+        return self._sidecar(world, attached, name, network_id)
+
+    def _sidecar(self, world: api.World, attached: api.Attachment, name: str, network_id: str) -> api.Result:
+        """A PHM that runs on the host, or with its network, reaches every bridge network as it is."""
+        me = world.docker.myself()
+        beside = me is None or me.network_mode == "host" or any(one.network_id == network_id for one in me.networks)
+        if not beside:
+            return self._bad(
+                f"PHM itself is not on {name}, so it cannot reach {self.key} there: connect PHM's container to {name}",
+                f"PHM off {name}",
+                "sidecar_apart",
+                subject="",
+            )
+        if not self.entry.address:
+            return api.ok(f"{self.key} is connected to {name}")
+        if not attached.address:
+            return self._bad(
+                f"{self.key} is connected to {name} but has no address there: disconnect and connect it again",
+                f"no address on {name}",
+                "disconnected",
+            )
+        # One lost echo is no fault, so a silent address is asked twice.
+        if world.docker.reachable(attached.address) or world.docker.reachable(attached.address):
+            return api.ok(f"{self.key} is connected to {name} and answers at {attached.address}")
+        return self._bad(
+            f"{self.key} is connected to {name}, but {attached.address} did not answer twice, expected an answer within "
+            "1 s: its interface may be down or its processes frozen",
+            f"silent on {name}",
+            "address_silent",
+        )
+
+    def _bad(self, words: str, short: str, condition: str, subject: str | None = None) -> api.Result:
+        told = self.key if subject is None else subject
+        return api.error(words, brief=brief(told, short), condition=condition, target=self.key)
