@@ -1,0 +1,5 @@
+"""`python -m phm.cli` is `phm`."""
+
+from phm.cli import main
+
+main()

@@ -1,0 +1,33 @@
+"""`phm once`: one pass, printed."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from phm.cli.options import config_option, json_option, load_settings
+
+
+@click.command(epilog="Example: phm once --json | jq .status_array")
+@config_option
+@json_option
+@click.pass_context
+def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
+    """Make one pass over all checks and print it.
+
+    Changes nothing: no recovery, no MAVLink, no log. Exit code 0: no check says ERROR; 1: some check does;
+    78: the configuration is bad.
+    """
+    settings = load_settings(config)
+    from phm import daemon
+    from phm.wire.report import report_json
+
+    report = report_json(settings.agent.name, daemon.once(settings))
+    if as_json:
+        click.echo(json.dumps(report, indent=2))
+    else:
+        from phm.cli import render
+
+        render.report(report)
+    ctx.exit(1 if any(check["level"] == "ERROR" for check in report["checks"]) else 0)

@@ -1,0 +1,46 @@
+"""What several verbs share: the option for the configuration file, and reading it or ending with every problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from phm.settings import Settings
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+EX_CONFIG = 78
+"""sysexits.h: the configuration is bad."""
+
+
+def config_option(function: F) -> F:
+    """Adds `-c/--config PATH`."""
+    return click.option(
+        "-c",
+        "--config",
+        "config",
+        type=click.Path(dir_okay=False),
+        default=None,
+        envvar="PHM_CONFIG",
+        show_envvar=True,
+        help="Configuration file.  [default: /etc/phm/phm.yaml, else config/phm.yaml]",
+    )(function)
+
+
+def json_option(function: F) -> F:
+    """Adds `--json`."""
+    return click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")(function)
+
+
+def load_settings(path: str | None) -> Settings:
+    """The configuration; ends with exit code 78 and every problem on stderr when it is bad."""
+    from phm.config import ConfigError, load
+
+    try:
+        return load(path)
+    except ConfigError as error:
+        click.echo(str(error), err=True)
+        raise click.exceptions.Exit(EX_CONFIG) from None

@@ -1,0 +1,154 @@
+"""Tables for people, of the same JSON that machines get. Shared by `phm once`, `phm status` and `phm checks`.
+
+Levels are words as well as colours; NO_COLOR and outputs that are no terminal get the words alone.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from phm.wire.text import one_line
+
+Json = Mapping[str, Any]
+
+_STYLES = {"OK": "green", "WARN": "yellow", "ERROR": "bold red", "STALE": "magenta"}
+_PIPE_WIDTH = 160
+"""Columns when the output is no terminal: wide enough that most summaries stay on one line."""
+
+
+def report(document: Json) -> None:
+    """What `phm once` prints of a report (`phm.wire.report.report_json`)."""
+    console().print(Group(_units(document["checks"]), _array(document)))
+
+
+def status(document: Json, problem: str) -> None:
+    """What `phm status` prints of the status file; `problem` says why it is not to be believed."""
+    console().print(_status(document, problem))
+
+
+def watch(look: Callable[[], tuple[Json, str]]) -> None:
+    """Show the status every second, for ever. On a terminal in place, else one after another."""
+    target = console()
+    if not target.is_terminal:
+        while True:
+            target.print(_seen(*look()))
+            time.sleep(1)
+    with Live(_seen(*look()), console=target, screen=True, auto_refresh=False) as live:
+        while True:
+            time.sleep(1)
+            live.update(_seen(*look()), refresh=True)
+
+
+def checks(rows: Sequence[Json]) -> None:
+    """What `phm checks` prints; rows as in its JSON."""
+    table = _table("slot", "check", "layer", "from", "what it judges")
+    for row in rows:
+        said = Text(f"not usable: {row['problem']}", "bold red") if row["problem"] else _plain(row["description"])
+        slot = "-" if row["slot"] is None else str(row["slot"])
+        table.add_row(slot, _plain(row["name"]), row["layer"] or "-", _plain(row["source"]), said)
+    console().print(table)
+
+
+def console() -> Console:
+    """Standard output as it is; never wider than the terminal."""
+    plain = Console(highlight=False, markup=False, emoji=False)
+    if plain.is_terminal or "COLUMNS" in os.environ:
+        return plain
+    return Console(highlight=False, markup=False, emoji=False, width=_PIPE_WIDTH)
+
+
+def _seen(document: Json, problem: str) -> RenderableType:
+    return _status(document, problem) if document else Text(problem, "bold red")
+
+
+def _status(document: Json, problem: str) -> RenderableType:
+    parts: list[RenderableType] = [_head(document)]
+    if problem:
+        parts.append(Text(f"{problem} What follows is old.", "bold red"))
+    faults = document.get("faults", {})
+    parts.append(_faults(faults.get("open", ()), faults.get("closed", ())))
+    parts += [_units(document.get("checks", ())), _array(document)]
+    parts += _health(document.get("health", {}))
+    return Group(*parts)
+
+
+def _head(document: Json) -> Text:
+    word = document.get("status_word")
+    line = f"{document.get('agent')} (agent {document.get('agent_id')}), PHM {document.get('version')}"
+    uptime_s = document.get("health", {}).get("uptime_s")
+    line += f", up {_duration(uptime_s)}" if isinstance(uptime_s, (int, float)) else ""
+    line += f", written {document.get('written_utc')}"
+    line += f", status word {word:#010x}" if isinstance(word, int) else ""
+    return _plain(line, "bold")
+
+
+def _faults(opened: Sequence[Json], closed: Sequence[Json]) -> RenderableType:
+    if not opened and not closed:
+        return Text("No faults.", "green")
+    table = _table("fault", "unit", "since", "outcome", "what")
+    for fault in opened:
+        what = _plain(fault["summary"])
+        if fault["blocks"]:
+            what.append(one_line(f" Blocks {', '.join(fault['blocks'])}."))
+        table.add_row(fault["fault"], _plain(fault["unit"]), fault["opened"], Text("open", "bold red"), what)
+    for fault in reversed(closed[-5:]):
+        outcome = f"{fault['outcome']}{' by ' + fault['by'] if fault['by'] else ''} in {fault['duration_s']} s"
+        shown = _plain(outcome, "red" if fault["outcome"] == "escalated" else "green")
+        table.add_row(fault["fault"], _plain(fault["unit"]), fault["opened"], shown, _plain(fault["brief"]))
+    return table
+
+
+def _units(rows: Iterable[Json]) -> Table:
+    table = _table("slot", "unit", "level", "what")
+    for row in sorted(rows, key=lambda row: int(row["slot"])):
+        level = str(row["level"])
+        what = f"blocked by {row['blocked_by']}" if row["blocked_by"] else row["summary"]
+        table.add_row(str(row["slot"]), _plain(row["id"]), Text(level, _STYLES.get(level, "")), _plain(what))
+    return table
+
+
+def _array(document: Json) -> Text:
+    digits = ["-" if digit is None else str(digit) for digit in document.get("status_array", ())]
+    levels = [str(row["level"]) for row in document.get("checks", ())]
+    counts = ", ".join(f"{levels.count(level)} {level}" for level in _STYLES)
+    return Text(f"Status Array: [{', '.join(digits)}]   {counts}")
+
+
+def _health(health: Json) -> list[RenderableType]:
+    """Links, counters, and what PHM says about itself."""
+    parts: list[RenderableType] = []
+    for link in health.get("links", ()):
+        state = "open" if link["open"] else f"closed: {link['error']}"
+        parts.append(_plain(f"link {link['name']}: {state}", "" if link["open"] else "yellow"))
+    dropped = ", ".join(f"{name} {count}" for name, count in health.get("dropped", {}).items())
+    counters = f"events dropped: {dropped or 'none'}; ROS child restarts: {health.get('ros_restarts', 0)}"
+    parts.append(_plain(counters))
+    parts += [_plain(f"overdue: {name}", "yellow") for name in health.get("overdue", ())]
+    parts += [_plain(f"problem: {text}", "yellow") for text in health.get("problems", ())]
+    return parts
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for name in columns:
+        last = name == columns[-1]
+        table.add_column(name, no_wrap=name in ("slot", "level"), overflow="fold", ratio=1 if last else None)
+    return table
+
+
+def _plain(text: object, style: str = "") -> Text:
+    return Text(one_line(str(text)), style)
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -1,0 +1,68 @@
+"""`phm status`: what the running daemon says, from the file that it keeps. Imports click and the standard library."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from phm.cli.options import json_option
+from phm.wire import status_file
+
+
+@click.command(epilog="Example, as a container's HEALTHCHECK: phm status --healthy")
+@click.option(
+    "--run-dir",
+    envvar="PHM_RUN_DIR",
+    show_envvar=True,
+    default="/run/phm",
+    show_default=True,
+    help="The daemon's `run_dir`, where its status is.",
+)
+@json_option
+@click.option("--healthy", is_flag=True, help="Print one sentence; exit code 0 when the daemon is well, else 1.")
+@click.option("--watch", is_flag=True, help="Show it anew every second until Ctrl-C.")
+@click.pass_context
+def command(ctx: click.Context, run_dir: str, as_json: bool, healthy: bool, watch: bool) -> None:
+    """Show how the running daemon and its agent do.
+
+    Exit code 0: the daemon runs and is well, whatever it says about the agent; 1: it does not. A file that a
+    killed daemon left behind is never taken for a running one.
+    """
+    if as_json + healthy + watch > 1:
+        raise click.UsageError("--json, --healthy and --watch exclude each other.")
+    if watch:
+        _watch(run_dir)
+        return
+    document, problem = _look(run_dir)
+    if healthy:
+        click.echo(problem or f"PHM is well: {len(document.get('checks', ()))} units watched.", err=bool(problem))
+    elif as_json:
+        click.echo(json.dumps({**document, "healthy": not problem, "problem": problem}, indent=2))
+    elif document:
+        from phm.cli import render
+
+        render.status(document, problem)
+    else:
+        click.echo(problem, err=True)
+    ctx.exit(1 if problem else 0)
+
+
+def _look(run_dir: str) -> tuple[dict[str, Any], str]:
+    """The status, empty when there is none, and why it is not well, empty when it is."""
+    try:
+        document = status_file.read(run_dir)
+    except status_file.NoStatus as error:
+        return {}, f"PHM is not well: {error}."
+    reason = status_file.unhealthy(document)
+    return document, f"PHM is not well: {reason}." if reason else ""
+
+
+def _watch(run_dir: str) -> None:
+    from phm.cli import render
+
+    try:
+        render.watch(lambda: _look(run_dir))
+    except KeyboardInterrupt:
+        return

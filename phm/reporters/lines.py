@@ -1,0 +1,179 @@
+"""The words of the text log, in the manner of the PHM paper's Fig. 5: events in, lines out.
+
+``2026-03-01 12:00:00.123 ---- KIND: (slot) message``. Knows nothing of files. `docs/logs.md` is the contract.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+from phm.model import (
+    ActionEvent,
+    Event,
+    FaultClosed,
+    Level,
+    Note,
+    Outcome,
+    Phase,
+    Report,
+    ReportStarted,
+    Slot,
+    Stamp,
+    Transition,
+    UnitState,
+)
+from phm.wire.report import array_text, clock_text, status_array
+from phm.wire.text import one_line
+
+MAX_BYTES = 8000
+"""A line is cut here: text from outside is not bounded, and a line must fit into the smallest log."""
+
+NOTE_KINDS = ("ACTION", "DOCKER", "INJECT", "PHM")
+_KINDS = {Level.OK: "SUCCESS", Level.WARN: "WARNING", Level.ERROR: "FAILURE", Level.STALE: "STALE"}
+# How several OK units of one check read as one line; {n} of them, when they are all that the check has.
+_ALL_WELL = {
+    Slot.CONTAINER: "All {n} containers are well",
+    Slot.FILES: "All {n} file checks passed",
+    Slot.NETWORK: "All {n} network checks passed",
+    Slot.DEVICES: "Found all {n} devices",
+    Slot.NODES: "All {n} required nodes are running",
+    Slot.TOPICS: "All {n} required topics are present",
+    Slot.RATES: "All {n} topics have their rate",
+}
+_REMEMBERED = 64
+
+
+def unit_kind(state: UnitState) -> str:
+    """The log's word for a unit: SUCCESS, BYPASS, WARNING, FAILURE or STALE."""
+    return "BYPASS" if state.result.bypass and state.level is Level.OK else _KINDS[state.level]
+
+
+def closed_kind(outcome: Outcome) -> str:
+    return {Outcome.ESCALATED: "ESCALATED", Outcome.REATTRIBUTED: "STALE"}.get(outcome, "RESOLVED")
+
+
+def note_kind(kind: str) -> str:
+    return kind if kind in NOTE_KINDS else "PHM"
+
+
+def encode(line: str) -> bytes:
+    """UTF-8, cut to MAX_BYTES at a whole character, with a mark where it was cut."""
+    data = line.encode("utf-8", "backslashreplace")
+    if len(data) <= MAX_BYTES:
+        return data
+    return data[: MAX_BYTES - 6].decode("utf-8", "ignore").encode() + b" [cut]"
+
+
+class TextLines:
+    """Turns events into lines. Remembers only what later lines need: slots of units, told escalations."""
+
+    def __init__(self) -> None:
+        self._slots: dict[str, Slot] = {}
+        self._escalated: deque[str] = deque(maxlen=_REMEMBERED)
+        self._open_report: int | None = None
+
+    def of(self, event: Event) -> list[str]:
+        """The lines for one event; none for what another line tells already."""
+        return [one_line(line) for line in self._of(event)]
+
+    def _of(self, event: Event) -> Iterator[str]:
+        if isinstance(event, Transition):
+            self._slots[event.unit] = event.state.slot
+            # While a report is being made, what turns out well is in its list a moment later.
+            if not (self._open_report is not None and (event.old, event.new) == (Level.STALE, Level.OK)):
+                yield _unit_line(event.at, event.state)
+        elif isinstance(event, ReportStarted):
+            yield from self._begin(event.at, event.number)
+        elif isinstance(event, Report):
+            yield from self._report(event)
+        elif isinstance(event, ActionEvent):
+            yield from self._action(event)
+        elif isinstance(event, FaultClosed):
+            yield from self._closed(event)
+        elif isinstance(event, Note):
+            yield _line(event.at, note_kind(event.kind), None, event.text)
+
+    def _begin(self, at: Stamp, number: int) -> Iterator[str]:
+        self._open_report = number
+        yield f"{clock_text(at.utc)} ---- Start of a new report"
+
+    def _report(self, report: Report) -> Iterator[str]:
+        if self._open_report != report.number:
+            yield from self._begin(report.started, report.number)
+        self._open_report = None
+        self._slots = {state.unit: state.slot for state in report.units}
+        for _check, states in groupby(report.units, key=lambda state: (state.check, state.slot)):
+            yield from _check_lines(report.at, tuple(states))
+        array = status_array(report.units)
+        yield (
+            f"{clock_text(report.at.utc)} REPORT Successes: {array.count(1)}, Failures: {array.count(0)}, "
+            f"Status Array: {array_text(array)}"
+        )
+
+    def _action(self, event: ActionEvent) -> Iterator[str]:
+        what = " ".join(part for part in (event.action, event.target) if part)
+        detail = f": {event.detail}" if event.detail else ""
+        slot = self._slots.get(event.unit)
+        if event.phase is Phase.ESCALATED:
+            if event.fault not in self._escalated:
+                self._escalated.append(event.fault)
+                yield _line(event.at, "ESCALATED", slot, f"{event.unit}: PHM has given up{detail}")
+            return
+        message = {
+            Phase.ADVISED: f"Advised for {event.unit}, not done: {what}{detail}",
+            Phase.REFUSED: f"Not done for {event.unit}: {what}{detail}",
+            Phase.STARTED: f"Attempt {event.attempt} for {event.unit}: {what}{detail}",
+            Phase.DONE: f"Done for {event.unit}: {what}{detail}",
+            Phase.FAILED: f"Failed for {event.unit}: {what}{detail}",
+            Phase.VERIFIED: f"Verified for {event.unit}: {what}{detail}",
+        }[event.phase]
+        yield _line(event.at, "ACTION", slot, message)
+
+    def _closed(self, event: FaultClosed) -> Iterator[str]:
+        fault = event.fault
+        end = fault.closed or event.at
+        after = f"after {end.mono - fault.opened.mono:.1f} s"
+        if fault.outcome is Outcome.RESOLVED:
+            by = "by itself" if fault.by in ("", "itself") else f"by {fault.by}"
+            yield _line(event.at, "RESOLVED", fault.slot, f"{fault.unit}: resolved {by} {after}")
+        elif fault.outcome is Outcome.ESCALATED and fault.id not in self._escalated:
+            self._escalated.append(fault.id)
+            yield _line(event.at, "ESCALATED", fault.slot, f"{fault.unit}: PHM has given up {after}")
+        # REATTRIBUTED needs no line: the unit's own `STALE ... blocked by` tells it.
+
+
+def _line(at: Stamp, kind: str, slot: Slot | None, message: str) -> str:
+    return f"{clock_text(at.utc)} ---- {kind}: {f'({int(slot)}) ' if slot else ''}{message}"
+
+
+def _unit_line(at: Stamp, state: UnitState) -> str:
+    return _line(at, unit_kind(state), state.slot, _message(state))
+
+
+def _message(state: UnitState) -> str:
+    if state.level is not Level.STALE:
+        return state.result.summary
+    return (
+        f"{state.unit}: blocked by {state.blocked_by}" if state.blocked_by else f"{state.unit}: {state.result.summary}"
+    )
+
+
+def _check_lines(at: Stamp, states: Sequence[UnitState]) -> Iterator[str]:
+    """The units of one check: what is well in one line, at the place of the first; everything else by itself."""
+    well = [state for state in states if state.level is Level.OK and not state.result.bypass]
+    folded = len(well) > 1
+    for state in states:
+        if not folded or state not in well:
+            yield _unit_line(at, state)
+        elif state is well[0]:
+            yield _line(at, "SUCCESS", state.slot, _folded(well, len(states)))
+
+
+def _folded(well: Sequence[UnitState], of_all: int) -> str:
+    first = well[0]
+    names = ", ".join(state.unit.partition("/")[2] or state.unit for state in well)
+    if len(well) < of_all:
+        return f"{len(well)} of {of_all} of {first.check} are well: {names}"
+    return f"{_ALL_WELL.get(first.slot, f'All {{n}} of {first.check} are well').format(n=len(well))}: {names}"

@@ -1,0 +1,183 @@
+"""The log on board: `phm.log` for people and `phm.jsonl`, the record for everything computed after flight.
+
+What the lines look like is `phm.reporters.lines` (text) and `docs/logs.md` (JSON keys, a contract); how
+they get to the disk is `phm.reporters.rotating`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from typing import Any
+
+from phm import __version__
+from phm.model import (
+    ActionEvent,
+    Event,
+    FaultClosed,
+    FaultOpened,
+    Note,
+    Report,
+    ReportStarted,
+    Slot,
+    Stamp,
+    Transition,
+    UnitState,
+    worst_by_slot,
+)
+from phm.reporters.base import Reporter, ReporterContext
+from phm.reporters.lines import MAX_BYTES, TextLines, closed_kind, encode, note_kind, unit_kind
+from phm.reporters.rotating import RotatingLines
+from phm.wire.journal import VERSION
+from phm.wire.report import clock_text, fault_json, iso, status_array, unit_json
+from phm.wire.text import one_line
+
+# An event of more than MAX_BYTES is cut: first to these lengths of text and list, without values.
+_CUTS = ((500, 16), (60, 4))
+
+
+class Log(Reporter):
+    """Text and JSON lines in `log.directory`."""
+
+    name = "log"
+    period_s = 1.0
+    queue_size = 5000
+
+    def __init__(self, context: ReporterContext) -> None:
+        settings = context.settings
+        self._context = context
+        self._text = TextLines()
+        self._slots: dict[str, Slot] = {}
+        self._seq = 0
+        self._head = {"agent": settings.agent.name, "agent_id": settings.agent.id, "boot_id": context.boot_id}
+        log = settings.log
+        size, files, clock = int(log.max_size), log.files, context.clock
+        where = log.directory
+        self._sync = log.sync
+        self._plain = RotatingLines(
+            os.path.join(where, "phm.log"), max_size=size, files=files, clock=clock, lost_line=_lost_text
+        )
+        self._record = RotatingLines(
+            os.path.join(where, "phm.jsonl"), max_size=size, files=files, clock=clock, lost_line=_lost_json
+        )
+        start = {"version": __version__, "pid": os.getpid(), "interval_s": settings.interval}
+        self._put(clock.stamp(), "start", "PHM", start)
+
+    @classmethod
+    def build(cls, context: ReporterContext) -> Log:
+        return cls(context)
+
+    def handle(self, event: Event) -> None:
+        sync = self._sync and isinstance(event, (FaultOpened, FaultClosed, Report))
+        # The record first: should the process die in between, the file that is computed with is complete.
+        for at, name, kind, body in self._bodies(event):
+            self._put(at, name, kind, body, sync=sync and name != "unit")
+        for line in self._text.of(event):
+            self._plain.write(encode(line), sync=sync)
+
+    def tick(self) -> None:
+        self._record.retry()
+        self._plain.retry()
+
+    def close(self) -> None:
+        self._record.close()
+        self._plain.close()
+
+    def problem(self) -> str:
+        return self._record.problem() or self._plain.problem()
+
+    def _put(self, at: Stamp, name: str, kind: str, body: dict[str, Any], *, sync: bool = False) -> None:
+        self._seq += 1
+        when = {"seq": self._seq, "mono": round(at.mono, 6), "utc": iso(at.utc), "utc_s": round(at.utc, 6)}
+        self._record.write(_dump({"v": VERSION, **self._head, **when, "event": name, "kind": kind, **body}), sync=sync)
+
+    def _bodies(self, event: Event) -> Iterator[tuple[Stamp, str, str, dict[str, Any]]]:
+        """The JSON lines of one event as (stamp, event, kind, further keys)."""
+        at = event.at
+        if isinstance(event, Transition):
+            state = event.state
+            self._slots[state.unit] = state.slot
+            body = {**_unit(state), "old": event.old.name, "changed_text": event.changed_text}
+            yield at, "transition", unit_kind(state), body
+        elif isinstance(event, FaultOpened):
+            yield at, "fault_opened", "FAILURE", fault_json(event.fault)
+        elif isinstance(event, FaultClosed):
+            yield at, "fault_closed", closed_kind(event.fault.outcome), fault_json(event.fault)
+        elif isinstance(event, ActionEvent):
+            yield at, "action", "ESCALATED" if event.phase.value == "escalated" else "ACTION", self._action(event)
+        elif isinstance(event, Note):
+            yield at, "note", note_kind(event.kind), {"text": event.text}
+        elif isinstance(event, ReportStarted):
+            yield at, "report_started", "REPORT", {"number": event.number}
+        elif isinstance(event, Report):
+            self._slots = {state.unit: state.slot for state in event.units}
+            for state in event.units:
+                yield at, "unit", unit_kind(state), {**_unit(state), "number": event.number}
+            yield at, "report", "REPORT", _report(event)
+
+    def _action(self, event: ActionEvent) -> dict[str, Any]:
+        slot = self._slots.get(event.unit)
+        return {
+            "fault": event.fault,
+            "unit": event.unit,
+            "slot": None if slot is None else int(slot),
+            "action": event.action,
+            "target": event.target,
+            "phase": event.phase.value,
+            "attempt": event.attempt,
+            "detail": event.detail,
+        }
+
+
+def _unit(state: UnitState) -> dict[str, Any]:
+    body = unit_json(state)
+    return {"unit": body.pop("id"), **body}
+
+
+def _report(report: Report) -> dict[str, Any]:
+    array = status_array(report.units)
+    slots = worst_by_slot(report.units)
+    return {
+        "number": report.number,
+        "took_s": round(report.at.mono - report.started.mono, 3),
+        "successes": array.count(1),
+        "failures": array.count(0),
+        "status_array": array,
+        "slots": {str(int(slot)): slots[slot].name for slot in sorted(slots)},
+    }
+
+
+def _dump(event: dict[str, Any]) -> bytes:
+    """One line of ASCII JSON (control characters, line separators and lone surrogates come out escaped)."""
+    data = _json(event)
+    for text, items in _CUTS:
+        if len(data) <= MAX_BYTES:
+            break
+        short = {key: _cut(value, text, items) for key, value in event.items() if key != "values"}
+        data = _json({**short, "cut": True})
+    return data
+
+
+def _json(event: dict[str, Any]) -> bytes:
+    return json.dumps(event, separators=(",", ":"), default=str).encode("ascii")
+
+
+def _cut(value: Any, text: int, items: int) -> Any:
+    if isinstance(value, str):
+        return value[:text]
+    if isinstance(value, list):
+        return [_cut(entry, text, items) for entry in value[:items]]
+    return value
+
+
+def _lost_text(count: int, reason: str, last: bytes) -> bytes:
+    stamp = last[: len(clock_text(0))].decode("utf-8", "replace")
+    return encode(one_line(f"{stamp} ---- PHM: {count} lines before this one were lost: {reason}"))
+
+
+def _lost_json(count: int, reason: str, last: bytes) -> bytes:
+    """Takes the place of the last lost line, with its number and stamps: so `seq` goes on without a gap."""
+    head = json.loads(last)
+    kept = {key: head[key] for key in ("v", "agent", "agent_id", "boot_id", "seq", "mono", "utc", "utc_s")}
+    return _json({**kept, "event": "lost", "kind": "PHM", "lines": count, "reason": reason})

@@ -1,0 +1,100 @@
+"""The status file: what the running daemon says about itself, and when to believe it.
+
+Standard library only: `phm status --healthy` runs every few seconds on small computers and must start fast.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from typing import Any
+
+NAME = "status.json"
+MAX_AGE_S = 5.0
+"""A file older than this is a leftover: the daemon rewrites it every second."""
+
+
+class NoStatus(Exception):
+    """There is no status to read; the message is one sentence that says why and what to do."""
+
+
+def read(run_dir: str) -> dict[str, Any]:
+    """The document that the daemon wrote last. Raises NoStatus."""
+    path = os.path.join(run_dir, NAME)
+    try:
+        with open(path, "rb") as stream:
+            document = json.load(stream)
+    except FileNotFoundError:
+        raise NoStatus(f"there is no {path}: PHM is not running, or its run_dir is another (see --run-dir)") from None
+    except OSError as error:
+        raise NoStatus(f"cannot read {path}: {error.strerror}") from None
+    except ValueError:
+        raise NoStatus(f"{path} is not JSON: something other than PHM wrote it") from None
+    if not isinstance(document, dict):
+        raise NoStatus(f"{path} is not a PHM status: something other than PHM wrote it")
+    return document
+
+
+def place() -> dict[str, str]:
+    """Where this process runs: the machine's boot and the PID namespace, each empty when it cannot be known."""
+    return {"machine_boot": _machine_boot(), "pid_namespace": _pid_namespace()}
+
+
+def unhealthy(document: dict[str, Any], *, now_mono: float | None = None) -> str:
+    """Why the daemon that wrote `document` is not well, as one sentence; empty when it is well.
+
+    Healthy means: written within 5 s on the monotonic clock of this boot of the machine, `alive` true, and
+    the process exists (looked at only where its number means the same process, in the same PID namespace).
+    """
+    here = place()
+    boot = document.get("machine_boot")
+    if boot and here["machine_boot"] and boot != here["machine_boot"]:
+        return "the status was written before the machine's last start: PHM is not running"
+    written = document.get("written_mono")
+    if isinstance(written, bool) or not isinstance(written, (int, float)):
+        return "the status does not say when it was written: something other than PHM wrote it"
+    age_s = (time.monotonic() if now_mono is None else now_mono) - written
+    if age_s < 0:
+        return "the status was written before the machine's last start: PHM is not running"
+    if age_s > MAX_AGE_S:
+        return f"the status is {age_s:.0f} s old, at most {MAX_AGE_S:.0f} s are allowed: PHM has stopped or hangs"
+    if document.get("alive") is not True:
+        return "PHM's engine has stalled: see `phm status` for the checks that are overdue"
+    namespace = document.get("pid_namespace")
+    pid = document.get("pid")
+    if namespace and namespace == here["pid_namespace"] and isinstance(pid, int) and not _exists(pid):
+        return f"process {pid}, which wrote the status, is gone: PHM was killed"
+    return ""
+
+
+def _machine_boot() -> str:
+    try:
+        with open("/proc/sys/kernel/random/boot_id", encoding="ascii") as stream:
+            return stream.read().strip()
+    except OSError:
+        return ""
+
+
+def _pid_namespace() -> str:
+    try:
+        return os.readlink("/proc/self/ns/pid")
+    except OSError:
+        return ""
+
+
+def _exists(pid: int) -> bool:
+    """Whether the process lives; a zombie (killed, not yet collected by its parent) does not."""
+    try:
+        with open(f"/proc/{pid}/stat", "rb") as stream:
+            return stream.read().rpartition(b")")[2].split()[0] not in (b"Z", b"X")
+    except (OSError, IndexError):
+        pass
+    # A /proc that hides other users' processes (hidepid) looks as if they were gone; the kernel tells them apart.
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True

@@ -1,0 +1,56 @@
+"""Records of the model for tests of reporters and of the command line, short to write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from phm.clock import Clock
+from phm.model import Fault, FaultClosed, FaultOpened, Layer, Level, Outcome, Result, Slot, Stamp, Transition, UnitState
+from phm.reporters.base import ReporterContext
+from phm.settings import Settings
+from phm.testing import FakeClock
+
+T0 = 1_772_366_400.123
+"""2026-03-01 12:00:00.123 UTC."""
+
+
+def at(seconds: float = 0.0) -> Stamp:
+    return Stamp(utc=T0 + seconds, mono=100.0 + seconds)
+
+
+def unit(name: str, slot: Slot, level: Level = Level.OK, summary: str = "", **fields: Any) -> UnitState:
+    """A published unit; `brief`, `condition`, `values`, `target`, `bypass` go into its result."""
+    keys = ("brief", "condition", "values", "target", "bypass")
+    result = Result(level, summary or f"{name} says so", **{key: fields.pop(key) for key in keys if key in fields})
+    base = UnitState(name, name.partition("/")[0], slot, Layer.ROS, level, result, at())
+    return replace(base, **fields)
+
+
+def transition(state: UnitState, old: Level = Level.OK, seconds: float = 0.0) -> Transition:
+    return Transition(at(seconds), old, state)
+
+
+def fault(state: UnitState, name: str = "ab12-1") -> Fault:
+    return Fault(name, state.unit, state.slot, state.layer, state.result, at())
+
+
+def opened(state: UnitState, name: str = "ab12-1") -> FaultOpened:
+    return FaultOpened(at(), fault(state, name))
+
+
+def closed(state: UnitState, outcome: Outcome, by: str, seconds: float, name: str = "ab12-1") -> FaultClosed:
+    stamp = at(seconds)
+    return FaultClosed(stamp, replace(fault(state, name), closed=stamp, outcome=outcome, by=by))
+
+
+def context(
+    settings: Settings,
+    *,
+    clock: Clock | None = None,
+    states: Callable[[], tuple[UnitState, ...]] = tuple,
+    alive: Callable[[], bool] = lambda: True,
+    health: Callable[[], dict[str, Any]] = dict,
+) -> ReporterContext:
+    return ReporterContext(settings, clock or FakeClock(), "boot12345678", states, alive, health)

@@ -1,0 +1,184 @@
+"""The text log reads like Fig. 5 of the PHM paper."""
+
+from __future__ import annotations
+
+import pytest
+
+from phm.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
+from phm.reporters.lines import MAX_BYTES, TextLines, encode
+from tests.fakes.records import at, closed, opened, transition, unit
+
+STAMP = "2026-03-01 12:00:00.123"
+NODE_DEAD = unit("nodes/agent_1/node_1", Slot.NODES, Level.ERROR, "Node /agent_1/node_1 is not running", brief="dead")
+
+
+def figure_5() -> Report:
+    """The situation of Fig. 5: node_1 was killed."""
+    return Report(
+        at(20.9),
+        7,
+        at(),
+        (
+            unit("companion", Slot.COMPANION, summary="Companion Computer is running aboard agent."),
+            unit("container/ros_app", Slot.CONTAINER, summary="Container ros_app is running"),
+            unit("health/ros_app", Slot.CONTAINER, summary="No health check defined for ros_app", bypass=True),
+            unit("files/ros_app/critical_file", Slot.FILES, summary="File check passed: /critical_file"),
+            unit("network/ros_app", Slot.NETWORK, Level.WARN, "ros_app answers slowly"),
+            unit("devices/ros_app/dev/ttyS0", Slot.DEVICES, summary="Found /dev/ttyS0"),
+            unit("devices/ros_app/dev/ttyS1", Slot.DEVICES, summary="Found /dev/ttyS1"),
+            NODE_DEAD,
+            unit("nodes/agent_1/node_2", Slot.NODES),
+            unit("nodes/agent_1/node_3", Slot.NODES),
+            unit("topics/agent_1/topic_1", Slot.TOPICS, Level.STALE, blocked_by="nodes/agent_1/node_1"),
+            unit("rates/agent_1/topic_1", Slot.RATES, Level.STALE, "not measured yet"),
+        ),
+    )
+
+
+def test_a_report_is_written_as_in_figure_5() -> None:
+    """From `Start of a new report` to the status array, one line per unit, well ones of a check in one line."""
+    lines = TextLines()
+    written = [*lines.of(ReportStarted(at(), 7)), *lines.of(figure_5())]
+    end = "2026-03-01 12:00:21.023"
+    assert written == [
+        f"{STAMP} ---- Start of a new report",
+        f"{end} ---- SUCCESS: (1) Companion Computer is running aboard agent.",
+        f"{end} ---- SUCCESS: (2) Container ros_app is running",
+        f"{end} ---- BYPASS: (2) No health check defined for ros_app",
+        f"{end} ---- SUCCESS: (3) File check passed: /critical_file",
+        f"{end} ---- WARNING: (4) ros_app answers slowly",
+        f"{end} ---- SUCCESS: (5) Found all 2 devices: ros_app/dev/ttyS0, ros_app/dev/ttyS1",
+        f"{end} ---- FAILURE: (6) Node /agent_1/node_1 is not running",
+        f"{end} ---- SUCCESS: (6) 2 of 3 of nodes are well: agent_1/node_2, agent_1/node_3",
+        f"{end} ---- STALE: (7) topics/agent_1/topic_1: blocked by nodes/agent_1/node_1",
+        f"{end} ---- STALE: (8) rates/agent_1/topic_1: not measured yet",
+        f"{end} REPORT Successes: 5, Failures: 1, Status Array: [1, 1, 1, 1, 1, 0, -, -]",
+    ]
+
+
+def test_all_nodes_well_are_one_line() -> None:
+    """Several OK units of one check are folded, worded as in the paper."""
+    nodes = tuple(unit(f"nodes/agent_1/node_{n}", Slot.NODES) for n in (1, 2, 3))
+    lines = TextLines().of(Report(at(), 1, at(), nodes))
+    assert lines[1].endswith(
+        "---- SUCCESS: (6) All 3 required nodes are running: agent_1/node_1, agent_1/node_2, agent_1/node_3"
+    )
+
+
+def test_units_of_another_check_in_the_same_slot_are_not_folded_together() -> None:
+    """Only units of one check share a line."""
+    units = (unit("container/a", Slot.CONTAINER), unit("health/a", Slot.CONTAINER))
+    assert len(TextLines().of(Report(at(), 1, at(), units))) == 4
+
+
+def test_the_report_counts_slots_not_units() -> None:
+    """Two failed nodes are one failed slot; slots 9 and up are not in the array."""
+    units = (
+        unit("nodes/a", Slot.NODES, Level.ERROR),
+        unit("nodes/b", Slot.NODES, Level.ERROR),
+        unit("host", Slot.HOST, Level.ERROR),
+    )
+    last = TextLines().of(Report(at(), 1, at(), units))[-1]
+    assert last.endswith("REPORT Successes: 0, Failures: 1, Status Array: [-, -, -, -, -, 0, -, -]")
+
+
+def test_a_report_whose_start_was_dropped_still_begins() -> None:
+    """The start line is made up from the report when the bus had to drop the event."""
+    lines = TextLines().of(figure_5())
+    assert lines[0] == f"{STAMP} ---- Start of a new report"
+
+
+def test_a_transition_is_a_line_at_once() -> None:
+    """Between reports a change does not wait for the next one."""
+    assert TextLines().of(transition(NODE_DEAD)) == [f"{STAMP} ---- FAILURE: (6) Node /agent_1/node_1 is not running"]
+
+
+def test_units_found_well_while_a_report_is_made_are_told_once() -> None:
+    """STALE to OK between start and end of a report is left to the report's own list; a failure is not."""
+    lines = TextLines()
+    lines.of(ReportStarted(at(), 1))
+    assert lines.of(transition(unit("host", Slot.HOST), Level.STALE)) == []
+    assert len(lines.of(transition(NODE_DEAD, Level.STALE))) == 1
+    lines.of(figure_5())
+    assert len(lines.of(transition(unit("host", Slot.HOST), Level.STALE))) == 1
+
+
+def action(phase: Phase, detail: str = "") -> ActionEvent:
+    return ActionEvent(at(), "ab12-1", NODE_DEAD.unit, "restart", "ros_app", phase, detail, 2)
+
+
+@pytest.mark.parametrize(
+    ("event", "line"),
+    [
+        (action(Phase.STARTED), "ACTION: (6) Attempt 2 for nodes/agent_1/node_1: restart ros_app"),
+        (action(Phase.DONE), "ACTION: (6) Done for nodes/agent_1/node_1: restart ros_app"),
+        (action(Phase.FAILED, "no answer"), "ACTION: (6) Failed for nodes/agent_1/node_1: restart ros_app: no answer"),
+        (action(Phase.VERIFIED), "ACTION: (6) Verified for nodes/agent_1/node_1: restart ros_app"),
+        (
+            action(Phase.ADVISED, "mode is advise"),
+            "ACTION: (6) Advised for nodes/agent_1/node_1, not done: restart ros_app: mode is advise",
+        ),
+        (action(Phase.REFUSED, "armed"), "ACTION: (6) Not done for nodes/agent_1/node_1: restart ros_app: armed"),
+        (
+            action(Phase.ESCALATED, "look at its log"),
+            "ESCALATED: (6) nodes/agent_1/node_1: PHM has given up: look at its log",
+        ),
+        (
+            closed(NODE_DEAD, Outcome.RESOLVED, "restart", 3.25),
+            "RESOLVED: (6) nodes/agent_1/node_1: resolved by restart after 3.2 s",
+        ),
+        (
+            closed(NODE_DEAD, Outcome.RESOLVED, "itself", 3.25),
+            "RESOLVED: (6) nodes/agent_1/node_1: resolved by itself after 3.2 s",
+        ),
+        (
+            closed(NODE_DEAD, Outcome.ESCALATED, "restart", 60.0),
+            "ESCALATED: (6) nodes/agent_1/node_1: PHM has given up after 60.0 s",
+        ),
+        (Note(at(), "DOCKER", "ros_app: die"), "DOCKER: ros_app: die"),
+        (Note(at(), "INJECT", "killing /agent_1/node_1"), "INJECT: killing /agent_1/node_1"),
+        (Note(at(), "SUCCESS", "forged by a plug-in"), "PHM: forged by a plug-in"),
+    ],
+)
+def test_each_event_has_its_line(event: Event, line: str) -> None:
+    """Kind, slot and words of every event that is not about a level."""
+    lines = TextLines()
+    lines.of(transition(NODE_DEAD))
+    written = lines.of(event)
+    assert [text.partition(" ---- ")[2] for text in written] == [line]
+
+
+def test_giving_up_is_said_once() -> None:
+    """The action's escalation and the fault's closing are one line."""
+    lines = TextLines()
+    assert len(lines.of(action(Phase.ESCALATED, "land"))) == 1
+    assert lines.of(closed(NODE_DEAD, Outcome.ESCALATED, "restart", 5.0)) == []
+
+
+def test_what_a_transition_has_told_is_not_repeated() -> None:
+    """An opened fault and one that follows from another have their line already."""
+    assert TextLines().of(opened(NODE_DEAD)) == []
+    assert TextLines().of(closed(NODE_DEAD, Outcome.REATTRIBUTED, "", 1.0)) == []
+
+
+@pytest.mark.parametrize("breaker", ["\n", "\r", "\r\n", "\x0b", "\x0c", "\x1c", "\x85", "\u2028", "\u2029", "\x00"])
+def test_text_from_outside_cannot_forge_a_line(breaker: str) -> None:
+    """Log injection: whatever breaks lines somewhere comes out as an escape."""
+    evil = f"bad{breaker}2026-03-01 12:00:00.123 ---- SUCCESS: (6) All is well"
+    (line,) = TextLines().of(transition(unit("nodes/a", Slot.NODES, Level.ERROR, evil)))
+    assert len(line.splitlines()) == 1
+    assert "\\" in line
+
+
+def test_text_from_outside_cannot_steer_the_terminal() -> None:
+    """Escape sequences and direction overrides are shown, not obeyed; other languages stay as they are."""
+    (line,) = TextLines().of(Note(at(), "DOCKER", "\x1b[2J\u202e Füße 無人機 \x7f"))
+    assert line.endswith(r"DOCKER: \x1b[2J\u202e Füße 無人機 \x7f")
+
+
+def test_a_very_long_line_is_cut_with_a_mark() -> None:
+    """A line never exceeds what the smallest log can hold, and is cut at a whole character."""
+    data = encode("é" * MAX_BYTES)
+    assert len(data) <= MAX_BYTES
+    assert data.decode().endswith("é [cut]")
+    assert encode("\udcff") == b"\\udcff"

@@ -1,0 +1,242 @@
+"""The JSON log is the record: every event, complete, one line each, whatever ends the process."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from phm.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
+from phm.reporters.lines import MAX_BYTES
+from phm.reporters.log import Log
+from phm.reporters.rotating import FIRST_RETRY_S, RING_LINES
+from phm.settings import LogSettings, Settings
+from phm.testing import FakeClock
+from phm.wire import journal
+from tests.fakes.records import at, closed, context, opened, transition, unit
+
+DEAD = unit(
+    "nodes/agent_1/node_1",
+    Slot.NODES,
+    Level.ERROR,
+    "Node /agent_1/node_1 is not running, expected 1, seen 0: look at its log",
+    brief="node_1 dead",
+    condition="gone",
+    target="ros_app",
+    values={"seen": 0, "rate_hz": float("nan")},
+    fault="ab12-1",
+    duration_s=0.0123,
+)
+HEAD = {"v", "agent", "agent_id", "boot_id", "seq", "mono", "utc", "utc_s", "event", "kind"}
+
+
+def make(directory: Path, clock: FakeClock | None = None, **log: object) -> Log:
+    settings = Settings(log=LogSettings(directory=str(directory), **log))  # type: ignore[arg-type]
+    return Log.build(context(settings, clock=clock))
+
+
+def written(directory: Path, *events: Event) -> list[dict[str, object]]:
+    """What the events become, without the first line (`start`)."""
+    log = make(directory)
+    for event in events:
+        log.handle(event)
+    log.close()
+    return list(journal.read(directory))[1:]
+
+
+def test_every_line_says_who_where_and_when(tmp_path: Path) -> None:
+    """Agent, boot, number and both clocks stand in each line, and numbers have no gap."""
+    started = ReportStarted(at(), 1)
+    report = Report(at(2), 1, at(), (DEAD, unit("host", Slot.HOST)))
+    log = make(tmp_path)
+    for event in (started, transition(DEAD), opened(DEAD), report, Note(at(), "INJECT", "kill")):
+        log.handle(event)
+    lines = list(journal.read(tmp_path))
+    assert [line["event"] for line in lines] == [
+        "start", "report_started", "transition", "fault_opened", "unit", "unit", "report", "note",
+    ]  # fmt: skip
+    assert [line["seq"] for line in lines] == list(range(1, 9))
+    assert all(set(line) >= HEAD for line in lines)
+    first = lines[1]
+    assert (first["v"], first["agent"], first["agent_id"], first["boot_id"]) == (1, "agent_1", 1, "boot12345678")
+    assert (first["utc"], first["utc_s"], first["mono"]) == ("2026-03-01T12:00:00.123Z", 1772366400.123, 100.0)
+
+
+def test_a_transition_carries_all_that_is_known(tmp_path: Path) -> None:
+    """The keys of `docs/logs.md`, with their values."""
+    (line,) = written(tmp_path, transition(DEAD))
+    assert {key: line[key] for key in set(line) - HEAD} == {
+        "unit": "nodes/agent_1/node_1",
+        "check": "nodes",
+        "slot": 6,
+        "layer": "ros",
+        "level": "ERROR",
+        "old": "OK",
+        "changed_text": False,
+        "summary": DEAD.result.summary,
+        "brief": "node_1 dead",
+        "condition": "gone",
+        "target": "ros_app",
+        "values": {"seen": 0, "rate_hz": None},
+        "bypass": False,
+        "blocked_by": "",
+        "fault": "ab12-1",
+        "since": "2026-03-01T12:00:00.123Z",
+        "duration_ms": 12.3,
+    }
+    assert line["kind"] == "FAILURE"
+
+
+def test_a_fault_is_recorded_from_opening_to_outcome(tmp_path: Path) -> None:
+    """Opened, acted upon and closed share the fault's id; the closing line has outcome, by and duration."""
+    act = ActionEvent(at(1), "ab12-1", DEAD.unit, "restart", "ros_app", Phase.STARTED, "", 1)
+    lines = written(tmp_path, transition(DEAD), opened(DEAD), act, closed(DEAD, Outcome.RESOLVED, "restart", 4.5))
+    assert [line["event"] for line in lines] == ["transition", "fault_opened", "action", "fault_closed"]
+    assert {line["fault"] for line in lines} == {"ab12-1"}
+    assert (lines[1]["outcome"], lines[1]["closed"], lines[1]["duration_s"]) == ("open", None, None)
+    assert (lines[2]["phase"], lines[2]["slot"], lines[2]["attempt"]) == ("started", 6, 1)
+    end = lines[3]
+    assert (end["outcome"], end["by"], end["duration_s"], end["kind"]) == ("resolved", "restart", 4.5, "RESOLVED")
+
+
+def test_a_report_says_counts_array_and_slots(tmp_path: Path) -> None:
+    """The same numbers as in the text log; unknown and unused slots are null."""
+    line = written(tmp_path, Report(at(2), 3, at(), (DEAD, unit("host", Slot.HOST))))[-1]
+    assert (line["successes"], line["failures"], line["number"], line["took_s"]) == (0, 1, 3, 2.0)
+    assert line["status_array"] == [None, None, None, None, None, 0, None, None]
+    assert line["slots"] == {"6": "ERROR", "9": "OK"}
+
+
+def test_both_files_tell_the_same_events(tmp_path: Path) -> None:
+    """The text log is written beside the record, in its own words."""
+    written(tmp_path, transition(DEAD))
+    assert (tmp_path / "phm.log").read_text() == (
+        "2026-03-01 12:00:00.123 ---- FAILURE: (6) "
+        "Node /agent_1/node_1 is not running, expected 1, seen 0: look at its log\n"
+    )
+
+
+def test_text_from_outside_cannot_forge_an_event(tmp_path: Path) -> None:
+    """Line breaks, separators and lone surrogates stay inside their JSON string, and come back unchanged."""
+    evil = 'x"}\n{"v":1,"event":"fault_closed"}\u2028\x00\udcff'
+    (line,) = written(tmp_path, Note(at(), "DOCKER", evil))
+    assert line["text"] == evil
+    assert len((tmp_path / "phm.jsonl").read_bytes().splitlines()) == 2
+    assert len((tmp_path / "phm.log").read_text().splitlines()) == 1
+
+
+@pytest.mark.parametrize("char", ["x", "\x00", "無"])
+def test_an_event_without_bound_is_cut(tmp_path: Path, char: str) -> None:
+    """However much a check says, a line fits into the smallest log, stays JSON and is marked."""
+    long = char * 100_000
+    huge = unit("nodes/a", Slot.NODES, Level.ERROR, long, brief=long, condition=long, values={f"k{n}": n for n in range(5000)})
+    lines = written(tmp_path, transition(huge), opened(huge), Note(at(), "PHM", long))
+    assert len(lines) == 3
+    assert all(line["cut"] is True for line in lines)
+    assert lines[0]["unit"] == "nodes/a"
+    for name in ("phm.log", "phm.jsonl"):
+        assert max(map(len, (tmp_path / name).read_bytes().splitlines())) <= MAX_BYTES
+
+
+def test_lost_lines_leave_a_line_that_explains_the_gap(tmp_path: Path) -> None:
+    """Numbers go on without a gap but for one `lost` event, whose `lines` is the size of the gap."""
+    clock = FakeClock()
+    (tmp_path / "logs").write_text("in the way")
+    log = make(tmp_path / "logs", clock)
+    for number in range(RING_LINES + 9):
+        log.handle(Note(at(number), "DOCKER", f"event {number}"))
+    assert "cannot write" in log.problem()
+    (tmp_path / "logs").unlink()
+    clock.advance(FIRST_RETRY_S)
+    log.tick()
+    assert log.problem() == ""
+    lines = list(journal.read(tmp_path / "logs"))
+    assert (lines[0]["event"], lines[0]["lines"], lines[0]["seq"], lines[0]["reason"]) == ("lost", 10, 10, "File exists")
+    assert [line["seq"] for line in lines] == list(range(10, RING_LINES + 11))
+    text = (tmp_path / "logs" / "phm.log").read_text().splitlines()
+    assert text[0] == "2026-03-01 12:00:08.123 ---- PHM: 9 lines before this one were lost: File exists"
+
+
+def test_sync_is_asked_for_faults_and_reports_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`log.sync` waits for the disk after what matters, not after each line: SD cards wear."""
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fdatasync", synced.append)
+    log = make(tmp_path, sync=True)
+    log.handle(Note(at(), "DOCKER", "x"))
+    log.handle(transition(DEAD))
+    assert synced == []
+    log.handle(opened(DEAD))
+    assert len(synced) == 1
+    log.handle(Report(at(), 1, at(), (DEAD, DEAD)))
+    assert len(synced) >= 2
+
+
+WRITER = """
+import sys
+from phm.clock import SystemClock
+from phm.model import Note, Stamp
+from phm.reporters.base import ReporterContext
+from phm.reporters.log import Log
+from phm.settings import LogSettings, Settings
+settings = Settings(log=LogSettings(directory=sys.argv[1], max_size=20000, files=100))
+log = Log.build(ReporterContext(settings, SystemClock(), "b", tuple, lambda: True, dict))
+number = 0
+while True:
+    number += 1
+    log.handle(Note(Stamp(0.0, 0.0), "INJECT", str(number)))
+    print(number, flush=True)
+"""
+
+
+def test_sigkill_loses_no_line_that_was_handed_over(tmp_path: Path) -> None:
+    """A process killed in the middle of writing leaves everything that `handle` had returned from."""
+    with subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if int(line) >= 500:
+                process.send_signal(signal.SIGKILL)
+                break
+        handed_over = 500 + len(process.stdout.read().split())
+    recorded = [int(line["text"]) for line in journal.read(tmp_path) if line["event"] == "note"]
+    assert recorded[: handed_over] == list(range(1, handed_over + 1))
+    assert len(recorded) - handed_over in (0, 1)
+    text = [line.rpartition(" ")[2] for file in journal.files(tmp_path / "phm.log") for line in file.read_text().split("\n")]
+    assert [int(number) for number in text if number][:handed_over] == list(range(1, handed_over + 1))
+
+
+def test_a_torn_record_is_readable_and_goes_on(tmp_path: Path) -> None:
+    """After a power cut the torn line and zero bytes are skipped, and the next boot's lines follow."""
+    written(tmp_path, Note(at(), "PHM", "first"))
+    whole = (tmp_path / "phm.jsonl").read_bytes()
+    (tmp_path / "phm.jsonl").write_bytes(whole[:-20] + bytes(100))
+    lines = written(tmp_path, Note(at(), "PHM", "second"))
+    assert [line["event"] for line in lines] == ["start", "note"]
+    assert lines[-1]["text"] == "second"
+
+
+def test_the_reader_takes_rotated_files_in_order_and_skips_what_is_no_event(tmp_path: Path) -> None:
+    """Oldest first, by number and not by name; foreign files and lines do not disturb."""
+    for number in (1, 2, 10):
+        (tmp_path / f"phm.jsonl.{number}").write_text(json.dumps({"seq": 100 - number}) + "\n[1]\nnull\n")
+    (tmp_path / "phm.jsonl").write_text('{"seq": 100}\n\n{"seq": 101}\n{"seq": 1')
+    (tmp_path / "phm.jsonl.bak").write_text('{"seq": 0}\n')
+    assert [line["seq"] for line in journal.read(tmp_path)] == [90, 98, 99, 100, 101]
+    assert [line["seq"] for line in journal.read(tmp_path / "phm.jsonl")] == [90, 98, 99, 100, 101]
+    assert list(journal.read(tmp_path / "nothing.jsonl")) == []
+
+
+def test_a_rotation_while_reading_neither_repeats_nor_skips(tmp_path: Path) -> None:
+    """What was there when reading began is read once, though files are renamed meanwhile."""
+    for name, seq in (("phm.jsonl.1", 1), ("phm.jsonl", 2)):
+        (tmp_path / name).write_text(json.dumps({"seq": seq}) + "\n")
+    reader = journal.read(tmp_path)
+    seen = [next(reader)["seq"]]
+    (tmp_path / "phm.jsonl.1").rename(tmp_path / "phm.jsonl.2")
+    (tmp_path / "phm.jsonl").rename(tmp_path / "phm.jsonl.1")
+    seen += [line["seq"] for line in reader]
+    assert seen == [1, 2]

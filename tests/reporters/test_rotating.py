@@ -1,0 +1,245 @@
+"""Lines reach the disk, whatever happens to the disk."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from phm.reporters.rotating import FIRST_RETRY_S, LAST_RETRY_S, RING_LINES, RotatingLines
+from phm.testing import FakeClock
+
+CAP_SYS_ADMIN = 1 << 21
+
+
+def make(path: Path, clock: FakeClock | None = None, *, max_size: int = 10_000, files: int = 3) -> RotatingLines:
+    def lost(count: int, reason: str, last: bytes) -> bytes:
+        return b"lost %d up to %s: %s" % (count, last, reason.encode())
+
+    return RotatingLines(str(path), max_size=max_size, files=files, clock=clock or FakeClock(), lost_line=lost)
+
+
+def test_lines_are_there_as_soon_as_they_were_handed_over(tmp_path: Path) -> None:
+    """Nothing is kept in user space: another reader sees each line at once, without close."""
+    lines = make(tmp_path / "log")
+    for number in range(3):
+        lines.write(b"line %d" % number)
+        assert (tmp_path / "log").read_bytes().splitlines()[-1] == b"line %d" % number
+
+
+def test_rotation_keeps_the_newest_files(tmp_path: Path) -> None:
+    """The file is renamed before it passes the size; the oldest of the kept ones goes."""
+    lines = make(tmp_path / "log", max_size=100, files=2)
+    for number in range(100):
+        lines.write(b"%019d" % number)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["log", "log.1", "log.2"]
+    kept = [int(line) for name in ("log.2", "log.1", "log") for line in (tmp_path / name).read_text().split()]
+    assert kept == list(range(85, 100))
+
+
+@given(
+    lengths=st.lists(st.integers(0, 99), max_size=80), files=st.integers(1, 4), reopen=st.lists(st.booleans(), min_size=80)
+)
+def test_all_files_together_never_exceed_the_cap(
+    tmp_path_factory: pytest.TempPathFactory, lengths: list[int], files: int, reopen: list[bool]
+) -> None:
+    """At most (files + 1) * max_size bytes, whatever the lines and however often PHM restarts; the rest is in order."""
+    where = tmp_path_factory.mktemp("rotate")
+    lines = make(where / "log", max_size=100, files=files)
+    for index, length in enumerate(lengths):
+        if reopen[index]:
+            lines.close()
+            lines = make(where / "log", max_size=100, files=files)
+        lines.write(bytes([33 + index % 90]) * length)
+        sizes = [entry.stat().st_size for entry in where.iterdir()]
+        assert max(sizes) <= 100
+        assert len(sizes) <= files + 1
+    lines.close()
+    names = [f"log.{n}" for n in range(files, 0, -1)] + ["log"]
+    text = b"".join((where / name).read_bytes() for name in names if (where / name).exists())
+    expected = b"".join(bytes([33 + index % 90]) * length + b"\n" for index, length in enumerate(lengths))
+    assert expected.endswith(text)
+
+
+def test_files_beyond_a_smaller_number_are_removed(tmp_path: Path) -> None:
+    """A configuration that keeps fewer files frees what an earlier one kept, and touches nothing else."""
+    for name in ("log.1", "log.7", "log.old", "other.9"):
+        (tmp_path / name).write_text("x\n")
+    make(tmp_path / "log", files=2).write(b"line")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["log", "log.1", "log.old", "other.9"]
+
+
+def test_a_torn_last_line_stays_by_itself(tmp_path: Path) -> None:
+    """After a power cut the next line starts on a new line, and the torn piece is kept."""
+    (tmp_path / "log").write_bytes(b"whole\ntor")
+    lines = make(tmp_path / "log")
+    lines.write(b"next")
+    lines.write(b"more")
+    assert (tmp_path / "log").read_bytes() == b"whole\ntor\nnext\nmore\n"
+
+
+def test_a_log_moved_away_is_begun_anew(tmp_path: Path) -> None:
+    """After someone else's rotation or deletion, lines go into a file of the right name."""
+    lines = make(tmp_path / "log")
+    lines.write(b"one")
+    (tmp_path / "log").rename(tmp_path / "taken")
+    lines.write(b"two")
+    (tmp_path / "log").unlink()
+    lines.write(b"three")
+    assert (tmp_path / "taken").read_bytes() == b"one\n"
+    assert (tmp_path / "log").read_bytes() == b"three\n"
+
+
+def test_a_vanished_directory_is_made_again(tmp_path: Path) -> None:
+    """Deleting the log directory under the running daemon costs no later line."""
+    lines = make(tmp_path / "logs" / "log")
+    lines.write(b"one")
+    shutil.rmtree(tmp_path / "logs")
+    lines.write(b"two")
+    assert (tmp_path / "logs" / "log").read_bytes() == b"two\n"
+    assert lines.problem() == ""
+
+
+def test_what_cannot_be_written_waits_in_order_and_is_written_later(tmp_path: Path) -> None:
+    """Lines are kept while the directory cannot be made, `problem` says so, and none is lost or reordered."""
+    clock = FakeClock()
+    (tmp_path / "logs").write_text("a file in the way")
+    lines = make(tmp_path / "logs" / "log", clock)
+    lines.write(b"one")
+    lines.write(b"two")
+    assert "2 lines are kept in memory, 0 lost" in lines.problem()
+    (tmp_path / "logs").unlink()
+    lines.write(b"three")  # the back-off has not passed
+    assert not (tmp_path / "logs").exists()
+    clock.advance(FIRST_RETRY_S)
+    lines.retry()
+    assert (tmp_path / "logs" / "log").read_bytes() == b"one\ntwo\nthree\n"
+    assert lines.problem() == ""
+
+
+def test_the_back_off_doubles_up_to_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk that stays broken is asked less and less often, but at least every 30 s."""
+    clock = FakeClock()
+    tries: list[float] = []
+
+    def refuse(*_: object, **__: object) -> None:
+        tries.append(clock.mono())
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "makedirs", refuse)
+    lines = make(tmp_path / "logs" / "log", clock)
+    lines.write(b"one")
+    for _ in range(1000):
+        clock.advance(0.5)
+        lines.retry()
+    gaps = [later - earlier for earlier, later in zip(tries, tries[1:], strict=False)]
+    assert gaps[:6] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0]
+    assert set(gaps[6:]) == {LAST_RETRY_S}
+
+
+def test_memory_is_bounded_and_the_loss_is_said(tmp_path: Path) -> None:
+    """Beyond 1000 waiting lines the oldest go, and a line in their place says how many, why and which was last."""
+    (tmp_path / "logs").write_text("a file in the way")
+    lines = make(tmp_path / "logs" / "log", max_size=1_000_000)
+    for number in range(RING_LINES + 5):
+        lines.write(b"%d" % number)
+    assert "1000 lines are kept in memory, 5 lost" in lines.problem()
+    (tmp_path / "logs").unlink()
+    lines.close()
+    written = (tmp_path / "logs" / "log").read_bytes().splitlines()
+    assert written[0] == b"lost 5 up to 4: File exists"
+    assert written[1:] == [b"%d" % number for number in range(5, RING_LINES + 5)]
+
+
+def test_a_pipe_that_nobody_reads_does_not_hang(tmp_path: Path) -> None:
+    """A log replaced by a full pipe is a problem to tell, not a place to wait."""
+    os.mkfifo(tmp_path / "log")
+    lines = make(tmp_path / "log")
+    for _ in range(100):
+        lines.write(b"x" * 5000)
+    assert "Resource temporarily unavailable" in lines.problem()
+
+
+def test_a_full_device_keeps_lines_until_there_is_room(tmp_path: Path) -> None:
+    """The kernel's own ENOSPC (from /dev/full) is survived, and the lines appear when the log is a file again."""
+    clock = FakeClock()
+    (tmp_path / "log").symlink_to("/dev/full")
+    lines = make(tmp_path / "log", clock)
+    lines.write(b"one")
+    assert "No space left on device; 1 lines are kept" in lines.problem()
+    (tmp_path / "log").unlink()
+    clock.advance(FIRST_RETRY_S)
+    lines.write(b"two")
+    assert (tmp_path / "log").read_bytes() == b"one\ntwo\n"
+
+
+def _may_mount() -> bool:
+    status = Path("/proc/self/status").read_text()
+    capabilities = int(status.partition("CapEff:")[2].split()[0], 16)
+    return os.geteuid() == 0 and bool(capabilities & CAP_SYS_ADMIN)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A tmpfs of 64 kB."""
+    where = tmp_path / "mounted"
+    where.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(where)], check=True)
+    try:
+        yield where
+    finally:
+        subprocess.run(["umount", str(where)], check=True)
+
+
+if _may_mount():  # a mount needs root; the same rules are tested above and below without
+
+    def test_a_full_disk_leaves_only_whole_lines_and_loses_none(small_disk: Path) -> None:
+        """On a disk that is really full, a short write is taken back; with room again all lines are there in order."""
+        clock = FakeClock()
+        ballast = small_disk / "ballast"
+        ballast.write_bytes(b"x" * 40 * 1024)
+        lines = make(small_disk / "log", clock, max_size=10**9)
+        for number in range(800):
+            lines.write(b"%099d" % number)
+        assert "No space left on device" in lines.problem()
+        on_disk = (small_disk / "log").read_bytes()
+        assert on_disk.endswith(b"\n")
+        assert len(on_disk) % 100 == 0
+        ballast.unlink()
+        small = (small_disk / "log").stat().st_size
+        clock.advance(LAST_RETRY_S)
+        lines.retry()
+        assert (small_disk / "log").stat().st_size > small
+        kept = [int(line) for line in (small_disk / "log").read_bytes().split()]
+        assert kept == list(range(len(kept)))
+
+
+LIMITED = """
+import resource, sys
+from pathlib import Path
+from phm.clock import SystemClock
+from phm.reporters.rotating import RotatingLines
+resource.setrlimit(resource.RLIMIT_FSIZE, (1050, 1050))
+lines = RotatingLines(sys.argv[1], max_size=10**6, files=9, clock=SystemClock(), lost_line=lambda *_: b"lost")
+for number in range(50):
+    lines.write(b"%099d" % number)
+print(lines.problem())
+"""
+
+
+def test_a_limit_on_the_size_of_files_starts_a_new_file(tmp_path: Path) -> None:
+    """RLIMIT_FSIZE below `max_size` cuts a write in the middle: it is taken back and goes into the next file whole."""
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(tmp_path / "log")], capture_output=True, text=True, timeout=30, check=True
+    )
+    assert done.stdout.strip() == ""
+    names = [f"log.{number}" for number in range(9, 0, -1)] + ["log"]
+    kept = [line for name in names if (tmp_path / name).exists() for line in (tmp_path / name).read_bytes().split()]
+    assert kept == [b"%099d" % number for number in range(50)]
