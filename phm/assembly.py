@@ -1,0 +1,120 @@
+"""Makes the parts that touch the outside: the engine's client, probes, MAVLink endpoints, the ROS child.
+
+One place knows which class stands behind which protocol of `phm.facts`; the daemon only holds `Parts`.
+Nothing is opened by making the parts: that is `start`'s doing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from phm.clock import Clock
+from phm.facts import Attachment, CannotTell, LinkFact, RosFact, RosProbe, SelfFact, World
+from phm.probes.devices import Devices
+from phm.probes.docker import Docker
+from phm.probes.docker_watch import DockerEvent, Watch
+from phm.probes.files import Files
+from phm.probes.host import Host
+from phm.probes.links import Links
+from phm.probes.ros.process import RosProcess
+from phm.settings import Settings
+from phm.transport.docker import Engine
+from phm.transport.mavlink import MavlinkHub
+
+SelfLook = Callable[[], tuple[float, tuple[str, ...], dict[str, int], tuple[str, ...]]]
+"""What the daemon knows of itself: uptime in seconds, overdue checks, dropped events by reporter, problems."""
+
+
+class NoRos:
+    """Stands in where the configuration names no node and no topic: no child process is started."""
+
+    def look(self) -> RosFact:
+        raise CannotTell("no ROS node or topic is configured")
+
+
+@dataclass(frozen=True)
+class Myself:
+    """PHM as a probe of itself: the daemon's own knowledge and the ROS child's restarts."""
+
+    self_look: SelfLook
+    ros: RosProcess | None
+    links: Links
+
+    def look(self) -> SelfFact:
+        uptime_s, overdue, dropped, problems = self.self_look()
+        restarts = self.ros.restarts if self.ros is not None else 0
+        return SelfFact(uptime_s, overdue, dropped, (*problems, *self.links.problems()), restarts)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Everything that has threads or sockets of its own, and the world made of it."""
+
+    engine: Engine
+    docker: Docker
+    watch: Watch | None
+    mavlink: MavlinkHub | None
+    ros: RosProcess | None
+    world: World
+
+    def start(self) -> None:
+        """Links and the event stream; the ROS child starts separately, after networks are joined."""
+        if self.mavlink is not None:
+            self.mavlink.start()
+        if self.watch is not None:
+            self.watch.start()
+
+    def start_ros(self) -> None:
+        if self.ros is not None:
+            self.ros.start()
+
+    def renew_ros(self, reason: str) -> None:
+        """A DDS participant keeps the interfaces it found at its start: after a change it is made anew."""
+        if self.ros is not None:
+            self.ros.renew(reason)
+
+    def links(self) -> tuple[LinkFact, ...]:
+        return self.mavlink.links() if self.mavlink is not None else ()
+
+    def remembered(self, container: str, network: str) -> Attachment | None:
+        return self.docker.remembered(container, network)
+
+    def close(self) -> None:
+        if self.watch is not None:
+            self.watch.stop()
+        if self.ros is not None:
+            self.ros.close()
+        if self.mavlink is not None:
+            self.mavlink.close()
+        self.engine.close()
+
+
+def assemble(
+    settings: Settings,
+    clock: Clock,
+    *,
+    wake: Callable[[str], None],
+    docker_event: Callable[[DockerEvent], None],
+    note: Callable[[str], None],
+    self_look: SelfLook,
+) -> Parts:
+    """Make the parts that this configuration needs; see `Parts.start` for when they begin."""
+    engine = Engine(settings.docker.socket, settings.docker.timeout, clock)
+    docker = Docker(engine, settings, clock)
+    watch = Watch(engine, settings, clock, docker_event, docker) if settings.containers else None
+    hub = MavlinkHub(settings.mavlink, settings.agent.id, clock)
+    links = Links(hub, settings, clock, lambda: wake("link"))
+    ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None
+    probe: RosProbe = ros if ros is not None else NoRos()
+    world = World(
+        clock=clock,
+        docker=docker,
+        files=Files(docker, engine, settings, clock),
+        devices=Devices(settings, clock),
+        host=Host(settings, clock),
+        ros=probe,
+        links=links,
+        myself=Myself(self_look, ros, links),
+    )
+    return Parts(engine, docker, watch, hub if settings.mavlink.endpoints else None, ros, world)

@@ -1,0 +1,258 @@
+"""The daemon: builds the parts, keeps the beat, and ends in order. `run` is `phm run`, `once` is `phm once`."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+import uuid
+from types import FrameType
+from typing import Any
+
+from phm import registry
+from phm.assembly import Parts, assemble
+from phm.bus import Bus
+from phm.clock import Clock, SystemClock
+from phm.engine import WATCH_S, Batch, Engine
+from phm.facts import CannotTell
+from phm.model import ActionEvent, Phase, UnitState
+from phm.pipeline import Pipeline
+from phm.plan import Plan, make
+from phm.recovery.actions import join
+from phm.recovery.base import Action, ActionContext
+from phm.recovery.executor import Executor, Shop
+from phm.reporters.base import Reporter, ReporterContext
+from phm.settings import Settings
+from phm.tracker import Tracker
+from phm.transport.docker import DockerEvent
+
+logger = logging.getLogger(__name__)
+
+STALLED_BEAT_S = 3.0
+STALLED_CHECKS_S = 15.0
+"""The companion check runs every second; no check coming back for this long means that the engine stalls."""
+
+
+class Daemon:
+    """One agent's PHM. `start` returns at once; every part has threads of its own; `stop` ends them in order.
+
+    Order matters twice: reporters subscribe before the first result, and the MAVLink reporter closes
+    before the hub does, so that the ground hears the farewell heartbeat.
+    """
+
+    def __init__(self, settings: Settings, clock: Clock | None = None) -> None:
+        self.settings = settings
+        self.clock = clock or SystemClock()
+        self.boot_id = uuid.uuid4().hex[:12]
+        self.plan: Plan = make(settings, registry.checks())
+        self.bus = Bus(self.clock)
+        self._started = self.clock.stamp()
+        self._beat = self._started.mono
+        tracker = Tracker(self.plan.tracked, self._started, fault_prefix=f"{self.boot_id[:4]}-")
+        self.pipeline = Pipeline(tracker, self.bus, self.clock, self.plan.pass_limit_s)
+        self.parts: Parts = assemble(
+            settings, self.clock, wake=self._wake, docker_event=self._docker_event,
+            note=lambda text: self.pipeline.note("PHM", text), self_look=self._problems,
+        )  # fmt: skip
+        self.engine = Engine(self.plan.scheduled, self.parts.world, self.clock, self._observe)
+        self.pipeline.attach(self.engine.wake_units)
+        self.reporters: list[Reporter] = []
+        self.executor: Executor | None = None
+        self._stop = threading.Event()
+        self._heart = threading.Thread(target=self._beat_on, name="phm-heart", daemon=True)
+
+    # ------------------------------------------------------------ life
+
+    def start(self) -> None:
+        self._start_reporters()
+        self._start_recovery()
+        self._tell_what_could_not_load()
+        self.parts.start()
+        threading.Thread(target=self._join_networks, name="phm-join", daemon=True).start()
+        self.engine.start()
+        self._heart.start()
+
+    def wait(self) -> None:
+        """Until `stop_soon` is called, e.g. by a signal."""
+        self._stop.wait()
+
+    def stop_soon(self) -> None:
+        self._stop.set()
+
+    def stop(self) -> None:
+        self._stop.set()
+        self.pipeline.note("PHM", "PHM is stopping")
+        if self.executor is not None:
+            self.executor.stop()
+        self.engine.stop()
+        self.bus.close()
+        for reporter in self.reporters:
+            try:
+                reporter.close()
+            except Exception:
+                logger.exception("reporter %s did not close", reporter.name)
+        self.parts.close()
+
+    def alive(self) -> bool:
+        """The dead man's switch of heartbeats and of `phm status --healthy`: beating, and checks come back."""
+        now = self.clock.mono()
+        return now - self._beat < STALLED_BEAT_S and now - self.pipeline.last_batch < STALLED_CHECKS_S
+
+    def health(self) -> dict[str, Any]:
+        """PHM's own condition for `phm status`; JSON-able."""
+        fact = self.parts.world.myself.look()
+        return {
+            "started_utc": self._started.utc,
+            "uptime_s": round(fact.uptime_s, 1),
+            "overdue": list(fact.overdue),
+            "dropped": dict(fact.dropped),
+            "problems": list(fact.problems),
+            "ros_restarts": fact.ros_restarts,
+            "links": [{"name": link.name, "open": link.open, "error": link.error} for link in self.parts.links()],
+            "recent_faults": self.pipeline.recent_faults(),
+            "open_faults": self.pipeline.open_faults(),
+        }
+
+    # ------------------------------------------------------------ wiring
+
+    def _observe(self, batch: Batch) -> None:
+        self.pipeline.observe(dict(batch.units), batch.started, batch.duration_s, overdue=batch.overdue)
+
+    def _wake(self, subject: str) -> None:
+        self.engine.wake_subject(subject)
+
+    def _docker_event(self, event: DockerEvent) -> None:
+        self.pipeline.note("DOCKER", event.text)
+        for subject in event.subjects:
+            self._wake(subject)
+
+    def _problems(self) -> tuple[float, tuple[str, ...], dict[str, int], tuple[str, ...]]:
+        problems = [problem for reporter in self.reporters if (problem := reporter.problem())]
+        uptime_s = self.clock.mono() - self._started.mono
+        return uptime_s, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems())
+
+    def _start_reporters(self) -> None:
+        context = ReporterContext(
+            self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink
+        )
+        for found in registry.find(registry.REPORTERS, Reporter):
+            if found.loaded is None:
+                continue
+            try:
+                reporter = found.loaded.build(context)
+            except Exception:
+                logger.exception("reporter %s could not be built", found.name)
+                continue
+            if reporter is not None:
+                self.reporters.append(reporter)
+                self.bus.subscribe(
+                    reporter.name, reporter.handle, kinds=reporter.kinds, size=reporter.queue_size,
+                    tick=reporter.tick, period_s=reporter.period_s,
+                )  # fmt: skip
+
+    def _start_recovery(self) -> None:
+        actions = registry.usable(registry.find(registry.ACTIONS, Action))
+        graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
+        shop = Shop(
+            self.pipeline, self._publish_action, self.clock, actions, self._action_context(),
+            self._armed, lambda unit: graces.get(unit, 0.0),
+        )  # fmt: skip
+        self.executor = Executor(shop)
+        self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
+
+    def _action_context(self) -> ActionContext:
+        docker = self.parts.world.docker
+        return ActionContext(self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered)
+
+    def _publish_action(self, event: ActionEvent) -> None:
+        self.bus.publish(event)
+        if event.phase is Phase.DONE and event.action == "join":
+            self.parts.renew_ros("PHM joined a network")
+
+    def _armed(self) -> bool:
+        """Unknown counts as armed where an autopilot is configured: doing nothing is the safe mistake."""
+        pilot = self.parts.world.links.autopilot()
+        if pilot is None or pilot.age_s > self.settings.mavlink.gcs_timeout:
+            return self.settings.mavlink.autopilot
+        return pilot.armed
+
+    def _join_networks(self) -> None:
+        """Before ROS starts: DDS picks its interfaces when the participant is made. Nobody waits for this."""
+        if self.settings.recovery.mode == "act":
+            for container in self.settings.containers:
+                try:
+                    done = join(container, self._action_context())
+                except CannotTell as error:
+                    self.pipeline.note("PHM", f"could not join the networks of {container.key}: {error}")
+                else:
+                    if done:
+                        self.pipeline.note("ACTION", done)
+        self.parts.start_ros()
+
+    def _tell_what_could_not_load(self) -> None:
+        groups: tuple[tuple[str, type], ...] = (
+            (registry.CHECKS, registry.Check), (registry.REPORTERS, Reporter), (registry.ACTIONS, Action)
+        )  # fmt: skip
+        for group, base in groups:
+            for found in registry.find(group, base):
+                if found.loaded is None:
+                    self.pipeline.note("PHM", f"{group} {found.name} from {found.source} is not used: {found.problem}")
+
+    # ------------------------------------------------------------ the beat
+
+    def _beat_on(self) -> None:
+        next_pass = self.clock.mono()
+        while not self._stop.is_set():
+            try:
+                self._beat = now = self.clock.mono()
+                if now >= next_pass:
+                    self.pipeline.begin_pass()
+                    next_pass = max(next_pass + self.settings.interval, now)
+                self.engine.look_for_overdue()
+                self.pipeline.tick()
+            except Exception:
+                logger.exception("the heart missed a beat")
+            self.clock.wait(self._stop, WATCH_S)
+
+
+def run(settings: Settings) -> int:
+    """Run until SIGTERM or SIGINT; 0 after an orderly end. Handlers only set a flag."""
+    daemon = Daemon(settings)
+
+    def end(number: int, frame: FrameType | None) -> None:
+        daemon.stop_soon()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, end)
+    daemon.start()
+    daemon.wait()
+    daemon.stop()
+    return os.EX_OK
+
+
+def once(settings: Settings, clock: Clock | None = None) -> tuple[UnitState, ...]:
+    """One pass that changes nothing in the world: no recovery, no reports, no network joined.
+
+    Waits until every unit is decided (ROS discovery needs its grace), at most the longest grace and
+    deadline together.
+    """
+    clock = clock or SystemClock()
+    daemon = Daemon(settings, clock)
+    longest_grace_s = max((entry.unit.grace_s + entry.unit.settle_s for entry in daemon.plan.tracked), default=0.0)
+    end = clock.mono() + longest_grace_s + daemon.plan.pass_limit_s
+    try:
+        daemon.parts.start()
+        daemon.parts.start_ros()
+        daemon.engine.start()
+        tick = threading.Event()
+        while clock.mono() < end:
+            daemon.engine.look_for_overdue()
+            daemon.pipeline.tick()
+            if not daemon.pipeline.undecided():
+                break
+            clock.wait(tick, 0.05)
+        return daemon.pipeline.states()
+    finally:
+        daemon.engine.stop(0.5)
+        daemon.parts.close()

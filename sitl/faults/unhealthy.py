@@ -1,0 +1,18 @@
+"""The application's own HEALTHCHECK fails."""
+
+from __future__ import annotations
+
+import time
+
+from sitl.faults.base import Agent, Fault
+
+
+class Injection(Fault):
+    """Creates the marker that the application's HEALTHCHECK looks for; its next start removes it."""
+
+    name, title, unit = "unhealthy", "healthcheck failing", "health/ros_app"
+
+    def inject(self, agent: Agent) -> float:
+        moment = time.monotonic()
+        agent.run_in_app("touch", "/tmp/unhealthy")
+        return moment

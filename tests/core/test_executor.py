@@ -1,0 +1,227 @@
+"""The executor: acts once per container, proves it, and lets nothing hang it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
+import pytest
+
+from phm import testing
+from phm.api import Layer, Slot, Unit, error, ok
+from phm.bus import Bus
+from phm.facts import NotPermitted
+from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase
+from phm.pipeline import Pipeline
+from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.executor import Executor, Shop
+from phm.settings import ContainerSettings, Settings
+from phm.tracker import Tracked, Tracker
+
+
+class World:
+    """One container that is unhealthy until `mend` is called; the executor on a fake clock around it."""
+
+    def __init__(self, *, armed: bool = False, container: ContainerSettings | None = None, **recovery: Any) -> None:
+        self.clock = testing.FakeClock()
+        self.events: list[Event] = []
+        self.runs: list[str] = []
+        self.behave: Callable[[str], None] = lambda name: self.mend()
+        self.well = False
+        app = container or ContainerSettings(name="app", recover=True)
+        self.settings = Settings.model_validate({"containers": [app], "recovery": recovery})
+        unit = Unit("health/app", target="app")
+        tracker = Tracker([Tracked(unit, "health", Slot.CONTAINER, Layer.DOCKER)], self.clock.stamp())
+        self.bus = Bus(self.clock)
+        self.pipeline = Pipeline(tracker, self.bus, self.clock)
+        self.pipeline.attach(lambda units, reason: self.look())
+        context = ActionContext(cast(Any, None), self.settings, lambda key: None, lambda: None, lambda a, b: None)
+        actions = {name: self._action(name) for name in ("restart", "start")}
+        shop = Shop(self.pipeline, self.publish, self.clock, actions, context, lambda: armed, lambda unit: 0.0)
+        self.executor = Executor(shop)
+        self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
+        self.bus.subscribe("test", self.events.append)
+
+    def _action(self, action: str) -> type[Action]:
+        world = self
+
+        class Scripted(Action):
+            name = action
+            deadline_s = 5.0
+
+            def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+                world.runs.append(action)
+                world.behave(action)
+                return f"{action}ed"
+
+        return Scripted
+
+    def publish(self, event: Event) -> None:
+        self.bus.publish(event)
+
+    def mend(self) -> None:
+        self.well = True
+
+    def look(self) -> None:
+        bad = error("unhealthy", brief="unhealthy", condition="unhealthy", target="app")
+        self.pipeline.observe({"health/app": ok("healthy") if self.well else bad}, self.clock.mono(), 0.0)
+
+    def fail(self) -> None:
+        self.well = False
+        self.look()
+
+    def until(self, condition: Callable[[], bool], limit_s: float = 10.0) -> None:
+        """Let fake time run, with the unit looked at all along, until something is seen."""
+        end = time.monotonic() + limit_s
+        while not condition():
+            assert time.monotonic() < end, f"it did not happen; seen: {self.phases()}"
+            self.clock.advance(0.05)
+            self.look()
+            time.sleep(0.001)
+
+    def phases(self) -> list[Phase]:
+        return [event.phase for event in self.events if isinstance(event, ActionEvent)]
+
+    def closed(self) -> list[FaultClosed]:
+        return [event for event in self.events if isinstance(event, FaultClosed)]
+
+
+@pytest.fixture
+def worlds() -> Iterator[list[World]]:
+    """Worlds made by a test, ended with it."""
+    made: list[World] = []
+    yield made
+    for world in made:
+        world.executor.stop()
+        world.clock.advance(1000)
+
+
+def make(worlds: list[World], **more: Any) -> World:
+    worlds.append(World(**more))
+    return worlds[-1]
+
+
+def test_a_fault_is_acted_on_and_the_result_is_proven(worlds: list[World]) -> None:
+    """Started, done, verified; the fault is resolved by the action."""
+    world = make(worlds)
+    world.fail()
+    world.until(lambda: Phase.VERIFIED in world.phases())
+    assert world.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+    assert world.runs == ["restart"]
+    assert world.closed()[0].fault.by == "restart"
+
+
+def test_an_action_that_does_not_help_is_repeated_and_then_given_up(worlds: list[World]) -> None:
+    """Three times the same failure: told once, with the next step, and no more restarts."""
+    world = make(worlds)
+    world.behave = lambda name: None
+    world.fail()
+    world.until(lambda: Phase.ESCALATED in world.phases(), limit_s=20)
+    assert world.runs == ["restart"] * 3
+    assert world.phases().count(Phase.ESCALATED) == 1
+    assert world.closed()[-1].fault.outcome.value == "escalated"
+    told = [event.detail for event in world.events if isinstance(event, ActionEvent)][-1]
+    assert "docker logs" in told
+    for _ in range(200):
+        world.clock.advance(1.0)
+        world.look()
+    assert world.runs == ["restart"] * 3
+
+
+def test_not_permitted_is_told_once_and_never_tried_again(worlds: list[World]) -> None:
+    """403 from the engine: healing not permitted, report only."""
+    world = make(worlds)
+
+    def refuse(name: str) -> None:
+        raise NotPermitted("the engine answered 403")
+
+    world.behave = refuse
+    world.fail()
+    world.until(lambda: Phase.FAILED in world.phases())
+    for _ in range(100):
+        world.clock.advance(1.0)
+        world.look()
+    assert world.runs == ["restart"]
+    assert "healing not permitted" in [e.detail for e in world.events if isinstance(e, ActionEvent)][-1]
+
+
+@pytest.mark.parametrize("trouble", [ActionFailed("no such network"), ValueError("boom"), SystemExit(1)])
+def test_an_action_that_raises_is_a_failed_attempt(worlds: list[World], trouble: BaseException) -> None:
+    """A plug-in's crash is told and counted; the thread lives on and tries again."""
+    world = make(worlds)
+    troubles = [trouble]
+
+    def raise_once(name: str) -> None:
+        if troubles:
+            raise troubles.pop()
+        world.mend()
+
+    world.behave = raise_once
+    world.fail()
+    world.until(lambda: Phase.VERIFIED in world.phases())
+    assert world.phases() == [Phase.STARTED, Phase.FAILED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+
+
+def test_an_action_that_hangs_costs_its_deadline(worlds: list[World]) -> None:
+    """The hung attempt is abandoned, told, and another is made."""
+    world = make(worlds)
+    stuck, first = threading.Event(), [True]
+
+    def hang_once(name: str) -> None:
+        if first:
+            first.pop()
+            stuck.wait(30)
+        else:
+            world.mend()
+
+    world.behave = hang_once
+    world.fail()
+    world.until(lambda: Phase.VERIFIED in world.phases())
+    stuck.set()
+    assert "within 5 s" in [event.detail for event in world.events if isinstance(event, ActionEvent)][1]
+
+
+@pytest.mark.parametrize("recovery", [{"mode": "advise"}, {"mode": "off"}])
+def test_advise_and_off_change_nothing_in_the_world(worlds: list[World], recovery: dict[str, str]) -> None:
+    """`advise` says what it would do, once; `off` says nothing."""
+    world = make(worlds, **recovery)
+    world.fail()
+    world.until(lambda: any(isinstance(event, FaultOpened) for event in world.events))
+    for _ in range(100):
+        world.clock.advance(1.0)
+        world.look()
+    assert world.runs == []
+    world.until(lambda: world.phases() == ([Phase.ADVISED] if recovery["mode"] == "advise" else []))
+
+
+def test_flight_critical_is_left_alone_while_armed(worlds: list[World]) -> None:
+    """Advice only, told once, however long it lasts."""
+    critical = ContainerSettings(name="app", recover=True, flight_critical=True)
+    world = make(worlds, armed=True, container=critical)
+    world.fail()
+    world.until(lambda: world.phases() == [Phase.ADVISED])
+    for _ in range(100):
+        world.clock.advance(1.0)
+    assert world.runs == []
+    assert world.phases() == [Phase.ADVISED]
+
+
+def test_what_heals_by_itself_is_not_acted_on_again(worlds: list[World]) -> None:
+    """After the first failed attempt the fault goes away during back-off: nothing more is done."""
+    world = make(worlds, backoff=50, backoff_max=60)
+
+    def refuse(name: str) -> None:
+        raise ActionFailed("not now")
+
+    world.behave = refuse
+    world.fail()
+    world.until(lambda: Phase.FAILED in world.phases())
+    world.mend()
+    world.until(lambda: bool(world.closed()))
+    for _ in range(100):
+        world.clock.advance(1.0)
+        world.look()
+    assert world.runs == ["restart"]
+    assert world.closed()[0].fault.by == "itself"

@@ -1,0 +1,106 @@
+"""The pipeline: passes, wake-ups, and what reporters and recovery ask it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from phm import testing
+from phm.api import Layer, Level, Slot, Unit, error, ok, stale
+from phm.bus import Bus
+from phm.model import Event, Report, ReportStarted
+from phm.pipeline import Pipeline
+from phm.tracker import Tracked, Tracker
+
+BAD = error("broken", brief="broken", condition="broken")
+
+
+class Rig:
+    """A pipeline of two units on a fake clock; collects events and wake-ups."""
+
+    def __init__(self) -> None:
+        self.clock = testing.FakeClock()
+        self.events: list[Event] = []
+        self.wakes: list[tuple[frozenset[str], str]] = []
+        tracked = [
+            Tracked(Unit("container"), "container", Slot.CONTAINER, Layer.DOCKER),
+            Tracked(Unit("nodes", ("container",)), "nodes", Slot.NODES, Layer.ROS, 1, ("container",)),
+        ]
+        bus = Bus(self.clock)
+        bus.publish = self.events.append  # type: ignore[method-assign]
+        self.pipeline = Pipeline(Tracker(tracked, self.clock.stamp()), bus, self.clock, pass_limit_s=15.0)
+        self.pipeline.attach(self.wake)
+
+    def wake(self, units: Iterable[str], reason: str) -> None:
+        self.wakes.append((frozenset(units), reason))
+
+    def reports(self) -> list[Report]:
+        return [event for event in self.events if isinstance(event, Report)]
+
+
+def test_a_pass_is_complete_when_every_unit_was_run_since_it_began() -> None:
+    """A result from before the pass does not count for it."""
+    rig = Rig()
+    before = rig.clock.mono()
+    rig.clock.advance(1)
+    rig.pipeline.begin_pass()
+    assert isinstance(rig.events[0], ReportStarted)
+    assert rig.wakes == [(frozenset({"container", "nodes"}), "pass")]
+    rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+    rig.pipeline.observe({"nodes": ok("well")}, before, 0.0)
+    assert rig.reports() == []
+    rig.pipeline.observe({"nodes": ok("well")}, rig.clock.mono(), 0.0)
+    assert [state.level for state in rig.reports()[0].units] == [Level.OK, Level.OK]
+
+
+def test_a_pass_ends_even_if_a_check_does_not_come_back() -> None:
+    """A hung check costs its own line, not the report."""
+    rig = Rig()
+    rig.pipeline.begin_pass()
+    rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+    rig.clock.advance(15)
+    rig.pipeline.tick()
+    assert [state.level for state in rig.reports()[0].units] == [Level.OK, Level.STALE]
+
+
+def test_an_overdue_check_counts_for_the_pass_but_not_as_a_sign_of_life() -> None:
+    """What the watchdog says about a hung check must not keep the heartbeat going."""
+    rig = Rig()
+    alive = rig.pipeline.last_batch
+    rig.pipeline.begin_pass()
+    rig.clock.advance(5)
+    rig.pipeline.observe({"container": stale("hung"), "nodes": stale("hung")}, rig.clock.mono(), 0.0, overdue=True)
+    assert len(rig.reports()) == 1
+    assert rig.pipeline.last_batch == alive
+
+
+def test_what_the_tracker_wants_to_know_wakes_the_checks() -> None:
+    """The dependent's question reaches the engine."""
+    rig = Rig()
+    rig.pipeline.observe({"container": ok("well"), "nodes": ok("well")}, rig.clock.mono(), 0.0)
+    rig.clock.advance(1)
+    rig.pipeline.observe({"nodes": BAD}, rig.clock.mono(), 0.0)
+    assert rig.wakes == [(frozenset({"container"}), "confirm")]
+
+
+def test_verification_counts_only_runs_that_began_after_the_action() -> None:
+    """An OK that was on its way when the action ended proves nothing."""
+    rig = Rig()
+    rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+    done = rig.clock.mono() + 1
+    assert not rig.pipeline.well_since("container", done)
+    rig.clock.advance(2)
+    rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+    assert rig.pipeline.well_since("container", done)
+
+
+def test_closed_faults_are_remembered_up_to_a_cap() -> None:
+    """`phm status` shows the recent ones; memory does not grow with trouble."""
+    rig = Rig()
+    for _ in range(50):
+        rig.clock.advance(1)
+        rig.pipeline.observe({"container": BAD}, rig.clock.mono(), 0.0)
+        rig.clock.advance(1)
+        rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+    recent = rig.pipeline.recent_faults()
+    assert len(recent) == 20
+    assert recent[-1].id == "F50"

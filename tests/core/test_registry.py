@@ -1,0 +1,34 @@
+"""Finding plug-ins: what cannot be used is named with its cause."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from phm import registry
+from phm.api import Check
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("no_such_module_anywhere:X", "cannot be imported"),
+        ("phm.model:NoSuchName", "has no 'NoSuchName'"),
+        ("phm.model:Level", "is no subclass of phm.api.Check"),
+        ("phm.api:Check", "is named None"),
+    ],
+)
+def test_each_way_to_fail_has_its_own_sentence(value: str, words: str) -> None:
+    """A load error keeps its cause, and the others still run."""
+    found = registry._load(EntryPoint("mine", value, registry.CHECKS), Check)
+    assert found.loaded is None
+    assert words in found.problem
+
+
+def test_two_packages_with_one_name_are_both_refused() -> None:
+    """Neither can be trusted to be the one that is meant."""
+    twins = [registry.Found("x", "one 1.0", Check), registry.Found("x", "two 1.0", Check)]
+    (merged,) = registry._without_twins(twins)
+    assert merged.loaded is None
+    assert "one 1.0, two 1.0" in merged.source
