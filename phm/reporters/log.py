@@ -103,9 +103,9 @@ class Log(Reporter):
         elif isinstance(event, FaultOpened):
             yield at, "fault_opened", "FAILURE", fault_json(event.fault)
         elif isinstance(event, FaultClosed):
-            yield at, "fault_closed", closed_kind(event.fault.outcome), fault_json(event.fault)
+            yield (at, "fault_closed", closed_kind(event.fault.outcome), fault_json(event.fault))
         elif isinstance(event, ActionEvent):
-            yield at, "action", "ESCALATED" if event.phase.value == "escalated" else "ACTION", self._action(event)
+            yield (at, "action", "ESCALATED" if event.phase.value == "escalated" else "ACTION", self._action(event))
         elif isinstance(event, Note):
             yield at, "note", note_kind(event.kind), {"text": event.text}
         elif isinstance(event, ReportStarted):
@@ -113,7 +113,7 @@ class Log(Reporter):
         elif isinstance(event, Report):
             self._slots = {state.unit: state.slot for state in event.units}
             for state in event.units:
-                yield at, "unit", unit_kind(state), {**_unit(state), "number": event.number}
+                yield (at, "unit", unit_kind(state), {**_unit(state), "number": event.number})
             yield at, "report", "REPORT", _report(event)
 
     def _action(self, event: ActionEvent) -> dict[str, Any]:

@@ -35,7 +35,7 @@ class RotatingLines:
 
     def __init__(self, path: str, *, max_size: int, files: int, clock: Clock, lost_line: LostLine) -> None:
         self.path = path
-        self._max_size, self._files, self._clock, self._lost_line = max_size, files, clock, lost_line
+        self._max_size, self._files, self._clock, self._lost_line = (max_size, files, clock, lost_line)
         self._fd = -1
         self._size = 0
         self._torn = False

@@ -55,7 +55,7 @@ def unhealthy(document: dict[str, Any], *, now_mono: float | None = None) -> str
     if isinstance(written, bool) or not isinstance(written, (int, float)):
         return "the status does not say when it was written: something other than PHM wrote it"
     age_s = (time.monotonic() if now_mono is None else now_mono) - written
-    if age_s < 0:
+    if not age_s >= 0:  # from the future, or not a number
         return "the status was written before the machine's last start: PHM is not running"
     if age_s > MAX_AGE_S:
         return f"the status is {age_s:.0f} s old, at most {MAX_AGE_S:.0f} s are allowed: PHM has stopped or hangs"

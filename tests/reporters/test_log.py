@@ -134,7 +134,9 @@ def test_text_from_outside_cannot_forge_an_event(tmp_path: Path) -> None:
 def test_an_event_without_bound_is_cut(tmp_path: Path, char: str) -> None:
     """However much a check says, a line fits into the smallest log, stays JSON and is marked."""
     long = char * 100_000
-    huge = unit("nodes/a", Slot.NODES, Level.ERROR, long, brief=long, condition=long, values={f"k{n}": n for n in range(5000)})
+    huge = unit(
+        "nodes/a", Slot.NODES, Level.ERROR, long, brief=long, condition=long, values={f"k{n}": n for n in range(5000)}
+    )
     lines = written(tmp_path, transition(huge), opened(huge), Note(at(), "PHM", long))
     assert len(lines) == 3
     assert all(line["cut"] is True for line in lines)
@@ -156,7 +158,12 @@ def test_lost_lines_leave_a_line_that_explains_the_gap(tmp_path: Path) -> None:
     log.tick()
     assert log.problem() == ""
     lines = list(journal.read(tmp_path / "logs"))
-    assert (lines[0]["event"], lines[0]["lines"], lines[0]["seq"], lines[0]["reason"]) == ("lost", 10, 10, "File exists")
+    assert (lines[0]["event"], lines[0]["lines"], lines[0]["seq"], lines[0]["reason"]) == (
+        "lost",
+        10,
+        10,
+        "File exists",
+    )
     assert [line["seq"] for line in lines] == list(range(10, RING_LINES + 11))
     text = (tmp_path / "logs" / "phm.log").read_text().splitlines()
     assert text[0] == "2026-03-01 12:00:08.123 ---- PHM: 9 lines before this one were lost: File exists"
@@ -203,9 +210,11 @@ def test_sigkill_loses_no_line_that_was_handed_over(tmp_path: Path) -> None:
                 break
         handed_over = 500 + len(process.stdout.read().split())
     recorded = [int(line["text"]) for line in journal.read(tmp_path) if line["event"] == "note"]
-    assert recorded[: handed_over] == list(range(1, handed_over + 1))
+    assert recorded[:handed_over] == list(range(1, handed_over + 1))
     assert len(recorded) - handed_over in (0, 1)
-    text = [line.rpartition(" ")[2] for file in journal.files(tmp_path / "phm.log") for line in file.read_text().split("\n")]
+    text = [
+        line.rpartition(" ")[2] for file in journal.files(tmp_path / "phm.log") for line in file.read_text().split("\n")
+    ]
     assert [int(number) for number in text if number][:handed_over] == list(range(1, handed_over + 1))
 
 

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -45,7 +46,9 @@ def test_rotation_keeps_the_newest_files(tmp_path: Path) -> None:
 
 
 @given(
-    lengths=st.lists(st.integers(0, 99), max_size=80), files=st.integers(1, 4), reopen=st.lists(st.booleans(), min_size=80)
+    lengths=st.lists(st.integers(0, 99), max_size=80),
+    files=st.integers(1, 4),
+    reopen=st.lists(st.booleans(), min_size=80),
 )
 def test_all_files_together_never_exceed_the_cap(
     tmp_path_factory: pytest.TempPathFactory, lengths: list[int], files: int, reopen: list[bool]
@@ -139,7 +142,7 @@ def test_the_back_off_doubles_up_to_its_limit(tmp_path: Path, monkeypatch: pytes
     for _ in range(1000):
         clock.advance(0.5)
         lines.retry()
-    gaps = [later - earlier for earlier, later in zip(tries, tries[1:], strict=False)]
+    gaps = [later - earlier for earlier, later in pairwise(tries)]
     assert gaps[:6] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0]
     assert set(gaps[6:]) == {LAST_RETRY_S}
 

@@ -1,0 +1,111 @@
+"""The status file, from which `phm status` and the container's HEALTHCHECK read how the running daemon does.
+
+Written atomically to ``run_dir/status.json`` every second and on change; removed at the end. When to believe
+it is `phm.wire.status_file`; its keys are in `docs/cli.md`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections import deque
+from typing import Any
+
+from phm import __version__
+from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Report, Transition
+from phm.reporters.base import Reporter, ReporterContext
+from phm.wire.report import fault_json, iso, report_json
+from phm.wire.status_file import NAME, place
+from phm.wire.status_word import status_word
+
+VERSION = 1
+CLOSED_FAULTS = 20
+ALONG_S = 0.1
+"""Changes within this time of the last writing wait for the next tick, so that a burst costs one writing."""
+_OPEN_FAULTS = 256
+
+
+class Status(Reporter):
+    """Keeps `run_dir/status.json` fresh."""
+
+    name = "status"
+    period_s = 1.0
+    kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, Report)
+
+    def __init__(self, context: ReporterContext) -> None:
+        self._context = context
+        self._path = os.path.join(context.settings.run_dir, NAME)
+        self._place = place()
+        self._open: dict[str, Fault] = {}
+        self._closed: deque[Fault] = deque(maxlen=CLOSED_FAULTS)
+        self._written_at = float("-inf")
+        self._problem = ""
+
+    @classmethod
+    def build(cls, context: ReporterContext) -> Status:
+        return cls(context)
+
+    def handle(self, event: Event) -> None:
+        if isinstance(event, FaultOpened):
+            self._open[event.fault.id] = event.fault
+            if len(self._open) > _OPEN_FAULTS:
+                del self._open[next(iter(self._open))]
+        elif isinstance(event, FaultClosed):
+            self._open.pop(event.fault.id, None)
+            self._closed.append(event.fault)
+        if self._context.clock.mono() - self._written_at >= ALONG_S:
+            self._write()
+
+    def tick(self) -> None:
+        self._write()
+
+    def close(self) -> None:
+        # A file that stays would be refused after 5 s anyway; without it the reason is plain at once.
+        with contextlib.suppress(OSError):
+            os.unlink(self._path)
+
+    def problem(self) -> str:
+        return self._problem
+
+    def _write(self) -> None:
+        self._written_at = self._context.clock.mono()
+        temporary = f"{self._path}.{os.getpid()}.tmp"
+        try:
+            os.makedirs(os.path.dirname(self._path), exist_ok=True)
+            with open(temporary, "w", encoding="ascii") as stream:
+                json.dump(self._document(), stream, default=str)
+                os.fchmod(stream.fileno(), 0o644)
+            os.replace(temporary, self._path)
+            self._problem = ""
+        except OSError as error:
+            self._problem = f"cannot write {self._path}: {error.strerror or error}; `phm status` does not work"
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+
+    def _document(self) -> dict[str, Any]:
+        context = self._context
+        states = context.states()
+        now = context.clock.stamp()
+        agent = context.settings.agent
+        blocked: dict[str, list[str]] = {}
+        for state in states:
+            if state.blocked_by:
+                blocked.setdefault(state.blocked_by, []).append(state.unit)
+        opened = [fault_json(fault, blocks=blocked.get(fault.unit, ())) for fault in self._open.values()]
+        return {
+            "v": VERSION,
+            **report_json(agent.name, states),
+            "agent_id": agent.id,
+            "boot_id": context.boot_id,
+            "pid": os.getpid(),
+            **self._place,
+            "version": __version__,
+            "written_utc": iso(now.utc),
+            "written_mono": now.mono,
+            "interval_s": context.settings.interval,
+            "alive": context.alive(),
+            "status_word": status_word(states),
+            "faults": {"open": opened, "closed": [fault_json(fault) for fault in self._closed]},
+            "health": context.health(),
+        }

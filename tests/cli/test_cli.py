@@ -1,0 +1,391 @@
+"""The command line: what each verb prints, how it ends, and what it costs to start."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+import phm
+from phm.cli import VERBS, group
+from phm.clock import SystemClock
+from phm.model import Level, Outcome, Slot, UnitState
+from phm.reporters.status import Status
+from phm.settings import Settings
+from tests.fakes.records import closed, context, opened, unit
+
+ROOT = Path(phm.__file__).parents[1]
+DEAD = unit("nodes/agent_1/node_1", Slot.NODES, Level.ERROR, "Node /agent_1/node_1 is not running", brief="node_1 dead")
+BLOCKED = unit("topics/agent_1/topic_1", Slot.TOPICS, Level.STALE, blocked_by=DEAD.unit)
+WELL = unit("host", Slot.HOST, summary="Host is calm")
+HEALTH = {
+    "uptime_s": 3725.0,
+    "overdue": [],
+    "dropped": {"log": 3},
+    "problems": ["log: no space left"],
+    "ros_restarts": 2,
+    "links": [{"name": "gcs", "open": False, "error": "refused"}, {"name": "fc", "open": True, "error": ""}],
+}
+
+
+def invoke(*arguments: str, **environment: str) -> Result:
+    return CliRunner().invoke(group, arguments, env={"COLUMNS": "200", **environment}, prog_name="phm")
+
+
+def phm_process(
+    *arguments: str, path: Path | None = None, environment: dict[str, str] | None = None, before: tuple[str, ...] = ()
+) -> subprocess.CompletedProcess[str]:
+    """The real thing, in a process of its own; `path` goes before everything else on its module path."""
+    places = [*([str(path)] if path else []), str(ROOT), str(ROOT / "checks")]
+    return subprocess.run(
+        [sys.executable, *before, "-m", "phm.cli", *arguments],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(places), **(environment or {})},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def running(run_dir: Path, *states: UnitState, alive: bool = True) -> Status:
+    """A status as a daemon in this process writes it, with one fault open and one healed."""
+    parts = context(
+        Settings(run_dir=str(run_dir)),
+        clock=SystemClock(),
+        states=lambda: states,
+        alive=lambda: alive,
+        health=lambda: HEALTH,
+    )
+    status = Status.build(parts)
+    if DEAD in states:
+        status.handle(opened(DEAD))
+        status.handle(opened(DEAD, "ab12-0"))
+        status.handle(closed(DEAD, Outcome.RESOLVED, "restart", 4.5, "ab12-0"))
+    status.tick()
+    return status
+
+
+# ---------------------------------------------------------------- the group
+
+
+def test_help_of_each_verb_says_what_it_does_with_an_example() -> None:
+    """The group's table agrees with the first line of each verb, and each verb shows an example."""
+    for verb, line in VERBS.items():
+        command = import_module(f"phm.cli.{verb}").command
+        assert (command.help or "").partition("\n")[0] == line
+        shown = invoke(verb, "--help")
+        assert shown.exit_code == 0
+        assert f"phm {verb}" in shown.output.partition("Example")[2], f"{verb} has no example"
+        assert line in invoke("--help").output
+
+
+def test_version_is_the_packages(tmp_path: Path) -> None:
+    """`-V` and `--version` print one line."""
+    assert invoke("-V").output == invoke("--version").output == f"phm {phm.__version__}\n"
+
+
+def test_an_unknown_verb_is_an_error_of_usage() -> None:
+    """Exit code 2, and the word that was not understood."""
+    result = invoke("fly")
+    assert result.exit_code == 2
+    assert "No such command 'fly'" in result.output
+
+
+def test_the_health_check_imports_next_to_nothing(tmp_path: Path) -> None:
+    """`phm status --healthy` runs every few seconds on a Pi: no pydantic, Docker, MAVLink, YAML, rich or rclpy."""
+    running(tmp_path, WELL)
+    done = phm_process("status", "--healthy", "--run-dir", str(tmp_path), before=("-X", "importtime"))
+    assert done.returncode == 0, done.stderr
+    imported = {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines()}
+    assert "click" in imported
+    heavy = {"pydantic", "docker", "pymavlink", "rich", "rclpy", "yaml", "psutil", "serial", "requests", "asyncio"}
+    assert imported.isdisjoint(heavy)
+    ours = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if "| " in line}
+    lean = {"phm.cli", "phm.cli.options", "phm.cli.status", "phm.wire", "phm.wire.status_file"}
+    assert {name for name in ours if name.startswith("phm.")} <= lean
+
+
+def test_an_unforeseen_error_is_one_sentence() -> None:
+    """No traceback unless it is asked for, and exit code 70 (EX_SOFTWARE)."""
+    script = "import phm.cli.status as s, phm.cli; s._look = lambda d: 1 / 0; phm.cli.main(['status'])"
+    plain = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert plain.returncode == os.EX_SOFTWARE
+    assert plain.stderr == ("phm: internal error: ZeroDivisionError: division by zero (PHM_TRACEBACK=1 shows where)\n")
+    full = subprocess.run(
+        [sys.executable, "-c", script], env={**os.environ, "PHM_TRACEBACK": "1"}, capture_output=True, text=True,
+        cwd=ROOT, check=False,
+    )  # fmt: skip
+    assert "Traceback" in full.stderr
+
+
+@pytest.fixture
+def plugin(tmp_path: Path) -> Iterator[Path]:
+    """A third-party package, as pip lays it out: verbs and checks, some of them broken."""
+    info = tmp_path / "acme-1.2.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.2\n")
+    (info / "entry_points.txt").write_text(
+        "[phm.verbs]\nland = acme:land\nbroken = acme_missing:x\nnocommand = acme:number\n"
+        "[phm.checks]\nacme_battery = acme:Battery\nacme_gone = acme_missing:Gone\n"
+    )
+    (tmp_path / "acme.py").write_text(
+        "import click\n"
+        "from phm import api\n"
+        "number = 1\n"
+        "@click.command()\n"
+        "def land():\n"
+        "    'Land.'\n"
+        "    print('landing')\n"
+        "class Battery(api.Check):\n"
+        "    'The battery of the companion computer.'\n"
+        "    name, slot, layer = 'acme_battery', api.Slot.USER_1, api.Layer.CUSTOM\n"
+        "    def run(self, world): return api.ok('fine')\n"
+    )
+    yield tmp_path
+
+
+def test_a_verb_of_another_package_is_found(plugin: Path) -> None:
+    """One entry point in `phm.verbs` is all it takes; the help names the package."""
+    assert phm_process("land", path=plugin).stdout == "landing\n"
+    shown = phm_process("--help", path=plugin).stdout
+    assert "land" in shown
+    assert "From acme." in shown
+
+
+def test_a_broken_verb_of_another_package_says_why(plugin: Path) -> None:
+    """The cause is told in one sentence, and our own verbs go on."""
+    broken = phm_process("broken", path=plugin)
+    assert broken.returncode == 1
+    assert broken.stderr == (
+        "Error: verb 'broken' from 'acme_missing:x' cannot be loaded: "
+        "ModuleNotFoundError: No module named 'acme_missing'\n"
+    )
+    assert "is no click command" in phm_process("nocommand", path=plugin).stderr
+    assert phm_process("--version", path=plugin).returncode == 0
+
+
+# ---------------------------------------------------------------- checks
+
+
+def test_checks_lists_what_is_installed_and_what_is_broken(plugin: Path) -> None:
+    """Name, slot, layer, package and description; a check that cannot be loaded keeps its cause, exit code 1."""
+    done = phm_process("checks", "--json", path=plugin)
+    assert done.returncode == 1
+    rows = {row["name"]: row for row in json.loads(done.stdout)}
+    assert rows["acme_battery"] == {
+        "name": "acme_battery",
+        "slot": 13,
+        "layer": "custom",
+        "source": "acme 1.2",
+        "description": "The battery of the companion computer.",
+        "problem": "",
+    }
+    assert "No module named 'acme_missing'" in rows["acme_gone"]["problem"]
+    table = phm_process("checks", path=plugin).stdout
+    assert "acme_battery" in table
+    assert "not usable: module 'acme_missing' cannot be imported" in table
+
+
+def test_no_checks_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installation that judges nothing must not look well."""
+    monkeypatch.setattr("phm.registry.find", lambda group, base: [])
+    result = invoke("checks")
+    assert result.exit_code == 1
+    assert "No checks are installed" in result.stderr
+
+
+# ---------------------------------------------------------------- status
+
+
+def test_status_shows_faults_first_then_units_links_and_counters(tmp_path: Path) -> None:
+    """What an operator asks first stands first, and levels are words."""
+    running(tmp_path, DEAD, BLOCKED, WELL)
+    result = invoke("status", "--run-dir", str(tmp_path))
+    assert result.exit_code == 0, result.output
+    shown = result.stdout
+    order = [
+        "agent_1 (agent 1), PHM",
+        "up 1 h 2 min",
+        "ab12-1",
+        "Blocks topics/agent_1/topic_1.",
+        "resolved by restart in 4.5 s",
+        "ERROR",
+        "STALE  blocked by nodes/agent_1/node_1",
+        "Host is calm",
+        "Status Array: [-, -, -, -, -, 0, -, -]   1 OK, 0 WARN, 1 ERROR, 1 STALE",
+        "link gcs: closed: refused",
+        "link fc: open",
+        "events dropped: log 3; ROS child restarts: 2",
+        "problem: log: no space left",
+    ]
+    places = [shown.find(text) for text in order]
+    assert -1 not in places, [text for text, place in zip(order, places, strict=True) if place < 0]
+    assert places == sorted(places)
+
+
+def test_output_that_is_no_terminal_has_no_colour(tmp_path: Path) -> None:
+    """Pipes get plain text; a terminal gets colour unless NO_COLOR asks for none."""
+    running(tmp_path, DEAD)
+    assert "\x1b" not in invoke("status", "--run-dir", str(tmp_path)).stdout
+    forced = {"FORCE_COLOR": "1", "TERM": "xterm-256color"}
+    assert "\x1b[1;31m" in invoke("status", "--run-dir", str(tmp_path), **forced).stdout
+    assert "\x1b[1;31m" not in invoke("status", "--run-dir", str(tmp_path), NO_COLOR="1", **forced).stdout
+
+
+def test_text_from_outside_cannot_steer_the_terminal(tmp_path: Path) -> None:
+    """Escape sequences and markup in a summary are shown as they are."""
+    running(tmp_path, unit("host", Slot.HOST, Level.WARN, "\x1b[2J[red]x[/red]\nSUCCESS"))
+    shown = invoke("status", "--run-dir", str(tmp_path)).stdout
+    assert r"\x1b[2J[red]x[/red]\nSUCCESS" in shown
+
+
+def test_status_as_json_adds_the_verdict(tmp_path: Path) -> None:
+    """The file as it is, and whether it is to be believed."""
+    running(tmp_path, DEAD)
+    seen = json.loads(invoke("status", "--json", "--run-dir", str(tmp_path)).stdout)
+    assert (seen["agent"], seen["healthy"], seen["problem"]) == ("agent_1", True, "")
+    missing = invoke("status", "--json", "--run-dir", str(tmp_path / "none"))
+    assert missing.exit_code == 1
+    assert json.loads(missing.stdout)["healthy"] is False
+
+
+def test_healthy_is_about_the_daemon_not_the_vehicle(tmp_path: Path) -> None:
+    """A sidecar that reports a dead node does its work: Docker must not restart it for that."""
+    running(tmp_path, DEAD)
+    result = invoke("status", "--healthy", PHM_RUN_DIR=str(tmp_path))
+    assert (result.exit_code, result.stdout) == (0, "PHM is well: 1 units watched.\n")
+
+
+def test_a_stalled_engine_is_unhealthy(tmp_path: Path) -> None:
+    """A process that still writes but no longer checks is not well."""
+    running(tmp_path, alive=False)
+    result = invoke("status", "--healthy", "--run-dir", str(tmp_path))
+    assert result.exit_code == 1
+    assert result.stderr.startswith("PHM is not well: PHM's engine has stalled")
+
+
+def test_without_a_daemon_status_says_so(tmp_path: Path) -> None:
+    """One sentence on stderr, exit code 1, nothing on stdout."""
+    for flag in ((), ("--healthy",)):
+        result = invoke("status", *flag, "--run-dir", str(tmp_path))
+        assert (result.exit_code, result.stdout) == (1, "")
+        assert len(result.stderr.splitlines()) == 1
+        assert "PHM is not running" in result.stderr
+
+
+DAEMON = """
+import sys, time
+from phm.clock import SystemClock
+from phm.reporters.base import ReporterContext
+from phm.reporters.status import Status
+from phm.settings import Settings
+status = Status.build(
+    ReporterContext(Settings(run_dir=sys.argv[1]), SystemClock(), "b", tuple, lambda: True, dict))
+status.tick()
+print("written", flush=True)
+sys.stdin.readline()
+"""
+
+
+def test_what_a_killed_daemon_left_is_never_healthy(tmp_path: Path) -> None:
+    """After SIGKILL the file is still there and fresh, and `--healthy` says no all the same."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", DAEMON, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    with process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "written\n"
+        assert phm_process("status", "--healthy", "--run-dir", str(tmp_path)).returncode == 0
+        process.send_signal(signal.SIGKILL)
+        process.wait(10)
+        assert (tmp_path / "status.json").exists()
+        done = phm_process("status", "--healthy", "--run-dir", str(tmp_path))
+        assert done.returncode == 1
+        assert "PHM was killed" in done.stderr
+        shown = phm_process("status", "--run-dir", str(tmp_path))
+        assert shown.returncode == 1
+        assert "What follows is old." in shown.stdout
+
+
+def test_watch_shows_the_status_until_interrupted(tmp_path: Path) -> None:
+    """`--watch` prints again and again, and Ctrl-C is an orderly end."""
+    status = running(tmp_path, DEAD)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        [sys.executable, "-m", "phm.cli", "status", "--watch", "--run-dir", str(tmp_path)],
+        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        seen = 0
+        for line in process.stdout:
+            status.tick()
+            seen += "Status Array" in line
+            if seen == 2:
+                break
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=20)
+    assert (process.returncode, errors) == (0, "")
+
+
+def test_the_ways_to_show_exclude_each_other(tmp_path: Path) -> None:
+    """Two of --json, --healthy, --watch are an error of usage."""
+    assert invoke("status", "--json", "--healthy").exit_code == 2
+
+
+# ---------------------------------------------------------------- once and run
+
+
+def with_daemon(monkeypatch: pytest.MonkeyPatch, **functions: Any) -> None:
+    """Settings without a file, and the daemon's functions replaced."""
+    monkeypatch.setattr("phm.config.load", lambda path: Settings())
+    for name, function in functions.items():
+        monkeypatch.setattr(f"phm.daemon.{name}", function)
+
+
+def test_once_prints_the_report_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The keys of the issue, first of all; exit code 1 since a check says ERROR."""
+    with_daemon(monkeypatch, once=lambda settings: (DEAD, BLOCKED, WELL))
+    result = invoke("once", "--json")
+    assert result.exit_code == 1
+    seen = json.loads(result.stdout)
+    assert list(seen) == ["agent", "status_array", "slots", "checks"]
+    assert seen["slots"] == {"6": "ERROR", "7": "STALE", "9": "OK"}
+    keys = ["id", "slot", "layer", "level", "summary", "blocked_by", "duration_ms"]
+    assert [list(check)[:7] for check in seen["checks"]] == [keys] * 3
+    assert [check["level"] for check in seen["checks"]] == ["ERROR", "STALE", "OK"]
+
+
+def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slots in order, level words, array; exit code 0 when nothing says ERROR, though something is not known."""
+    with_daemon(monkeypatch, once=lambda settings: (WELL, BLOCKED))
+    result = invoke("once")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.index("blocked by") < result.stdout.index("Host is calm")
+    assert "Status Array: [-, -, -, -, -, -, -, -]" in result.stdout
+
+
+def test_run_ends_with_the_daemons_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What `phm.daemon.run` returns is the exit code."""
+    with_daemon(monkeypatch, run=lambda settings: 3)
+    assert invoke("run").exit_code == 3
+
+
+@pytest.mark.parametrize("verb", ["run", "once"])
+def test_a_bad_configuration_ends_before_anything_is_opened(verb: str, tmp_path: Path) -> None:
+    """Exit code 78, the problems on stderr, no traceback, nothing on stdout."""
+    bad = tmp_path / "phm.yaml"
+    bad.write_text("agent: {id: 51}\nintervall: 3\n")
+    done = phm_process(verb, "-c", str(bad))
+    assert (done.returncode, done.stdout) == (78, "")
+    assert "intervall" in done.stderr
+    assert "51" in done.stderr
+    assert "Traceback" not in done.stderr

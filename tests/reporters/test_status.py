@@ -1,0 +1,167 @@
+"""The status file says how the daemon does, and cannot be mistaken when the daemon is gone."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.model import Level, Outcome, Slot, UnitState
+from phm.reporters.status import ALONG_S, CLOSED_FAULTS, Status
+from phm.settings import Settings
+from phm.testing import FakeClock
+from phm.wire import status_file
+from tests.fakes.records import closed, context, opened, transition, unit
+
+DEAD = unit("nodes/agent_1/node_1", Slot.NODES, Level.ERROR, "Node is not running", brief="node_1 dead")
+BLOCKED = unit("topics/agent_1/topic_1", Slot.TOPICS, Level.STALE, blocked_by=DEAD.unit)
+
+
+def make(run_dir: Path, states: tuple[UnitState, ...] = (), **parts: Any) -> Status:
+    return Status.build(context(Settings(run_dir=str(run_dir)), states=lambda: states, **parts))
+
+
+def document(run_dir: Path) -> dict[str, Any]:
+    return status_file.read(str(run_dir))
+
+
+def fresh(tmp_path: Path, **changes: Any) -> dict[str, Any]:
+    """A status that a healthy daemon in this process wrote just now, with `changes`."""
+    make(tmp_path, clock=SystemClock()).tick()
+    return {**document(tmp_path), **changes}
+
+
+def test_the_status_holds_the_report_the_faults_and_phm_itself(tmp_path: Path) -> None:
+    """Everything that `phm status` shows is in one file that everyone may read."""
+    status = make(tmp_path / "run", (DEAD, BLOCKED), health=lambda: {"uptime_s": 4.0})
+    status.handle(opened(DEAD))
+    seen = document(tmp_path / "run")
+    assert (seen["v"], seen["agent"], seen["agent_id"], seen["boot_id"]) == (1, "agent_1", 1, "boot12345678")
+    assert (seen["pid"], seen["alive"], seen["written_mono"]) == (os.getpid(), True, 1000.0)
+    assert seen["status_array"] == [None, None, None, None, None, 0, None, None]
+    assert [check["id"] for check in seen["checks"]] == [DEAD.unit, BLOCKED.unit]
+    assert seen["faults"]["open"][0]["blocks"] == [BLOCKED.unit]
+    assert seen["health"] == {"uptime_s": 4.0}
+    assert isinstance(seen["status_word"], int)
+    assert stat.S_IMODE((tmp_path / "run" / "status.json").stat().st_mode) == 0o644
+
+
+def test_closed_faults_are_kept_up_to_twenty(tmp_path: Path) -> None:
+    """A closed fault moves from open to closed with its outcome; the oldest go first."""
+    status = make(tmp_path)
+    for number in range(CLOSED_FAULTS + 3):
+        status.handle(opened(DEAD, f"f{number}"))
+        status.handle(closed(DEAD, Outcome.RESOLVED, "restart", 2.0, f"f{number}"))
+    status.tick()
+    faults = document(tmp_path)["faults"]
+    assert faults["open"] == []
+    assert [fault["fault"] for fault in faults["closed"]] == [f"f{number}" for number in range(3, 23)]
+    assert faults["closed"][0]["by"] == "restart"
+
+
+def test_a_change_is_written_at_once_and_a_burst_once(tmp_path: Path) -> None:
+    """The first event writes; what follows within a tenth of a second waits for the tick."""
+    clock = FakeClock()
+    level: list[UnitState] = []
+    status = Status.build(context(Settings(run_dir=str(tmp_path)), clock=clock, states=lambda: tuple(level)))
+    status.handle(transition(DEAD))
+    level.append(DEAD)
+    clock.advance(ALONG_S / 2)
+    status.handle(transition(DEAD))
+    assert document(tmp_path)["checks"] == []
+    status.tick()
+    assert len(document(tmp_path)["checks"]) == 1
+
+
+def test_a_reader_never_sees_half_a_status(tmp_path: Path) -> None:
+    """Writing replaces the file: a reader that has it open keeps the whole old one, and no temporary stays."""
+    status = make(tmp_path)
+    status.tick()
+    with (tmp_path / "status.json").open() as old:
+        status.tick()
+        assert json.load(old)["v"] == 1
+    assert [entry.name for entry in tmp_path.iterdir()] == ["status.json"]
+
+
+def test_the_status_goes_with_an_orderly_end(tmp_path: Path) -> None:
+    """`close` removes the file, and does not mind when it is gone."""
+    status = make(tmp_path)
+    status.tick()
+    status.close()
+    status.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unwritable_run_dir_is_a_problem_and_no_crash(tmp_path: Path) -> None:
+    """The reporter says what is wrong, goes on, and recovers."""
+    (tmp_path / "run").write_text("a file in the way")
+    status = make(tmp_path / "run")
+    status.tick()
+    assert "status.json: File exists; `phm status` does not work" in status.problem()
+    (tmp_path / "run").unlink()
+    status.tick()
+    assert status.problem() == ""
+
+
+def test_a_fresh_status_of_a_living_process_is_healthy(tmp_path: Path) -> None:
+    """Written now, on this boot, alive, by a process that exists."""
+    assert status_file.unhealthy(fresh(tmp_path)) == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"alive": False}, "engine has stalled"),
+        ({"alive": "yes"}, "engine has stalled"),
+        ({"machine_boot": "another-boot"}, "before the machine's last start"),
+        ({"written_mono": None}, "does not say when"),
+        ({"written_mono": True}, "does not say when"),
+        ({"written_mono": 1e12}, "before the machine's last start"),
+        ({"written_mono": float("nan")}, "before the machine's last start"),
+    ],
+)
+def test_a_status_that_proves_nothing_is_unhealthy(tmp_path: Path, changes: dict[str, Any], reason: str) -> None:
+    """Each condition is needed; what is missing or odd counts as unhealthy."""
+    assert reason in status_file.unhealthy(fresh(tmp_path, **changes))
+
+
+def test_a_status_is_believed_for_five_seconds(tmp_path: Path) -> None:
+    """Age is measured on the monotonic clock: setting the clock of the day changes nothing."""
+    seen = fresh(tmp_path, written_utc="1970-01-01T00:00:00.000Z", written_mono=500.0)
+    assert status_file.unhealthy(seen, now_mono=505.0) == ""
+    assert "6 s old" in status_file.unhealthy(seen, now_mono=506.0)
+
+
+def test_the_status_of_a_killed_process_is_unhealthy_at_once(tmp_path: Path) -> None:
+    """Gone, or dead and not yet collected by its parent: both are seen before the file grows old."""
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        seen = fresh(tmp_path, pid=process.pid)
+        assert status_file.unhealthy(seen) == ""
+        process.kill()
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        assert "is gone" in status_file.unhealthy(seen)
+    assert "is gone" in status_file.unhealthy(seen)
+
+
+def test_a_process_of_another_pid_namespace_is_not_looked_for(tmp_path: Path) -> None:
+    """Read from the host, the number means another process; freshness alone decides."""
+    assert status_file.unhealthy(fresh(tmp_path, pid=2**22 + 1, pid_namespace="pid:[1]")) == ""
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [("{", "is not JSON"), ("[]", "is not a PHM status"), ("\xff", "is not JSON"), (None, "there is no")],
+)
+def test_no_status_has_a_reason(tmp_path: Path, content: str | None, reason: str) -> None:
+    """Missing, torn and foreign files are told apart, each in one sentence."""
+    if content is not None:
+        (tmp_path / "status.json").write_bytes(content.encode("latin-1"))
+    with pytest.raises(status_file.NoStatus, match=reason):
+        status_file.read(str(tmp_path))
