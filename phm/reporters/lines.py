@@ -32,15 +32,15 @@ MAX_BYTES = 8000
 
 NOTE_KINDS = ("ACTION", "DOCKER", "INJECT", "PHM")
 _KINDS = {Level.OK: "SUCCESS", Level.WARN: "WARNING", Level.ERROR: "FAILURE", Level.STALE: "STALE"}
-# How several OK units of one check read as one line; {n} of them, when they are all that the check has.
-_ALL_WELL = {
-    Slot.CONTAINER: "All {n} containers are well",
-    Slot.FILES: "All {n} file checks passed",
-    Slot.NETWORK: "All {n} network checks passed",
-    Slot.DEVICES: "Found all {n} devices",
-    Slot.NODES: "All {n} required nodes are running",
-    Slot.TOPICS: "All {n} required topics are present",
-    Slot.RATES: "All {n} topics have their rate",
+# How several well units of one check read as one line: what they are, and what is well about them.
+_WELL = {
+    Slot.CONTAINER: ("containers", "are well"),
+    Slot.FILES: ("file checks", "passed"),
+    Slot.NETWORK: ("network checks", "passed"),
+    Slot.DEVICES: ("device checks", "passed"),
+    Slot.NODES: ("required nodes", "are running"),
+    Slot.TOPICS: ("required topics", "are present"),
+    Slot.RATES: ("topics", "have their rate"),
 }
 _REMEMBERED = 64
 
@@ -173,7 +173,13 @@ def _check_lines(at: Stamp, states: Sequence[UnitState]) -> Iterator[str]:
 
 def _folded(well: Sequence[UnitState], of_all: int) -> str:
     first = well[0]
-    names = ", ".join(state.unit.partition("/")[2] or state.unit for state in well)
-    if len(well) < of_all:
-        return f"{len(well)} of {of_all} of {first.check} are well: {names}"
-    return f"{_ALL_WELL.get(first.slot, f'All {{n}} of {first.check} are well').format(n=len(well))}: {names}"
+    what, how = _WELL.get(first.slot, (f"units of {first.check}", "are well"))
+    count = f"All {of_all}" if len(well) == of_all else f"{len(well)} of {of_all}"
+    return f"{count} {what} {how}: {', '.join(map(_named, well))}"
+
+
+def _named(state: UnitState) -> str:
+    """The subject, with its rate where the check measured one, as in Fig. 5: ``agent_1/topic_2: 0.999``."""
+    name = state.unit.partition("/")[2] or state.unit
+    hz = state.result.values.get("hz") if state.slot is Slot.RATES else None
+    return f"{name}: {hz:.3f}" if isinstance(hz, float) else name

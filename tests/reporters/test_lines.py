@@ -47,9 +47,9 @@ def test_a_report_is_written_as_in_figure_5() -> None:
         f"{end} ---- BYPASS: (2) No health check defined for ros_app",
         f"{end} ---- SUCCESS: (3) File check passed: /critical_file",
         f"{end} ---- WARNING: (4) ros_app answers slowly",
-        f"{end} ---- SUCCESS: (5) Found all 2 devices: ros_app/dev/ttyS0, ros_app/dev/ttyS1",
+        f"{end} ---- SUCCESS: (5) All 2 device checks passed: ros_app/dev/ttyS0, ros_app/dev/ttyS1",
         f"{end} ---- FAILURE: (6) Node /agent_1/node_1 is not running",
-        f"{end} ---- SUCCESS: (6) 2 of 3 of nodes are well: agent_1/node_2, agent_1/node_3",
+        f"{end} ---- SUCCESS: (6) 2 of 3 required nodes are running: agent_1/node_2, agent_1/node_3",
         f"{end} ---- STALE: (7) topics/agent_1/topic_1: blocked by nodes/agent_1/node_1",
         f"{end} ---- STALE: (8) rates/agent_1/topic_1: not measured yet",
         f"{end} REPORT Successes: 5, Failures: 1, Status Array: [1, 1, 1, 1, 1, 0, -, -]",
@@ -63,6 +63,22 @@ def test_all_nodes_well_are_one_line() -> None:
     assert lines[1].endswith(
         "---- SUCCESS: (6) All 3 required nodes are running: agent_1/node_1, agent_1/node_2, agent_1/node_3"
     )
+
+
+def test_folded_topics_show_their_rates() -> None:
+    """As in Fig. 5, a rate that was measured stands behind its topic."""
+    rates = (
+        unit("rates/agent_1/topic_1", Slot.RATES, values={"hz": 0.99949}),
+        unit("rates/agent_1/map", Slot.RATES, values={"publishers": 1}),
+    )
+    lines = TextLines().of(Report(at(), 1, at(), rates))
+    assert lines[1].endswith("SUCCESS: (8) All 2 topics have their rate: agent_1/topic_1: 0.999, agent_1/map")
+
+
+def test_checks_of_others_are_folded_too() -> None:
+    """A slot without words of its own is named after its check."""
+    units = tuple(unit(f"battery/{n}", Slot.USER_1) for n in (1, 2))
+    assert TextLines().of(Report(at(), 1, at(), units))[1].endswith("(13) All 2 units of battery are well: 1, 2")
 
 
 def test_units_of_another_check_in_the_same_slot_are_not_folded_together() -> None:

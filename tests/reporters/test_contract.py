@@ -1,0 +1,60 @@
+"""`docs/logs.md` is a contract: the keys it names are those that are written."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import phm
+from phm.model import ActionEvent, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
+from phm.reporters.lines import NOTE_KINDS
+from phm.reporters.log import Log
+from phm.reporters.rotating import FIRST_RETRY_S, RING_LINES
+from phm.settings import LogSettings, Settings
+from phm.testing import FakeClock
+from phm.wire import journal
+from tests.fakes.records import at, closed, context, opened, transition, unit
+
+DOCUMENT = Path(phm.__file__).parents[1] / "docs" / "logs.md"
+UNIT = unit("nodes/a", Slot.NODES, Level.ERROR)
+
+
+def documented() -> dict[str, set[str]]:
+    """Keys by event, from the tables of the document; those of every line under `every`."""
+    keys: dict[str, set[str]] = {}
+    for section in DOCUMENT.read_text().split("\n### ")[1:]:
+        title = section.partition("\n")[0]
+        name = "every" if title == "Keys of every line" else title.split("`")[1]
+        keys[name] = set(re.findall(r"^\| `(\w+)` \|", section.partition("\n## ")[0], re.MULTILINE))
+    return keys
+
+
+def written(directory: Path) -> dict[str, set[str]]:
+    """Keys by event of a log in which everything happens."""
+    clock = FakeClock()
+    (directory / "logs").write_text("in the way")
+    log = Log.build(context(Settings(log=LogSettings(directory=str(directory / "logs"))), clock=clock))
+    for _ in range(RING_LINES):
+        log.handle(Note(at(), "PHM", "x"))
+    (directory / "logs").unlink()
+    clock.advance(FIRST_RETRY_S)
+    act = ActionEvent(at(), "f", UNIT.unit, "restart", "ros_app", Phase.STARTED)
+    end = closed(UNIT, Outcome.RESOLVED, "restart", 1.0)
+    for event in (ReportStarted(at(), 1), transition(UNIT), opened(UNIT), act, end, Report(at(), 1, at(), (UNIT,))):
+        log.handle(event)
+    log.close()
+    Log.build(context(Settings(log=LogSettings(directory=str(directory / "logs")))))
+    return {str(line["event"]): set(line) for line in journal.read(directory / "logs")}
+
+
+def test_every_key_that_is_written_is_documented_and_the_other_way_round(tmp_path: Path) -> None:
+    """Each event has its section with exactly its keys; the common keys stand in each line."""
+    wanted = documented()
+    every = wanted.pop("every") - {"cut"}
+    assert written(tmp_path) == {event: keys | every for event, keys in wanted.items()}
+
+
+def test_every_kind_is_documented() -> None:
+    """The words of the text log are in the table of kinds."""
+    table = set(re.findall(r"^\| ([A-Z]+) \|", DOCUMENT.read_text(), re.MULTILINE))
+    assert table >= {*NOTE_KINDS, "SUCCESS", "BYPASS", "WARNING", "FAILURE", "STALE", "RESOLVED", "ESCALATED"}
