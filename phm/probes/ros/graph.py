@@ -1,0 +1,88 @@
+"""What discovery knows: nodes by name, and the endpoints of the topics that are wanted.
+
+Runs in the child alone. Names and counts cost microseconds and are read each tick; the endpoints, with
+node names and QoS, cost 50 us a topic and are read when names or counts changed, and once a second.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from phm.facts import EndpointFact
+
+OWN = "_phm_"
+"""Hidden nodes of this prefix are PHM's own, those of a child that was just replaced included."""
+_UNKNOWN = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
+
+
+class Graph:
+    """The newest view. `nodes`: full name -> how often it is listed; `publishers`, `subscribers`: by topic."""
+
+    def __init__(self, node: Any, topics: Sequence[str], full_s: float) -> None:
+        self._node = node
+        self._topics = tuple(topics)
+        self._full_s = full_s
+        self._next_full_s = 0.0
+        self._counts: tuple[int, ...] = ()
+        self._unsettled = False
+        self.nodes: dict[str, int] = {}
+        self.publishers: dict[str, tuple[EndpointFact, ...]] = {name: () for name in topics}
+        self.subscribers: dict[str, tuple[EndpointFact, ...]] = {name: () for name in topics}
+
+    def look(self, now_s: float) -> bool:
+        """Read what may have changed; True when something did."""
+        nodes = self._read_nodes()
+        counts = self._read_counts()
+        changed = nodes != self.nodes
+        if changed or counts != self._counts or self._unsettled or now_s >= self._next_full_s:
+            self._next_full_s = now_s + self._full_s
+            changed = self._read_endpoints() or changed
+        self.nodes, self._counts = nodes, counts
+        return changed
+
+    def _read_nodes(self) -> dict[str, int]:
+        listed = Counter(
+            full_name(name, namespace)
+            for name, namespace in self._node.get_node_names_and_namespaces()
+            if not name.startswith(OWN)
+        )
+        return dict(sorted(listed.items()))
+
+    def _read_counts(self) -> tuple[int, ...]:
+        node = self._node
+        return tuple(count(topic) for topic in self._topics for count in (node.count_publishers, node.count_subscribers))
+
+    def _read_endpoints(self) -> bool:
+        publishers = self._ask(self._node.get_publishers_info_by_topic)
+        subscribers = self._ask(self._node.get_subscriptions_info_by_topic)
+        changed = (publishers, subscribers) != (self.publishers, self.subscribers)
+        self.publishers, self.subscribers = publishers, subscribers
+        # An endpoint may be known a moment before the name of its node: look again at the next tick.
+        ends = (*publishers.values(), *subscribers.values())
+        self._unsettled = any(not end.node for topic in ends for end in topic)
+        return changed
+
+    def _ask(self, by_topic: Callable[[str], Iterable[Any]]) -> dict[str, tuple[EndpointFact, ...]]:
+        return {topic: endpoints(by_topic(topic)) for topic in self._topics}
+
+
+def endpoints(infos: Iterable[Any]) -> tuple[EndpointFact, ...]:
+    """rclpy's TopicEndpointInfo as facts, PHM's own left out, in a stable order."""
+    facts = (
+        EndpointFact(
+            node="" if info.node_name in _UNKNOWN else full_name(info.node_name, info.node_namespace),
+            type=info.topic_type,
+            reliability=info.qos_profile.reliability.name.lower(),
+            durability=info.qos_profile.durability.name.lower(),
+        )
+        for info in infos
+        if not info.node_name.startswith(OWN)
+    )
+    return tuple(sorted(facts, key=lambda fact: (fact.node, fact.type)))
+
+
+def full_name(name: str, namespace: str) -> str:
+    """`node_1` in `/agent_1` -> `/agent_1/node_1`."""
+    return f"{namespace.rstrip('/')}/{name}"
