@@ -1,0 +1,184 @@
+"""Looks at device files of the host, through the mount of the host's /dev in PHM's container.
+
+A path such as /dev/ttyACM0 is looked up at `dev_root`/ttyACM0; links such as those of /dev/serial/by-id
+are followed within that tree, because their targets name the host's paths.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import threading
+from pathlib import Path, PurePosixPath
+
+from serial.tools.list_ports_linux import SysFS
+
+from phm.clock import Clock
+from phm.facts import CannotTell, DeviceFact
+from phm.probes.worker import Worker
+from phm.settings import Settings
+
+LOOK_S = 1.5
+"""Deadline of one look; opening a device whose driver is stuck can hang."""
+DESCRIPTION_S = 10.0
+"""How long what a port says about itself is believed."""
+_MOST_DESCRIPTIONS = 64
+_MOST_LINKS = 16
+_DEV = PurePosixPath("/dev")
+_PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "rfcomm*", "ttyS*")
+_OPENING = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
+
+# What the error of an attempt to open says about the device itself: False it is unusable, True it works but
+# somebody has it, None nothing, because it is PHM that may not.
+_ERRORS: dict[int, tuple[bool | None, str]] = {
+    errno.EBUSY: (True, "in use"),
+    errno.EPERM: (None, "the device rules of PHM's own container do not allow opening it"),
+    errno.EACCES: (None, "PHM itself may not open it"),
+    errno.EROFS: (None, "PHM sees it through a read-only mount"),
+    errno.ENXIO: (False, "no driver or device answers behind it"),
+    errno.ENODEV: (False, "no driver or device answers behind it"),
+    errno.EIO: (False, "the device answers with an input/output error"),
+}
+
+
+class Devices:
+    """A `phm.facts.DeviceProbe`. Thread-safe; one call at a time."""
+
+    def __init__(self, settings: Settings, clock: Clock) -> None:
+        self._root = Path(settings.host.dev_root)
+        self._clock = clock
+        self._worker = Worker("devices")
+        self._lock = threading.Lock()
+        self._described: dict[str, tuple[float, str]] = {}
+
+    def look(self, path: str, *, open_it: bool) -> DeviceFact | None:
+        """The device at the host's `path`; the fact's path is the real one, with links followed."""
+        return self._worker.call(lambda: self._look(path, open_it), LOOK_S)
+
+    def serial_ports(self) -> tuple[DeviceFact, ...]:
+        return self._worker.call(self._serial_ports, LOOK_S)
+
+    def _look(self, path: str, open_it: bool) -> DeviceFact | None:
+        if not self._root.is_dir():
+            raise CannotTell(
+                f"the host's /dev is not at {self._root}: mount it there, read-only, or correct host.dev_root"
+            )
+        real = self._resolve(PurePosixPath(os.path.normpath(path)))
+        if real is None:
+            return None
+        place = self._place(real)
+        try:
+            seen = os.stat(place)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            raise CannotTell(f"{path} cannot be looked at: {error.strerror or error}") from error
+        if not stat.S_ISCHR(seen.st_mode):
+            return DeviceFact(str(real), False, 0, 0, None, reason=_kind(seen.st_mode))
+        openable, reason = self._usable(place, seen, open_it)
+        if reason == _GONE:
+            return None
+        major, minor = os.major(seen.st_rdev), os.minor(seen.st_rdev)
+        return DeviceFact(str(real), True, major, minor, openable, reason, self._describe(real.name))
+
+    def _place(self, path: PurePosixPath) -> Path:
+        """Where PHM finds a path of the host: below `dev_root` for /dev, else at the same place."""
+        return self._root / path.relative_to(_DEV) if path.is_relative_to(_DEV) else Path(path)
+
+    def _resolve(self, path: PurePosixPath) -> PurePosixPath | None:
+        """The host's path with links followed as the host would; None for a dangling or endless chain."""
+        parts, done, links = list(path.parts[1:]), PurePosixPath("/"), 0
+        while parts:
+            step = os.path.normpath(done / parts.pop(0))
+            done = PurePosixPath(step)
+            if done == _DEV or not done.is_relative_to(_DEV):
+                continue  # /dev itself is the mount, and nothing outside it is ours to follow
+            try:
+                target = os.readlink(self._place(done))
+            except FileNotFoundError:
+                return None
+            except OSError:
+                continue  # not a link
+            links += 1
+            if links > _MOST_LINKS:
+                return None
+            whole = PurePosixPath(os.path.normpath(done.parent / target))
+            parts = [*whole.parts[1:], *parts]
+            done = PurePosixPath("/")
+        return done
+
+    @staticmethod
+    def _usable(place: Path, seen: os.stat_result, open_it: bool) -> tuple[bool | None, str]:
+        """Whether the device can be used, and why not or why that is not known."""
+        if not seen.st_mode & 0o666:
+            return False, "its mode lets nobody read or write"
+        if not open_it:
+            return None, "" if os.access(place, os.R_OK | os.W_OK) else "PHM itself may not open it"
+        try:
+            os.close(os.open(place, _OPENING))
+        except FileNotFoundError:
+            return None, _GONE
+        except OSError as error:
+            return _ERRORS.get(error.errno or 0, (False, error.strerror or str(error)))
+        return True, ""
+
+    def _serial_ports(self) -> tuple[DeviceFact, ...]:
+        found = []
+        for pattern in _PORTS:
+            for place in sorted(self._root.glob(pattern)):
+                if pattern == "ttyS*" and not _fitted(place.name):
+                    continue  # the kernel makes nodes for ports that the board does not have
+                fact = self._look(f"/dev/{place.name}", open_it=False)
+                if fact is not None and fact.character:
+                    found.append(fact)
+        return tuple(found)
+
+    def _describe(self, name: str) -> str:
+        """What a serial port says about itself, in pyserial's words; empty for anything else."""
+        if not name.startswith(("tty", "rfcomm")):
+            return ""
+        with self._lock:
+            now = self._clock.mono()
+            told = self._described.get(name)
+            if told is not None and now - told[0] < DESCRIPTION_S:
+                return told[1]
+            if len(self._described) >= _MOST_DESCRIPTIONS:
+                self._described.clear()
+            text = _port_words(name)
+            self._described[name] = (now, text)
+            return text
+
+
+_GONE = "gone"
+"""The device vanished between looking and opening."""
+
+
+def _port_words(name: str) -> str:
+    """Product, maker, serial number and USB ids of a port, as far as it tells them."""
+    try:
+        # Only the name counts: pyserial looks it up in /sys/class/tty, which is the host's in a container too.
+        port = SysFS(f"/dev/{name}")
+    except (OSError, TypeError, ValueError):
+        return ""
+    if port.vid is None or port.pid is None:
+        return ""
+    words = [port.product, port.manufacturer, f"serial {port.serial_number}" if port.serial_number else None]
+    return ", ".join([*(str(word) for word in words if word), f"USB {port.vid:04x}:{port.pid:04x}"])
+
+
+def _fitted(name: str) -> bool:
+    """Whether a ttyS port stands for hardware, judged as pyserial does: its subsystem is not `platform`."""
+    try:
+        subsystem = SysFS(f"/dev/{name}").subsystem
+    except (OSError, TypeError, ValueError):
+        return False
+    return subsystem is not None and subsystem != "platform"
+
+
+def _kind(mode: int) -> str:
+    if stat.S_ISDIR(mode):
+        return "a directory; Docker makes one where the source of a bind mount is missing"
+    if stat.S_ISBLK(mode):
+        return "a block device"
+    return "an ordinary file" if stat.S_ISREG(mode) else "neither device nor file"

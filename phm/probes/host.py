@@ -1,0 +1,172 @@
+"""Reads the companion computer: processor, memory, disks, temperature, throttling, clock.
+
+/proc and /sys are not namespaced by Docker, so PHM's container sees the host's figures; disks are those
+that its own mounts lie on.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+
+from phm.clock import Clock
+from phm.facts import CannotTell, DiskFact, HostFact
+from phm.probes.worker import Worker
+from phm.settings import Settings
+
+DISK_S = 1.0
+"""Deadline of one look at one disk."""
+
+# Names by which drivers tell the processor's sensor. Others do not count: a Jetson's PMIC-Die always says
+# 100 degrees, and acpitz is the mainboard.
+_PROCESSOR = re.compile(r"cpu|soc|x86_pkg|coretemp|k10temp|zenpower", re.IGNORECASE)
+
+# Bits of a Raspberry Pi's get_throttled, from its documentation; 16 above: the same, since boot.
+_THROTTLED = (
+    (0, "under-voltage"),
+    (1, "frequency capped"),
+    (2, "throttled"),
+    (3, "soft temperature limit"),
+)
+
+_STA_UNSYNC = 0x40
+
+
+class _Timex(ctypes.Structure):
+    """The head of `struct timex` of <sys/timex.h>, with room for what follows."""
+
+    _fields_ = [
+        ("modes", ctypes.c_int),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_char * 256),
+    ]
+
+
+def clock_synchronized() -> bool | None:
+    """Whether the kernel's clock is disciplined; None when it does not tell.
+
+    Docker's default seccomp profile refuses adjtimex without CAP_SYS_TIME, hence the second source.
+    """
+    try:
+        libc = ctypes.CDLL(None, use_errno=True)
+        timex = _Timex()
+        if libc.adjtimex(ctypes.byref(timex)) >= 0:
+            return not timex.status & _STA_UNSYNC
+    except (OSError, AttributeError):
+        pass
+    return True if os.path.exists("/run/systemd/timesync/synchronized") else None
+
+
+class Host:
+    """A `phm.facts.HostProbe`. `sysfs` is where the kernel's /sys is; tests bring their own."""
+
+    def __init__(self, settings: Settings, clock: Clock, sysfs: Path = Path("/sys")) -> None:
+        self._clock = clock
+        self._sysfs = sysfs
+        self._disks = {path: Worker(f"disk-{path}") for path in settings.host.disks}
+        self._lock = threading.Lock()
+        self._offset: float | None = None
+        psutil.cpu_percent(interval=None)  # the first reading has nothing to compare with, so it is taken here
+
+    def read(self) -> HostFact:
+        """All figures at this moment; raises CannotTell when /proc cannot be read."""
+        with self._lock:
+            try:
+                memory = psutil.virtual_memory()
+                cpu = psutil.cpu_percent(interval=None)
+                load = os.getloadavg()[0]
+            except (OSError, RuntimeError) as error:
+                raise CannotTell(f"the kernel's figures cannot be read ({error}): is /proc mounted?") from error
+            temperature, sensor = self._temperature()
+            return HostFact(
+                cpu_percent=cpu,
+                memory_percent=memory.percent,
+                memory_available_bytes=memory.available,
+                disks=tuple(self._disk(path, worker) for path, worker in self._disks.items()),
+                load_per_core=load / (os.cpu_count() or 1),
+                temperature_c=temperature,
+                temperature_of=sensor,
+                throttled=self._throttled(),
+                clock_synchronized=clock_synchronized(),
+                clock_step_s=self._step(),
+            )
+
+    @staticmethod
+    def _disk(path: str, worker: Worker) -> DiskFact:
+        """One disk, in the manner of `df`: what only root may use counts as neither used nor free."""
+        try:
+            seen = worker.call(lambda: os.statvfs(path), DISK_S)
+        except CannotTell as reason:
+            return DiskFact(path, 0.0, 0, problem=f"{reason}: the mount may hang")
+        except OSError as error:
+            return DiskFact(path, 0.0, 0, problem=f"{error.strerror or error}: is it mounted into PHM?")
+        used = seen.f_blocks - seen.f_bfree
+        usable = used + seen.f_bavail
+        # Some file systems (btrfs) have no fixed number of inodes and say 0.
+        inodes = 100.0 * (seen.f_files - seen.f_ffree) / seen.f_files if seen.f_files else 0.0
+        return DiskFact(path, 100.0 * used / usable if usable else 0.0, seen.f_bavail * seen.f_frsize, inodes)
+
+    def _temperature(self) -> tuple[float | None, str]:
+        """The hottest sensor of the processor in degrees Celsius, with its name."""
+        hottest: float | None = None
+        sensor = ""
+        for name, value in self._sensors():
+            if hottest is None or value > hottest:
+                hottest, sensor = value, name
+        return hottest, sensor
+
+    def _sensors(self) -> Iterator[tuple[str, float]]:
+        """Readings of the processor's sensors; both trees tell thousandths of a degree."""
+        for tree, name_file, pattern in (
+            ("class/thermal", "type", "temp"),
+            ("class/hwmon", "name", "temp*_input"),
+        ):
+            for folder in sorted((self._sysfs / tree).glob("*")):
+                name = _line(folder / name_file)
+                if name is None or not _PROCESSOR.search(name):
+                    continue
+                for file in folder.glob(pattern):
+                    text = _line(file)
+                    if text is not None and re.fullmatch(r"-?\d+", text):
+                        yield name, int(text) / 1000
+
+    def _throttled(self) -> tuple[str, ...] | None:
+        """A Raspberry Pi's reasons to run slower; None on other machines."""
+        for file in self._sysfs.glob("devices/platform/soc*/*firmware/get_throttled"):
+            text = _line(file)
+            if text is None or not re.fullmatch(r"(0x)?[0-9a-fA-F]+", text):
+                continue
+            bits = int(text, 16)
+            now = [f"{word} now" for bit, word in _THROTTLED if bits >> bit & 1]
+            earlier = [
+                f"{word} since boot" for bit, word in _THROTTLED if bits >> (bit + 16) & 1 and not bits >> bit & 1
+            ]
+            return (*now, *earlier)
+        return None
+
+    def _step(self) -> float:
+        """How far UTC moved against the monotonic clock since the last reading, in seconds."""
+        stamp = self._clock.stamp()
+        offset = stamp.utc - stamp.mono
+        step = 0.0 if self._offset is None else offset - self._offset
+        self._offset = offset
+        return step
+
+
+def _line(file: Path) -> str | None:
+    """The first line of a small file of /sys; None when it cannot be read (sensors that sleep say EAGAIN)."""
+    try:
+        with file.open(encoding="ascii", errors="replace") as stream:
+            return stream.readline(200).strip()
+    except OSError:
+        return None
