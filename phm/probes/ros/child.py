@@ -140,7 +140,7 @@ def main() -> int:
     try:
         wanted = decode_wanted(_first_line())
     except ProtocolError as error:
-        print(f"phm ros child: {error}", file=sys.stderr)
+        sys.stderr.write(f"phm ros child: {error}\n")
         return 2
     try:
         watch = Watch(wanted)

@@ -28,8 +28,8 @@ class Graph:
         self._counts: tuple[int, ...] = ()
         self._unsettled = False
         self.nodes: dict[str, int] = {}
-        self.publishers: dict[str, tuple[EndpointFact, ...]] = {name: () for name in topics}
-        self.subscribers: dict[str, tuple[EndpointFact, ...]] = {name: () for name in topics}
+        self.publishers: dict[str, tuple[EndpointFact, ...]] = dict.fromkeys(topics, ())
+        self.subscribers: dict[str, tuple[EndpointFact, ...]] = dict.fromkeys(topics, ())
 
     def look(self, now_s: float) -> bool:
         """Read what may have changed; True when something did."""
@@ -52,7 +52,9 @@ class Graph:
 
     def _read_counts(self) -> tuple[int, ...]:
         node = self._node
-        return tuple(count(topic) for topic in self._topics for count in (node.count_publishers, node.count_subscribers))
+        return tuple(
+            count(topic) for topic in self._topics for count in (node.count_publishers, node.count_subscribers)
+        )
 
     def _read_endpoints(self) -> bool:
         publishers = self._ask(self._node.get_publishers_info_by_topic)

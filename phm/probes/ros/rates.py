@@ -33,7 +33,7 @@ class UnknownType(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One look. sequence: None where the middleware has none. source_ns: publisher's clock. at_s: our monotonic clock."""
+    """One look. sequence: None where the middleware has none. source_ns: publisher's clock. at_s: ours, monotonic."""
 
     sequence: int | None
     source_ns: int

@@ -1,0 +1,308 @@
+"""The daemon's side of the ROS probe: keeps a child process that looks at ROS, and answers from its reports.
+
+Whatever happens to the child, `look` answers at once: with its newest picture, or with `CannotTell` and a
+sentence. A child that exits, falls silent or grows too large is replaced, at longer and longer intervals.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import phm
+from phm.clock import Clock
+from phm.facts import CannotTell, RosFact, TopicFact
+from phm.probes.ros.life import Life
+from phm.probes.ros.protocol import (
+    EXIT_MISSING,
+    Missing,
+    Picture,
+    ProtocolError,
+    Tick,
+    Wanted,
+    WantedTopic,
+    decode,
+    encode_wanted,
+)
+from phm.settings import Settings
+
+NOT_INSTALLED = (
+    "rclpy is not installed here: ROS checks are off; "
+    "on x86-64 install phm-sidecar[ros], elsewhere use an image FROM a ROS base"
+)
+COMMAND = (sys.executable, "-m", "phm.probes.ros.child")
+
+# Defaults that the environment may override.
+_ENVIRONMENT = {
+    # Two arenas instead of one for each of the middleware's threads: 10 MB less.
+    "MALLOC_ARENA_MAX": "2",
+    # numpy comes with rclpy's messages and would start a thread for each core.
+    "OPENBLAS_NUM_THREADS": "1",
+    # The sidecar shares no /dev/shm with the application: over shared memory topics are listed and no data comes.
+    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Deadlines of supervision, in seconds. Tests shorten them."""
+
+    start_s: float = 20.0
+    """From start to the first picture: importing rclpy takes seconds on a small board with an SD card."""
+    silent_s: float = 3.0
+    """Longest time between two messages; the child sends four a second."""
+    weigh_s: float = 1.0
+    backoff_s: float = 0.5
+    backoff_max_s: float = 30.0
+    steady_s: float = 60.0
+    """A child that lived this long starts the back-off anew."""
+    missing_s: float = 60.0
+    """Between attempts where there is no rclpy."""
+    farewell_s: float = 1.0
+    """For a child that is asked to go, before SIGKILL."""
+
+
+class RosProcess:
+    """Implements `phm.facts.RosProbe`.
+
+    `on_change` is called when the set of nodes or of endpoints, or a topic's silence changed, and when the
+    view is lost; `on_note` with a sentence for the log. Both are called from the probe's own thread and
+    must be quick. Everything shared with that thread is guarded by one lock, held for moments only.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        clock: Clock,
+        on_change: Callable[[], None],
+        on_note: Callable[[str], None],
+        environ: Mapping[str, str] | None = None,
+        *,
+        command: Sequence[str] = COMMAND,
+        limits: Limits = Limits(),
+    ) -> None:
+        self._clock = clock
+        self._on_change = on_change
+        self._on_note = on_note
+        self._environ = child_environ(settings, os.environ if environ is None else environ)
+        self._first_line = encode_wanted(wanted(settings))
+        self._max_memory = settings.ros.max_memory
+        self._command = tuple(command)
+        self._limits = limits
+        self._lock = threading.Lock()
+        self._picture: Picture | None = None
+        self._heard_s = 0.0
+        self._why = "the ROS child has not been started yet"
+        self._renew = ""
+        self._closing = False
+        self._restarts = 0
+        self._pid = 0
+        self._last_note = ""
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to look. Returns at once."""
+        self._thread = threading.Thread(target=self._run, name="phm-ros", daemon=True)
+        self._thread.start()
+
+    @property
+    def restarts(self) -> int:
+        """How often the child was replaced because of a fault of its own; not counted: `renew`, no rclpy."""
+        return self._restarts
+
+    @property
+    def pid(self) -> int:
+        """Of the child now; 0 when there is none."""
+        return self._pid
+
+    def look(self) -> RosFact:
+        """The newest picture. Raises CannotTell while there is none that is fresh."""
+        with self._lock:
+            picture, heard_s, why = self._picture, self._heard_s, self._why
+        if picture is None:
+            raise CannotTell(why)
+        age_s = max(0.0, self._clock.mono() - heard_s)
+        if age_s > self._limits.silent_s:
+            raise CannotTell(f"the ROS child has been silent for {age_s:.1f} s and will be replaced")
+        topics = {name: _older(topic, age_s) for name, topic in picture.topics.items()}
+        return RosFact(age_s, picture.up_s + age_s, picture.nodes, topics)
+
+    def renew(self, reason: str) -> None:
+        """Replace the child on purpose: the network changed under it. Returns at once."""
+        with self._lock:
+            self._renew = reason
+        self._poke()
+
+    def close(self) -> None:
+        """End the child and the thread. Safe to call twice."""
+        with self._lock:
+            self._closing = True
+        if self._thread is not None:
+            self._poke()
+            self._thread.join(self._limits.farewell_s + 5.0)
+            self._thread = None
+
+    # ---- the thread
+
+    def _run(self) -> None:
+        backoff_s = self._limits.backoff_s
+        while not self._closing:
+            began_s = self._clock.mono()
+            try:
+                sentence, wait_s = self._one_life()
+            except Exception as error:  # a mistake of ours must not end the supervision
+                sentence, wait_s = f"the ROS probe failed: {error!r}", None
+            if self._clock.mono() - began_s >= self._limits.steady_s:
+                backoff_s = self._limits.backoff_s
+                self._last_note = ""
+            if wait_s is None:
+                wait_s, backoff_s = backoff_s, min(2 * backoff_s, self._limits.backoff_max_s)
+                self._restarts += 1
+            self._lose(sentence)
+            self._pause(wait_s)
+        self._lose("the ROS probe is closed")
+
+    def _one_life(self) -> tuple[str, float | None]:
+        """Start a child and follow it to its end: why it ended, and how long to wait (None: back off)."""
+        with self._lock:
+            self._why = "the ROS child is starting" if self._restarts == 0 else f"{self._why}; a new one is starting"
+            self._renew = ""
+        try:
+            life = Life(self._command, self._environ, self._first_line)
+        except OSError as error:
+            return self._told(f"the ROS child cannot be started: {error}"), None
+        self._pid = life.pid
+        missing: list[Missing] = []
+        try:
+            reason = self._attend(life, missing)
+        finally:
+            orderly = self._closing or bool(self._renew)
+            life.end(self._limits.farewell_s if orderly or life.over else 0.0)
+            self._pid = 0
+        if self._closing:
+            return "the ROS probe is closed", 0.0
+        if self._renew:
+            return self._told(f"the ROS child is renewed: {self._renew}"), 0.0
+        if life.exit_code == EXIT_MISSING and missing:
+            return self._told(_missing_sentence(missing[-1])), self._limits.missing_s
+        return self._told(f"the ROS child {reason or life.obituary()}"), None
+
+    def _attend(self, life: Life, missing: list[Missing]) -> str:
+        """Read until it must be replaced; returns why, or nothing when it ended by itself or on request."""
+        heard_s = weighed_s = self._clock.mono()
+        limit_s = self._limits.start_s
+        while not life.over and not self._closing and not self._renew:
+            lines = life.read(min(0.5, limit_s / 2), self._wake)
+            self._drain()
+            now_s = self._clock.mono()
+            for line in lines:
+                try:
+                    message = decode(line)
+                except ProtocolError:
+                    continue  # garbage is no sign of life either
+                heard_s = now_s
+                if isinstance(message, Missing):
+                    missing.append(message)
+                else:
+                    limit_s = self._limits.silent_s
+                    self._take(message, now_s)
+            if now_s - heard_s > limit_s:
+                return f"said nothing for {limit_s:g} s and was killed"
+            if now_s - weighed_s >= self._limits.weigh_s:
+                weighed_s = now_s
+                if (rss := life.rss_bytes()) > self._max_memory:
+                    return f"used {rss / 1e6:.0f} MB, allowed are {self._max_memory / 1e6:.0f} MB, and was killed"
+        return ""
+
+    def _take(self, message: Picture | Tick, now_s: float) -> None:
+        with self._lock:
+            before = self._picture
+            if isinstance(message, Picture):
+                self._picture = message
+            elif before is not None:
+                topics = {name: _silent(topic, message.silent_s.get(name)) for name, topic in before.topics.items()}
+                self._picture = Picture(message.up_s, before.nodes, topics)
+            self._heard_s = now_s
+        if isinstance(message, Picture) and (before is None or _shape(before) != _shape(message)):
+            self._on_change()
+
+    def _lose(self, sentence: str) -> None:
+        with self._lock:
+            had_one = self._picture is not None
+            self._picture = None
+            self._why = sentence
+        if had_one and not self._closing:
+            self._on_change()
+
+    def _pause(self, wait_s: float) -> None:
+        """Wait, unless there is something to do: closing, or a wish to renew."""
+        until_s = self._clock.mono() + wait_s
+        while not self._closing and not self._renew and (left_s := until_s - self._clock.mono()) > 0:
+            if select.select([self._wake], [], [], left_s)[0]:
+                self._drain()
+        self._drain()
+
+    def _told(self, sentence: str) -> str:
+        """Write the sentence to the log, but a repeated one only once: a broken child must not fill the log."""
+        if sentence != self._last_note:
+            self._last_note = sentence
+            self._on_note(sentence)
+        return sentence
+
+    def _poke(self) -> None:
+        os.eventfd_write(self._wake, 1)
+
+    def _drain(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(self._wake)
+
+
+def wanted(settings: Settings) -> Wanted:
+    """What the child is asked for: full names of topics, and which of them have a rate to be measured."""
+    ros = settings.ros
+    topics = tuple(WantedTopic(f"/{topic.name.lstrip('/')}", topic.rate, ros.silence) for topic in ros.topics)
+    return Wanted(agent=settings.agent.name, domain=ros.domain, topics=topics)
+
+
+def child_environ(settings: Settings, environ: Mapping[str, str]) -> dict[str, str]:
+    """The daemon's environment with what the child needs; variables that are set already win."""
+    merged = {**_ENVIRONMENT, **environ}
+    if settings.ros.domain is not None:
+        merged["ROS_DOMAIN_ID"] = str(settings.ros.domain)
+    # The child must run this very PHM, wherever the daemon found it.
+    home = str(Path(phm.__file__).resolve().parent.parent)
+    merged["PYTHONPATH"] = os.pathsep.join(part for part in (merged.get("PYTHONPATH", ""), home) if part)
+    return merged
+
+
+def _missing_sentence(missing: Missing) -> str:
+    if missing.module.partition(".")[0] == "rclpy" and "." not in missing.module:
+        return NOT_INSTALLED
+    return f"rclpy cannot be loaded here: ROS checks are off; {missing.detail}"
+
+
+def _older(topic: TopicFact, age_s: float) -> TopicFact:
+    rate = topic.rate
+    if rate is None or rate.silent_s is None:
+        return topic
+    return replace(topic, rate=replace(rate, silent_s=rate.silent_s + age_s))
+
+
+def _silent(topic: TopicFact, silent_s: float | None) -> TopicFact:
+    return topic if topic.rate is None else replace(topic, rate=replace(topic.rate, silent_s=silent_s))
+
+
+def _shape(picture: Picture) -> object:
+    """What must not change without `on_change`: nodes, endpoints, and whether topics flow."""
+    flows = {
+        name: (topic.publishers, topic.subscribers, topic.rate and (topic.rate.hz == 0.0, topic.rate.problem))
+        for name, topic in picture.topics.items()
+    }
+    return dict(picture.nodes), flows

@@ -1,0 +1,111 @@
+"""The demo application: starts N nodes and is the first process of the application container.
+
+    python -m sitl.app --agent agent_1 --nodes 3 --rate 10
+
+Node i publishes topic_i and subscribes to the topic of the node before it, in the namespace of the agent.
+A dead node is left dead, so that PHM has something to find. Each node's process id is in
+`/tmp/nodes/<node>.pid`, so that a fault can be injected into that node alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD)
+_FAREWELL_S = 3.0
+
+
+class App:
+    """The running nodes. Needs SIGTERM, SIGINT and SIGCHLD blocked in this process (see `main`)."""
+
+    def __init__(self, pid_dir: Path) -> None:
+        self._pid_dir = pid_dir
+        self._nodes: dict[int, str] = {}
+
+    def start(self, name: str, argv: Sequence[str]) -> None:
+        # posix_spawn gives the node a clean signal mask: ours is blocked, and would be inherited.
+        pid = os.posix_spawn(argv[0], list(argv), dict(os.environ), setsigmask=())
+        self._nodes[pid] = name
+        pid_file = self._pid_dir / f"{name}.pid"
+        pid_file.write_text(f"{pid}\n", encoding="ascii")
+        _say(f"{name} started as process {pid}")
+
+    def serve(self) -> None:
+        """Until SIGTERM or SIGINT; dead nodes are reaped, and their pid files removed."""
+        while True:
+            if signal.sigwait(_SIGNALS) != signal.SIGCHLD:
+                return
+            self._reap()
+
+    def stop(self) -> None:
+        """SIGTERM to all, SIGKILL to those that have not gone in time."""
+        for number, patience_s in ((signal.SIGTERM, _FAREWELL_S), (signal.SIGKILL, _FAREWELL_S)):
+            for pid in self._nodes:
+                os.kill(pid, number)
+            until_s = time.monotonic() + patience_s
+            while self._nodes and (left_s := until_s - time.monotonic()) > 0:
+                signal.sigtimedwait((signal.SIGCHLD,), left_s)
+                self._reap()
+
+    def _reap(self) -> None:
+        """All that ended: also orphans, which become the first process's children in a container."""
+        while True:
+            try:
+                pid, status = os.waitpid(-1, os.WNOHANG)
+            except ChildProcessError:
+                return
+            if pid == 0:
+                return
+            name = self._nodes.pop(pid, "")
+            if name:
+                (self._pid_dir / f"{name}.pid").unlink(missing_ok=True)
+                _say(f"{name} ended with {os.waitstatus_to_exitcode(status)}")
+
+
+def node_argv(agent: str, number: int, nodes: int, rate_hz: float) -> list[str]:
+    """The command of node `number` of 1 to `nodes`; each listens to the one before it, the first to the last."""
+    before = (number - 2) % nodes + 1
+    return [
+        sys.executable, "-m", "sitl.node", "--name", f"node_{number}", "--namespace", f"/{agent}",
+        "--publish", f"topic_{number}:{rate_hz:g}", "--subscribe", f"topic_{before}",
+    ]  # fmt: skip
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run until told to stop. Returns the exit code."""
+    options = _options(argv)
+    # Blocked and waited for: the first process of a container has no default signal handling at all.
+    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    options.marker.unlink(missing_ok=True)  # a restart is the cure for what this marker stands for
+    options.pids.mkdir(parents=True, exist_ok=True)
+    app = App(options.pids)
+    for number in range(1, options.nodes + 1):
+        app.start(f"node_{number}", node_argv(options.agent, number, options.nodes, options.rate))
+    app.serve()
+    app.stop()
+    return 0
+
+
+def _options(argv: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m sitl.app", description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--agent", default="agent_1")
+    parser.add_argument("--nodes", type=int, default=3)
+    parser.add_argument("--rate", type=float, default=10.0, help="Hz of every topic")
+    parser.add_argument("--pids", type=Path, default=Path("/tmp/nodes"), help="folder of the pid files")
+    parser.add_argument("--marker", type=Path, default=Path("/tmp/unhealthy"), help="file that breaks the healthcheck")
+    return parser.parse_args(argv)
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(f"app: {text}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
