@@ -89,6 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except Exception as error:
         if os.environ.get("PHM_TRACEBACK"):
             raise
-        detail = f"{type(error).__name__}: {error}".splitlines()[0]
-        print(f"phm: internal error: {detail} (PHM_TRACEBACK=1 shows where)", file=sys.stderr)
+        from phm.wire.text import one_line
+
+        detail = one_line(f"{type(error).__name__}: {error}")
+        click.echo(f"phm: internal error: {detail} (PHM_TRACEBACK=1 shows where)", err=True)
         sys.exit(os.EX_SOFTWARE)

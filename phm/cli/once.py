@@ -6,7 +6,7 @@ import json
 
 import click
 
-from phm.cli.options import config_option, json_option, load_settings
+from phm.cli.options import config_option, json_option, load_settings, loops_are_configuration_errors
 
 
 @click.command(epilog="Example: phm once --json | jq .status_array")
@@ -23,7 +23,9 @@ def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
     from phm import daemon
     from phm.wire.report import report_json
 
-    report = report_json(settings.agent.name, daemon.once(settings))
+    with loops_are_configuration_errors():
+        units = daemon.once(settings)
+    report = report_json(settings.agent.name, units)
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -43,4 +44,16 @@ def load_settings(path: str | None) -> Settings:
         return load(path)
     except ConfigError as error:
         click.echo(str(error), err=True)
+        raise click.exceptions.Exit(EX_CONFIG) from None
+
+
+@contextmanager
+def loops_are_configuration_errors() -> Iterator[None]:
+    """Needs that run in a circle show only once the checks are known; they end like any bad configuration."""
+    from phm.needs import NeedsLoop
+
+    try:
+        yield
+    except NeedsLoop as error:
+        click.echo(f"checks: {error}", err=True)
         raise click.exceptions.Exit(EX_CONFIG) from None

@@ -97,7 +97,7 @@ def _faults(opened: Sequence[Json], closed: Sequence[Json]) -> RenderableType:
     for fault in opened:
         what = _plain(fault["summary"])
         if fault["blocks"]:
-            what.append(one_line(f" Blocks {', '.join(fault['blocks'])}."))
+            what.append("\n" + one_line(f"blocks {', '.join(fault['blocks'])}"))
         table.add_row(fault["fault"], _plain(fault["unit"]), fault["opened"], Text("open", "bold red"), what)
     for fault in reversed(closed[-5:]):
         outcome = f"{fault['outcome']}{' by ' + fault['by'] if fault['by'] else ''} in {fault['duration_s']} s"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from phm.cli.options import config_option, load_settings
+from phm.cli.options import config_option, load_settings, loops_are_configuration_errors
 
 
 @click.command(epilog="Example: phm run -c /etc/phm/phm.yaml")
@@ -22,4 +22,6 @@ def command(ctx: click.Context, config: str | None) -> None:
     logging.basicConfig(level=logging.WARNING, format="phm: %(levelname)s: %(name)s: %(message)s")
     from phm import daemon
 
-    ctx.exit(daemon.run(settings))
+    with loops_are_configuration_errors():
+        code = daemon.run(settings)
+    ctx.exit(code)

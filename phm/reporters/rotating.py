@@ -6,6 +6,7 @@ line handed over survives the death of the process. What cannot be written waits
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
@@ -181,7 +182,6 @@ class RotatingLines:
     def _close(self) -> None:
         if self._fd >= 0:
             fd, self._fd = self._fd, -1
-            try:
+            # The descriptor is gone either way; what could not be written was told by the write.
+            with contextlib.suppress(OSError):
                 os.close(fd)
-            except OSError:
-                pass  # the descriptor is gone either way; a late write error was already told by the write

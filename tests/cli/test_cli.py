@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import phm
 from phm.cli import VERBS, group
 from phm.clock import SystemClock
 from phm.model import Level, Outcome, Slot, UnitState
+from phm.needs import NeedsLoop
 from phm.reporters.status import Status
 from phm.settings import Settings
 from tests.fakes.records import closed, context, opened, unit
@@ -128,7 +128,7 @@ def test_an_unforeseen_error_is_one_sentence() -> None:
 
 
 @pytest.fixture
-def plugin(tmp_path: Path) -> Iterator[Path]:
+def plugin(tmp_path: Path) -> Path:
     """A third-party package, as pip lays it out: verbs and checks, some of them broken."""
     info = tmp_path / "acme-1.2.dist-info"
     info.mkdir()
@@ -150,7 +150,7 @@ def plugin(tmp_path: Path) -> Iterator[Path]:
         "    name, slot, layer = 'acme_battery', api.Slot.USER_1, api.Layer.CUSTOM\n"
         "    def run(self, world): return api.ok('fine')\n"
     )
-    yield tmp_path
+    return tmp_path
 
 
 def test_a_verb_of_another_package_is_found(plugin: Path) -> None:
@@ -216,7 +216,7 @@ def test_status_shows_faults_first_then_units_links_and_counters(tmp_path: Path)
         "agent_1 (agent 1), PHM",
         "up 1 h 2 min",
         "ab12-1",
-        "Blocks topics/agent_1/topic_1.",
+        "blocks topics/agent_1/topic_1",
         "resolved by restart in 4.5 s",
         "ERROR",
         "STALE  blocked by nodes/agent_1/node_1",
@@ -389,3 +389,30 @@ def test_a_bad_configuration_ends_before_anything_is_opened(verb: str, tmp_path:
     assert "intervall" in done.stderr
     assert "51" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("verb", ["run", "once"])
+def test_needs_in_a_circle_end_like_a_bad_configuration(verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They show only when the checks are known: one sentence that names the circle, exit code 78."""
+
+    def loop(settings: Settings) -> int:
+        raise NeedsLoop(["a", "b", "a"])
+
+    with_daemon(monkeypatch, **{verb: loop})
+    result = invoke(verb)
+    assert (result.exit_code, result.stderr) == (78, "checks: needs run in a circle: a -> b -> a\n")
+
+
+# ---------------------------------------------------------------- the page about it
+
+
+def test_the_page_names_every_verb_option_and_key(tmp_path: Path) -> None:
+    """`docs/cli.md` has a section for each verb, and names each option and each key of the status file."""
+    page = (ROOT / "docs" / "cli.md").read_text()
+    for verb in VERBS:
+        assert f"\n## phm {verb}\n" in page
+        for parameter in import_module(f"phm.cli.{verb}").command.params:
+            assert any(option in page for option in parameter.opts), f"{verb} {parameter.opts} is not described"
+    running(tmp_path, WELL)
+    keys = json.loads((tmp_path / "status.json").read_text())
+    assert [key for key in keys if f"`{key}`" not in page] == []
