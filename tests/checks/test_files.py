@@ -1,0 +1,99 @@
+"""Slot 3: rules of the files check."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from phm_checks.files import Files
+
+from phm import api, testing
+
+PATH = "/app/critical_file"
+SUM = "ab" * 32
+
+
+def judge(*wanted: dict[str, Any], files: testing.FakeFiles, running: bool = True) -> api.Result:
+    (check,) = Files.build(testing.settings(containers=[{"name": "ros_app", "files": list(wanted)}]))
+    docker = testing.FakeDocker(*([testing.container("ros_app")] if running else []))
+    result = check.run(testing.world(files=files, docker=docker))
+    assert isinstance(result, api.Result)
+    return result
+
+
+def with_file(**fields: Any) -> testing.FakeFiles:
+    files = testing.FakeFiles()
+    files.put("ros_app", PATH, **fields)
+    return files
+
+
+def test_containers_without_files_have_no_unit() -> None:
+    """Nothing to judge, nothing built."""
+    assert list(Files.build(testing.settings(containers=[{"name": "ros_app"}]))) == []
+
+
+def test_expected_files_are_ok() -> None:
+    """Present, executable, unaltered and absent as configured."""
+    files = with_file(mode=0o755, executable=True, sha256=SUM)
+    result = judge(
+        {"path": PATH, "executable": True, "sha256": SUM.upper()}, {"path": "/app/core", "present": False}, files=files
+    )
+    assert result.level is api.Level.OK
+    assert PATH in result.summary
+
+
+@pytest.mark.parametrize(
+    ("wanted", "fields", "condition", "brief"),
+    [
+        ({}, None, "file_missing", "critical_file missing"),
+        ({"present": False}, {}, "file_unexpected", "critical_file unexpected"),
+        ({"executable": True}, {}, "file_not_executable", "critical_file not executable"),
+        ({"executable": True}, {"kind": "directory", "executable": True}, "file_not_executable", None),
+        ({"sha256": SUM}, {"sha256": "cd" * 32}, "file_altered", "critical_file altered"),
+        ({"sha256": SUM}, {"kind": "directory"}, "file_altered", "critical_file altered"),
+    ],
+)
+def test_each_discrepancy_has_its_condition(
+    wanted: dict[str, Any], fields: dict[str, Any] | None, condition: str, brief: str | None
+) -> None:
+    """What is wrong with a file is told by one word and one line."""
+    files = testing.FakeFiles() if fields is None else with_file(**fields)
+    result = judge({"path": PATH, **wanted}, files=files)
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, condition, "ros_app")
+    assert brief is None or result.brief == brief
+
+
+def test_all_problems_stand_in_one_summary() -> None:
+    """The first problem gives the brief, the summary tells them all."""
+    result = judge({"path": "/a"}, {"path": PATH}, {"path": "/b"}, files=with_file())
+    assert result.brief == "a missing"
+    assert "/a in" in result.summary and "/b in" in result.summary and PATH not in result.summary
+    assert result.values["files_bad"] == 2
+
+
+def test_a_file_that_cannot_be_seen_is_stale() -> None:
+    """Not seeing a file is no proof that it is missing."""
+    files = testing.FakeFiles()
+    files.fail("the container is stopped and no volume covers the path")
+    result = judge({"path": PATH}, files=files)
+    assert result.level is api.Level.STALE
+    assert "no volume covers" in result.summary
+
+
+def test_a_file_without_its_container_is_stale() -> None:
+    """A container that does not exist is one fault, not one per file."""
+    assert judge({"path": PATH}, files=testing.FakeFiles(), running=False).level is api.Level.STALE
+
+
+def test_a_known_problem_outweighs_an_unseen_file() -> None:
+    """One unreadable file does not hide that another is missing."""
+    files = with_file()
+    files.problems["ros_app", PATH] = api.CannotTell("permission denied")
+    result = judge({"path": PATH}, {"path": "/gone"}, files=files)
+    assert result.condition == "file_missing"
+    assert "permission denied" in result.summary
+
+
+def test_a_sum_that_could_not_be_read_is_stale() -> None:
+    """A present file without its digest is not known to be unaltered."""
+    assert judge({"path": PATH, "sha256": SUM}, files=with_file()).level is api.Level.STALE
