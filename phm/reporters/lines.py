@@ -116,18 +116,19 @@ class TextLines:
         what = " ".join(part for part in (event.action, event.target) if part)
         detail = f": {event.detail}" if event.detail else ""
         slot = self._slots.get(event.unit)
+        whom = f" for {event.unit}" if event.unit else ""
         if event.phase is Phase.ESCALATED:
             if event.fault not in self._escalated:
                 self._escalated.append(event.fault)
                 yield _line(event.at, "ESCALATED", slot, f"{event.unit}: PHM has given up{detail}")
             return
         message = {
-            Phase.ADVISED: f"Advised for {event.unit}, not done: {what}{detail}",
-            Phase.REFUSED: f"Not done for {event.unit}: {what}{detail}",
-            Phase.STARTED: f"Attempt {event.attempt} for {event.unit}: {what}{detail}",
-            Phase.DONE: f"Done for {event.unit}: {what}{detail}",
-            Phase.FAILED: f"Failed for {event.unit}: {what}{detail}",
-            Phase.VERIFIED: f"Verified for {event.unit}: {what}{detail}",
+            Phase.ADVISED: f"Advised{whom}, not done: {what}{detail}",
+            Phase.REFUSED: f"Not done{whom}: {what}{detail}",
+            Phase.STARTED: f"Attempt {event.attempt}{whom}: {what}{detail}",
+            Phase.DONE: f"Done{whom}: {what}{detail}",
+            Phase.FAILED: f"Failed{whom}: {what}{detail}",
+            Phase.VERIFIED: f"Verified{whom}: {what}{detail}",
         }[event.phase]
         yield _line(event.at, "ACTION", slot, message)
 

@@ -21,6 +21,8 @@ RING_LINES = 1000
 """Lines kept in memory while the file cannot be written; older ones are dropped and counted."""
 FIRST_RETRY_S = 1.0
 LAST_RETRY_S = 30.0
+HANGS_S = 5.0
+"""A call to the disk that takes longer is told: a dying SD card blocks its writer instead of failing."""
 
 LostLine = Callable[[int, str, bytes], bytes]
 """Makes the line that says how many lines were lost, why, and which the last of them was."""
@@ -46,6 +48,7 @@ class RotatingLines:
         self._reason = ""
         self._failures = 0
         self._retry_at = 0.0
+        self._asked_at: float | None = None
 
     def write(self, line: bytes, *, sync: bool = False) -> None:
         """Append one line (without its newline). `sync` waits until it is on the disk."""
@@ -59,6 +62,7 @@ class RotatingLines:
         """Write what waits, if anything does and the back-off has passed (or `now`)."""
         if not self._ring or (self._reason and not now and self._clock.mono() < self._retry_at):
             return
+        self._asked_at = self._clock.mono()
         try:
             self._open()
             self._drain()
@@ -67,10 +71,15 @@ class RotatingLines:
             self._reason, self._failures = "", 0
         except OSError as error:
             self._failed(error)
+        finally:
+            self._asked_at = None
 
     def problem(self) -> str:
         """A sentence while lines cannot be written, else empty."""
-        reason, waiting, lost = self._reason, len(self._ring), self._lost
+        reason, waiting, lost, asked_at = self._reason, len(self._ring), self._lost, self._asked_at
+        hangs_s = 0.0 if asked_at is None else self._clock.mono() - asked_at
+        if hangs_s > HANGS_S:
+            return f"the disk has not answered for {hangs_s:.0f} s to a write to {self.path}"
         if not reason:
             return ""
         return f"cannot write {self.path}: {reason}; {waiting} lines are kept in memory, {lost} lost"

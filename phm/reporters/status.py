@@ -74,7 +74,7 @@ class Status(Reporter):
         try:
             os.makedirs(os.path.dirname(self._path), exist_ok=True)
             with open(temporary, "w", encoding="ascii") as stream:
-                json.dump(self._document(), stream, default=str)
+                stream.write(json.dumps(self._document(), default=str))  # dump() would encode in Python, 4 times slower
                 os.fchmod(stream.fileno(), 0o644)
             os.replace(temporary, self._path)
             self._problem = ""

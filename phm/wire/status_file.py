@@ -29,7 +29,7 @@ def read(run_dir: str) -> dict[str, Any]:
         raise NoStatus(f"there is no {path}: PHM is not running, or its run_dir is another (see --run-dir)") from None
     except OSError as error:
         raise NoStatus(f"cannot read {path}: {error.strerror}") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         raise NoStatus(f"{path} is not JSON: something other than PHM wrote it") from None
     if not isinstance(document, dict):
         raise NoStatus(f"{path} is not a PHM status: something other than PHM wrote it")

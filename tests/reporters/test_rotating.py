@@ -170,6 +170,23 @@ def test_a_pipe_that_nobody_reads_does_not_hang(tmp_path: Path) -> None:
     assert "Resource temporarily unavailable" in lines.problem()
 
 
+def test_a_disk_that_does_not_come_back_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While a write hangs in the kernel, `problem` says so to whoever asks from another thread."""
+    clock = FakeClock()
+    lines = make(tmp_path / "log", clock)
+    real, told = os.write, []
+
+    def hang(descriptor: int, data: bytes) -> int:
+        clock.advance(60.0)
+        told.append(lines.problem())
+        return real(descriptor, data)
+
+    monkeypatch.setattr(os, "write", hang)
+    lines.write(b"one")
+    assert told == [f"the disk has not answered for 60 s to a write to {tmp_path / 'log'}"]
+    assert lines.problem() == ""
+
+
 def test_a_full_device_keeps_lines_until_there_is_room(tmp_path: Path) -> None:
     """The kernel's own ENOSPC (from /dev/full) is survived, and the lines appear when the log is a file again."""
     clock = FakeClock()
