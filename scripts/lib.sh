@@ -1,0 +1,107 @@
+# Shared by the scripts beside it; sourced, never run. Bash, strict.
+set -euo pipefail
+
+ROOT=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd)
+CACHE="$ROOT/.cache"                            # rebuilt at will; ignored by git
+STATE="${XDG_RUNTIME_DIR:-/tmp}/phm-$(id -u)"   # what we started, for as long as it runs
+LOCKS="$ROOT/scripts/locks"
+PYTHONS=(3.12 3.11 3.13 3.10)                   # the ROS wheels exist for these; 3.12 is Jazzy's own
+export PYTHONDONTWRITEBYTECODE=${PYTHONDONTWRITEBYTECODE-} PIP_DISABLE_PIP_VERSION_CHECK=1
+
+say() { printf '== %s\n' "$*" >&2; }
+
+# One sentence that says what is wrong and what to do, then out.
+fail() {
+  printf 'phm: %s\n' "$*" >&2
+  exit 1
+}
+
+have() { command -v -- "$1" >/dev/null 2>&1; }
+
+am_root() { [[ $(id -u) == 0 ]]; }
+
+# Debian and its children, where we may install packages.
+can_install() { am_root && have apt-get; }
+
+# distribution: the ID of os-release; release: its code name.
+distribution() { (. /etc/os-release && printf '%s' "${ID:-unknown}"); }
+release() { (. /etc/os-release && printf '%s' "${VERSION_CODENAME:-unknown}"); }
+
+# apt_install PACKAGE... : quietly, without questions; another apt that is at work is waited for.
+apt_install() {
+  say "Installing $* with apt"
+  local log
+  log=$(mktemp)
+  if ! { _apt update && _apt install --yes --no-install-recommends "$@"; } >"$log" 2>&1; then
+    tail -n 20 -- "$log" >&2
+    rm -f -- "$log"
+    fail "apt could not install $*: see the lines above; install them by hand and call again."
+  fi
+  rm -f -- "$log"
+}
+
+_apt() { DEBIAN_FRONTEND=noninteractive apt-get --quiet -o DPkg::Lock::Timeout=120 "$@"; }
+
+# wait_until SECONDS COMMAND... : polls the command until it succeeds or the time is up.
+wait_until() {
+  local end=$((SECONDS + $1))
+  shift
+  until "$@" >/dev/null 2>&1; do
+    ((SECONDS < end)) || return 1
+    sleep 0.2
+  done
+}
+
+# digest FILE... : one short hash over names and contents.
+digest() { (cd -- "$ROOT" && sha256sum -- "$@" | sha256sum | cut -c1-16); }
+
+# Prints "VERSION PATH" for each Python of PYTHONS that this machine has and that starts, best first.
+# A pyenv shim for a version that is not chosen exists but does not start, so each is asked.
+pythons() {
+  local version candidate found
+  for version in "${PYTHONS[@]}"; do
+    for candidate in "python$version" "/usr/bin/python$version" \
+      "${PYENV_ROOT:-$HOME/.pyenv}"/versions/"$version".*/bin/python3 python3 /usr/bin/python3; do
+      found=$("$candidate" -c 'import sys; print("%d.%d" % sys.version_info[:2], sys.executable)' 2>/dev/null) || continue
+      [[ ${found%% *} == "$version" ]] || continue
+      printf '%s\n' "$found"
+      break
+    done
+  done
+}
+
+# The Python that the project's own environment is made with. Debian's lacks venv until python3-venv is installed.
+best_python() {
+  local version path
+  while read -r version path; do
+    if "$path" -c 'import ensurepip, venv' 2>/dev/null; then
+      printf '%s' "$path"
+      return
+    fi
+  done < <(pythons)
+  can_install || fail "no Python 3.10 to 3.13 with venv was found: install python3 and python3-venv."
+  apt_install python3 python3-venv
+  read -r version path < <(pythons) || fail "this release has no Python 3.10 to 3.13: install one of them."
+  printf '%s' "$path"
+}
+
+# The archive that apt takes the running release from, as it is set up on this machine.
+mirror_uri() {
+  local uri codename
+  while read -r uri codename; do
+    [[ $codename == "$(release)" ]] || continue
+    printf '%s' "${uri%/}"
+    return
+  done < <(apt-get indextargets --format '$(REPO_URI) $(CODENAME)' 'Created-By: Packages')
+  fail "apt has no source for $(release): add one and call again."
+}
+
+# install_locked PYTHON LOCK... : the packages of these locks, each file's hash checked. What comes as source alone (one
+# dependency of rclpy does) is built with the locked setuptools, so nothing unlocked is fetched.
+install_locked() {
+  local python=$1 name requirements=()
+  shift
+  "$python" -m pip install --quiet --require-hashes --requirement "$LOCKS/build.lock"
+  for name in "$@"; do requirements+=(--requirement "$LOCKS/$name.lock"); done
+  "$python" -m pip install --quiet --require-hashes --use-pep517 --no-build-isolation "${requirements[@]}"
+}
