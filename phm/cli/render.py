@@ -86,7 +86,7 @@ def _head(document: Json) -> Text:
     uptime_s = document.get("health", {}).get("uptime_s")
     line += f", up {_duration(uptime_s)}" if isinstance(uptime_s, (int, float)) else ""
     line += f", written {document.get('written_utc')}"
-    line += f", status word {word:#010x}" if isinstance(word, int) else ""
+    line += f", status word 0x{word:08X}" if isinstance(word, int) else ""
     return _plain(line, "bold")
 
 

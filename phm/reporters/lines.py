@@ -113,24 +113,18 @@ class TextLines:
         )
 
     def _action(self, event: ActionEvent) -> Iterator[str]:
-        what = " ".join(part for part in (event.action, event.target) if part)
-        detail = f": {event.detail}" if event.detail else ""
-        slot = self._slots.get(event.unit)
-        whom = f" for {event.unit}" if event.unit else ""
+        kind = "ACTION"
+        message = event.detail or _action_words(event)
         if event.phase is Phase.ESCALATED:
-            if event.fault not in self._escalated:
-                self._escalated.append(event.fault)
-                yield _line(event.at, "ESCALATED", slot, f"{event.unit}: PHM has given up{detail}")
-            return
-        message = {
-            Phase.ADVISED: f"Advised{whom}, not done: {what}{detail}",
-            Phase.REFUSED: f"Not done{whom}: {what}{detail}",
-            Phase.STARTED: f"Attempt {event.attempt}{whom}: {what}{detail}",
-            Phase.DONE: f"Done{whom}: {what}{detail}",
-            Phase.FAILED: f"Failed{whom}: {what}{detail}",
-            Phase.VERIFIED: f"Verified{whom}: {what}{detail}",
-        }[event.phase]
-        yield _line(event.at, "ACTION", slot, message)
+            if event.fault in self._escalated:
+                return
+            self._escalated.append(event.fault)
+            kind, message = "ESCALATED", f"{event.unit}: {message}"
+        elif event.phase is Phase.FAILED:
+            message = f"failed: {message}"
+        elif event.phase is Phase.STARTED and event.attempt > 1:
+            message += f" (attempt {event.attempt})"
+        yield _line(event.at, kind, self._slots.get(event.unit), message)
 
     def _closed(self, event: FaultClosed) -> Iterator[str]:
         fault = event.fault
@@ -147,6 +141,12 @@ class TextLines:
 
 def _line(at: Stamp, kind: str, slot: Slot | None, message: str) -> str:
     return f"{clock_text(at.utc)} ---- {kind}: {f'({int(slot)}) ' if slot else ''}{message}"
+
+
+def _action_words(event: ActionEvent) -> str:
+    """For an action whose author gave no sentence, e.g. ``restart ros_app for nodes/agent_1/node_1: started``."""
+    what = " ".join(part for part in (event.action, event.target) if part)
+    return f"{what} for {event.unit}: {event.phase.value}" if event.unit else f"{what}: {event.phase.value}"
 
 
 def _unit_line(at: Stamp, state: UnitState) -> str:

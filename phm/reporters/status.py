@@ -13,11 +13,11 @@ from collections import deque
 from typing import Any
 
 from phm import __version__
-from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Report, Transition
+from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Report, Transition, worst_by_slot
 from phm.reporters.base import Reporter, ReporterContext
+from phm.wire import status_word
 from phm.wire.report import fault_json, iso, report_json
 from phm.wire.status_file import NAME, place
-from phm.wire.status_word import status_word
 
 VERSION = 1
 CLOSED_FAULTS = 20
@@ -105,7 +105,7 @@ class Status(Reporter):
             "written_mono": now.mono,
             "interval_s": context.settings.interval,
             "alive": context.alive(),
-            "status_word": status_word(states),
+            "status_word": status_word.encode(worst_by_slot(states)),
             "faults": {"open": opened, "closed": [fault_json(fault) for fault in self._closed]},
             "health": context.health(),
         }

@@ -126,19 +126,14 @@ def action(phase: Phase, detail: str = "") -> ActionEvent:
 @pytest.mark.parametrize(
     ("event", "line"),
     [
-        (action(Phase.STARTED), "ACTION: (6) Attempt 2 for nodes/agent_1/node_1: restart ros_app"),
-        (action(Phase.DONE), "ACTION: (6) Done for nodes/agent_1/node_1: restart ros_app"),
-        (action(Phase.FAILED, "no answer"), "ACTION: (6) Failed for nodes/agent_1/node_1: restart ros_app: no answer"),
-        (action(Phase.VERIFIED), "ACTION: (6) Verified for nodes/agent_1/node_1: restart ros_app"),
-        (
-            action(Phase.ADVISED, "mode is advise"),
-            "ACTION: (6) Advised for nodes/agent_1/node_1, not done: restart ros_app: mode is advise",
-        ),
-        (action(Phase.REFUSED, "armed"), "ACTION: (6) Not done for nodes/agent_1/node_1: restart ros_app: armed"),
-        (
-            action(Phase.ESCALATED, "look at its log"),
-            "ESCALATED: (6) nodes/agent_1/node_1: PHM has given up: look at its log",
-        ),
+        (action(Phase.STARTED), "ACTION: (6) restart ros_app for nodes/agent_1/node_1: started (attempt 2)"),
+        (action(Phase.STARTED, "restart ros_app for: x"), "ACTION: (6) restart ros_app for: x (attempt 2)"),
+        (action(Phase.DONE, "ros_app was restarted"), "ACTION: (6) ros_app was restarted"),
+        (action(Phase.FAILED, "no answer"), "ACTION: (6) failed: no answer"),
+        (action(Phase.VERIFIED, "it is OK again"), "ACTION: (6) it is OK again"),
+        (action(Phase.ADVISED, "advised: restart ros_app"), "ACTION: (6) advised: restart ros_app"),
+        (action(Phase.REFUSED, "left alone: armed"), "ACTION: (6) left alone: armed"),
+        (action(Phase.ESCALATED, "gave up: look at it"), "ESCALATED: (6) nodes/agent_1/node_1: gave up: look at it"),
         (
             closed(NODE_DEAD, Outcome.RESOLVED, "restart", 3.25),
             "RESOLVED: (6) nodes/agent_1/node_1: resolved by restart after 3.2 s",

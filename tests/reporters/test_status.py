@@ -17,7 +17,7 @@ from phm.model import Level, Outcome, Slot, UnitState
 from phm.reporters.status import ALONG_S, CLOSED_FAULTS, Status
 from phm.settings import Settings
 from phm.testing import FakeClock
-from phm.wire import status_file
+from phm.wire import status_file, status_word
 from tests.fakes.records import closed, context, opened, transition, unit
 
 DEAD = unit("nodes/agent_1/node_1", Slot.NODES, Level.ERROR, "Node is not running", brief="node_1 dead")
@@ -49,7 +49,7 @@ def test_the_status_holds_the_report_the_faults_and_phm_itself(tmp_path: Path) -
     assert [check["id"] for check in seen["checks"]] == [DEAD.unit, BLOCKED.unit]
     assert seen["faults"]["open"][0]["blocks"] == [BLOCKED.unit]
     assert seen["health"] == {"uptime_s": 4.0}
-    assert isinstance(seen["status_word"], int)
+    assert status_word.decode(seen["status_word"]) == {Slot.NODES: Level.ERROR}
     assert stat.S_IMODE((tmp_path / "run" / "status.json").stat().st_mode) == 0o644
 
 
