@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from phm.clock import Clock
 from phm.facts import Attachment, CannotTell, LinkFact, RosFact, RosProbe, SelfFact, World
+from phm.probes.attachments import RememberingDocker
 from phm.probes.devices import Devices
 from phm.probes.docker import Docker
 from phm.probes.docker_watch import DockerEvent, Watch
@@ -52,7 +53,7 @@ class Parts:
     """Everything that has threads or sockets of its own, and the world made of it."""
 
     engine: Engine
-    docker: Docker
+    docker: RememberingDocker
     watch: Watch | None
     mavlink: MavlinkHub | None
     ros: RosProcess | None
@@ -101,8 +102,14 @@ def assemble(
 ) -> Parts:
     """Make the parts that this configuration needs; see `Parts.start` for when they begin."""
     engine = Engine(settings.docker.socket, settings.docker.timeout, clock)
-    docker = Docker(engine, settings, clock)
-    watch = Watch(engine, settings, clock, docker_event, docker) if settings.containers else None
+    asked = Docker(engine, settings, clock)
+    docker = RememberingDocker(asked)
+
+    def happened(event: DockerEvent) -> None:
+        asked.invalidate()  # what was read a moment ago is old before anybody is woken to read it
+        docker_event(event)
+
+    watch = Watch(engine, settings, clock, happened) if settings.containers else None
     hub = MavlinkHub(settings.mavlink, settings.agent.id, clock)
     links = Links(hub, settings, clock, lambda: wake("link"))
     ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None

@@ -19,13 +19,13 @@ from phm.facts import CannotTell
 from phm.model import ActionEvent, Phase, UnitState
 from phm.pipeline import Pipeline
 from phm.plan import Plan, make
+from phm.probes.docker_watch import DockerEvent
 from phm.recovery.actions import join
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor, Shop
 from phm.reporters.base import Reporter, ReporterContext
 from phm.settings import Settings
 from phm.tracker import Tracker
-from phm.transport.docker import DockerEvent
 
 logger = logging.getLogger(__name__)
 
@@ -110,8 +110,6 @@ class Daemon:
             "problems": list(fact.problems),
             "ros_restarts": fact.ros_restarts,
             "links": [{"name": link.name, "open": link.open, "error": link.error} for link in self.parts.links()],
-            "recent_faults": self.pipeline.recent_faults(),
-            "open_faults": self.pipeline.open_faults(),
         }
 
     # ------------------------------------------------------------ wiring
@@ -123,7 +121,7 @@ class Daemon:
         self.engine.wake_subject(subject)
 
     def _docker_event(self, event: DockerEvent) -> None:
-        self.pipeline.note("DOCKER", event.text)
+        self.pipeline.note("DOCKER", str(event))
         for subject in event.subjects:
             self._wake(subject)
 
@@ -232,17 +230,17 @@ def run(settings: Settings) -> int:
 
 
 def once(settings: Settings, clock: Clock | None = None) -> tuple[UnitState, ...]:
-    """One pass that changes nothing in the world: no recovery, no reports, no network joined.
+    """One pass that changes nothing in the world: no recovery, no reports, no network joined, no endpoint opened.
 
     Waits until every unit is decided (ROS discovery needs its grace), at most the longest grace and
     deadline together.
     """
     clock = clock or SystemClock()
-    daemon = Daemon(settings, clock)
+    silent = settings.model_copy(update={"mavlink": settings.mavlink.model_copy(update={"endpoints": []})})
+    daemon = Daemon(silent, clock)
     longest_grace_s = max((entry.unit.grace_s + entry.unit.settle_s for entry in daemon.plan.tracked), default=0.0)
     end = clock.mono() + longest_grace_s + daemon.plan.pass_limit_s
     try:
-        daemon.parts.start()
         daemon.parts.start_ros()
         daemon.engine.start()
         tick = threading.Event()

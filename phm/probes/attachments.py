@@ -1,0 +1,41 @@
+"""Remembers how containers were attached to their networks, for putting them back as they were.
+
+Once a container is disconnected, the engine forgets its aliases and its fixed address on that network.
+"""
+
+from __future__ import annotations
+
+from phm.facts import Attachment, ContainerFact, DockerProbe
+
+
+class RememberingDocker:
+    """A `phm.facts.DockerProbe` that keeps the last attachment of each container to each network.
+
+    Bounded by the configuration: one entry per configured container and network that it was seen on.
+    """
+
+    def __init__(self, inner: DockerProbe) -> None:
+        self._inner = inner
+        self._seen: dict[tuple[str, str], Attachment] = {}
+
+    def engine(self) -> str:
+        return self._inner.engine()
+
+    def container(self, name: str) -> ContainerFact | None:
+        fact = self._inner.container(name)
+        if fact is not None and fact.running:
+            for attachment in fact.networks:
+                self._seen[name, attachment.name] = attachment
+        return fact
+
+    def myself(self) -> ContainerFact | None:
+        return self._inner.myself()
+
+    def network_id(self, name: str) -> str:
+        return self._inner.network_id(name)
+
+    def reachable(self, address: str) -> bool:
+        return self._inner.reachable(address)
+
+    def remembered(self, container: str, network: str) -> Attachment | None:
+        return self._seen.get((container, network))
