@@ -1,0 +1,127 @@
+"""The lines an operator reads: MAVLink STATUSTEXT, one line each, at most 50 printable ASCII characters.
+
+The contract. Every line begins with the agent (``A01`` to ``A250``) and a word; then comes the slot (1 to
+15) or the array. The array has a digit for each of the slots 1 to 8: ``1`` OK or WARN, ``0`` ERROR,
+``-`` not known or unused::
+
+    A01 FAIL 6 node_1 dead                    a fault, at its cause
+    A01 WARN 9 disk / 88%                     something to look at
+    A01 OK 6 restart fixed: node_1 dead       over, by what PHM did
+    A01 OK 6 cleared itself: node_1 dead      a fault that ended without an action of PHM
+    A01 OK 9 cleared: disk / 88%              a warning that is over
+    A01 ADVISE 2 restart ros_app              what PHM would do, and was told not to do
+    A01 GAVE UP 2 ros_app exited              PHM cannot heal this: it is the operator's now
+    A01 OK 11111111                           the refresh: all is well
+    A01 WARN 11111111 9 disk / 88%            the refresh: worst unit first
+    A01 FAIL 11111011 6 node_1 dead +2        the refresh: two more units are bad
+    A01 STALE 11111--- 6                      the refresh: nothing is known to be bad, but not all is known
+
+Names come from outside and are data: what is not printable ASCII becomes ``?``, and what is too long is
+cut in its middle (``..``), because a name's head and the last word say most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+
+from phm.model import Level, Slot, UnitState, worst_by_slot
+
+MAX_CHARS = 50
+"""Of a STATUSTEXT that needs no chunks: ground stations do not join chunks of component 193."""
+ARRAY_SLOTS = tuple(Slot)[:8]
+MISSION_SLOTS = frozenset(ARRAY_SLOTS)
+"""An ERROR here means that the mission's function is lost; elsewhere something redundant is."""
+
+_WORD = {Level.OK: "OK", Level.WARN: "WARN", Level.ERROR: "FAIL", Level.STALE: "STALE"}
+_RANK = {Level.ERROR: 0, Level.WARN: 1, Level.STALE: 2, Level.OK: 3}
+
+
+class Severity(IntEnum):
+    """The part of MAV_SEVERITY that is used. QGroundControl pops up <= 3 and speaks <= 5."""
+
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+def severity(level: Level, slot: Slot) -> Severity:
+    """Of a line that tells a change to `level`: lost mission function, lost redundancy, warning, resolved."""
+    if level is Level.ERROR:
+        return Severity.CRITICAL if slot in MISSION_SLOTS else Severity.ERROR
+    return {Level.WARN: Severity.WARNING, Level.OK: Severity.NOTICE}.get(level, Severity.INFO)
+
+
+def agent_name(agent: int) -> str:
+    """``A01`` to ``A250``."""
+    return f"A{agent:02d}"
+
+
+def array_digits(levels: Mapping[Slot, Level]) -> str:
+    """Eight characters, slots 1 to 8."""
+    digit = {Level.OK: "1", Level.WARN: "1", Level.ERROR: "0", Level.STALE: "-"}
+    return "".join(digit[levels.get(slot, Level.STALE)] for slot in ARRAY_SLOTS)
+
+
+def bad(agent: int, level: Level, slot: Slot, brief: str) -> str:
+    """A unit has become WARN or ERROR. `brief` as in `Result.brief`."""
+    return _line(f"{agent_name(agent)} {_WORD[level]} {slot:d}", brief)
+
+
+def over(agent: int, slot: Slot, brief: str, by: str = "") -> str:
+    """A unit is OK again. `by`: ``itself``, an action's name, or empty when it was only a warning."""
+    how = {"": "cleared", "itself": "cleared itself"}.get(by, f"{_short(by, 12)} fixed")
+    return _line(f"{agent_name(agent)} OK {slot:d} {how}:", brief)
+
+
+def advise(agent: int, slot: Slot, action: str, target: str) -> str:
+    return _line(f"{agent_name(agent)} ADVISE {slot:d} {_short(action, 16)}", target)
+
+
+def gave_up(agent: int, slot: Slot, target: str, brief: str) -> str:
+    said = brief if target in brief else f"{_short(target, 16)}: {brief}"
+    return _line(f"{agent_name(agent)} GAVE UP {slot:d}", said)
+
+
+def refresh(agent: int, units: Sequence[UnitState]) -> str:
+    """How the whole agent is, in one line."""
+    levels = worst_by_slot(tuple(units))
+    ranked = worst_first(units)
+    worst = ranked[0] if ranked else None
+    level = worst.level if worst is not None else Level.STALE
+    head = f"{agent_name(agent)} {_WORD[level]} {array_digits(levels)}"
+    if worst is None or level is Level.OK:
+        return head
+    if level is Level.STALE:
+        return f"{head} {worst.slot:d}"
+    more = sum(1 for state in ranked if state.level.bad) - 1
+    return _line(f"{head} {worst.slot:d}", brief_of(worst), f" +{more}" if more else "")
+
+
+def worst_first(units: Sequence[UnitState]) -> list[UnitState]:
+    """ERROR, WARN, STALE, OK; within a level by slot, and in the given order within a slot."""
+    return sorted(units, key=lambda state: (_RANK[state.level], state.slot))
+
+
+def brief_of(state: UnitState) -> str:
+    """The check's own few words, else the unit's name: a bad unit is never told without a subject."""
+    return state.result.brief or state.unit
+
+
+def _line(head: str, text: str, tail: str = "") -> str:
+    """`head text tail` in MAX_CHARS; only `text` is cut."""
+    return f"{head} {_short(text, MAX_CHARS - len(head) - 1 - len(tail))}".rstrip() + tail
+
+
+def _short(text: str, room: int) -> str:
+    """`text` as printable ASCII in at most `room` (>= 4) characters, cut in the middle when too long."""
+    # Long texts are cut before they are looked at: a name from outside may have any length.
+    if len(text) > 1000:
+        text = f"{text[:500]}{text[-500:]}"
+    clean = "".join(char if " " <= char <= "~" else "?" for char in text).strip()
+    if len(clean) <= room:
+        return clean
+    head = (room - 2 + 1) // 2
+    return f"{clean[:head]}..{clean[len(clean) - (room - 2 - head) :]}" if room - 2 > head else clean[:room]

@@ -1,0 +1,111 @@
+"""The operator's lines: their words are a contract, and they always fit one STATUSTEXT."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from phm.model import Layer, Level, Result, Slot, Stamp, UnitState
+from phm.wire import status_line
+from phm.wire.status_line import Severity
+
+AGENTS = st.integers(1, 250)
+SLOTS = st.sampled_from(Slot)
+TEXTS = st.text(max_size=1500)
+
+
+def unit(slot: Slot, level: Level, brief: str = "", name: str = "") -> UnitState:
+    result = Result(level, "a sentence", brief)
+    return UnitState(name or f"check/{slot}", "check", slot, Layer.ROS, level, result, Stamp(0.0, 0.0))
+
+
+WELL = [unit(slot, Level.OK) for slot in Slot if slot <= 8]
+
+
+def fits(line: str) -> bool:
+    return len(line) <= 50 and all(" " <= char <= "~" for char in line) and line == line.strip()
+
+
+@given(AGENTS, st.sampled_from([Level.WARN, Level.ERROR]), SLOTS, TEXTS, TEXTS)
+def test_every_line_fits_whatever_the_names_are(agent: int, level: Level, slot: Slot, first: str, second: str) -> None:
+    """No name from outside makes a line longer than 50 characters or puts anything but printable ASCII into it."""
+    lines = [
+        status_line.bad(agent, level, slot, first),
+        status_line.over(agent, slot, first, second),
+        status_line.advise(agent, slot, first, second),
+        status_line.gave_up(agent, slot, first, second),
+        status_line.refresh(agent, [*WELL, unit(slot, level, first, second)]),
+    ]
+    assert all(fits(line) for line in lines), lines
+    assert all(line.startswith(status_line.agent_name(agent) + " ") for line in lines)
+
+
+@given(AGENTS, st.lists(st.tuples(SLOTS, st.sampled_from(Level), TEXTS), max_size=40))
+def test_the_refresh_fits_whatever_is_wrong(agent: int, units: list[tuple[Slot, Level, str]]) -> None:
+    """Any number of bad units still makes one line, which ends with how many more there are."""
+    states = [unit(*entry) for entry in units]
+    line = status_line.refresh(agent, states)
+    bad = sum(1 for state in states if state.level.bad)
+    assert fits(line)
+    assert bad <= 1 or line.endswith(f"+{bad - 1}")
+
+
+def test_a_fault_names_agent_slot_and_cause() -> None:
+    """The line of a fault reads as in the README."""
+    assert status_line.bad(1, Level.ERROR, Slot.NODES, "node_1 dead") == "A01 FAIL 6 node_1 dead"
+    assert status_line.bad(250, Level.WARN, Slot.HOST, "disk / 88%") == "A250 WARN 9 disk / 88%"
+
+
+def test_an_end_says_what_ended_it() -> None:
+    """The operator sees whether it healed itself or PHM did it."""
+    assert status_line.over(1, Slot.NODES, "node_1 dead", "restart") == "A01 OK 6 restart fixed: node_1 dead"
+    assert status_line.over(1, Slot.NODES, "node_1 dead", "itself") == "A01 OK 6 cleared itself: node_1 dead"
+    assert status_line.over(1, Slot.HOST, "disk / 88%") == "A01 OK 9 cleared: disk / 88%"
+
+
+def test_advice_and_giving_up_name_the_target() -> None:
+    """What is asked of the operator says of which container."""
+    assert status_line.advise(1, Slot.CONTAINER, "restart", "ros_app") == "A01 ADVISE 2 restart ros_app"
+    assert status_line.gave_up(1, Slot.CONTAINER, "ros_app", "ros_app exited") == "A01 GAVE UP 2 ros_app exited"
+    assert status_line.gave_up(1, Slot.NODES, "ros_app", "node_1 dead") == "A01 GAVE UP 6 ros_app: node_1 dead"
+
+
+def test_the_refresh_begins_with_the_worst() -> None:
+    """An ERROR comes before a WARN of an earlier slot; the array has 1 for WARN and 0 for ERROR."""
+    node, disk = unit(Slot.NODES, Level.ERROR, "node_1 dead"), unit(Slot.COMPANION, Level.WARN, "radio closed")
+    others = [state for state in WELL if state.slot is not Slot.NODES]
+    assert status_line.refresh(1, WELL) == "A01 OK 11111111"
+    assert status_line.refresh(1, [disk, *others, node]) == "A01 FAIL 11111011 6 node_1 dead +1"
+    assert status_line.refresh(1, [disk, *WELL]) == "A01 WARN 11111111 1 radio closed"
+
+
+def test_what_is_not_known_is_never_ok() -> None:
+    """A unit that nobody could judge shows as a dash, and the line does not say OK; no unit at all neither."""
+    others = [state for state in WELL if state.slot is not Slot.RATES]
+    assert status_line.refresh(1, [*others, unit(Slot.RATES, Level.STALE)]) == "A01 STALE 1111111- 8"
+    assert status_line.refresh(1, []) == "A01 STALE --------"
+    assert status_line.refresh(1, others) == "A01 OK 1111111-"
+
+
+def test_a_long_name_keeps_its_head_and_what_happened() -> None:
+    """Cutting takes the middle: which node and what about it both stay."""
+    line = status_line.bad(1, Level.ERROR, Slot.NODES, "a_very_long_node_name_of_somebody_else_entirely_1 dead")
+    assert line.startswith("A01 FAIL 6 a_very_long")
+    assert line.endswith("_1 dead")
+    assert len(line) == 50
+
+
+@pytest.mark.parametrize("text", ["nod\x00e", "nod\x1b[31me", "nod\ne", "nodé", "nod\u202ee", "node\x7f"])
+def test_control_characters_do_not_reach_the_ground(text: str) -> None:
+    """What could steer a terminal or hide becomes a question mark."""
+    assert "?" in status_line.bad(1, Level.ERROR, Slot.NODES, text)
+
+
+def test_severities_are_those_of_the_contract() -> None:
+    """Lost mission function, lost redundancy, warning, resolved, refresh: 2, 3, 4, 5, 6."""
+    assert status_line.severity(Level.ERROR, Slot.RATES) is Severity.CRITICAL
+    assert status_line.severity(Level.ERROR, Slot.HOST) is Severity.ERROR
+    assert status_line.severity(Level.WARN, Slot.NODES) is Severity.WARNING
+    assert status_line.severity(Level.OK, Slot.NODES) is Severity.NOTICE
+    assert status_line.severity(Level.STALE, Slot.NODES) is Severity.INFO
