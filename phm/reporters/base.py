@@ -7,7 +7,7 @@ thread of its own, so a slow sink delays nobody; what does not fit is dropped, o
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
@@ -24,6 +24,9 @@ class MavlinkPort(Protocol):
         """Queue one unpacked pymavlink message for every endpoint; never blocks."""
 
     def links(self) -> tuple[LinkFact, ...]: ...
+
+    def listen(self, callback: Callable[[Any, str], None], ids: Iterable[int]) -> None:
+        """Have `callback` called with each received message of these ids and its endpoint's name; it must not wait."""
 
 
 @dataclass(frozen=True)

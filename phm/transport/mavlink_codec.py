@@ -1,0 +1,134 @@
+"""MAVLink messages to bytes and back: one codec per endpoint, one parser per stream.
+
+The parser looks for frames itself and gives pymavlink whole frames only. pymavlink's own buffer grows
+for as long as a stream never ends on a frame's end, and loses up to 280 good bytes behind each false
+start; here a frame that does not check costs one byte.
+"""
+
+from __future__ import annotations
+
+import copy
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from phm.transport.dialect import mavlink
+
+V1, V2 = 0xFE, 0xFD
+_MARKERS = frozenset((V1, V2))
+_SIGNED = 0x01
+_SIGNATURE_BYTES = 13
+_RECENT_FRAMES = 256
+
+Wanted = Callable[[int], bool]
+"""Whether anybody listens to messages of this id."""
+
+
+@dataclass(slots=True)
+class Counters:
+    """Of one endpoint since its start. `bad` counts false starts: bytes or frames that did not check."""
+
+    sent: int = 0
+    received: int = 0
+    dropped: int = 0
+    bad: int = 0
+    bytes_out: int = 0
+    bytes_in: int = 0
+
+
+class Codec:
+    """Packs with a sequence of its own, so that receivers can count this endpoint's losses."""
+
+    def __init__(self, system_id: int, component_id: int, wanted: Wanted) -> None:
+        self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        self._wanted = wanted
+        self._recent: deque[bytes] = deque(maxlen=_RECENT_FRAMES)
+        self._lock = threading.Lock()
+        self.counters = Counters()
+
+    def pack(self, message: Any) -> bytes:
+        """The frame of a message. Packing writes into the message, and other endpoints pack it too: use a copy."""
+        frame: bytes = copy.copy(message).pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
+        with self._lock:
+            self._recent.append(frame)
+        return frame
+
+    def sent(self, frame: bytes) -> bool:
+        """Whether this very frame was sent here lately: then hearing it is an echo."""
+        with self._lock:
+            return frame in self._recent
+
+    def parser(self) -> Parser:
+        return Parser(self._mav, self._wanted, self.counters)
+
+
+class Parser:
+    """Finds frames in one stream of bytes. Nothing that comes in raises; at most one frame is kept waiting."""
+
+    def __init__(self, mav: Any, wanted: Wanted, counters: Counters) -> None:
+        self._mav, self._wanted, self._counters = mav, wanted, counters
+        self._buffer = bytearray()
+        self.verified = 0
+        """Frames whose checksum was computed and is right."""
+
+    def datagram(self, data: bytes, *, verify: bool = False) -> list[Any]:
+        """As `feed`; a frame never goes on in the next datagram."""
+        messages = self.feed(data, verify=verify)
+        if self._buffer:
+            self._counters.bad += 1
+            self._buffer.clear()
+        return messages
+
+    def feed(self, data: bytes, *, verify: bool = False) -> list[Any]:
+        """Messages somebody wants. Others are skipped by their length, unless `verify` asks for their checksum."""
+        self._buffer += data
+        self._counters.bytes_in += len(data)
+        messages, at, garbage = [], 0, False
+        while at < len(self._buffer):
+            length = self._length(at)
+            if length < 0 or len(self._buffer) - at < length:
+                break
+            good, message = self._judge(at, length, verify) if length else (False, None)
+            if good:
+                self._counters.received += 1
+                if message is not None:
+                    messages.append(message)
+            elif not garbage:
+                self._counters.bad += 1
+            garbage = not good
+            at += length if good else 1
+        del self._buffer[:at]
+        return messages
+
+    def _length(self, at: int) -> int:
+        """Bytes of the frame that starts here; 0 when none does; -1 when more bytes are needed to know."""
+        marker = self._buffer[at]
+        if marker not in _MARKERS:
+            return 0
+        if len(self._buffer) - at < 3:
+            return -1
+        if marker == V1:
+            return self._buffer[at + 1] + 8
+        flags = self._buffer[at + 2]
+        if flags & ~_SIGNED:
+            return 0  # the standard says to drop frames with flags that one does not know
+        return self._buffer[at + 1] + 12 + (_SIGNATURE_BYTES if flags & _SIGNED else 0)
+
+    def _judge(self, at: int, length: int, verify: bool) -> tuple[bool, Any]:
+        """Whether these bytes are a frame, and its message when somebody wants it."""
+        frame = self._buffer[at : at + length]
+        number = frame[5] if frame[0] == V1 else int.from_bytes(frame[7:10], "little")
+        known = number in mavlink.mavlink_map
+        if not known or not (verify or self._wanted(number)):
+            # No checksum without the message's definition; a frame is believed when another one follows it.
+            end = at + length
+            return end == len(self._buffer) or self._buffer[end] in _MARKERS, None
+        try:
+            message = self._mav.decode(frame)
+        except Exception:  # pymavlink's decoders raise many kinds on hostile bytes
+            return False, None
+        self.verified += 1
+        return True, message if self._wanted(number) else None

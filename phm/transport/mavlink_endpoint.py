@@ -1,0 +1,201 @@
+"""One MAVLink endpoint: a thread that opens it, keeps it open, and moves messages both ways."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import select
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from phm.clock import Clock
+from phm.facts import LinkFact
+from phm.settings import EndpointSettings
+from phm.transport.mavlink_channels import Channel
+from phm.transport.mavlink_codec import Codec, Counters
+from phm.transport.mavlink_open import Opener
+
+logger = logging.getLogger(__name__)
+
+OUTBOX_SIZE = 128
+OUTBOX_AGE_S = 30.0
+"""What could not be sent for so long is no news any more; the ground gets the full state when it is back."""
+BACKOFF_S = 0.2
+BACKOFF_MAX_S = 5.0
+STEADY_S = 5.0
+"""An endpoint that was open for this long begins its back-off anew."""
+SILENT_S = 10.0
+"""A named peer that was not heard for so long is looked up again."""
+IDLE_S = 0.5
+FAREWELL_S = 0.3
+
+
+class Outbox:
+    """Messages that wait for one endpoint. Bounded: the oldest is dropped and counted."""
+
+    def __init__(self, clock: Clock, counters: Counters) -> None:
+        self._clock, self._counters = clock, counters
+        self._messages: deque[tuple[float, Any]] = deque()
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def put(self, message: Any) -> None:
+        """A new HEARTBEAT replaces one that still waits: both together would say less."""
+        now = self._clock.mono()
+        with self._lock:
+            if message.id == 0:
+                self._messages = deque(entry for entry in self._messages if entry[1].id != 0)
+            self._messages.append((now, message))
+            if len(self._messages) > OUTBOX_SIZE:
+                self._messages.popleft()
+                self._counters.dropped += 1
+
+    def take(self) -> Any | None:
+        """The oldest message that is still news, or None."""
+        oldest = self._clock.mono() - OUTBOX_AGE_S
+        with self._lock:
+            while self._messages:
+                put, message = self._messages.popleft()
+                if put >= oldest:
+                    return message
+                self._counters.dropped += 1
+        return None
+
+
+class Endpoint:
+    """See the module. `deliver` gets every message that somebody wants; `changed` is called when the endpoint
+    opens or closes and, while nothing happens, about every IDLE_S; both in the endpoint's thread.
+    """
+
+    def __init__(
+        self,
+        settings: EndpointSettings,
+        codec: Codec,
+        clock: Clock,
+        deliver: Callable[[Any, str], None],
+        changed: Callable[[], None],
+    ) -> None:
+        self.name = settings.key
+        self.codec = codec
+        self._clock, self._deliver, self._changed = clock, deliver, changed
+        self._outbox = Outbox(clock, codec.counters)
+        self._stopping = threading.Event()
+        self._opener = Opener(settings, codec, clock, self._stopping)
+        self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._fact: LinkFact | None = None
+        self._heard = 0.0
+        self._thread = threading.Thread(target=self._loop, name=f"phm-mavlink-{self.name}"[:60], daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def send(self, message: Any) -> None:
+        """Queue; never blocks."""
+        self._outbox.put(message)
+        self._ring()
+
+    def fact(self) -> LinkFact | None:
+        """None until the first attempt to open has ended: nothing is known yet."""
+        return self._fact
+
+    def stop(self) -> None:
+        """Ask the thread to send what is queued, at most FAREWELL_S long, and to end."""
+        self._stopping.set()
+        self._ring()
+
+    def join(self, timeout_s: float) -> None:
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+
+    # ------------------------------------------------------------ the thread
+
+    def _loop(self) -> None:
+        wait_s = BACKOFF_S
+        while not self._stopping.is_set():
+            was_open, opened = False, 0.0
+            try:
+                channel = self._opener.open()
+                was_open, opened = True, self._clock.mono()
+                self._live(channel)
+            except OSError as error:
+                self._tell(is_open=False, error=error.strerror or str(error))
+            except Exception as error:
+                logger.exception("MAVLink endpoint %s failed unexpectedly", self.name)
+                self._tell(is_open=False, error=f"{type(error).__name__}: {error}")
+            if was_open and self._clock.mono() - opened >= STEADY_S:
+                wait_s = BACKOFF_S
+            self._clock.wait(self._stopping, wait_s)
+            wait_s = min(2 * wait_s, BACKOFF_MAX_S)
+            self._changed()
+
+    def _live(self, channel: Channel) -> None:
+        """Serve an open channel until PHM stops. Raises OSError when it is lost."""
+        try:
+            if channel.proven or self._fact is None:
+                self._tell(is_open=True)
+            self._heard = self._clock.mono()
+            while not self._stopping.is_set():
+                self._turn(channel, IDLE_S)
+                if self._clock.mono() - self._heard > SILENT_S:
+                    self._heard = self._clock.mono()
+                    if self._opener.moved():
+                        return
+            end = self._clock.mono() + FAREWELL_S
+            while (self._outbox or not channel.ready) and self._clock.mono() < end:
+                self._turn(channel, 0.02)
+        finally:
+            channel.close()
+
+    def _turn(self, channel: Channel, timeout_s: float) -> None:
+        """Wait until there is something to do, and do it."""
+        poller = select.poll()
+        poller.register(self._bell, select.POLLIN)
+        for fd, mask in channel.polls():
+            poller.register(fd, mask)
+        happened = poller.poll(timeout_s * 1000)
+        for fd, events in happened:
+            if fd == self._bell:
+                with contextlib.suppress(BlockingIOError):
+                    os.eventfd_read(self._bell)
+                continue
+            for message in channel.serve(fd, events):
+                self._heard = self._clock.mono()
+                self._tell(is_open=True)
+                self._deliver(message, self.name)
+        self._write(channel)
+        if not happened:
+            self._changed()
+
+    def _write(self, channel: Channel) -> None:
+        while channel.ready and (message := self._outbox.take()) is not None:
+            try:
+                frame = self.codec.pack(message)
+            except Exception:  # a message that cannot be packed is our defect; the link is well
+                self.codec.counters.dropped += 1
+                logger.exception("a MAVLink message could not be packed")
+                continue
+            if channel.write(frame):
+                self.codec.counters.sent += 1
+                self.codec.counters.bytes_out += len(frame)
+                self._tell(is_open=True)
+
+    def _tell(self, *, is_open: bool, error: str = "") -> None:
+        fact = LinkFact(self.name, is_open, error)
+        old, self._fact = self._fact, fact
+        if old is None or old.open != is_open:
+            if not is_open:
+                logger.info("MAVLink endpoint %s is closed: %s", self.name, error)
+            self._changed()
+
+    def _ring(self) -> None:
+        with contextlib.suppress(OSError):
+            os.eventfd_write(self._bell, 1)
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):
+            os.close(self._bell)
