@@ -19,8 +19,8 @@ logger = logging.getLogger(__name__)
 
 MIN_GAP_S = 0.05
 """A check that is woken all the time still leaves the processor alone this long between runs."""
-WATCH_S = 0.25
-"""How often overdue checks are looked for."""
+WATCH_S = 0.1
+"""How often overdue checks are looked for and settling is judged; part of the time to detect a dead node."""
 
 
 @dataclass(frozen=True, slots=True)

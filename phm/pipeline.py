@@ -82,6 +82,10 @@ class Pipeline:
     def release(self, target: str, *, worked: bool) -> None:
         self._apply(lambda now: self._tracker.release(target, now, worked=worked))
 
+    def expect_end(self, target: str, at_most_s: float) -> None:
+        """The container has been told to end (`docker stop`): see `Tracker.expect_end`."""
+        self._apply(lambda now: self._tracker.expect_end(target, now, at_most_s))
+
     def escalate(self, fault_id: str) -> None:
         self._apply(lambda now: self._tracker.escalate(fault_id, now))
 

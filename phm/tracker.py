@@ -188,6 +188,18 @@ class Tracker:
         self._release(target, now, step)
         return step
 
+    def expect_end(self, target: str, now: Stamp, at_most_s: float) -> Step:
+        """Somebody has told the container to end: its parts go first, and are not to be told before it.
+
+        Units of the target that need another unit of it get grace; the container's own unit does not.
+        """
+        for entry in self._units.values():
+            above = (self._units[need].spec.unit.target for need in self.needs.upstream(entry.id))
+            if entry.spec.unit.target == target and target in above:
+                entry.pending_since = None
+                entry.quiet_until = max(entry.quiet_until, now.mono + at_most_s)
+        return Step()
+
     def escalate(self, fault_id: str, now: Stamp) -> Step:
         """Recovery has given up on this fault: close it as escalated. The unit stays ERROR until it is well."""
         step = Step()

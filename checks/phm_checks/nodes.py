@@ -14,6 +14,9 @@ OLD_PICTURE_S = 5.0
 TWICE_S = 30.0
 """A restarted node is listed twice until its old lease ends, 20 s by default in Fast DDS; longer means two nodes."""
 
+SETTLE_S = 0.3
+"""Nodes that end in an orderly way leave the graph a moment before their container is seen to have exited."""
+
 
 @dataclass(frozen=True)
 class Wanted:
@@ -51,7 +54,7 @@ class Nodes(api.Check):
         for node in wanted:
             key = node.container
             needs = (f"container/{key}", f"network/{key}") if key else ()
-            units.append(api.Unit(node.unit, needs=needs, target=key, grace_s=grace_s))
+            units.append(api.Unit(node.unit, needs=needs, target=key, settle_s=SETTLE_S, grace_s=grace_s))
         return [cls(wanted, units, grace_s)] if wanted else []
 
     @property
@@ -90,12 +93,17 @@ class Nodes(api.Check):
         step = "restart it and see its log" if seen else "check its launch file, name, namespace and ROS_DOMAIN_ID"
         return api.error(
             f"Not all required nodes are running. Missing node: {api.topic_id(node.name)}; it {what}{where}, expected in the "
-            f"graph: {step}.{did_you_mean(node.name, fact.nodes)}",
+            f"graph: {step}.{did_you_mean(node.name, self._strangers(fact))}",
             brief=brief(last(node.name), "dead" if seen else "never started"),
             condition="node_missing",
             target=node.container,
             listed=0,
         )
+
+    def _strangers(self, fact: api.RosFact) -> list[str]:
+        """Listed nodes that are not configured: only one of these can be the missing one under another name."""
+        configured = {node.name for node in self._wanted}
+        return [name for name in fact.nodes if name not in configured]
 
     def _listed(self, world: api.World, node: Wanted, count: int) -> api.Result:
         if node.name not in self._seen:

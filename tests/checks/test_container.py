@@ -165,13 +165,18 @@ def test_an_engine_that_is_silent_is_no_fault_of_the_container() -> None:
 
 
 @pytest.mark.parametrize(
-    ("health", "level"),
-    [("healthy", api.Level.OK), ("starting", api.Level.STALE), ("unhealthy", api.Level.ERROR)],
+    ("health", "streak", "level"),
+    [
+        ("healthy", 0, api.Level.OK),
+        ("starting", 0, api.Level.STALE),
+        ("unhealthy", 1, api.Level.ERROR),
+        ("unhealthy", 0, api.Level.STALE),
+    ],
 )
-def test_docker_health_is_taken_over(health: str, level: api.Level) -> None:
-    """Starting is not known yet; unhealthy is an error."""
+def test_docker_health_is_taken_over(health: str, streak: int, level: api.Level) -> None:
+    """Starting is not known yet; unhealthy is an error, but not the engine's word for `not run since a pause`."""
     (check,) = build(Health)
-    assert run(check, testing.container("ros_app", health=health)).level is level
+    assert run(check, testing.container("ros_app", health=health, health_streak=streak)).level is level
 
 
 def test_unhealthy_tells_streak_and_last_output() -> None:

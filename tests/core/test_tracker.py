@@ -360,3 +360,29 @@ def test_a_fault_lists_what_it_blocks() -> None:
     bench.see("nodes", BAD)
     bench.see("topics", BAD)
     assert bench.tracker.open_faults()[0].blocks == ("nodes", "topics")
+
+
+def test_what_goes_before_its_stopped_container_is_no_fault() -> None:
+    """`docker stop`: nodes say goodbye before the container has exited, and the container alone is told."""
+    bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app", settle_s=0.3)])
+    bench.all_well()
+    bench.take(bench.tracker.expect_end("app", bench.stamp(), 11.0))
+    bench.now += 0.1
+    bench.see("nodes", BAD)
+    bench.later(2.0)
+    bench.see("container", BAD)
+    assert bench.opened == ["container"]
+    assert bench.blocked_by("nodes") == "container"
+
+
+def test_a_stop_that_does_not_come_about_masks_nothing_for_long() -> None:
+    """The signal was caught and only a node ended: it is told when the time for stopping is over."""
+    bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app")])
+    bench.all_well()
+    bench.take(bench.tracker.expect_end("app", bench.stamp(), 11.0))
+    bench.see("nodes", BAD)
+    for _ in range(12):
+        bench.later(1.0)
+        bench.see("container", OK)
+        bench.see("nodes", BAD)
+    assert bench.opened == ["nodes"]
