@@ -41,6 +41,7 @@ _WELL = {
     Slot.NODES: ("required nodes", "are running"),
     Slot.TOPICS: ("required topics", "are present"),
     Slot.RATES: ("topics", "have their rate"),
+    Slot.HOST: ("host limits", "are kept"),
 }
 _REMEMBERED = 64
 
@@ -163,13 +164,14 @@ def _message(state: UnitState) -> str:
 
 def _check_lines(at: Stamp, states: Sequence[UnitState]) -> Iterator[str]:
     """The units of one check: what is well in one line, at the place of the first; everything else by itself."""
-    well = [state for state in states if state.level is Level.OK and not state.result.bypass]
+    judged = [state for state in states if unit_kind(state) != "BYPASS"]
+    well = [state for state in judged if state.level is Level.OK]
     folded = len(well) > 1
     for state in states:
         if not folded or state not in well:
             yield _unit_line(at, state)
         elif state is well[0]:
-            yield _line(at, "SUCCESS", state.slot, _folded(well, len(states)))
+            yield _line(at, "SUCCESS", state.slot, _folded(well, len(judged)))
 
 
 def _folded(well: Sequence[UnitState], of_all: int) -> str:

@@ -81,6 +81,16 @@ def test_checks_of_others_are_folded_too() -> None:
     assert TextLines().of(Report(at(), 1, at(), units))[1].endswith("(13) All 2 units of battery are well: 1, 2")
 
 
+def test_what_had_nothing_to_judge_does_not_count_as_unwell() -> None:
+    """A BYPASS has its own line, and the others are still all of them."""
+    units = (*(unit(f"host/{name}", Slot.HOST) for name in ("cpu", "disk")), unit("host/heat", Slot.HOST, bypass=True))
+    lines = TextLines().of(Report(at(), 1, at(), units))
+    assert [line.partition(" ---- ")[2] for line in lines[1:3]] == [
+        "SUCCESS: (9) All 2 host limits are kept: cpu, disk",
+        "BYPASS: (9) host/heat says so",
+    ]
+
+
 def test_units_of_another_check_in_the_same_slot_are_not_folded_together() -> None:
     """Only units of one check share a line."""
     units = (unit("container/a", Slot.CONTAINER), unit("health/a", Slot.CONTAINER))
