@@ -1,0 +1,8 @@
+"""Reads `phm.yaml` into `phm.settings.Settings`, and says everything that is wrong with it at once."""
+
+from __future__ import annotations
+
+from phm.config.load import find, load, loads
+from phm.config.problems import ConfigError, Problem
+
+__all__ = ["ConfigError", "Problem", "find", "load", "loads"]

@@ -1,0 +1,214 @@
+"""Rules between keys: names that must exist, names that must not stand twice, pairs in order.
+
+One function per rule; each looks at the raw tree through `View`, so it works beside other mistakes.
+"""
+
+from __future__ import annotations
+
+import posixpath
+from collections.abc import Callable, Iterable
+
+from phm.config.problems import shown, unknown
+from phm.config.view import View
+from phm.settings import Celsius, ContainerSettings, HostSettings, Percent, RecoverySettings, Seconds
+
+
+def judge(root: View) -> None:
+    """Apply every rule of this module."""
+    for rule in RULES:
+        rule(root)
+
+
+def bare(name: str) -> str:
+    """A ROS name without its first slash: both forms mean the same node."""
+    return name.lstrip("/")
+
+
+def same_path(path: str) -> str:
+    """`/a//b/` and `/a/b` are one file."""
+    return posixpath.normpath(path).replace("//", "/")
+
+
+def container_key(container: View) -> str:
+    """As `ContainerSettings.key`, of an entry that may be wrong elsewhere."""
+    name, label, alias = (container.get(part).text or None for part in ("name", "label", "alias"))
+    return ContainerSettings.model_construct(name=name, label=label, alias=alias).key
+
+
+def no_twins(what: str, places: Iterable[tuple[str, View]]) -> None:
+    """Complain about each name that stood before, with the line of the first."""
+    first: dict[str, View] = {}
+    for name, place in places:
+        if name in first:
+            place.complain(f"{what} {shown(name)} stands twice, first in line {first[name].line}: keep one")
+        elif name:
+            first[name] = place
+
+
+def containers_have_one_identity(root: View) -> None:
+    for container in root.get("containers").records():
+        name, label = container.get("name"), container.get("label")
+        if name.given and label.given:
+            label.complain("stands beside 'name': give one of both, not both")
+        elif not name.given and not label.given and not {name.path, label.path} & root.tree.bad:
+            container.complain("has neither 'name' nor 'label', one of both is needed to find the container")
+        elif label.text and not container_key(container):
+            label.complain("has an empty value: add 'alias', the name to use for this container")
+
+
+def containers_are_told_apart(root: View) -> None:
+    containers = list(root.get("containers").records())
+    no_twins("container", ((container_key(container), container) for container in containers))
+    # What remains to be told: one container under two aliases.
+    by_key = {container_key(container): container for container in reversed(containers)}
+    names = (container.get("name") for container in reversed(by_key.values()))
+    no_twins("container", ((place.text, place) for place in names))
+
+
+def container_parts_stand_once(root: View) -> None:
+    for container in root.get("containers").records():
+        for key, what in (("files", "file"), ("devices", "device")):
+            places = ((entry.get("path").text, entry.get("path")) for entry in container.get(key).records())
+            no_twins(what, ((same_path(path), place) for path, place in places if path))
+        no_twins("network", ((entry.text, entry) for entry in container.get("networks").texts))
+
+
+def ros_names_stand_once(root: View) -> None:
+    for key, what in (("nodes", "node"), ("topics", "topic")):
+        entries = (entry.get("name") for entry in root.get("ros", key).records())
+        no_twins(what, ((bare(place.text), place) for place in entries))
+    for topic in root.get("ros", "topics").records():
+        for key in ("publishers", "subscribers"):
+            no_twins("node", ((bare(place.text), place) for place in topic.get(key).texts))
+
+
+def ros_containers_exist(root: View) -> None:
+    known = {container_key(container): container for container in root.get("containers").records()}
+    known.pop("", None)
+    real = {container.get("name").text: key for key, container in known.items()}
+    for key in ("nodes", "topics"):
+        for entry in root.get("ros", key).records():
+            place = entry.get("container")
+            if not place.text or place.text in known:
+                continue
+            if place.text in real:
+                place.complain(f"container {shown(place.text)} has the alias {shown(real[place.text])}: write that")
+            elif known:
+                place.complain(unknown("container", place.text, known))
+            else:
+                place.complain(f"unknown container {shown(place.text)}, none is configured: add it to 'containers'")
+
+
+def topic_nodes_exist(root: View) -> None:
+    known = {bare(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
+    if not root.get("ros", "nodes").value:
+        return
+    for topic in root.get("ros", "topics").records():
+        for key in ("publishers", "subscribers"):
+            for place in topic.get(key).texts:
+                if bare(place.text) not in known:
+                    place.complain(unknown("node", place.text, known.values()) + " (or add it to 'ros.nodes')")
+
+
+def endpoints_are_told_apart(root: View) -> None:
+    endpoints = list(root.get("mavlink", "endpoints").records())
+    no_twins("endpoint", ((entry.get("url").text, entry.get("url")) for entry in endpoints))
+    no_twins("endpoint name", ((entry.get("name").text, entry.get("name")) for entry in endpoints))
+    autopilot = root.get("mavlink", "autopilot")
+    if autopilot.value is True and not root.get("mavlink", "endpoints").value:
+        autopilot.complain("is true, but there are no endpoints to hear it on: add one to 'mavlink.endpoints'")
+
+
+def limits_are_in_order(root: View) -> None:
+    for key in ("cpu", "memory", "disk"):
+        limit = root.get("host", key)
+        warn, error = limit.get("warn"), limit.get("error")
+        if warn.given and error.given:
+            in_order(warn, error, Percent, (0.0, 0.0))
+    host, recovery = HostSettings(), RecoverySettings()
+    pair = root.get("host", "temperature_warn"), root.get("host", "temperature_error")
+    in_order(*pair, Celsius, (host.temperature_warn, host.temperature_error))
+    pair = root.get("recovery", "backoff"), root.get("recovery", "backoff_max")
+    in_order(*pair, Seconds, (recovery.backoff, recovery.backoff_max))
+
+
+def in_order(low: View, high: View, kind: object, defaults: tuple[float, float]) -> None:
+    """Complain at the key that is in the file when `low` is above `high`."""
+    small, big = low.quantity(kind, defaults[0]), high.quantity(kind, defaults[1])
+    if small is None or big is None or small <= big:
+        return
+    if low.given:
+        low.complain(f"is {small:g}, above {high.path[-1]!r} which is {big:g}: allowed is {big:g} or less")
+    else:
+        high.complain(f"is {big:g}, below {low.path[-1]!r} which is {small:g}: allowed is {small:g} or more")
+
+
+def disks_stand_once(root: View) -> None:
+    no_twins("disk", ((same_path(place.text), place) for place in root.get("host", "disks").texts))
+
+
+def names_of_checks(root: View, known: Iterable[str]) -> None:
+    """`checks.<name>` must be installed; needs name checks or units of checks."""
+    names = sorted(known)
+    for name, check in root.get("checks").items():
+        if name not in names:
+            check.complain(unknown("check", name, names) + " (`phm checks` lists them)")
+        for need in check.get("needs").texts:
+            if need.text.partition("/")[0] not in names:
+                what = f"unknown need {shown(need.text)}"
+                near = unknown("check", need.text.partition("/")[0], names)
+                need.complain(f"{what}: {near} (write a check's name or the id of a unit, check/subject)")
+
+
+def names_of_recovery(root: View, actions: Iterable[str] | None, conditions: Iterable[str] | None) -> None:
+    """`recovery.ladders`: conditions to lists of actions."""
+    for condition, ladder in root.get("recovery", "ladders").items():
+        if conditions is not None and condition not in conditions:
+            ladder.complain(unknown("condition", condition, sorted(conditions)))
+        for action in ladder.texts:
+            if actions is not None and action.text not in actions:
+                action.complain(unknown("action", action.text, sorted(actions)))
+
+
+def needs_have_no_loop(root: View, builtin: dict[str, set[str]]) -> None:
+    """The needs written in the file, together with those built in, must not run in a circle.
+
+    Told at the need in the file that closes the circle; each circle once.
+    """
+    graph = {name: set(needs) for name, needs in builtin.items()}
+    written: list[tuple[str, str, View]] = []
+    for name, check in root.get("checks").items():
+        if check.get("enabled").value is False:
+            continue
+        for place in check.get("needs").texts:
+            need = place.text.partition("/")[0]
+            if need == name and "/" in place.text:
+                continue  # all units of a check may need one of them
+            written.append((name, need, place))
+            graph.setdefault(name, set()).add(need)
+    told: set[frozenset[str]] = set()
+    for name, need, place in written:
+        way = _way(graph, need, name)
+        if way is not None and frozenset(way) not in told:
+            told.add(frozenset(way))
+            place.complain(f"needs run in a circle: {' -> '.join([name, *way])} (remove one of these needs)")
+
+
+def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
+    """The shortest way from `start` to `end`, both included, or None."""
+    ways = {start: [start]}
+    queue = [start]
+    for name in queue:
+        if name == end:
+            return ways[name]
+        for need in sorted(graph.get(name, ())):
+            if need not in ways:
+                ways[need] = [*ways[name], need]
+                queue.append(need)
+    return None
+
+
+RULES: tuple[Callable[[View], None], ...] = (
+    containers_have_one_identity, containers_are_told_apart, container_parts_stand_once, ros_names_stand_once,
+    ros_containers_exist, topic_nodes_exist, endpoints_are_told_apart, limits_are_in_order, disks_stand_once,
+)  # fmt: skip

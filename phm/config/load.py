@@ -1,0 +1,166 @@
+"""`load`: from a file and an environment to `Settings`, or to everything that is wrong with them.
+
+Nothing but the file itself is opened: a bad configuration has no effect on the world.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Collection, Mapping
+from pathlib import Path as FilePath
+from typing import Any
+
+from pydantic import ValidationError
+
+from phm.config import cross
+from phm.config.expand import Expander
+from phm.config.problems import ConfigError, Problem, dotted
+from phm.config.view import View
+from phm.config.words import sentence
+from phm.config.yaml_tree import MAX_BYTES, Tree, parse
+from phm.settings import Settings
+
+INSTALLED = FilePath("/etc/phm/phm.yaml")
+IN_REPOSITORY = FilePath("config/phm.yaml")
+INTERVAL_VARIABLE = "PHM_INTERVAL"
+
+
+def find(path: str | os.PathLike[str] | None = None) -> FilePath:
+    """The file to read: `path`, else /etc/phm/phm.yaml when it is there, else config/phm.yaml."""
+    if path is not None:
+        return FilePath(path)
+    try:
+        INSTALLED.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return IN_REPOSITORY
+    except OSError:
+        pass  # there but not readable: say so instead of silently using another file
+    return INSTALLED
+
+
+def load(
+    path: str | os.PathLike[str] | None = None,
+    *,
+    environ: Mapping[str, str] | None = None,
+    known_checks: Collection[str] | None = None,
+    known_actions: Collection[str] | None = None,
+    known_conditions: Collection[str] | None = None,
+    builtin_needs: Mapping[str, Collection[str]] | None = None,
+) -> Settings:
+    """Read and judge one file. Raises `ConfigError` with all problems at once.
+
+    environ:          for `${VAR}` and PHM_INTERVAL; default: that of the process.
+    known_checks:     names of the installed checks; None: names of checks are not judged. Likewise the actions and
+                      conditions of `recovery.ladders`.
+    builtin_needs:    check name -> names of checks that it needs by itself, for finding circles.
+    """
+    file = find(path)
+    return loads(
+        _read(file),
+        str(file),
+        environ=os.environ if environ is None else environ,
+        known_checks=known_checks,
+        known_actions=known_actions,
+        known_conditions=known_conditions,
+        builtin_needs=builtin_needs,
+    )
+
+
+def loads(
+    text: str,
+    file: str = "phm.yaml",
+    *,
+    environ: Mapping[str, str],
+    known_checks: Collection[str] | None = None,
+    known_actions: Collection[str] | None = None,
+    known_conditions: Collection[str] | None = None,
+    builtin_needs: Mapping[str, Collection[str]] | None = None,
+) -> Settings:
+    """As `load`, from the text of a file called `file`."""
+    tree = parse(text, file, Expander(environ))
+    problems = list(tree.problems)
+    interval, bad_interval = _interval(environ)
+    problems += bad_interval
+    if tree.broken:
+        raise ConfigError(problems)
+    settings, wrong = _validate(tree, file)
+    problems += wrong
+    root = View(tree, file, problems, value=tree.data)
+    cross.judge(root)
+    if known_checks is not None:
+        cross.names_of_checks(root, known_checks)
+    cross.names_of_recovery(root, known_actions, known_conditions)
+    cross.needs_have_no_loop(root, {name: set(needs) for name, needs in (builtin_needs or {}).items()})
+    if problems or settings is None:
+        raise ConfigError(problems)
+    return settings if interval is None else settings.model_copy(update={"interval": interval})
+
+
+def _validate(tree: Tree, file: str) -> tuple[Settings | None, list[Problem]]:
+    """Strict: `yes` is no boolean and `"3"` no number, so that nobody wonders what a value became."""
+    try:
+        return Settings.model_validate(tree.data, strict=True), []
+    except ValidationError as error:
+        found: list[Any] = list(error.errors(include_url=False))
+    problems = []
+    for entry in found:
+        path = tuple(entry["loc"])
+        if any(path[:end] in tree.bad for end in range(1, len(path) + 1)):
+            continue  # its cause is already told
+        problems.append(Problem(file, tree.line(path), dotted(path), sentence(entry)))
+    return None, problems
+
+
+def _interval(environ: Mapping[str, str]) -> tuple[float | None, list[Problem]]:
+    """PHM_INTERVAL in seconds; None when it is not set or blank, as Compose files like to leave it."""
+    text = environ.get(INTERVAL_VARIABLE, "").strip()
+    if not text:
+        return None, []
+    try:
+        return Settings.model_validate({"interval": text}, strict=True).interval, []
+    except ValidationError as error:
+        where = f"environment {INTERVAL_VARIABLE}"
+        return None, [Problem(where, 0, "interval", sentence(dict(entry))) for entry in error.errors(include_url=False)]
+
+
+def _read(path: FilePath) -> str:
+    """The file's text. Raises `ConfigError` with one sentence; never waits, whatever kind of file it is."""
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    except (OSError, ValueError) as error:
+        raise _refused(path, _why(error)) from error
+    with os.fdopen(handle, "rb") as stream:
+        mode = os.fstat(stream.fileno()).st_mode
+        if stat.S_ISDIR(mode):
+            raise _refused(path, "is a directory: name the file in it")
+        if not stat.S_ISREG(mode):
+            raise _refused(path, "is no regular file: name a file")
+        try:
+            raw = stream.read(MAX_BYTES + 1)
+        except OSError as error:
+            raise _refused(path, _why(error)) from error
+    if len(raw) > MAX_BYTES:
+        raise _refused(
+            path, f"is larger than {MAX_BYTES // 1024} KiB, which no configuration needs: is it the right file?"
+        )
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ConfigError([Problem(str(path), line, "", "is not UTF-8: save the file in that encoding")]) from error
+
+
+def _why(error: OSError | ValueError) -> str:
+    number = error.errno if isinstance(error, OSError) else None
+    if number in (errno.ENOENT, errno.ENOTDIR):
+        return "there is no such file: name one with --config (default: /etc/phm/phm.yaml, else config/phm.yaml)"
+    if number in (errno.EACCES, errno.EPERM):
+        return f"may not be read by user {os.getuid()}: change its permissions"
+    reason = os.strerror(number) if number is not None else str(error)
+    return f"cannot be read: {reason}"
+
+
+def _refused(path: FilePath, message: str) -> ConfigError:
+    return ConfigError([Problem(str(path), 0, "", message)])

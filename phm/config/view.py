@@ -1,0 +1,77 @@
+"""A forgiving look at a tree that may be wrong anywhere: what is of the wrong type is as if it were not there.
+
+With it the cross checks find their problems beside those of pydantic, so that the user sees all at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from phm.config.problems import Path, Problem, dotted
+from phm.config.yaml_tree import Tree
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One place of the tree. `problems` is shared by all views of a tree."""
+
+    tree: Tree
+    file: str
+    problems: list[Problem]
+    path: Path = ()
+    value: Any = None
+
+    def get(self, *keys: str) -> View:
+        """The place under `keys`, whether or not anything is there."""
+        value: Any = self.value
+        for key in keys:
+            value = value.get(key) if isinstance(value, dict) else None
+        return View(self.tree, self.file, self.problems, (*self.path, *keys), value)
+
+    def entries(self) -> Iterator[View]:
+        """The entries of a list."""
+        for index, entry in enumerate(self.value if isinstance(self.value, list) else ()):
+            yield View(self.tree, self.file, self.problems, (*self.path, index), entry)
+
+    def records(self) -> Iterator[View]:
+        """The entries of a list that are mappings."""
+        return (entry for entry in self.entries() if isinstance(entry.value, dict))
+
+    def items(self) -> Iterator[tuple[str, View]]:
+        """Keys of a mapping and their places."""
+        for key in self.value if isinstance(self.value, dict) else ():
+            yield key, self.get(key)
+
+    @property
+    def text(self) -> str:
+        """The text here, stripped as the models do; empty when there is none."""
+        return self.value.strip() if isinstance(self.value, str) else ""
+
+    @property
+    def texts(self) -> list[View]:
+        """The entries of a list that are text."""
+        return [entry for entry in self.entries() if entry.text]
+
+    def quantity(self, kind: Any, default: float) -> float | None:
+        """A number of `kind` (`Seconds`, `Percent`, ...), `default` when absent, None when it is no such number."""
+        if self.value is None:
+            return default
+        try:
+            return float(TypeAdapter(kind).validate_python(self.value))
+        except (ValidationError, TypeError, OverflowError):
+            return None
+
+    @property
+    def given(self) -> bool:
+        return self.value is not None
+
+    @property
+    def line(self) -> int:
+        return self.tree.line(self.path)
+
+    def complain(self, message: str) -> None:
+        self.problems.append(Problem(self.file, self.line, dotted(self.path), message))

@@ -1,0 +1,207 @@
+"""YAML as plain values plus the line and column of everything, with all that is wrong instead of the first thing.
+
+`yaml.compose` gives nodes with their places; nothing is constructed, so no tag can do anything. Sizes are
+capped before and while composing: characters, depth, and the number of values after aliases are followed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from phm.config.expand import Expander, ExpandError
+from phm.config.problems import Path, Problem, dotted, shown
+from phm.config.scalars import resolve
+
+MAX_BYTES = 256 * 1024
+MAX_DEPTH = 24
+MAX_VALUES = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A place in the file, both counted from 1."""
+
+    line: int
+    column: int
+
+
+@dataclass(slots=True)
+class Tree:
+    """A document: plain `data`, and where keys and values stand.
+
+    `problems` may be there beside usable data: `broken` says that the data is not worth judging at all, `bad`
+    holds the places whose value is missing because of a problem already told.
+    """
+
+    data: Any = None
+    broken: bool = False
+    bad: set[Path] = field(default_factory=set)
+    keys: dict[Path, Mark] = field(default_factory=dict)
+    values: dict[Path, Mark] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+
+    def line(self, path: Path) -> int:
+        """Line of a key or of a list's entry; for a path that is not in the file, of the nearest thing around it."""
+        while path:
+            mark = self.keys.get(path) or self.values.get(path)
+            if mark:
+                return mark.line
+            path = path[:-1]
+        return 1
+
+
+class _TooMuch(yaml.MarkedYAMLError):
+    """A cap was passed, or something was used that is not supported."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Composes with caps. Plain scalars keep no resolved type: `phm.config.scalars` decides, after expansion."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        if self.depth >= MAX_DEPTH:
+            raise _TooMuch(problem=f"is nested deeper than {MAX_DEPTH} levels", problem_mark=event.start_mark)
+        if not isinstance(event, yaml.AliasEvent) and getattr(event, "tag", None) not in (None, "!"):
+            sentence = f"the tag {shown(event.tag)} is not supported (write the value alone; quote it to keep it text)"
+            raise _TooMuch(problem=sentence, problem_mark=event.start_mark)
+        self.depth += 1
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self.depth -= 1
+
+
+def parse(text: str, file: str, expander: Expander) -> Tree:
+    """Read one document. Never raises for anything in `text`: what is wrong is in `problems`, each with its line."""
+    tree = Tree()
+    node = None
+    try:
+        node = _compose(text)
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        problem = f"the character {shown(chr(error.character))} is not allowed in YAML: remove it"
+        tree.problems.append(Problem(file, line, "", problem))
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        tree.problems.append(Problem(file, mark.line + 1 if mark else 0, "", _sentence(error)))
+    else:
+        if node is None:
+            tree.problems.append(Problem(file, 0, "", "is empty: write at least one key (see config/phm.yaml)"))
+        elif isinstance(node, yaml.MappingNode):
+            tree.data = _Builder(tree, file, expander).build(node, ())
+        else:
+            message = "the top level is no mapping: write keys such as 'agent:' and 'containers:'"
+            tree.problems.append(Problem(file, node.start_mark.line + 1, "", message))
+    tree.broken = tree.broken or not isinstance(node, yaml.MappingNode)
+    return tree
+
+
+def _compose(text: str) -> yaml.Node | None:
+    loader = _Loader(text)
+    try:
+        return loader.get_single_node()
+    except (ValueError, OverflowError) as error:  # an escape such as "\UFFFFFFFF", which PyYAML does not check
+        raise _TooMuch(problem=f"an escape is no character ({error})", problem_mark=loader.get_mark()) from error
+    except RecursionError as error:
+        raise _TooMuch(problem="is nested too deeply", problem_mark=loader.get_mark()) from error
+    finally:
+        loader.dispose()
+
+
+def _sentence(error: yaml.MarkedYAMLError) -> str:
+    """PyYAML's words, made plain for the mistakes that people make."""
+    problem = str(error.problem or error.context or "syntax error")
+    if isinstance(error, _TooMuch):
+        return problem
+    if "'\\t'" in problem:
+        return "a tab stands where spaces are wanted: indent with spaces"
+    if "expected a single document" in str(error.context):
+        return "a second document starts here: keep one, without '---' between"
+    if "mapping values are not allowed" in problem:
+        return "a ':' stands where no key can be: check the indentation, and put text with ': ' in quotes"
+    if "could not find expected ':'" in problem:
+        return "a ':' is missing after a key, or a line is indented wrongly"
+    if "found undefined alias" in problem:
+        return f"{problem}: define it with '&' first, or put text that starts with '*' in quotes"
+    if "cannot start any token" in problem:
+        return f"{problem}: put the text in quotes"
+    context = f" {error.context}" if error.context and error.problem else ""
+    return f"is no YAML{context}: {problem}"
+
+
+class _Builder:
+    """Nodes -> plain values. Invariant: `left` counts every value that is made, also through aliases."""
+
+    def __init__(self, tree: Tree, file: str, expander: Expander) -> None:
+        self._tree, self._file, self._expander = tree, file, expander
+        self._open: list[yaml.Node] = []
+        self._left = MAX_VALUES
+
+    def build(self, node: yaml.Node, path: Path) -> Any:
+        self._tree.values[path] = _mark(node)
+        if self._left <= 0:
+            return None
+        self._left -= 1
+        if self._left == 0:
+            self._tree.broken = True
+            self._complain(node, (), f"holds more than {MAX_VALUES} values, counting aliases (split or shorten it)")
+            return None
+        if isinstance(node, yaml.ScalarNode):
+            return self._scalar(node, path)
+        if any(node is parent for parent in self._open):
+            self._complain(node, path, "an alias stands inside its own anchor: write the value out")
+            return None
+        if len(self._open) >= MAX_DEPTH:
+            self._complain(node, path, f"is nested deeper than {MAX_DEPTH} levels, counting aliases")
+            return None
+        self._open.append(node)
+        try:
+            if isinstance(node, yaml.SequenceNode):
+                return [self.build(entry, (*path, index)) for index, entry in enumerate(node.value)]
+            return dict(self._entries(node, path))
+        finally:
+            self._open.pop()
+
+    def _entries(self, node: yaml.Node, path: Path) -> Iterator[tuple[str, Any]]:
+        seen: dict[str, int] = {}
+        for key_node, value_node in node.value:
+            line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                self._complain(key_node, path, "a key is a list or a mapping, allowed is a word")
+                continue
+            key = key_node.value
+            here = (*path, key)
+            if key in seen:
+                self._complain(key_node, here, f"stands twice, first in line {seen[key]}: keep one")
+                continue
+            if key == "<<":
+                self._complain(key_node, here, "merge keys are not supported: write the keys out")
+                continue
+            seen[key] = line
+            self._tree.keys[here] = _mark(key_node)
+            yield key, self.build(value_node, here)
+
+    def _scalar(self, node: yaml.ScalarNode, path: Path) -> Any:
+        try:
+            text = self._expander.expand(node.value)
+        except ExpandError as error:
+            self._complain(node, path, str(error))
+            return None
+        return resolve(text) if node.style is None else text
+
+    def _complain(self, node: yaml.Node, path: Path, message: str) -> None:
+        if path not in self._tree.keys or not message.startswith("stands twice"):
+            self._tree.bad.add(path)
+        self._tree.problems.append(Problem(self._file, node.start_mark.line + 1, dotted(path), message))
+
+
+def _mark(node: yaml.Node) -> Mark:
+    return Mark(node.start_mark.line + 1, node.start_mark.column + 1)
