@@ -77,8 +77,9 @@ class MavlinkHub:
         return any(message_id in ids for _, ids in self._listeners)
 
     def _deliver(self, message: Any, link: str) -> None:
+        number = message.get_msgId()  # `message.id` may be a field of the message
         for callback, ids in self._listeners:
-            if message.id in ids:
+            if number in ids:
                 self._guarded(lambda call=callback: call(message, link))  # type: ignore[misc]
 
     def _changed(self) -> None:

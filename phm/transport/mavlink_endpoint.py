@@ -20,6 +20,7 @@ from phm.transport.mavlink_open import Opener
 
 logger = logging.getLogger(__name__)
 
+HEARTBEAT = 0
 OUTBOX_SIZE = 128
 OUTBOX_AGE_S = 30.0
 """What could not be sent for so long is no news any more; the ground gets the full state when it is back."""
@@ -48,8 +49,9 @@ class Outbox:
         """A new HEARTBEAT replaces one that still waits: both together would say less."""
         now = self._clock.mono()
         with self._lock:
-            if message.id == 0:
-                self._messages = deque(entry for entry in self._messages if entry[1].id != 0)
+            # Not `message.id`: STATUSTEXT has a field of that name, which hides the message's number.
+            if message.get_msgId() == HEARTBEAT:
+                self._messages = deque(entry for entry in self._messages if entry[1].get_msgId() != HEARTBEAT)
             self._messages.append((now, message))
             if len(self._messages) > OUTBOX_SIZE:
                 self._messages.popleft()

@@ -1,0 +1,127 @@
+"""To the ground: a HEARTBEAT that carries the status word, and a line of text for each change.
+
+`docs/mavlink.md` states what is sent as a contract. The heartbeat is a dead man's switch: it stops when
+the engine does, so that silence means that nobody is looking after this agent.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any, ClassVar
+
+from phm.model import ActionEvent, Event, FaultClosed, FaultOpened, Level, Report, Transition, UnitState, worst_by_slot
+from phm.reporters.base import MavlinkPort, Reporter, ReporterContext
+from phm.reporters.mavlink_lines import Line, Pacer, Teller
+from phm.transport.dialect import mavlink
+from phm.wire import status_word
+from phm.wire.status_line import MISSION_SLOTS
+
+MAX_GROUND_STATIONS = 16
+FULL_EVERY_S = 5.0
+"""Ground stations that come and go have the full state sent again at most this often."""
+SPREAD_S = 0.02
+"""Seconds by which agents' answers to the same ground station differ, times the agent's number (modulo 50)."""
+
+
+class Mavlink(Reporter):
+    """See the module. All but `_hear` runs in the bus's thread for this reporter."""
+
+    name = "mavlink"
+    period_s: ClassVar[float | None] = 0.1
+    kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, Report)
+
+    def __init__(self, context: ReporterContext, port: MavlinkPort) -> None:
+        self._context, self._port = context, port
+        self._settings, self._agent = context.settings.mavlink, context.settings.agent.id
+        self._refresh_s = self._settings.refresh or context.settings.interval
+        now = context.clock.mono()
+        self._teller, self._pacer = Teller(self._agent), Pacer(now)
+        self._heartbeat_at = now
+        self._refresh_at: float | None = None
+        self._full_at: float | None = None
+        self._last_full = float("-inf")
+        self._ground: OrderedDict[tuple[int, int], float] = OrderedDict()
+        port.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
+
+    @classmethod
+    def build(cls, context: ReporterContext) -> Mavlink | None:
+        return cls(context, context.mavlink) if context.mavlink is not None else None
+
+    def handle(self, event: Event) -> None:
+        if isinstance(event, Transition):
+            self._say(self._teller.transition(event))
+        elif isinstance(event, (FaultOpened, FaultClosed)):
+            self._say(self._teller.fault(event))
+        elif isinstance(event, ActionEvent):
+            self._say(self._teller.action(event, {state.unit: state for state in self._context.states()}))
+        elif isinstance(event, Report) and self._refresh_at is None:
+            self._refresh_at = self._context.clock.mono()
+        self._flush()
+
+    def tick(self) -> None:
+        """Heartbeat, refresh and the answer to a new ground station, when due and while the engine lives."""
+        now = self._context.clock.mono()
+        if self._context.alive():
+            if now >= self._heartbeat_at:
+                self._heartbeat_at = max(self._heartbeat_at + self._settings.heartbeat, now)
+                self._heartbeat()
+            if self._full_at is not None and now >= self._full_at:
+                self._full_at, self._last_full = None, now
+                self._heartbeat()
+                self._say(self._teller.full(self._context.states()))
+            elif self._refresh_at is not None and now >= self._refresh_at:
+                self._refresh_at = max(self._refresh_at + self._refresh_s, now)
+                states = self._context.states()
+                self._say([*self._teller.reconcile(states), self._teller.refresh(states)])
+        self._flush()
+
+    def close(self) -> None:
+        """A last heartbeat that says POWEROFF: a planned end is no failure."""
+        self._flush()
+        self._send_heartbeat(self._context.states(), mavlink.MAV_STATE_POWEROFF)
+
+    def problem(self) -> str:
+        dropped = self._pacer.dropped
+        return f"{dropped} status lines were never sent: more units changed than lines may be sent" if dropped else ""
+
+    def gcs_appeared(self) -> None:
+        """Send the full state once, soon: a ground station is there that has heard nothing so far."""
+        soon = self._context.clock.mono() + SPREAD_S * (self._agent % 50)
+        self._full_at = max(soon, self._last_full + FULL_EVERY_S)
+
+    def _hear(self, message: Any, link: str) -> None:
+        """A HEARTBEAT, in an endpoint's thread."""
+        if message.type != mavlink.MAV_TYPE_GCS or message.get_srcSystem() == self._agent:
+            return
+        now, sender = self._context.clock.mono(), (message.get_srcSystem(), message.get_srcComponent())
+        heard = self._ground.pop(sender, None)
+        self._ground[sender] = now
+        while len(self._ground) > MAX_GROUND_STATIONS:
+            self._ground.popitem(last=False)
+        if heard is None or now - heard > self._settings.gcs_timeout:
+            self.gcs_appeared()
+
+    def _say(self, lines: list[Line]) -> None:
+        for line in lines:
+            self._pacer.put(line)
+
+    def _flush(self) -> None:
+        for line in self._pacer.take(self._context.clock.mono()):
+            self._port.send(mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii")))
+
+    def _heartbeat(self) -> None:
+        states = self._context.states()
+        self._send_heartbeat(states, self._system_status(states))
+
+    def _system_status(self, states: tuple[UnitState, ...]) -> int:
+        if self._refresh_at is None:
+            return int(mavlink.MAV_STATE_BOOT)
+        if any(state.level is Level.ERROR and state.slot in MISSION_SLOTS for state in states):
+            return int(mavlink.MAV_STATE_EMERGENCY)
+        bad = any(state.level.bad for state in states)
+        return int(mavlink.MAV_STATE_CRITICAL if bad else mavlink.MAV_STATE_ACTIVE)
+
+    def _send_heartbeat(self, states: tuple[UnitState, ...], system_status: int) -> None:
+        word = status_word.encode(worst_by_slot(states))
+        kind, autopilot = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+        self._port.send(mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, word, system_status, 3))

@@ -1,0 +1,136 @@
+"""Which line of `phm.wire.status_line` follows from which event, and how fast lines may leave.
+
+Pure but for what was told: the rule is that the ground hears each change once, with the cause's own words,
+and that what follows from another fault says nothing.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from phm.model import ActionEvent, FaultClosed, FaultOpened, Level, Outcome, Phase, Transition, UnitState
+from phm.wire import status_line
+from phm.wire.status_line import Severity
+
+MAX_PENDING = 256
+LINES_A_SECOND = 10.0
+BURST = 10.0
+FULL_LINES = 10
+"""Bad units told one by one to a ground station that has just appeared; the rest is in the refresh line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """`key`: a newer line with the same key makes this one superfluous while it waits."""
+
+    key: str
+    severity: Severity
+    text: str
+
+
+class Teller:
+    """Events in, lines out. `told` holds, by unit, the bad line that the ground heard last and not yet took back."""
+
+    def __init__(self, agent: int) -> None:
+        self._agent = agent
+        self._told: dict[str, tuple[UnitState, str]] = {}
+        self._open: set[str] = set()
+
+    def transition(self, event: Transition) -> list[Line]:
+        state = event.state
+        if state.level.bad:
+            return self._bad(state)
+        if state.level is Level.OK and state.unit not in self._open:
+            return self._over(state.unit, "")
+        return []  # STALE says nothing by itself; OK with an open fault is told when the fault closes, with who did it
+
+    def fault(self, event: FaultOpened | FaultClosed) -> list[Line]:
+        fault = event.fault
+        if isinstance(event, FaultOpened):
+            self._open.add(fault.unit)
+            return []
+        self._open.discard(fault.unit)
+        return self._over(fault.unit, fault.by or "itself") if fault.outcome is Outcome.RESOLVED else []
+
+    def action(self, event: ActionEvent, states: Mapping[str, UnitState]) -> list[Line]:
+        """Only what asks something of the operator; what PHM did is told by what came of it."""
+        state = states.get(event.unit)
+        if state is None:
+            return []
+        key = f"{event.unit} action"
+        if event.phase is Phase.ADVISED:
+            text = status_line.advise(self._agent, state.slot, event.action, event.target)
+            return [Line(key, Severity.WARNING, text)]
+        if event.phase is Phase.ESCALATED:
+            text = status_line.gave_up(self._agent, state.slot, event.target, status_line.brief_of(state))
+            return [Line(key, status_line.severity(Level.ERROR, state.slot), text)]
+        return []
+
+    def reconcile(self, states: Sequence[UnitState]) -> list[Line]:
+        """Tell what lost events did not: nothing, when none were lost."""
+        self._open = {state.unit for state in states if state.fault}
+        lines = []
+        for state in states:
+            if state.level.bad:
+                lines += self._bad(state)
+            elif state.level is Level.OK and not state.fault:
+                lines += self._over(state.unit, "")
+        return lines
+
+    def full(self, states: Sequence[UnitState]) -> list[Line]:
+        """Everything again, worst first, for a ground station that has heard nothing of it."""
+        lines = []
+        for state in status_line.worst_first(states)[:FULL_LINES]:
+            if state.level.bad:
+                self._told.pop(state.unit, None)
+                lines += self._bad(state)
+        return [*lines, self.refresh(states)]
+
+    def refresh(self, states: Sequence[UnitState]) -> Line:
+        return Line("refresh", Severity.INFO, status_line.refresh(self._agent, states))
+
+    def _bad(self, state: UnitState) -> list[Line]:
+        text = status_line.bad(self._agent, state.level, state.slot, status_line.brief_of(state))
+        told = self._told.get(state.unit)
+        self._told[state.unit] = (state, text)
+        if told is not None and told[1] == text:
+            return []
+        return [Line(state.unit, status_line.severity(state.level, state.slot), text)]
+
+    def _over(self, unit: str, by: str) -> list[Line]:
+        told = self._told.pop(unit, None)
+        if told is None:
+            return []
+        state = told[0]
+        text = status_line.over(self._agent, state.slot, status_line.brief_of(state), by)
+        return [Line(unit, status_line.severity(Level.OK, state.slot), text)]
+
+
+class Pacer:
+    """At most BURST lines at once and LINES_A_SECOND on average; the gravest first, then the oldest."""
+
+    def __init__(self, now: float) -> None:
+        self._pending: OrderedDict[str, Line] = OrderedDict()
+        self._credit, self._at = BURST, now
+        self.dropped = 0
+
+    def put(self, line: Line) -> None:
+        """The latest line of a key wins. When too many wait, the least grave is dropped."""
+        self._pending.pop(line.key, None)
+        self._pending[line.key] = line
+        if len(self._pending) > MAX_PENDING:
+            least = max(self._pending.values(), key=lambda entry: entry.severity)
+            del self._pending[least.key]
+            self.dropped += 1
+
+    def take(self, now: float) -> list[Line]:
+        """The lines that may leave now."""
+        self._credit = min(BURST, self._credit + (now - self._at) * LINES_A_SECOND)
+        self._at = now
+        chosen = sorted(self._pending.values(), key=lambda line: line.severity)[: int(self._credit)]
+        for line in chosen:
+            del self._pending[line.key]
+        self._credit -= len(chosen)
+        return chosen

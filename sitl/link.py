@@ -1,0 +1,158 @@
+"""Small MAVLink sockets for the simulated autopilot and ground station; independent of PHM's own transport.
+
+Frames are passed on as the bytes that came in. A port that has no room drops frames, as an autopilot does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import Any
+
+os.environ["MAVLINK20"] = "1"  # pymavlink reads it when it is imported
+
+from pymavlink.dialects.v20 import common as mavlink
+
+__all__ = ["Peer", "Port", "mavlink"]
+
+CONNECT_LIMIT_S = 2.0
+_READ_BYTES = 65535
+
+
+def parser() -> Any:
+    """A pymavlink decoder that takes garbage for what it is."""
+    decoder = mavlink.MAVLink(None)
+    decoder.robust_parsing = True
+    return decoder
+
+
+def messages(decoder: Any, data: bytes) -> list[Any]:
+    """Whole messages in `data`, without what pymavlink could not read."""
+    found = decoder.parse_buffer(data) or []
+    return [message for message in found if message.get_type() != "BAD_DATA"]
+
+
+@dataclass
+class Peer:
+    """The other end of a connection. `spoken`: a frame has come from there."""
+
+    sock: socket.socket
+    address: Any = None
+    decoder: Any = field(default_factory=parser)
+    spoken: bool = False
+
+    def send(self, frame: bytes) -> bool:
+        """False when the connection is lost; a frame without room is dropped."""
+        try:
+            if self.address is not None:
+                self.sock.sendto(frame, self.address)
+                return True
+            return self.sock.send(frame) == len(frame)  # half a frame would spoil the stream
+        except BlockingIOError:
+            return True
+        except OSError:
+            return self.address is not None
+
+
+class Port:
+    """``udpin:HOST:PORT``, ``tcpin:HOST:PORT``, ``udpout:HOST:PORT`` or ``tcp:HOST:PORT``.
+
+    Raises OSError when it cannot be opened. `lost` is set when the other end of a ``tcp:`` port went away.
+    """
+
+    def __init__(self, url: str) -> None:
+        self.scheme, _, rest = url.partition(":")
+        host, _, port = rest.rpartition(":")
+        self.peers: dict[Hashable, Peer] = {}
+        self.lost = False
+        address = (host.strip("[]"), int(port))
+        if self.scheme in ("udpin", "udpout"):
+            self._main = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            if self.scheme == "udpin":
+                self._main.bind(address)
+            else:
+                self.peers[address] = Peer(self._main, address, spoken=True)
+        elif self.scheme == "tcpin":
+            self._main = socket.create_server(address)
+        elif self.scheme == "tcp":
+            self._main = socket.create_connection(address, CONNECT_LIMIT_S)
+            self._main.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self.peers[self._main] = Peer(self._main)
+        else:
+            raise OSError(f"{url!r}: use udpin:, udpout:, tcpin: or tcp: with a host and a port")
+        self._main.setblocking(False)
+
+    @property
+    def bound_port(self) -> int:
+        """The port that was really bound, for url port 0."""
+        return int(self._main.getsockname()[1])
+
+    def sockets(self) -> list[socket.socket]:
+        """What to select on."""
+        clients = [peer.sock for peer in self.peers.values() if peer.sock is not self._main]
+        return [self._main, *clients]
+
+    def receive(self, sock: socket.socket) -> list[tuple[Hashable, Any]]:
+        """Messages, each with the key of the peer that sent it."""
+        if self.scheme.startswith("udp"):
+            return self._datagram()
+        if self.scheme == "tcpin" and sock is self._main:
+            with contextlib.suppress(BlockingIOError):
+                client, _ = sock.accept()
+                client.setblocking(False)
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self.peers[client] = Peer(client)
+            return []
+        peer = self.peers.get(sock)
+        if peer is None:
+            return []
+        try:
+            data = sock.recv(_READ_BYTES)
+        except BlockingIOError:
+            return []
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(sock)
+            return []
+        return self._heard(sock, peer, data)
+
+    def send(self, frame: bytes, *, spoken_only: bool = False, but: Hashable = None) -> None:
+        """To every peer except `but`; `spoken_only` leaves out those that never sent a frame."""
+        for key, peer in list(self.peers.items()):
+            if key != but and (peer.spoken or not spoken_only) and not peer.send(frame):
+                self._drop(key)
+
+    def close(self) -> None:
+        for sock in self.sockets():
+            sock.close()
+
+    def _datagram(self) -> list[tuple[Hashable, Any]]:
+        try:
+            data, sender = self._main.recvfrom(_READ_BYTES)
+        except OSError:
+            return []
+        peer = self.peers.get(sender)
+        if peer is None:
+            if self.scheme == "udpout":
+                peer = next(iter(self.peers.values()))
+            else:
+                peer = self.peers[sender] = Peer(self._main, sender)
+                while len(self.peers) > 16:
+                    self.peers.pop(next(iter(self.peers)))
+        return self._heard(sender, peer, data)
+
+    @staticmethod
+    def _heard(key: Hashable, peer: Peer, data: bytes) -> list[tuple[Hashable, Any]]:
+        found = messages(peer.decoder, data)
+        peer.spoken = peer.spoken or bool(found)
+        return [(key, message) for message in found]
+
+    def _drop(self, key: Hashable) -> None:
+        peer = self.peers.pop(key, None)
+        if peer is not None:
+            peer.sock.close()
+        self.lost = self.lost or self.scheme == "tcp"
