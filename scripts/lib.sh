@@ -101,7 +101,7 @@ mirror_uri() {
 install_locked() {
   local python=$1 name requirements=()
   shift
-  "$python" -m pip install --quiet --require-hashes --requirement "$LOCKS/build.lock"
+  "$python" -m pip install --quiet --quiet --require-hashes --requirement "$LOCKS/build.lock"
   for name in "$@"; do requirements+=(--requirement "$LOCKS/$name.lock"); done
-  "$python" -m pip install --quiet --require-hashes --use-pep517 --no-build-isolation "${requirements[@]}"
+  "$python" -m pip install --quiet --quiet --require-hashes --use-pep517 --no-build-isolation "${requirements[@]}"
 }

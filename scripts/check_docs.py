@@ -1,0 +1,87 @@
+"""Whether the documents keep up with the code, and whether no file names a machine.
+
+Run by `scripts/check`. Prints every problem and ends with 1 when there is one.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.metadata import distribution
+from pathlib import Path
+
+from phm.cli import VERBS
+from phm.settings import Settings
+
+ROOT = Path(__file__).resolve().parent.parent
+LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]+)(?:#[^)\s]*)?\)")
+GROUPS = ("phm.checks", "phm.reporters", "phm.actions")
+# Written in parts, so that this file does not name what it forbids.
+HOSTS = (("py" + "pi", "org"), ("files", "python" + "hosted"), ("deb", "debian"), ("archive", "ubuntu"), ("registry", "npm" + "js"))
+HOST = re.compile("|".join(re.escape(".".join(parts)) for parts in HOSTS))
+MACHINE_PATH = re.compile(r"(?<![\w./-])/(?:{})/".format("|".join(("wo" + "rk", "ro" + "ot/\\.pyenv"))))
+EXEMPT = {"LICENSE"}
+
+
+def tracked() -> list[Path]:
+    """The files of the project: those git knows or would add."""
+    listed = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"],
+        cwd=ROOT, capture_output=True, text=True, check=True, timeout=30,
+    ).stdout  # fmt: skip
+    return [path for name in listed.split("\0") if name and (path := ROOT / name).is_file()]
+
+
+def broken_links(files: list[Path]) -> Iterator[str]:
+    """Relative links in Markdown that lead nowhere."""
+    for path in files:
+        if path.suffix != ".md":
+            continue
+        for target in LINK.findall(path.read_text("utf-8")):
+            if "://" not in target and not target.startswith("mailto:") and not (path.parent / target).exists():
+                yield f"{path.relative_to(ROOT)}: the link to {target} leads nowhere"
+
+
+def undocumented() -> Iterator[str]:
+    """Verbs, entry points and sections of the configuration that no document mentions."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+    text = "\n".join(page.read_text("utf-8") for page in pages)
+    for verb in VERBS:
+        if f"phm {verb}" not in text:
+            yield f"docs: the command `phm {verb}` is mentioned nowhere"
+    for group in GROUPS:
+        for point in distribution("phm-sidecar").entry_points.select(group=group):
+            if not re.search(rf"\b{re.escape(point.name)}\b", text):
+                yield f"docs: {point.name} of {group} is mentioned nowhere"
+    for section in Settings.model_fields:
+        if not re.search(rf"(`{section}[`.:]|^\s*{section}:)", text, re.MULTILINE):
+            yield f"docs: the configuration's `{section}` is mentioned nowhere"
+
+
+def machine_names(files: list[Path]) -> Iterator[str]:
+    """Hosts of package registries and folders of one machine: they mean nothing on another."""
+    for path in files:
+        if path.name in EXEMPT:
+            continue
+        try:
+            lines = path.read_text("utf-8").splitlines()
+        except UnicodeDecodeError:
+            continue
+        for number, line in enumerate(lines, 1):
+            if HOST.search(line) or MACHINE_PATH.search(line):
+                yield f"{path.relative_to(ROOT)}:{number}: names a registry's host or a folder of one machine"
+
+
+def main() -> int:
+    """Print all problems; 0 when there is none."""
+    files = tracked()
+    problems = [*broken_links(files), *undocumented(), *machine_names(files)]
+    for problem in problems:
+        print(problem)
+    return 1 if problems else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

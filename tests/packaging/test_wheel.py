@@ -1,0 +1,102 @@
+"""What users get is the wheel, so the wheel is what these install and run."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PLUGIN = Path(__file__).resolve().parent / "plugin"
+LOCKS = ROOT / "scripts" / "locks"
+LIMIT_S = 300.0
+pytestmark = pytest.mark.packaging
+
+
+def run(*words: str | Path, cwd: Path) -> str:
+    """The standard output of a command that must succeed. Nothing of this process's Python settings reaches it."""
+    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    done = subprocess.run(
+        [str(word) for word in words], cwd=cwd, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert done.returncode == 0, f"{words} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def build(source: Path, target: Path) -> Path:
+    """A wheel of `source`, built from a copy with the setuptools of this environment."""
+    copy = target / "source"
+    ignored = shutil.ignore_patterns(".git", ".venv*", ".cache", "build", "dist", "*.egg-info", "__pycache__", ".*_cache", "sitl")
+    shutil.copytree(source, copy, ignore=ignored)
+    run(
+        sys.executable, "-m", "pip", "wheel", "--quiet", "--no-index", "--no-deps", "--no-build-isolation",
+        "--wheel-dir", target, copy, cwd=target,
+    )  # fmt: skip
+    (wheel,) = target.glob("*.whl")
+    return wheel
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(ROOT, tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> Iterator[Path]:
+    """The bin folder of a new environment with the locked runtime packages and the wheel, and nothing else."""
+    folder = tmp_path_factory.mktemp("clean")
+    run(sys.executable, "-m", "venv", folder, cwd=folder)
+    pip = (folder / "bin" / "python", "-m", "pip", "install", "--quiet")
+    run(*pip, "--require-hashes", "--requirement", LOCKS / "runtime.lock", cwd=folder)
+    run(*pip, "--no-index", "--no-deps", wheel, cwd=folder)
+    yield folder / "bin"
+    shutil.rmtree(folder)
+
+
+def test_the_wheel_holds_the_two_packages_and_nothing_else(wheel: Path) -> None:
+    """The wheel has phm and phm_checks with their type markers and licence, and no tests, simulation or scripts."""
+    names = zipfile.ZipFile(wheel).namelist()
+    (metadata,) = {name.partition("/")[0] for name in names if ".dist-info/" in name}
+    assert {name.partition("/")[0] for name in names} == {"phm", "phm_checks", metadata}
+    assert {"phm/py.typed", "phm_checks/py.typed", f"{metadata}/licenses/LICENSE"} <= set(names)
+    sources = {str(path.relative_to(ROOT)) for path in (ROOT / "phm").rglob("*.py")}
+    assert sources == {name for name in names if name.startswith("phm/") and name.endswith(".py")}
+
+
+def test_the_command_runs_from_the_wheel_alone(clean: Path) -> None:
+    """In an environment with the locked packages only, `phm --help` names the verbs and pip finds nothing missing."""
+    text = run(clean / "phm", "--help", cwd=clean)
+    assert {"run", "once", "validate", "checks", "status"} <= set(text.split())
+    run(clean / "python", "-m", "pip", "check", cwd=clean)
+
+
+def test_without_rclpy_everything_still_loads(clean: Path) -> None:
+    """No part of PHM needs ROS to be imported: all checks are listed, none with a problem."""
+    entries = json.loads(run(clean / "phm", "checks", "--json", cwd=clean))
+    assert {entry["name"] for entry in entries} >= {"companion", "container", "files", "network", "nodes", "topics", "rates"}
+    assert [entry for entry in entries if entry.get("problem")] == []
+
+
+def test_a_third_partys_check_is_found_beside_ours(clean: Path, tmp_path: Path) -> None:
+    """A package that declares an entry point is found when it is installed, and one that cannot be loaded says why."""
+    plugin = build(PLUGIN, tmp_path)
+    pip = (clean / "python", "-m", "pip")
+    run(*pip, "install", "--quiet", "--no-index", "--no-deps", plugin, cwd=tmp_path)
+    try:
+        output = subprocess.run(
+            [clean / "phm", "checks", "--json"], cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S, check=False
+        ).stdout
+    finally:
+        run(*pip, "uninstall", "--quiet", "--yes", "phm-battery", cwd=tmp_path)
+    entries = {entry["name"]: entry for entry in json.loads(output)}
+    assert "phm-battery 1.2.3" in json.dumps(entries["battery"])
+    assert not entries["battery"].get("problem")
+    assert "phm_battery.missing" in entries["broken"]["problem"]
+    assert "companion" in entries
