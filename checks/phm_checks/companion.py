@@ -94,8 +94,8 @@ class Companion(api.Check):
                     condition="events_lost",
                 )
             )
-        for problem in facts.problems:
-            found.append(
-                api.warn(f"PHM: {clean(problem)}", brief=brief("PHM", clean(problem, 34)), condition="phm_problem")
-            )
+        found += [
+            api.warn(f"PHM: {clean(problem)}", brief=brief("PHM", clean(problem, 34)), condition="phm_problem")
+            for problem in facts.problems
+        ]
         return found

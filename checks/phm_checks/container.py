@@ -127,5 +127,5 @@ class Container(PerContainer):
         self._restarts = fact.restart_count
         if risen < 0:
             self._restarted_at.clear()
-        if 0 < risen:
+        if risen > 0:
             self._restarted_at.extend([now] * min(risen, LOOP_RESTARTS))

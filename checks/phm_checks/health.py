@@ -33,7 +33,9 @@ class Health(PerContainer):
             return api.ok(f"Health check of {self.key} passes", **values)
         if fact.health == "unhealthy" and fact.health_streak == 0:
             # What the engine says between the end of a pause and the first probe after it.
-            return api.stale(f"health check of {self.key} has not run since the container was paused", **values)
+            return api.stale(
+                f"health check of {self.key} has not run since the container was paused", brief="", **values
+            )
         if fact.health == "unhealthy":
             return api.error(
                 f"health check of {self.key} failed {fact.health_streak} times in a row, expected healthy. Last output: "

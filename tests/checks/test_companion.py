@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from phm_checks.companion import Companion
-
 from phm import api, testing
+from phm_checks.companion import Companion
 
 
 def check() -> api.Check:
@@ -58,7 +57,9 @@ def test_a_closed_link_is_a_warning() -> None:
 
 def test_troubles_of_phm_itself_are_warnings() -> None:
     """Overdue checks, lost events and problems are told, all in one summary."""
-    myself = testing.FakeSelf(overdue=("files/ros_app",), dropped={"mavlink": 3, "log": 0}, problems=("log: no space left",))
+    myself = testing.FakeSelf(
+        overdue=("files/ros_app",), dropped={"mavlink": 3, "log": 0}, problems=("log: no space left",)
+    )
     result = run(check(), testing.world(myself=myself))
     assert (result.level, result.condition) == (api.Level.WARN, "check_overdue")
     for part in ("files/ros_app", "mavlink 3", "no space left"):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+
+from phm import api, testing
 from phm_checks.container import LOOP_WINDOW_S, Container, code_in_words
 from phm_checks.engine import Engine
 from phm_checks.health import Health
-
-from phm import api, testing
 
 
 def build(check: type[api.Check], **entry: Any) -> list[api.Check]:
@@ -182,7 +182,9 @@ def test_docker_health_is_taken_over(health: str, streak: int, level: api.Level)
 def test_unhealthy_tells_streak_and_last_output() -> None:
     """The last output is where the reason stands; it is made one printable line and cut."""
     (check,) = build(Health)
-    fact = testing.container("ros_app", health="unhealthy", health_streak=4, health_output="curl:\n refused\x00" + "x" * 999)
+    fact = testing.container(
+        "ros_app", health="unhealthy", health_streak=4, health_output="curl:\n refused\x00" + "x" * 999
+    )
     result = run(check, fact)
     assert (result.condition, result.brief) == ("unhealthy", "ros_app unhealthy")
     assert "failed 4 times" in result.summary and "curl: refused" in result.summary

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from phm_checks.files import Files
 
 from phm import api, testing
+from phm_checks.files import Files
 
 PATH = "/app/critical_file"
 SUM = "ab" * 32

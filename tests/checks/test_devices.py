@@ -1,0 +1,163 @@
+"""Slot 5: rules of the devices check."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from phm import api, testing
+from phm_checks.devices import Devices
+
+PATH = "/dev/ttyACM0"
+MAPPED = (api.DeviceMapping(PATH, PATH),)
+
+
+def build(**wanted: Any) -> api.Check:
+    (check,) = Devices.build(testing.settings(containers=[{"name": "ros_app", "devices": [{"path": PATH, **wanted}]}]))
+    return check
+
+
+def there(**fields: Any) -> testing.FakeDevices:
+    devices = testing.FakeDevices()
+    devices.put(PATH, **{"major": 166, **fields})
+    return devices
+
+
+def judge(check: api.Check, host: testing.FakeDevices, **container: Any) -> api.Result:
+    container.setdefault("devices", MAPPED)
+    docker = testing.FakeDocker(testing.container("ros_app", **container))
+    result = check.run(testing.world(devices=host, docker=docker))
+    assert isinstance(result, api.Result)
+    return result
+
+
+def test_a_mapped_device_is_ok() -> None:
+    """There, usable, mapped."""
+    result = judge(build(), there(description="PX4 FMU"))
+    assert result.level is api.Level.OK
+    assert "PX4 FMU" in result.summary
+
+
+def test_a_missing_device_is_an_error_that_lists_the_ports_there() -> None:
+    """A flight controller that came back under another name is found by reading the message."""
+    devices = testing.FakeDevices()
+    devices.ports = (api.DeviceFact("/dev/ttyACM1", True, 166, 1, None, description="PX4 FMU"),)
+    result = judge(build(), devices)
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "device_missing", "ttyACM0 missing")
+    assert "/dev/ttyACM1 (PX4 FMU)" in result.summary
+
+
+def test_a_missing_device_is_judged_without_a_container() -> None:
+    """Docker starts no container whose device is missing, so the device is the cause."""
+    check = build()
+    result = check.run(testing.world())
+    assert isinstance(result, api.Result)
+    assert result.condition == "device_missing"
+    assert check.units == (api.Unit("devices/ros_app", target="ros_app"),)
+
+
+def test_a_folder_in_place_of_a_device_is_the_wrong_type() -> None:
+    """Docker makes a folder where a bind's source is missing."""
+    result = judge(build(), there(character=False, openable=None, reason="a directory"))
+    assert result.condition == "device_wrong_type"
+    assert "a directory" in result.summary
+
+
+def test_a_device_that_cannot_be_opened_is_refused() -> None:
+    """The node may outlive what is behind it."""
+    assert judge(build(), there(openable=False, reason="input/output error")).condition == "device_refused"
+
+
+def test_a_device_that_phm_may_not_open_is_no_fault() -> None:
+    """PHM's own rights say nothing about the application's."""
+    assert judge(build(), there(openable=None, reason="PHM itself may not open it")).level is api.Level.OK
+
+
+@pytest.mark.parametrize(
+    ("opening", "major", "opened"),
+    [("auto", 166, False), ("auto", 188, False), ("auto", 10, True), ("always", 166, True), ("never", 10, False)],
+)
+def test_serial_ports_are_not_opened_unless_told(opening: str, major: int, opened: bool) -> None:
+    """Opening raises DTR, which resets some autopilots and radios."""
+    devices = there(major=major)
+    judge(build(open=opening), devices)
+    assert bool(devices.opened) is opened
+
+
+@pytest.mark.parametrize(
+    "container",
+    [
+        {"devices": (api.DeviceMapping("/dev/serial/by-id/usb-PX4", "/dev/fmu"),)},
+        {"devices": (api.DeviceMapping("/dev", "/dev"),)},
+        {"devices": (), "privileged": True},
+        {"devices": (), "mounts": (api.Mount("bind", "/dev", "/dev"),), "device_rules": ("c 166:* rmw",)},
+        {"devices": (), "mounts": (api.Mount("bind", "/dev", "/dev"),), "device_rules": ("a *:* rwm",)},
+    ],
+)
+def test_each_way_to_map_a_device_counts(container: dict[str, Any]) -> None:
+    """By a link, by a folder, by privilege, or by a bind with a rule."""
+    devices = there()
+    devices.put("/dev/serial/by-id/usb-PX4", major=166)
+    assert judge(build(), devices, **container).level is api.Level.OK
+
+
+@pytest.mark.parametrize(
+    ("container", "words"),
+    [
+        ({"devices": ()}, "not among its devices"),
+        ({"devices": (api.DeviceMapping("/dev/ttyACM1", PATH),)}, "not among its devices"),
+        ({"devices": (), "mounts": (api.Mount("bind", "/dev", "/dev"),)}, "no rule"),
+        (
+            {"devices": (), "mounts": (api.Mount("bind", "/dev", "/dev"),), "device_rules": ("c 188:* rmw",)},
+            "device_cgroup_rules: ['c 166:* rmw']",
+        ),
+        (
+            {"devices": (), "mounts": (api.Mount("bind", "/dev", "/dev"),), "device_rules": ("c 166:* m",)},
+            "no rule",
+        ),
+        ({"devices": (), "device_rules": ("c 166:* rmw",)}, "bind /dev"),
+    ],
+)
+def test_a_device_that_the_container_cannot_use_is_unmapped(container: dict[str, Any], words: str) -> None:
+    """What is lacking is named in the words of a compose file."""
+    result = judge(build(), there(), **container)
+    assert result.condition == "device_unmapped"
+    assert words in result.summary
+
+
+def test_another_name_inside_the_container_must_be_the_configured_one() -> None:
+    """An application that opens /dev/fmu does not find /dev/ttyACM0."""
+    assert judge(build(in_container="/dev/fmu"), there()).condition == "device_unmapped"
+    mapped = (api.DeviceMapping(PATH, "/dev/fmu"),)
+    assert judge(build(in_container="/dev/fmu"), there(), devices=mapped).level is api.Level.OK
+
+
+def test_new_numbers_within_one_life_of_the_container_are_unmapped() -> None:
+    """Docker copies the numbers at start: what is plugged in again with others is lost until a restart."""
+    check, devices = build(), there(minor=0)
+    assert judge(check, devices).level is api.Level.OK
+    devices.put(PATH, major=166, minor=1)
+    assert judge(check, devices).condition == "device_unmapped"
+    assert judge(check, devices, started_at="later").level is api.Level.OK
+
+
+def test_a_device_that_need_not_be_mapped_is_judged_by_itself() -> None:
+    """`mapped: false` leaves the container out of it."""
+    assert judge(build(mapped=False), there(), devices=()).level is api.Level.OK
+
+
+def test_mapping_is_not_known_without_a_container() -> None:
+    """The device is there; whether it is mapped cannot be told."""
+    result = build().run(testing.world(devices=there()))
+    assert isinstance(result, api.Result)
+    assert result.level is api.Level.STALE
+
+
+def test_a_probe_that_cannot_tell_makes_it_stale() -> None:
+    """An unmounted /dev is no missing device."""
+    devices = testing.FakeDevices()
+    devices.fail("the host's /dev is not mounted")
+    result = judge(build(), devices)
+    assert result.level is api.Level.STALE
+    assert "not mounted" in result.summary

@@ -1,0 +1,162 @@
+"""The device probe on real device files: those of this machine, and a pseudo-terminal."""
+
+from __future__ import annotations
+
+import errno
+import os
+import pty
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from phm import testing
+from phm.clock import SystemClock
+from phm.facts import CannotTell
+from phm.probes import devices as module
+from phm.probes.devices import Devices
+
+
+def probe(root: Path | str = "/dev") -> Devices:
+    return Devices(testing.settings(host={"dev_root": str(root)}), SystemClock())
+
+
+@pytest.fixture
+def host_dev(tmp_path: Path) -> Path:
+    """A mounted /dev of some host, seen at another place, with links as udev makes them to this machine's null."""
+    root = tmp_path / "host" / "dev"
+    (root / "serial" / "by-id").mkdir(parents=True)
+    (root / "not_a_device").write_text("", encoding="ascii")
+    (root / "serial" / "by-id" / "relative").symlink_to("../../not_a_device")
+    (root / "serial" / "by-id" / "absolute").symlink_to("/dev/not_a_device")
+    (root / "serial" / "by-id" / "dangling").symlink_to("../../ttyGONE0")
+    (root / "loop_a").symlink_to("loop_b")
+    (root / "loop_b").symlink_to("loop_a")
+    return root
+
+
+@pytest.fixture
+def terminal() -> Iterator[str]:
+    """A real tty: the far end of a pseudo-terminal."""
+    near, far = pty.openpty()
+    yield os.ttyname(far)
+    os.close(near)
+    os.close(far)
+
+
+def test_a_character_device_is_told_with_its_numbers() -> None:
+    """/dev/null is 1:3 on every Linux."""
+    fact = probe().look("/dev/null", open_it=True)
+    assert fact is not None
+    assert (fact.path, fact.character, fact.major, fact.minor, fact.openable) == ("/dev/null", True, 1, 3, True)
+
+
+def test_a_device_that_is_not_asked_to_open_is_not_opened() -> None:
+    """Permission bits alone prove nothing about what is behind it."""
+    fact = probe().look("/dev/null", open_it=False)
+    assert fact is not None and fact.openable is None and not fact.reason
+
+
+def test_a_real_terminal_can_be_opened(terminal: str) -> None:
+    """Without becoming its controlling terminal and without waiting for a carrier."""
+    fact = probe().look(terminal, open_it=True)
+    assert fact is not None and fact.character and fact.openable
+
+
+def test_a_path_that_is_not_there_is_none() -> None:
+    """Missing is an answer, not an error."""
+    assert probe().look("/dev/phm-no-such-device", open_it=True) is None
+    assert probe().look("/dev/null/below", open_it=True) is None
+
+
+def test_a_folder_or_file_is_no_character_device(host_dev: Path) -> None:
+    """What stands there instead is said."""
+    folder = probe(host_dev).look("/dev/serial", open_it=True)
+    file = probe(host_dev).look("/dev/not_a_device", open_it=True)
+    assert folder is not None and not folder.character and "directory" in folder.reason
+    assert file is not None and not file.character and "file" in file.reason
+
+
+@pytest.mark.parametrize("link", ["relative", "absolute"])
+def test_links_are_followed_within_the_mounted_dev(host_dev: Path, link: str) -> None:
+    """An absolute target names the host's path, not one of PHM's container."""
+    fact = probe(host_dev).look(f"/dev/serial/by-id/{link}", open_it=False)
+    assert fact is not None and fact.path == "/dev/not_a_device"
+
+
+@pytest.mark.parametrize("link", ["/dev/serial/by-id/dangling", "/dev/loop_a"])
+def test_a_link_that_leads_nowhere_is_none(host_dev: Path, link: str) -> None:
+    """Dangling or endless: the device is not there."""
+    assert probe(host_dev).look(link, open_it=True) is None
+
+
+def test_an_unmounted_dev_cannot_tell(tmp_path: Path) -> None:
+    """Else every device would be reported missing."""
+    with pytest.raises(CannotTell, match="mount it"):
+        probe(tmp_path / "nowhere").look("/dev/null", open_it=False)
+
+
+@pytest.mark.parametrize(
+    ("number", "openable"),
+    [
+        (errno.EBUSY, True),
+        (errno.EPERM, None),
+        (errno.EACCES, None),
+        (errno.ENXIO, False),
+        (errno.EIO, False),
+        (errno.EINVAL, False),
+    ],
+)
+def test_an_error_of_opening_is_told_apart(monkeypatch: pytest.MonkeyPatch, number: int, openable: bool | None) -> None:
+    """In use works, not allowed proves nothing, no device behind it is refused; each with a reason."""
+
+    def refuse(*_: object, **__: object) -> int:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "open", refuse)
+    fact = probe().look("/dev/null", open_it=True)
+    monkeypatch.undo()
+    assert fact is not None and fact.openable is openable and fact.reason
+
+
+def test_a_device_with_nothing_behind_it_is_refused() -> None:
+    """The kernel's own answer: a process without a controlling terminal finds nothing behind /dev/tty."""
+    code = (
+        "from phm import testing; from phm.clock import SystemClock; from phm.probes.devices import Devices\n"
+        "fact = Devices(testing.settings(), SystemClock()).look('/dev/tty', open_it=True)\n"
+        "print(fact.major, fact.minor, fact.openable, fact.reason)"
+    )
+    folder = Path(module.__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        start_new_session=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert done.stdout.strip() == "5 0 False no driver or device answers behind it"
+
+
+def test_a_node_whose_mode_lets_nobody_in_is_refused(terminal: str) -> None:
+    """Judged by the bits alone, without opening."""
+    os.chmod(terminal, 0)
+    fact = probe().look(terminal, open_it=False)
+    assert fact is not None and fact.openable is False
+
+
+def test_ports_that_are_there_are_listed(terminal: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Found by their names below the mounted /dev, and told by the host's paths."""
+    monkeypatch.setattr(module, "_PORTS", ("[0-9]*",))
+    ports = probe("/dev/pts").serial_ports()
+    assert f"/dev/{Path(terminal).name}" in [port.path for port in ports]
+    assert all(port.character for port in ports)
+
+
+def test_a_folder_with_the_name_of_a_port_is_not_listed(tmp_path: Path) -> None:
+    """Docker makes such folders; they would mislead whoever looks for the device."""
+    (tmp_path / "ttyACM0").mkdir()
+    assert probe(tmp_path).serial_ports() == ()

@@ -1,0 +1,133 @@
+"""Slot 9: rules of the host check."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from phm import api, testing
+from phm_checks.host import STEP_TOLD_S, Graded, Host
+
+
+class Bench:
+    """The check with a machine and a clock at hand; each look is two seconds later."""
+
+    def __init__(self, **limits: Any) -> None:
+        (self.check,) = Host.build(testing.settings(host=limits))
+        self.clock, self.host = testing.FakeClock(), testing.FakeHost()
+
+    def look(self, part: str, **fields: Any) -> api.Result:
+        self.host.change(**fields)
+        results = self.check.run(testing.world(clock=self.clock, host=self.host))
+        assert not isinstance(results, api.Result)
+        assert set(results) == {unit.id for unit in self.check.units}
+        self.clock.advance(2.0)
+        return results[f"host/{part}"]
+
+
+def test_a_calm_machine_is_ok() -> None:
+    """Each part has a unit and a reading."""
+    bench = Bench()
+    for part in ("cpu", "memory", "disk", "temperature", "clock"):
+        assert bench.look(part).level is api.Level.OK
+
+
+def test_a_burst_of_work_is_no_fault() -> None:
+    """CPU use is averaged over cpu_window, and high use is told only when the window is full."""
+    bench = Bench(cpu_window="10s")
+    levels = [bench.look("cpu", cpu_percent=100.0).level for _ in range(6)]
+    assert levels == [api.Level.STALE] * 5 + [api.Level.ERROR]
+
+
+def test_a_single_busy_reading_vanishes_in_the_mean() -> None:
+    """One reading of five does not reach the limit."""
+    bench = Bench(cpu_window="10s")
+    for _ in range(6):
+        bench.look("cpu", cpu_percent=50.0)
+    assert bench.look("cpu", cpu_percent=100.0).level is api.Level.OK
+
+
+def test_the_window_forgets() -> None:
+    """What lies before the window does not count."""
+    bench = Bench(cpu_window="10s")
+    for _ in range(10):
+        bench.look("cpu", cpu_percent=100.0)
+    for _ in range(5):
+        result = bench.look("cpu", cpu_percent=0.0)
+    assert result.values["cpu_percent"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("part", "fields", "level", "condition"),
+    [
+        ("memory", {"memory_percent": 86.0}, api.Level.WARN, "memory_high"),
+        ("memory", {"memory_percent": 96.0}, api.Level.ERROR, "memory_high"),
+        ("disk", {"disks": (api.DiskFact("/", 90.0, 10**9),)}, api.Level.WARN, "disk_full"),
+        ("disk", {"disks": (api.DiskFact("/", 10.0, 10**9, 99.0),)}, api.Level.ERROR, "disk_full"),
+        ("temperature", {"temperature_c": 76.0}, api.Level.WARN, "temperature_high"),
+        ("temperature", {"temperature_c": 90.0}, api.Level.ERROR, "temperature_high"),
+        ("temperature", {"throttled": ("under-voltage now",)}, api.Level.WARN, "throttled"),
+        ("clock", {"clock_step_s": -3600.0}, api.Level.WARN, "clock_step"),
+    ],
+)
+def test_each_limit_has_its_condition(part: str, fields: dict[str, Any], level: api.Level, condition: str) -> None:
+    """WARN at the first limit, ERROR at the second, what to do in the summary."""
+    result = Bench().look(part, **fields)
+    assert (result.level, result.condition) == (level, condition)
+    assert result.brief and result.brief.isascii() and ":" in result.summary
+
+
+def test_the_worst_disk_counts_and_a_hung_one_is_not_known() -> None:
+    """A dead mount is STALE, and does not hide a full disk."""
+    hung = api.DiskFact("/mnt/nas", 0.0, 0, problem="the kernel did not answer within 1 s")
+    assert Bench().look("disk", disks=(api.DiskFact("/", 50.0, 10**9), hung)).level is api.Level.STALE
+    result = Bench().look("disk", disks=(hung, api.DiskFact("/", 99.0, 10**6)))
+    assert result.level is api.Level.ERROR
+    assert "/mnt/nas" in result.summary
+
+
+def test_a_value_at_the_limit_does_not_flap() -> None:
+    """A level is left only 5 % below its limit."""
+    graded = Graded(warn=80.0, error=90.0)
+    values = (79.0, 80.0, 79.0, 77.0, 75.0, 90.0, 89.0, 86.0, 85.0, 77.0, 75.0)
+    expected = "OK WARN WARN WARN OK ERROR ERROR ERROR WARN WARN OK"
+    assert " ".join(graded.level(value).name for value in values) == expected
+
+
+def test_a_machine_that_tells_no_temperature_is_a_bypass() -> None:
+    """Silence of the machine is said, and is no fault."""
+    result = Bench().look("temperature", temperature_c=None, throttled=None)
+    assert result.bypass and "does not tell" in result.summary
+
+
+def test_throttling_in_the_past_is_only_said() -> None:
+    """It is over; the words remain for whoever reads the log."""
+    result = Bench().look("temperature", throttled=("under-voltage since boot",))
+    assert result.level is api.Level.OK
+    assert "under-voltage since boot" in result.summary
+
+
+def test_a_clock_step_is_told_for_a_while() -> None:
+    """It lasts one reading only, which nobody would see."""
+    bench = Bench()
+    bench.look("clock", clock_step_s=10.0)
+    assert bench.look("clock", clock_step_s=0.0).brief == "clock jumped +10 s"
+    bench.clock.advance(STEP_TOLD_S)
+    assert bench.look("clock").level is api.Level.OK
+
+
+@pytest.mark.parametrize("synchronized", [True, False, None])
+def test_a_clock_without_time_source_is_only_said(synchronized: bool | None) -> None:
+    """In the field there often is none."""
+    result = Bench().look("clock", clock_synchronized=synchronized)
+    assert result.level is api.Level.OK
+    assert result.values["clock_synchronized"] is synchronized
+
+
+def test_a_machine_that_cannot_be_read_is_no_fault() -> None:
+    """CannotTell goes through, and all units are STALE."""
+    bench = Bench()
+    bench.host.fail("/proc is not mounted")
+    with pytest.raises(api.CannotTell):
+        bench.look("cpu")

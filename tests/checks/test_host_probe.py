@@ -1,0 +1,136 @@
+"""The host probe on the real machine, and on a made-up /sys for what this machine does not have."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from phm import testing
+from phm.clock import SystemClock
+from phm.facts import CannotTell
+from phm.probes.host import Host
+from phm.probes.worker import Worker
+
+
+def probe(sysfs: Path, **host: object) -> Host:
+    return Host(testing.settings(host=host), testing.FakeClock(), sysfs)
+
+
+def write(file: Path, text: str) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text, encoding="ascii")
+
+
+def test_the_real_machine_is_read() -> None:
+    """Plausible figures from the kernel of whatever machine this is."""
+    fact = Host(testing.settings(), SystemClock()).read()
+    assert 0 <= fact.cpu_percent <= 100
+    assert 0 < fact.memory_percent < 100 and fact.memory_available_bytes > 0
+    (disk,) = fact.disks
+    assert (disk.path, disk.problem) == ("/", "")
+    assert 0 < disk.used_percent <= 100 and disk.free_bytes >= 0
+    assert fact.clock_synchronized in (True, False, None)
+
+
+def test_a_disk_is_counted_as_df_counts(tmp_path: Path) -> None:
+    """What is reserved for root is neither used nor free."""
+    (disk,) = probe(tmp_path, disks=["/"]).read().disks
+    seen = os.statvfs("/")
+    used = seen.f_blocks - seen.f_bfree
+    assert disk.used_percent == pytest.approx(100 * used / (used + seen.f_bavail), abs=1.0)
+
+
+def test_a_disk_that_is_not_there_is_a_problem_of_that_disk(tmp_path: Path) -> None:
+    """The others are told all the same."""
+    root, gone = probe(tmp_path, disks=["/", "/no/such/mount"]).read().disks
+    assert not root.problem
+    assert "No such file" in gone.problem
+
+
+def test_the_hottest_sensor_of_the_processor_counts(tmp_path: Path) -> None:
+    """Thermal zones and hwmon both; sensors of other parts do not count."""
+    write(tmp_path / "class/thermal/thermal_zone0/type", "cpu-thermal\n")
+    write(tmp_path / "class/thermal/thermal_zone0/temp", "48312\n")
+    write(tmp_path / "class/thermal/thermal_zone1/type", "PMIC-Die\n")
+    write(tmp_path / "class/thermal/thermal_zone1/temp", "100000\n")
+    write(tmp_path / "class/hwmon/hwmon0/name", "coretemp\n")
+    write(tmp_path / "class/hwmon/hwmon0/temp1_input", "51000\n")
+    write(tmp_path / "class/hwmon/hwmon0/temp2_input", "garbage\n")
+    fact = probe(tmp_path).read()
+    assert (fact.temperature_c, fact.temperature_of) == (51.0, "coretemp")
+
+
+def test_a_machine_without_sensors_tells_none(tmp_path: Path) -> None:
+    """None, not zero degrees."""
+    fact = probe(tmp_path).read()
+    assert fact.temperature_c is None and fact.throttled is None
+
+
+@pytest.mark.parametrize(
+    ("bits", "words"),
+    [
+        ("0", ()),
+        ("0x50005", ("under-voltage now", "throttled now")),
+        ("50000", ("under-voltage since boot", "throttled since boot")),
+        ("8", ("soft temperature limit now",)),
+    ],
+)
+def test_throttling_of_a_raspberry_pi_is_told_in_words(tmp_path: Path, bits: str, words: tuple[str, ...]) -> None:
+    """Low bits say now, the same sixteen higher say since boot."""
+    write(tmp_path / "devices/platform/soc/soc:firmware/get_throttled", f"{bits}\n")
+    assert probe(tmp_path).read().throttled == words
+
+
+def test_a_jump_of_the_clock_is_measured_against_the_monotonic_one(tmp_path: Path) -> None:
+    """Time that passes is no jump; a set clock is, once."""
+    clock = testing.FakeClock()
+    host = Host(testing.settings(), clock, tmp_path)
+    steps = []
+    for jump in (0.0, 0.0, -5.0, 0.0):
+        clock.advance(2.0)
+        clock.jump_utc(jump)
+        steps.append(round(host.read().clock_step_s, 3))
+    assert steps == [0.0, 0.0, -5.0, 0.0]
+
+
+# ------------------------------------------------------------ the worker
+
+
+def test_a_call_that_hangs_costs_one_thread_and_is_refused_until_it_is_back() -> None:
+    """A dead network mount is asked again and again; it must not eat a thread each time."""
+    worker, let_go, back = Worker("test"), threading.Event(), threading.Event()
+
+    def hang() -> None:
+        let_go.wait(10)
+        back.set()
+
+    with pytest.raises(CannotTell, match="did not answer"):
+        worker.call(hang, 0.01)
+    for _ in range(5):
+        with pytest.raises(CannotTell, match="not come back"):
+            worker.call(lambda: 1, 0.01)
+    assert sum(thread.name == "phm-test" for thread in threading.enumerate()) == 1
+    let_go.set()
+    assert back.wait(5)
+    assert _until_answered(worker) == 1
+
+
+def _until_answered(worker: Worker) -> int:
+    """Ask until the worker is free; the hung call ends a moment after its last act."""
+    for _ in range(1000):
+        try:
+            return worker.call(lambda: 1, 5.0)
+        except CannotTell:
+            threading.Event().wait(0.005)
+    raise AssertionError("the worker did not become free")
+
+
+def test_an_exception_goes_to_the_caller() -> None:
+    """And the worker goes on."""
+    worker = Worker("test-error")
+    with pytest.raises(ZeroDivisionError):
+        worker.call(lambda: 1 // 0, 5.0)
+    assert worker.call(lambda: 2, 5.0) == 2

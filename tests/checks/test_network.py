@@ -1,0 +1,142 @@
+"""Slot 4: rules of the network check."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from phm import api, testing
+from phm_checks.network import Network
+
+NET, ID = "swarm_net", "id-1"
+
+
+def on(network_id: str = ID, name: str = NET, address: str = "172.20.0.3") -> tuple[api.Attachment, ...]:
+    return (api.Attachment(name, network_id, address),)
+
+
+def docker(me: api.ContainerFact | None = None, **fields: Any) -> testing.FakeDocker:
+    fields.setdefault("networks", on())
+    return testing.FakeDocker(testing.container("ros_app", **fields), networks={NET: ID}, me=me)
+
+
+def judge(engine: testing.FakeDocker, **entry: Any) -> api.Result:
+    (check,) = Network.build(testing.settings(containers=[{"name": "ros_app", "networks": [NET], **entry}]))
+    result = check.run(testing.world(docker=engine))
+    assert isinstance(result, api.Result)
+    return result
+
+
+def test_containers_without_networks_have_no_unit() -> None:
+    """Nothing to judge, nothing built."""
+    assert list(Network.build(testing.settings(containers=[{"name": "ros_app"}]))) == []
+
+
+def test_a_connected_container_that_answers_is_ok() -> None:
+    """Attached to the network of this id, PHM beside it, address answering."""
+    result = judge(docker(me=testing.container("phm", networks=on(address="172.20.0.2"))))
+    assert result.level is api.Level.OK
+    assert "172.20.0.3" in result.summary
+
+
+def test_a_container_off_its_network_is_disconnected() -> None:
+    """The ladder reconnects it."""
+    result = judge(docker(networks=()))
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "disconnected", "ros_app")
+    assert result.brief == "ros_app off swarm_net"
+
+
+def test_an_attachment_to_a_recreated_network_is_disconnected() -> None:
+    """Ids count: a network of the same name that was made anew is another network."""
+    result = judge(docker(networks=on(network_id="old-id")))
+    assert result.condition == "disconnected"
+    assert "removed and made again" in result.summary
+
+
+def test_an_attachment_without_address_is_disconnected() -> None:
+    """A half-made endpoint carries nothing."""
+    assert judge(docker(networks=on(address=""))).condition == "disconnected"
+
+
+def test_a_network_that_does_not_exist_is_told_as_such() -> None:
+    """Connecting cannot help; the name that Compose made of it is offered."""
+    engine = docker(networks=on(name=f"project_{NET}"))
+    engine.networks.clear()
+    result = judge(engine)
+    assert result.condition == "network_missing"
+    assert f"project_{NET}" in result.summary
+
+
+def test_phm_off_the_network_is_told_and_nothing_is_pinged() -> None:
+    """From another network a ping proves nothing."""
+    engine = docker(me=testing.container("phm", networks=on(network_id="other")))
+    engine.silent.add("172.20.0.3")
+    assert judge(engine).condition == "sidecar_apart"
+
+
+@pytest.mark.parametrize("me", [None, testing.container("phm", network_mode="host")])
+def test_phm_on_the_host_is_beside_every_network(me: api.ContainerFact | None) -> None:
+    """The host reaches bridge networks as it is."""
+    assert judge(docker(me=me)).level is api.Level.OK
+
+
+def test_a_silent_address_is_an_error_after_two_questions() -> None:
+    """One lost echo is no fault, two are."""
+    engine = docker()
+    engine.silent.add("172.20.0.3")
+    assert judge(engine).condition == "address_silent"
+
+
+def test_a_single_lost_echo_is_no_fault() -> None:
+    """The second question decides."""
+
+    class Lossy(testing.FakeDocker):
+        answers = iter([False, True])
+
+        def reachable(self, address: str) -> bool:
+            return next(self.answers)
+
+    engine = Lossy(testing.container("ros_app", networks=on()), networks={NET: ID})
+    assert judge(engine).level is api.Level.OK
+
+
+def test_an_address_is_not_asked_when_the_configuration_says_so() -> None:
+    """Some containers drop pings on purpose."""
+    engine = docker()
+    engine.silent.add("172.20.0.3")
+    assert judge(engine, address=False).level is api.Level.OK
+
+
+@pytest.mark.parametrize("mode", ["host", "container:vpn"])
+def test_a_container_without_networks_of_its_own_is_a_bypass(mode: str) -> None:
+    """There is no connection to judge, and reconnecting is impossible."""
+    assert judge(docker(network_mode=mode, networks=())).bypass
+
+
+def test_network_mode_none_is_an_error_that_reconnecting_cannot_mend() -> None:
+    """Docker refuses to connect such a container, so its condition has no ladder."""
+    assert judge(docker(network_mode="none", networks=on(name="none", network_id="n"))).condition == "no_network"
+
+
+def test_the_cause_gives_the_condition_when_several_networks_fail() -> None:
+    """Disconnected comes before silent, and both are told."""
+    engine = docker()
+    engine.networks["second"] = "id-2"
+    engine.silent.add("172.20.0.3")
+    result = judge(engine, networks=[NET, "second"])
+    assert result.condition == "disconnected"
+    assert "second" in result.summary and "172.20.0.3" in result.summary
+
+
+def test_networks_of_a_stopped_container_are_not_judged() -> None:
+    """Docker drops endpoints when a container stops; that is no fault of the network."""
+    assert judge(docker(status="exited", networks=())).level is api.Level.STALE
+
+
+def test_a_silent_engine_is_no_network_fault() -> None:
+    """CannotTell goes through."""
+    engine = docker()
+    engine.fail()
+    with pytest.raises(api.CannotTell):
+        judge(engine)

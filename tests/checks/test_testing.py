@@ -1,0 +1,67 @@
+"""`phm.testing`, which authors of checks rely on."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from phm import api, testing
+
+
+def test_a_thread_sleeps_until_the_fake_clock_is_moved() -> None:
+    """And not a moment longer: the test owns time."""
+    clock, seen = testing.FakeClock(), list[float]()
+
+    def sleep_thrice() -> None:
+        for _ in range(3):
+            clock.wait(threading.Event(), 10.0)
+            seen.append(clock.mono())
+
+    thread = threading.Thread(target=sleep_thrice, name="phm-test-sleeper", daemon=True)
+    thread.start()
+    for _ in range(3):
+        clock.wait_for_sleepers(1)
+        clock.advance(10.0)
+    thread.join(5.0)
+    assert seen == [1010.0, 1020.0, 1030.0]
+    assert clock.sleepers == 0
+
+
+def test_an_event_wakes_a_sleeper_without_time_passing() -> None:
+    """As threading.Event.wait does, and it says so by its value."""
+    clock, event, woken = testing.FakeClock(), threading.Event(), list[bool]()
+    thread = threading.Thread(target=lambda: woken.append(clock.wait(event, None)), name="phm-test-event", daemon=True)
+    thread.start()
+    clock.wait_for_sleepers(1)
+    event.set()
+    thread.join(5.0)
+    assert woken == [True] and clock.mono() == 1000.0
+
+
+def test_only_utc_jumps() -> None:
+    """Setting the clock moves UTC alone, and the monotonic clock never goes back."""
+    clock = testing.FakeClock()
+    clock.jump_utc(-5.0)
+    assert (clock.stamp().mono, clock.stamp().utc) == (1000.0, 1_700_000_000.0 - 5.0)
+    with pytest.raises(ValueError, match="jump_utc"):
+        clock.advance(-1.0)
+
+
+def test_sleepers_that_do_not_come_are_an_error() -> None:
+    """A test that waits for a thread that died must fail, not hang."""
+    with pytest.raises(TimeoutError, match="expected 1"):
+        testing.FakeClock().wait_for_sleepers(1, timeout_s=0.01)
+
+
+def test_a_fake_fails_and_works_again_as_told() -> None:
+    """A text becomes CannotTell, an exception is raised as it is."""
+    docker = testing.FakeDocker(testing.container("ros_app"))
+    docker.fail("no answer")
+    with pytest.raises(api.CannotTell, match="no answer"):
+        docker.container("ros_app")
+    docker.work()
+    docker.problems["ros_app"] = api.NotPermitted("403")
+    with pytest.raises(api.NotPermitted):
+        docker.container("ros_app")
+    assert docker.container("other") is None
