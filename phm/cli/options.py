@@ -38,10 +38,11 @@ def json_option(function: F) -> F:
 
 def load_settings(path: str | None) -> Settings:
     """The configuration; ends with exit code 78 and every problem on stderr when it is bad."""
-    from phm.config import ConfigError, load
+    from phm.cli.reading import read
+    from phm.config import ConfigError
 
     try:
-        return load(path)
+        return read(path).settings
     except ConfigError as error:
         click.echo(str(error), err=True)
         raise click.exceptions.Exit(EX_CONFIG) from None

@@ -16,6 +16,7 @@ from click.testing import CliRunner, Result
 
 import phm
 from phm.cli import VERBS, group
+from phm.cli.reading import Read
 from phm.clock import SystemClock
 from phm.model import Level, Outcome, Slot, UnitState
 from phm.needs import NeedsLoop
@@ -284,6 +285,7 @@ def test_without_a_daemon_status_says_so(tmp_path: Path) -> None:
 
 DAEMON = """
 import sys, time
+from phm.cli.reading import Read
 from phm.clock import SystemClock
 from phm.reporters.base import ReporterContext
 from phm.reporters.status import Status
@@ -346,7 +348,7 @@ def test_the_ways_to_show_exclude_each_other(tmp_path: Path) -> None:
 
 def with_daemon(monkeypatch: pytest.MonkeyPatch, **functions: Any) -> None:
     """Settings without a file, and the daemon's functions replaced."""
-    monkeypatch.setattr("phm.config.load", lambda path: Settings())
+    monkeypatch.setattr("phm.cli.reading.read", lambda path: Read("phm.yaml", Settings(), {}))
     for name, function in functions.items():
         monkeypatch.setattr(f"phm.daemon.{name}", function)
 
@@ -389,6 +391,17 @@ def test_a_bad_configuration_ends_before_anything_is_opened(verb: str, tmp_path:
     assert "intervall" in done.stderr
     assert "51" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_once_makes_a_real_pass(plugin: Path) -> None:
+    """A configuration, an installed third-party check and the real daemon: its unit stands in the report."""
+    (plugin / "phm.yaml").write_text("agent: {name: scout, id: 7}\ninterval: 20s\n")
+    done = phm_process("once", "-c", str(plugin / "phm.yaml"), "--json", path=plugin)
+    seen = json.loads(done.stdout)
+    assert seen["agent"] == "scout"
+    levels = {check["id"]: check["level"] for check in seen["checks"]}
+    assert levels["acme_battery"] == "OK"
+    assert done.returncode == int("ERROR" in levels.values())
 
 
 @pytest.mark.parametrize("verb", ["run", "once"])
