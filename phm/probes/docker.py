@@ -1,0 +1,153 @@
+"""The Docker probe: containers, networks and addresses as facts, from the engine's own answers."""
+
+from __future__ import annotations
+
+import re
+import socket
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from phm.clock import Clock
+from phm.facts import CannotTell, ContainerFact
+from phm.probes import reach
+from phm.probes.docker_facts import Budget, container_fact, find
+from phm.settings import Settings
+from phm.transport.docker import Engine, EngineMissing
+
+FRESH_S = 0.2
+"""Several checks ask about one container at the same moment: they share an answer this young."""
+_MYSELF = "\0myself"  # no container can have this name
+_ID = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])")
+_BY_DOCKER = ("/etc/hostname", "/etc/hosts", "/etc/resolv.conf")
+
+
+@dataclass(slots=True)
+class _Entry:
+    """The last answer about one container. Invariant: read and written with `lock` held."""
+
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    asked_at: float = float("-inf")
+    done_at: float = float("-inf")
+    generation: int = -1
+    fact: ContainerFact | None = None
+    error: CannotTell | None = None
+
+
+class Docker:
+    """Implements `phm.facts.DockerProbe`. Thread-safe; each method ends within the engine's time-out."""
+
+    def __init__(self, engine: Engine, settings: Settings, clock: Clock, proc: Path = Path("/proc/self")) -> None:
+        self._engine, self._settings, self._clock, self._proc = engine, settings, clock, proc
+        self._entries = {key: _Entry() for key in (_MYSELF, *(entry.key for entry in settings.containers))}
+        self._generation = 0
+        self._my_id = ""
+
+    def engine(self) -> str:
+        return str(self._engine.version().get("Version") or "unknown version")
+
+    def container(self, name: str) -> ContainerFact | None:
+        wanted = self._settings.container(name)
+        if wanted is None:
+            raise CannotTell(f"no container {name} is configured")
+        return self._shared(name, lambda budget: find(self._engine, wanted, budget))
+
+    def myself(self) -> ContainerFact | None:
+        return self._shared(_MYSELF, self._find_myself)
+
+    def network_id(self, name: str) -> str:
+        try:
+            network = self._engine.inspect_network(name)
+        except EngineMissing:
+            return ""
+        # The engine also takes the beginning of an id for a name.
+        return str(network.get("Id") or "") if network.get("Name") == name else ""
+
+    def reachable(self, address: str) -> bool:
+        return reach.answers(address)
+
+    def invalidate(self) -> None:
+        """Something happened: what was read before now is old. Called with each Docker event."""
+        self._generation += 1
+
+    # ------------------------------------------------------------ one question for all who ask at once
+
+    def _shared(self, key: str, ask: Callable[[Budget], ContainerFact | None]) -> ContainerFact | None:
+        entry = self._entries[key]
+        called_at = self._clock.mono()
+        # Whoever holds the lock is through with it when its own deadline has passed.
+        if not entry.lock.acquire(timeout=self._engine.timeout_s + 1):
+            raise CannotTell(f"the Docker Engine is still busy with an earlier question about {key.strip(chr(0))}")
+        try:
+            if not self._usable(entry, called_at):
+                self._ask(entry, ask)
+            if entry.error is not None:
+                raise entry.error.with_traceback(None)
+            return entry.fact
+        finally:
+            entry.lock.release()
+
+    def _usable(self, entry: _Entry, called_at: float) -> bool:
+        if entry.error is not None and entry.done_at >= called_at:
+            return True  # failed while we waited: to try again would only queue up the deadlines
+        return entry.generation == self._generation and self._clock.mono() - entry.asked_at < FRESH_S
+
+    def _ask(self, entry: _Entry, ask: Callable[[Budget], ContainerFact | None]) -> None:
+        entry.asked_at, entry.generation = self._clock.mono(), self._generation
+        entry.fact = entry.error = None
+        try:
+            entry.fact = ask(Budget(self._clock, self._engine.timeout_s))
+        except CannotTell as error:
+            entry.error = error
+        finally:
+            entry.done_at = self._clock.mono()
+
+    # ------------------------------------------------------------ PHM's own container
+
+    def _find_myself(self, budget: Budget) -> ContainerFact | None:
+        configured = self._settings.docker.container
+        if configured:
+            try:
+                return container_fact(self._engine.inspect(configured, deadline_s=budget.left_s()))
+            except EngineMissing as error:
+                raise CannotTell(
+                    f"PHM's own container {configured} (docker.container) does not exist: correct or remove the key"
+                ) from error
+        for candidate in [self._my_id] if self._my_id else own_ids(self._proc):
+            try:
+                fact = container_fact(self._engine.inspect(candidate, deadline_s=budget.left_s()))
+            except EngineMissing:
+                continue  # the id of a container of another engine, or a host name that looks like one
+            if fact.id.startswith(candidate):
+                self._my_id = fact.id
+                return fact
+        return None
+
+
+def own_ids(proc: Path) -> list[str]:
+    """Ids that PHM's own container may have, best evidence first; empty outside of containers.
+
+    proc: the process's directory in /proc. The engine mounts /etc/hostname and its like from a directory
+    named after the id (cgroup v2 hides the id elsewhere); cgroup v1 names it in each path; the host name
+    is its beginning unless the user chose another.
+    """
+    found: dict[str, None] = {}
+    for line in _lines(proc / "mountinfo"):
+        fields = line.split()
+        # Only those that are mounted for this process: a host sees the mounts of all its containers.
+        if len(fields) > 4 and fields[4] in _BY_DOCKER:
+            found.update(dict.fromkeys(_ID.findall(fields[3])))
+    for line in _lines(proc / "cgroup"):
+        found.update(dict.fromkeys(_ID.findall(line)))
+    name = socket.gethostname()
+    if re.fullmatch(r"[0-9a-f]{12}", name):
+        found.setdefault(name)
+    return list(found)
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []

@@ -1,0 +1,150 @@
+"""What the engine's JSON says, as facts: pure reading that forgives missing fields, and finding a container."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from phm.clock import Clock
+from phm.facts import Attachment, CannotTell, ContainerFact, DeviceMapping, Mount
+from phm.settings import ContainerSettings
+from phm.transport.docker import Engine, EngineMissing
+
+_OUTPUT_CHARS = 200
+_ALIVE = ("running", "paused", "restarting")
+_LEAST_S = 0.05
+
+
+class Budget:
+    """What is left of a method's deadline, for the calls that it makes one after another."""
+
+    def __init__(self, clock: Clock, limit_s: float) -> None:
+        self._clock, self._until = clock, clock.mono() + limit_s
+
+    def left_s(self) -> float:
+        return max(_LEAST_S, self._until - self._clock.mono())
+
+
+def find(engine: Engine, entry: ContainerSettings, budget: Budget) -> ContainerFact | None:
+    """The container that `entry` names, or None. Raises CannotTell when a label names several."""
+    ref = entry.name or _by_label(engine, entry.label or "", budget)
+    if not ref:
+        return None
+    try:
+        fact = container_fact(engine.inspect(ref, deadline_s=budget.left_s()))
+    except EngineMissing:
+        return None
+    # The engine also takes the beginning of an id for a name.
+    return None if entry.name and fact.name != entry.name else fact
+
+
+def _by_label(engine: Engine, label: str, budget: Budget) -> str:
+    """Id of the container with that label, or empty. One that lives wins over the stopped ones it replaced."""
+    found = [
+        entry
+        for entry in engine.list(label=label, deadline_s=budget.left_s())
+        if entry.get("State") not in ("removing", "dead")
+    ]
+    if len(found) > 1:
+        found = [entry for entry in found if entry.get("State") in _ALIVE] or found
+    if len(found) > 1:
+        names = ", ".join(sorted(_name(entry) for entry in found))
+        raise CannotTell(f"the label {label} names {len(found)} containers ({names}): use a label that only one has")
+    return str(found[0].get("Id", "")) if found else ""
+
+
+def _name(summary: Mapping[str, Any]) -> str:
+    return str((summary.get("Names") or [summary.get("Id", "?")])[0]).lstrip("/")
+
+
+def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
+    """The fact in an inspect answer. Raises CannotTell when it names no container or no state."""
+    state, host = _part(answer, "State"), _part(answer, "HostConfig")
+    health = _part(state, "Health")
+    if not answer.get("Id") or not state.get("Status"):
+        raise CannotTell("the Docker Engine described a container without id or state")
+    return ContainerFact(
+        name=_text(answer.get("Name")).lstrip("/"),
+        id=_text(answer.get("Id")),
+        status=_text(state.get("Status")),
+        started_at=_text(state.get("StartedAt")),
+        exit_code=_number(state.get("ExitCode")),
+        oom_killed=bool(state.get("OOMKilled")),
+        error=_text(state.get("Error")),
+        pid=_number(state.get("Pid")),
+        health=_text(health.get("Status")) or "none",
+        health_streak=_number(health.get("FailingStreak")),
+        health_output=_output(health),
+        restart_count=_number(answer.get("RestartCount")),
+        restart_policy=_text(_part(host, "RestartPolicy").get("Name")) or "no",
+        network_mode=_text(host.get("NetworkMode")) or "default",
+        networks=_networks(_part(_part(answer, "NetworkSettings"), "Networks")),
+        mounts=_mounts(_several(answer, "Mounts"), _part(host, "Tmpfs")),
+        devices=tuple(
+            DeviceMapping(
+                host_path=_text(device.get("PathOnHost")),
+                container_path=_text(device.get("PathInContainer")),
+                permissions=_text(device.get("CgroupPermissions")) or "rwm",
+            )
+            for device in _several(host, "Devices")
+        ),
+        device_rules=tuple(_text(rule) for rule in host.get("DeviceCgroupRules") or ()),
+        privileged=bool(host.get("Privileged")),
+    )
+
+
+def _networks(networks: Mapping[str, Any]) -> tuple[Attachment, ...]:
+    found = []
+    for name in networks:
+        attached = _part(networks, name)
+        fixed = _part(attached, "IPAMConfig")
+        found.append(
+            Attachment(
+                name=name,
+                network_id=_text(attached.get("NetworkID")),
+                address=_text(attached.get("IPAddress")) or _text(attached.get("GlobalIPv6Address")),
+                gateway=_text(attached.get("Gateway")),
+                aliases=tuple(_text(alias) for alias in attached.get("Aliases") or ()),
+                fixed_address=_text(fixed.get("IPv4Address")) or _text(fixed.get("IPv6Address")),
+            )
+        )
+    return tuple(found)
+
+
+def _mounts(mounts: Sequence[Mapping[str, Any]], tmpfs: Mapping[str, Any]) -> tuple[Mount, ...]:
+    """Mounts, and what `--tmpfs` made, which the engine lists elsewhere."""
+    found = [
+        Mount(
+            kind=_text(mount.get("Type")),
+            source=_text(mount.get("Source")),
+            destination=_text(mount.get("Destination")),
+            name=_text(mount.get("Name")),
+            writable=bool(mount.get("RW", True)),
+        )
+        for mount in mounts
+    ]
+    return (*found, *(Mount(kind="tmpfs", source="", destination=path) for path in tmpfs))
+
+
+def _output(health: Mapping[str, Any]) -> str:
+    """What the health command printed last, on one line."""
+    log = _several(health, "Log")
+    return " ".join(_text(log[-1].get("Output")).split())[:_OUTPUT_CHARS] if log else ""
+
+
+def _part(answer: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    part = answer.get(key)
+    return part if isinstance(part, Mapping) else {}
+
+
+def _several(answer: Mapping[str, Any], key: str) -> Sequence[Mapping[str, Any]]:
+    found = answer.get(key)
+    return [entry for entry in found if isinstance(entry, Mapping)] if isinstance(found, list) else []
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else str(value)
+
+
+def _number(value: Any) -> int:
+    return value if isinstance(value, int) else 0

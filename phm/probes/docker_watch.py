@@ -1,0 +1,272 @@
+"""Follows what happens to the configured containers: the engine's event stream, and a comparison beside it.
+
+The stream is fast but loses events (the engine drops a slow reader and keeps only 256), so every few
+seconds and after every reconnect the containers are inspected and compared with what the stream led us
+to expect; what was lost is told as an event of its own.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from phm.clock import Clock
+from phm.facts import CannotTell
+from phm.model import Stamp
+from phm.probes.docker_compare import Expected, after, differences
+from phm.probes.docker_facts import Budget, find
+from phm.settings import ContainerSettings, Settings
+from phm.transport.docker import Engine, EngineTimeout, EventStream
+
+logger = logging.getLogger(__name__)
+
+BACKOFF_S = 0.1
+BACKOFF_MAX_S = 5.0
+CONFIRM_S = 0.2
+"""A difference is looked at again after this: the event that explains it may be on its way."""
+_MAX_IDS = 1000
+CONTAINER_ACTIONS = (
+    "create", "start", "die", "stop", "restart", "pause", "unpause", "oom", "health_status", "destroy", "rename",
+)  # fmt: skip
+NETWORK_ACTIONS = ("connect", "disconnect", "destroy")
+# The engine matches actions by their beginning once `health_status` is among them: exec events stay out.
+FILTERS = {"type": ("container", "network"), "event": tuple(dict.fromkeys((*CONTAINER_ACTIONS, *NETWORK_ACTIONS)))}
+
+
+@dataclass(frozen=True, slots=True)
+class DockerEvent:
+    """Something that happened to a configured container or to a network.
+
+    kind:   container or network.
+    key:    the container's key in the configuration, or the network's name.
+    action: one of CONTAINER_ACTIONS or NETWORK_ACTIONS.
+    detail: e.g. ``exit code 137``, ``unhealthy``, or empty.
+    container: for network events the key of the container concerned, when it is a configured one.
+    lost:   the stream did not tell; the comparison found it.
+    """
+
+    kind: str
+    key: str
+    action: str
+    detail: str
+    at: Stamp
+    container: str = ""
+    lost: bool = False
+
+    @property
+    def subjects(self) -> frozenset[str]:
+        """What it wakes: see `phm.api.Check.wakes`."""
+        return frozenset({f"container:{self.key}" if self.kind == "container" else "network"})
+
+    def __str__(self) -> str:
+        of = f" of {self.container}" if self.container else ""
+        return f"{self.kind} {self.key}{of}: {self.action}" + (f" ({self.detail})" if self.detail else "")
+
+
+class Watch:
+    """Two threads: one follows the stream, one compares. `on_event` is called from either, one at a time.
+
+    Invariant: `_expected`, `_ids` and `_touched` are read and written with `_lock` held.
+    """
+
+    def __init__(
+        self, engine: Engine, settings: Settings, clock: Clock, on_event: Callable[[DockerEvent], None]
+    ) -> None:
+        self._engine, self._clock, self._on_event = engine, clock, on_event
+        self._containers = {entry.key: entry for entry in settings.containers}
+        self._networks = {name for entry in settings.containers for name in entry.networks}
+        self._compare_s = settings.docker.compare
+        self._expected: dict[str, Expected] = {}
+        self._ids: dict[str, str] = {}
+        self._touched: dict[str, int] = dict.fromkeys(self._containers, 0)
+        self._lock, self._telling = threading.Lock(), threading.Lock()
+        self._stopping, self._compare_now = threading.Event(), threading.Event()
+        self._stream: EventStream | None = None
+        self._connected, self._since = False, ""
+        self._compared_at: float | None = None
+        self._threads = [
+            threading.Thread(target=self._follow, name="phm-docker-events", daemon=True),
+            threading.Thread(target=self._compare, name="phm-docker-compare", daemon=True),
+        ]
+
+    def start(self) -> None:
+        for thread in self._threads:
+            thread.start()
+
+    def stop(self) -> None:
+        """End both threads; waits at most for a call that is under way."""
+        self._stopping.set()
+        self._compare_now.set()
+        stream = self._stream
+        if stream is not None:
+            stream.close()
+        for thread in self._threads:
+            if thread.is_alive() and thread is not threading.current_thread():
+                thread.join(self._engine.timeout_s + 1)
+
+    def healthy(self) -> bool:
+        """The stream is open, and the last comparison that succeeded is not older than three periods."""
+        at = self._compared_at
+        limit_s = 3 * self._compare_s + self._engine.timeout_s
+        return self._connected and at is not None and self._clock.mono() - at <= limit_s
+
+    # ------------------------------------------------------------ the stream
+
+    def _follow(self) -> None:
+        wait_s = BACKOFF_S
+        while not self._stopping.is_set():
+            opened_at = self._clock.mono()
+            try:
+                self._read_stream()
+                silent = False
+            except EngineTimeout:
+                silent = self._connected  # nothing happened for long: no failure
+            except CannotTell as error:
+                silent = False
+                logger.debug("event stream: %s", error)
+            except Exception:  # a defect in reading must not end the watch for ever
+                silent = False
+                logger.exception("the event stream could not be read")
+            self._connected = False
+            # A stream that is dropped as soon as it is opened must not be reopened ten times a second.
+            if silent or self._clock.mono() - opened_at > BACKOFF_MAX_S:
+                wait_s = BACKOFF_S
+            if not self._stopping.is_set():
+                self._clock.wait(self._stopping, wait_s)
+                wait_s = min(wait_s * 2, BACKOFF_MAX_S)
+
+    def _read_stream(self) -> None:
+        with self._engine.events(self._since, FILTERS) as stream:
+            self._stream = stream
+            if self._stopping.is_set():
+                return
+            self._connected = True
+            self._compare_now.set()
+            for raw in stream:
+                event = self._understand(raw)
+                if event is not None:
+                    self._tell(event)
+
+    def _understand(self, raw: Mapping[str, Any]) -> DockerEvent | None:
+        """The event in our words, taken into what we expect; None when it concerns nobody."""
+        actor = raw.get("Actor")
+        actor = actor if isinstance(actor, Mapping) else {}
+        attributes = actor.get("Attributes")
+        attributes = attributes if isinstance(attributes, Mapping) else {}
+        nanoseconds = raw.get("timeNano")
+        if isinstance(nanoseconds, int):
+            self._since = f"{(nanoseconds + 1) // 10**9}.{(nanoseconds + 1) % 10**9:09d}"
+        action, _, detail = str(raw.get("Action", "")).partition(": ")
+        if raw.get("Type") == "network":
+            return self._network_event(action, str(actor.get("ID", "")), attributes)
+        if raw.get("Type") != "container" or action not in CONTAINER_ACTIONS:
+            return None
+        container_id = str(actor.get("ID", ""))
+        key = self._key_of(container_id, attributes)
+        if not key:
+            return None
+        with self._lock:
+            self._touched[key] += 1
+            if key in self._expected:
+                self._expected[key] = after(self._expected[key], action, detail, container_id)
+        if action == "die":
+            detail = f"exit code {attributes.get('exitCode', 'unknown')}"
+        return DockerEvent("container", key, action, detail, self._clock.stamp())
+
+    def _network_event(self, action: str, network_id: str, attributes: Mapping[str, Any]) -> DockerEvent | None:
+        name = str(attributes.get("name", ""))
+        with self._lock:
+            key = self._ids.get(str(attributes.get("container", "")), "")
+            if action not in NETWORK_ACTIONS or not (key or name in self._networks):
+                return None
+            if key:
+                self._touched[key] += 1
+            if key in self._expected:
+                self._expected[key] = after(self._expected[key], action, name, network_id)
+        return DockerEvent("network", name, action, "", self._clock.stamp(), container=key)
+
+    def _key_of(self, container_id: str, attributes: Mapping[str, Any]) -> str:
+        """Key of the configured container that an event is about; by id also when it was renamed away."""
+        with self._lock:
+            for key, entry in self._containers.items():
+                if _named(entry, attributes):
+                    if len(self._ids) >= _MAX_IDS:
+                        self._ids.clear()
+                    self._ids[container_id] = key
+                    return key
+            return self._ids.get(container_id, "")
+
+    # ------------------------------------------------------------ the comparison
+
+    def _compare(self) -> None:
+        while not self._stopping.is_set():
+            self._compare_now.clear()
+            try:
+                complete = self._compare_all()
+            except Exception:  # a defect in comparing must not end the watch for ever
+                complete = False
+                logger.exception("containers could not be compared")
+            if complete:
+                self._compared_at = self._clock.mono()
+            if not self._stopping.is_set():
+                self._clock.wait(self._compare_now, self._compare_s)
+
+    def _compare_all(self) -> bool:
+        """Whether the engine answered about every container."""
+        answered = [self._compare_one(key) for key in self._containers if not self._stopping.is_set()]
+        return all(answered)
+
+    def _compare_one(self, key: str) -> bool:
+        """Tell what the stream should have told about one container; False when the engine did not answer."""
+        seen = self._look(key)
+        if seen is None:
+            return False
+        touched, now = seen
+        if key in self._expected and differences(self._expected[key], now):
+            self._clock.wait(self._stopping, CONFIRM_S)
+            seen = self._look(key)
+            if seen is None:
+                return False
+            touched, now = seen
+        with self._lock:
+            if self._touched[key] != touched:
+                return True  # the stream spoke meanwhile: what was seen may be older than that
+            expected = self._expected.get(key)
+            self._expected[key] = now
+            if now.id:
+                self._ids = {known: other for known, other in self._ids.items() if other != key} | {now.id: key}
+        for kind, action, detail in differences(expected, now) if expected is not None else ():
+            subject, container, text = (detail, key, "") if kind == "network" else (key, "", detail)
+            self._tell(DockerEvent(kind, subject, action, text, self._clock.stamp(), container, lost=True))
+        return True
+
+    def _look(self, key: str) -> tuple[int, Expected] | None:
+        """How often the stream had spoken about the container before we looked, and what we saw."""
+        with self._lock:
+            touched = self._touched[key]
+        try:
+            fact = find(self._engine, self._containers[key], Budget(self._clock, self._engine.timeout_s))
+        except CannotTell as error:
+            logger.debug("comparison of %s: %s", key, error)
+            return None
+        return touched, Expected.of(fact)
+
+    def _tell(self, event: DockerEvent) -> None:
+        with self._telling:
+            if self._stopping.is_set():
+                return
+            try:
+                self._on_event(event)
+            except Exception:  # the listener's defect must not cost the next event
+                logger.exception("an event could not be handed on: %s", event)
+
+
+def _named(entry: ContainerSettings, attributes: Mapping[str, Any]) -> bool:
+    """Whether an event's attributes (name and labels) are those of a configured container."""
+    if entry.name:
+        return bool(attributes.get("name") == entry.name)
+    label, has_value, value = (entry.label or "").partition("=")
+    return label in attributes and (not has_value or attributes[label] == value)

@@ -1,0 +1,196 @@
+"""Files inside containers: through a volume that PHM sees as well, where there is one, else through the engine.
+
+A volume is cheap and works while the engine hangs; the engine sees everything else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import threading
+from collections import OrderedDict
+from collections.abc import Hashable
+from typing import Any, Final
+
+from phm.clock import Clock
+from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
+from phm.probes.docker_facts import Budget
+from phm.probes.volume_path import MAX_LINKS, Outside, join, normal, resolve
+from phm.settings import Settings
+from phm.transport.docker import Engine, EngineMissing
+
+MAX_BYTES = 1 << 30
+DIGEST_S = 15.0
+"""For reading a whole file; the rest of a look has the engine's time-out."""
+_SUMS = 256
+_PIECE = 1 << 20
+_GO_DIRECTORY, _GO_LINK, _GO_OTHER = 1 << 31, 1 << 27, 1 << 26 | 1 << 25 | 1 << 24 | 1 << 21 | 1 << 19
+_GO_SPECIAL = ((1 << 23, stat.S_ISUID), (1 << 22, stat.S_ISGID), (1 << 20, stat.S_ISVTX))
+_NOT_SEEN_BY_ENGINE: Final = ("/proc", "/sys", "/dev")
+
+
+class Files:
+    """Implements `phm.facts.FileProbe`. Thread-safe."""
+
+    def __init__(self, docker_probe: DockerProbe, engine: Engine, settings: Settings, clock: Clock) -> None:
+        self._docker, self._engine, self._clock = docker_probe, engine, clock
+        # Behind tcp:// the engine may be another machine's, whose paths mean nothing here.
+        self._same_host = settings.docker.socket.startswith("unix:")
+        self._sums: OrderedDict[Hashable, str] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
+        """Raises CannotTell when the container does not exist, or the file is too large or too slow to read."""
+        fact = self._docker.container(container)
+        if fact is None:
+            raise CannotTell(f"there is no container {container} to look into")
+        path = normal(path)
+        try:
+            return self._through_volume(fact, path, digest)
+        except Outside:
+            return self._through_engine(fact, path, digest)
+
+    # ------------------------------------------------------------ volume
+
+    def _through_volume(self, fact: ContainerFact, path: str, digest: bool) -> FileFact | None:
+        roots = self._roots(fact)
+        number = resolve(path, {mount.destination: roots.get(mount.destination, "") for mount in fact.mounts})
+        if number is None:
+            return None
+        try:
+            info = os.fstat(number)
+            sha256 = self._sum_of_file(number, info, path) if digest and stat.S_ISREG(info.st_mode) else ""
+        finally:
+            os.close(number)
+        return _file_fact(path, info.st_mode, info.st_size, sha256, "volume")
+
+    def _roots(self, fact: ContainerFact) -> dict[str, str]:
+        """Where PHM sees the mounts of a container: destination in the container -> path here."""
+        mounts = [mount for mount in fact.mounts if mount.kind in ("bind", "volume") and mount.source]
+        me = self._docker.myself() if mounts else None
+        if me is not None:
+            seen = {mount.destination: _my_view(mount, me.mounts) for mount in mounts}
+        else:
+            seen = {mount.destination: mount.source if self._same_host else "" for mount in mounts}
+        return {destination: here for destination, here in seen.items() if here}
+
+    def _sum_of_file(self, number: int, info: os.stat_result, path: str) -> str:
+        """SHA-256 of an open path. Raises Outside when PHM may not read it: the engine may."""
+        key = (info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
+        known = self._known(key)
+        if known:
+            return known
+        until = self._clock.mono() + DIGEST_S
+        total, size = hashlib.sha256(), 0
+        try:
+            # The path was opened without rights to its content; /proc leads to the very same file.
+            with open(f"/proc/self/fd/{number}", "rb", buffering=0) as content:
+                while piece := content.read(_PIECE):
+                    total.update(piece)
+                    size += len(piece)
+                    if size > MAX_BYTES or self._clock.mono() > until:
+                        raise CannotTell(f"{path} is too large to be read: {size >> 20} MiB or more")
+                now = os.fstat(content.fileno())
+        except OSError as error:
+            raise Outside(f"{path}: {error}") from error
+        if key != (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns):
+            raise CannotTell(f"{path} changed while it was read")
+        return self._keep(key, total.hexdigest())
+
+    # ------------------------------------------------------------ engine
+
+    def _through_engine(self, fact: ContainerFact, path: str, digest: bool) -> FileFact | None:
+        budget = Budget(self._clock, self._engine.timeout_s)
+        found = self._follow(fact, path, budget)
+        if found is None:
+            return None
+        real, told = found
+        mode = _posix_mode(int(told.get("mode", 0)))
+        size = int(told.get("size", 0))
+        wanted = digest and stat.S_ISREG(mode)
+        sha256 = self._sum_by_engine(fact, real, (size, str(told.get("mtime", "")))) if wanted else ""
+        return _file_fact(path, mode, size, sha256, "engine")
+
+    def _follow(self, fact: ContainerFact, path: str, budget: Budget) -> tuple[str, dict[str, Any]] | None:
+        """The path at the end of all links and what the engine says about it."""
+        real = path
+        for _ in range(MAX_LINKS):
+            try:
+                told = self._engine.stat_path(fact.id, real, deadline_s=budget.left_s())
+            except EngineMissing:
+                self._must_be_visible(fact, real)
+                return None
+            if not int(told.get("mode", 0)) & _GO_LINK:
+                return real, told
+            target = str(told.get("linkTarget", ""))
+            if not target:
+                return None
+            real = join(os.path.dirname(real), target)
+        return None
+
+    def _must_be_visible(self, fact: ContainerFact, path: str) -> None:
+        """Raises CannotTell where the engine's `not there` proves nothing."""
+        hidden = [mount.destination for mount in fact.mounts if mount.kind == "tmpfs"]
+        for root in (*hidden, *_NOT_SEEN_BY_ENGINE):
+            if path == root or path.startswith(root.rstrip("/") + "/"):
+                raise CannotTell(
+                    f"{path} lies in memory ({root}), where the Docker Engine cannot look: move it to a volume"
+                )
+        if self._docker_gone(fact):
+            raise CannotTell(f"{fact.name} was removed while PHM looked for {path}")
+
+    def _docker_gone(self, fact: ContainerFact) -> bool:
+        try:
+            self._engine.inspect(fact.id)
+        except EngineMissing:
+            return True
+        return False
+
+    def _sum_by_engine(self, fact: ContainerFact, path: str, version: tuple[int, str]) -> str:
+        key = (fact.life, path, *version)
+        known = self._known(key)
+        if known:
+            return known
+        total = hashlib.sha256()
+        self._engine.copy_file(fact.id, path, total.update, limit=MAX_BYTES, deadline_s=DIGEST_S)
+        return self._keep(key, total.hexdigest())
+
+    # ------------------------------------------------------------ sums
+
+    def _known(self, key: Hashable) -> str:
+        with self._lock:
+            if key in self._sums:
+                self._sums.move_to_end(key)
+            return self._sums.get(key, "")
+
+    def _keep(self, key: Hashable, sha256: str) -> str:
+        with self._lock:
+            self._sums[key] = sha256
+            while len(self._sums) > _SUMS:
+                self._sums.popitem(last=False)
+        return sha256
+
+
+def _my_view(mount: Mount, mine: tuple[Mount, ...]) -> str:
+    """Path in PHM's own container of what `mount` shows to another one, or empty."""
+    for own in mine:
+        if mount.kind == "volume" == own.kind and mount.name and mount.name == own.name:
+            return own.destination
+    covering = [own for own in mine if own.source and os.path.commonpath((own.source, mount.source)) == own.source]
+    if not covering:
+        return ""
+    nearest = max(covering, key=lambda own: len(own.source))
+    return join(nearest.destination, os.path.relpath(mount.source, nearest.source))
+
+
+def _posix_mode(go_mode: int) -> int:
+    """Go's os.FileMode as st_mode."""
+    kind = stat.S_IFDIR if go_mode & _GO_DIRECTORY else 0 if go_mode & _GO_OTHER else stat.S_IFREG
+    special = sum(bit for go_bit, bit in _GO_SPECIAL if go_mode & go_bit)
+    return kind | special | (go_mode & 0o777)
+
+
+def _file_fact(path: str, mode: int, size: int, sha256: str, seen_through: str) -> FileFact:
+    kind = "file" if stat.S_ISREG(mode) else "directory" if stat.S_ISDIR(mode) else "other"
+    return FileFact(path, kind, size, stat.S_IMODE(mode), bool(mode & 0o111), sha256, seen_through)

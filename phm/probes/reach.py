@@ -1,0 +1,108 @@
+"""Whether an address answers from here, without privileges and within a second.
+
+An ICMP echo through a datagram socket needs no capability where `net.ipv4.ping_group_range` allows it,
+as Docker does for containers by default. Beside it a TCP connection to a port that nobody uses: its
+refusal proves as well that the address answers.
+"""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import os
+import select
+import socket
+import struct
+import time
+from pathlib import Path
+
+from phm.facts import CannotTell
+
+LIMIT_S = 1.0
+_DISCARD_PORT = 9
+_COMPLETE = 0x2  # ATF_COM in /proc/net/arp: the address has answered with its hardware address
+
+
+def answers(address: str, limit_s: float = LIMIT_S) -> bool:
+    """Raises CannotTell when `address` is no IP address or this machine cannot open sockets."""
+    try:
+        version = ipaddress.ip_address(address).version
+    except ValueError as error:
+        raise CannotTell(f"{address!r} is no IP address") from error
+    family = socket.AF_INET if version == 4 else socket.AF_INET6
+    try:
+        with socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as knock:
+            echo = _echo(family, address)
+            try:
+                return _race(knock, echo, address, limit_s) or _neighbour(address)
+            finally:
+                if echo is not None:
+                    echo.close()
+    except OSError as error:
+        raise CannotTell(f"{address} cannot be tried from here: {error}") from error
+
+
+def _echo(family: socket.AddressFamily, address: str) -> socket.socket | None:
+    """A socket on which an echo request was sent; None where that is not allowed."""
+    protocol = socket.IPPROTO_ICMP if family == socket.AF_INET else socket.IPPROTO_ICMPV6
+    request = 8 if family == socket.AF_INET else 128
+    try:
+        echo = socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK, protocol)
+    except OSError:
+        return None
+    try:
+        echo.connect((address, 0))
+        # The kernel fills in the identifier and the checksum.
+        echo.send(struct.pack("!BBHHH", request, 0, 0, 0, 1) + b"phm")
+    except OSError:
+        echo.close()
+        return None
+    return echo
+
+
+def _race(knock: socket.socket, echo: socket.socket | None, address: str, limit_s: float) -> bool:
+    """The first proof of life of either; False when both were told `no` or the time is over."""
+    started = knock.connect_ex((address, _DISCARD_PORT))
+    if started in (0, errno.ECONNREFUSED):
+        return True
+    poll = select.poll()
+    open_ends: dict[int, socket.socket] = {}
+    if started == errno.EINPROGRESS:
+        open_ends[knock.fileno()] = knock
+        poll.register(knock, select.POLLOUT)
+    if echo is not None:
+        open_ends[echo.fileno()] = echo
+        poll.register(echo, select.POLLIN)
+    until = time.monotonic() + limit_s
+    while open_ends and (left := until - time.monotonic()) > 0:
+        for number, _ in poll.poll(left * 1000):
+            end = open_ends.pop(number)
+            poll.unregister(number)
+            if _proof(end, end is echo):
+                return True
+    return False
+
+
+def _proof(end: socket.socket, is_echo: bool) -> bool:
+    if not is_echo:
+        return end.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) in (0, errno.ECONNREFUSED)
+    try:
+        return bool(end.recv(256))  # connected, so only replies of that address arrive
+    except OSError:
+        return False
+
+
+def _neighbour(address: str) -> bool:
+    """Whether the address answered ARP of late: it is there, although a firewall swallows what we send.
+
+    The kernel forgets a neighbour that is gone about eight seconds after we tried it.
+    """
+    try:
+        lines = Path(f"/proc/{os.getpid()}/net/arp").read_text(encoding="ascii", errors="replace").splitlines()[1:]
+    except OSError:
+        return False
+    return any(
+        fields[0] == address and int(fields[2], 16) & _COMPLETE and fields[3].strip("0:")
+        for fields in map(str.split, lines)
+        if len(fields) >= 4
+    )

@@ -1,0 +1,124 @@
+"""Walks a path of a container through the mounts that PHM sees, and never leaves them.
+
+Whoever writes into the volume may be broken or hostile: each component is opened relative to the one
+before and without following links, so a link that is swapped in meanwhile leads nowhere. Links are
+followed by hand, in the container's own path space.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections import deque
+from collections.abc import Mapping
+
+MAX_LINKS = 40  # as the kernel does
+_OPEN = os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC
+_MISSING = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
+
+
+class Outside(Exception):
+    """The path, or what it leads to, cannot be seen through a volume: ask the engine."""
+
+
+def normal(path: str) -> str:
+    """Absolute and without empty components or dots; `..` stays, since it may follow a link."""
+    return "/" + "/".join(part for part in path.split("/") if part not in ("", "."))
+
+
+def join(directory: str, path: str) -> str:
+    """`path` as seen from `directory`, normalised in text."""
+    return os.path.normpath(os.path.join(directory, path))
+
+
+def resolve(path: str, roots: Mapping[str, str]) -> int | None:
+    """A descriptor (O_PATH, to be closed) of what `path` leads to, or None when it is not there.
+
+    roots: destination of every mount of the container -> where PHM sees it, empty where it does not.
+    Raises Outside when the way leads through anything but those.
+    """
+    with _Walk(roots) as walk:
+        try:
+            return walk.to(path)
+        except OSError as error:
+            if error.errno in _MISSING:
+                return None
+            raise Outside(f"{path}: {error}") from error
+
+
+class _Walk:
+    """Invariant: `number` is the open descriptor of `done`, which holds no links; or None between mounts."""
+
+    def __init__(self, roots: Mapping[str, str]) -> None:
+        self._roots = roots
+        self._done: list[str] = []
+        self._number: int | None = None
+
+    def __enter__(self) -> _Walk:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._move(None)
+
+    def to(self, path: str) -> int | None:
+        pending = deque(part for part in path.split("/") if part)
+        links = 0
+        while pending:
+            part = pending.popleft()
+            if part == "..":
+                # What was walked is free of links, so its text may be shortened.
+                self._done = self._done[:-1]
+                self._move(None)
+                continue
+            self._enter(part)
+            target = self._link()
+            if target is not None:
+                links += 1
+                if links > MAX_LINKS:
+                    return None
+                self._done = [] if target.startswith("/") else self._done[:-1]
+                self._move(None)
+                pending.extendleft(reversed([piece for piece in target.split("/") if piece not in ("", ".")]))
+        if self._number is None:
+            raise Outside(path)
+        found, self._number = self._number, None
+        return found
+
+    def _move(self, number: int | None) -> None:
+        old, self._number = self._number, number
+        if old is not None:
+            os.close(old)
+
+    def _step(self, part: str) -> None:
+        self._move(os.open(part, _OPEN, dir_fd=self._number))
+
+    def _enter(self, part: str) -> None:
+        """Go to `part`; `number` stays None on the way from the root of the image to a mount."""
+        self._done.append(part)
+        here = "/" + "/".join(self._done)
+        if here not in self._roots and self._number is not None:
+            self._step(part)
+            return
+        self._move(None)
+        covering = [root for root in self._roots if here == root or here.startswith(root.rstrip("/") + "/")]
+        if not covering:
+            if not any(root.startswith(here + "/") for root in self._roots):
+                raise Outside(here)
+            return
+        root = max(covering, key=len)
+        if not self._roots[root]:
+            raise Outside(here)
+        try:
+            self._move(os.open(self._roots[root], os.O_PATH | os.O_CLOEXEC))
+        except OSError as error:
+            raise Outside(f"{self._roots[root]}: {error}") from error  # not to be seen from here after all
+        for below in here[len(root) :].split("/"):
+            if below:
+                self._step(below)
+
+    def _link(self) -> str | None:
+        """Where an open symbolic link leads, None for anything else."""
+        if self._number is None or not stat.S_ISLNK(os.fstat(self._number).st_mode):
+            return None
+        return os.readlink("", dir_fd=self._number)

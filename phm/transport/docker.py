@@ -1,0 +1,329 @@
+"""The Docker Engine, asked and told through docker-py, with a wall-clock deadline on every call.
+
+Both the probes and the recovery actions use one `Engine`. Calls run in the thread that makes them; a
+call that is overdue is cut by the watchdog (see `phm.transport.deadline`), even when the engine keeps
+sending a byte now and then, which docker-py's own timeout never notices.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import tarfile
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from http.client import HTTPException
+from typing import Any, TypeVar
+from urllib.parse import quote
+
+import requests
+from docker import APIClient
+from docker.errors import DockerException, create_api_error_from_http_exception
+from requests.models import Response
+from urllib3.exceptions import HTTPError
+
+from phm.clock import Clock, SystemClock
+from phm.facts import CannotTell
+from phm.transport.deadline import Call, Watchdog
+from phm.transport.docker_errors import (
+    EngineBroken,
+    EngineConflict,
+    EngineError,
+    EngineMissing,
+    EngineRefused,
+    EngineTimeout,
+    EngineUnreachable,
+    translate,
+)
+from phm.transport.docker_http import EventStream, client_for, resolver_for, using
+
+__all__ = [
+    "Engine", "EngineBroken", "EngineConflict", "EngineError", "EngineMissing", "EngineRefused",
+    "EngineTimeout", "EngineUnreachable", "EventStream",
+]  # fmt: skip
+
+T = TypeVar("T")
+Answer = dict[str, Any]
+
+API_WANTED = (1, 44)
+"""Newest API that this module was written against; an older engine is spoken to in its own."""
+API_FALLBACK = "1.41"
+"""Where a socket proxy hides /version: Docker 20.10 and later understand this."""
+ACT_MARGIN_S = 10.0
+"""Allowed to calls that change something, beyond the time-out: the engine waits this long for a kill to take."""
+EVENT_SILENCE_S = 60.0
+"""An event stream that is silent for longer is given up, so that a half-open TCP connection ends."""
+_FAILURES = (
+    requests.RequestException, HTTPError, DockerException, HTTPException, OSError, tarfile.TarError, EOFError,
+    ValueError, KeyError, TypeError, AttributeError, IndexError,
+)  # fmt: skip
+
+
+class Engine:
+    """The engine at `url` (``unix:///path`` or ``tcp://host:port``). Thread-safe; nothing is opened here.
+
+    Every method raises a subclass of `EngineError` (itself a `phm.facts.CannotTell`): EngineTimeout,
+    EngineUnreachable, EngineRefused (403; also NotPermitted), EngineConflict (409), EngineMissing (404),
+    EngineBroken. Containers and networks are named by id or name.
+    """
+
+    def __init__(self, url: str, timeout_s: float = 5.0, clock: Clock | None = None) -> None:
+        self.url, self.timeout_s = url, timeout_s
+        self._clock = clock or SystemClock()
+        self._watchdog = Watchdog(self._clock, "phm-docker-deadlines")
+        self._local = threading.local()  # docker-py's client is not thread-safe
+        self._resolver = resolver_for(url)
+        self._api = ""
+
+    # ------------------------------------------------------------ asking
+
+    def ping(self) -> None:
+        """Returns when the engine answers."""
+        self.call(lambda client: client.ping(), what="ping")
+
+    def version(self) -> Answer:
+        """GET /version: Version, ApiVersion, MinAPIVersion, ..."""
+        return _mapping(self.call(lambda client: client.version(api_version=False), what="read its version"))
+
+    def list(self, *, label: str = "", deadline_s: float | None = None) -> Sequence[Answer]:
+        """Summaries of all containers, stopped ones included; with `label` those that carry it."""
+        filters = {"label": [label]} if label else None
+        found = self.call(
+            lambda client: client.containers(all=True, filters=filters), deadline_s=deadline_s, what="list containers"
+        )
+        return [_mapping(entry) for entry in found]
+
+    def inspect(self, ref: str, *, deadline_s: float | None = None) -> Answer:
+        """All about one container."""
+        return _mapping(
+            self.call(lambda client: client.inspect_container(ref), deadline_s=deadline_s, what=f"inspect {ref}")
+        )
+
+    def inspect_network(self, ref: str, *, deadline_s: float | None = None) -> Answer:
+        """All about one network."""
+        return _mapping(
+            self.call(lambda client: client.inspect_network(ref), deadline_s=deadline_s, what=f"inspect network {ref}")
+        )
+
+    def top(self, container: str) -> Answer:
+        """The processes of a running container: Titles and Processes, as `ps -ef` prints them."""
+        return _mapping(self.call(lambda client: client.top(container), what=f"list processes of {container}"))
+
+    def stat_path(self, container: str, path: str, *, deadline_s: float | None = None) -> Answer:
+        """`name`, `size`, `mode` (Go's FileMode), `mtime` and `linkTarget` of a path in a container.
+
+        A symbolic link is not followed; `linkTarget` is where it leads in the end. EngineMissing when the
+        path or the container is not there.
+        """
+
+        def ask(client: APIClient) -> Answer:
+            response = client.head(_archive_url(client, container), params={"path": path}, timeout=client.timeout)
+            _raise_for_status(response)
+            return _mapping(json.loads(base64.b64decode(response.headers["X-Docker-Container-Path-Stat"])))
+
+        return self.call(ask, deadline_s=deadline_s, what=f"look at {path} in {container}")
+
+    def read_file(self, container: str, path: str, limit: int = 1 << 20) -> bytes:
+        """The content of a regular file of at most `limit` bytes."""
+        content = bytearray()
+        self.copy_file(container, path, content.extend, limit=limit)
+        return bytes(content)
+
+    def copy_file(
+        self, container: str, path: str, sink: Callable[[bytes], object], *, limit: int, deadline_s: float | None = None
+    ) -> int:
+        """Hand the content of a regular file to `sink` piece by piece; its size in bytes.
+
+        Raises CannotTell when the path is no regular file (a link is not followed) or exceeds `limit`.
+        """
+
+        def ask(client: APIClient) -> int:
+            response = client.get(
+                _archive_url(client, container), params={"path": path}, stream=True, timeout=client.timeout
+            )
+            try:
+                _raise_for_status(response)
+                return _untar(response, sink, f"{path} in {container}", limit)
+            finally:
+                response.close()
+
+        return self.call(ask, deadline_s=deadline_s, what=f"read {path} in {container}")
+
+    def events(self, since: str = "", filters: Mapping[str, Sequence[str]] | None = None) -> EventStream:
+        """Open the stream of events; iterate over it in this thread, `close` it from any.
+
+        `since`: seconds of the engine's clock, with nanoseconds after the point; empty for now. The
+        iteration ends when the engine ends the stream or after `close`, and raises EngineError when it
+        breaks or nothing came for EVENT_SILENCE_S; the caller reconnects.
+        """
+        params = {"filters": json.dumps({key: list(values) for key, values in (filters or {}).items()})}
+        if since:
+            params["since"] = since
+        with self._calling("follow events", None) as (client, call):
+            url = f"{client.base_url}/v{client.api_version}/events"
+            response = client.get(url, params=params, stream=True, timeout=(client.timeout, EVENT_SILENCE_S))
+            _raise_for_status(response)
+            sockets = call.finish()
+        explain = partial(translate, call=call, url=self.url, limit_s=EVENT_SILENCE_S, what="follow events")
+        return EventStream(response, sockets, _FAILURES, explain)
+
+    # ------------------------------------------------------------ acting
+
+    def start(self, ref: str) -> None:
+        """Start a container; one that runs is left as it is."""
+        self._act(lambda client: client.start(ref), f"start {ref}")
+
+    def restart(self, ref: str, stop_timeout_s: float = 5.0) -> None:
+        """SIGTERM, SIGKILL after `stop_timeout_s` (rounded up to whole seconds), start again."""
+        grace = _whole(stop_timeout_s)
+        self._act(lambda client: client.restart(ref, timeout=grace), f"restart {ref}", grace)
+
+    def stop(self, ref: str, stop_timeout_s: float = 5.0) -> None:
+        grace = _whole(stop_timeout_s)
+        self._act(lambda client: client.stop(ref, timeout=grace), f"stop {ref}", grace)
+
+    def pause(self, ref: str) -> None:
+        self._act(lambda client: client.pause(ref), f"pause {ref}")
+
+    def unpause(self, ref: str) -> None:
+        self._act(lambda client: client.unpause(ref), f"unpause {ref}")
+
+    def kill(self, ref: str, signal: str = "SIGKILL") -> None:
+        self._act(lambda client: client.kill(ref, signal=signal), f"kill {ref}")
+
+    def disconnect(self, network: str, container: str, force: bool = False) -> None:
+        """Take a container off a network; `force` also when the container is gone or half connected."""
+        self._act(
+            lambda client: client.disconnect_container_from_network(container, network, force=force),
+            f"disconnect {container} from {network}",
+        )
+
+    def connect(self, network: str, container: str, aliases: Sequence[str] = (), address: str = "") -> None:
+        """Put a container on a network, with `aliases` and, when given, a fixed `address` (IPv4 or IPv6)."""
+        fixed = {"ipv6_address" if ":" in address else "ipv4_address": address} if address else {}
+        self._act(
+            lambda client: client.connect_container_to_network(
+                container, network, aliases=list(aliases) or None, **fixed
+            ),
+            f"connect {container} to {network}",
+        )
+
+    # ------------------------------------------------------------ how
+
+    def call(self, fn: Callable[[APIClient], T], *, deadline_s: float | None = None, what: str = "answer") -> T:
+        """Run `fn` on this thread's docker-py client, to be over after `deadline_s` (default: the time-out)."""
+        with self._calling(what, deadline_s) as (client, _):
+            return fn(client)
+
+    def close(self) -> None:
+        """Cut the calls that are under way; every later call fails at once."""
+        self._watchdog.close()
+
+    def _act(self, fn: Callable[[APIClient], Any], what: str, grace_s: float = 0.0) -> None:
+        self.call(fn, deadline_s=self.timeout_s + grace_s + ACT_MARGIN_S, what=what)
+
+    @contextlib.contextmanager
+    def _calling(self, what: str, deadline_s: float | None) -> Iterator[tuple[APIClient, Call]]:
+        limit_s = self.timeout_s if deadline_s is None else deadline_s
+        with self._watchdog.watch(limit_s) as call, using(call):
+            try:
+                if call.expired:
+                    raise EngineUnreachable("PHM is closing its connection to the Docker Engine")
+                yield self._client(limit_s), call
+            except CannotTell as error:
+                # Our own reading may stumble over the end of file that the watchdog caused.
+                raise translate(error, call, self.url, limit_s, what) if call.expired else error from error.__cause__
+            except _FAILURES as error:
+                told = translate(error, call, self.url, limit_s, what)
+                if isinstance(told, EngineUnreachable):
+                    self._api = ""  # what comes back may be another version
+                raise told from error
+            # An answer without a length that was cut looks complete.
+            if call.expired:
+                raise translate(TimeoutError(), call, self.url, limit_s, what)
+
+    def _client(self, limit_s: float) -> APIClient:
+        api = self._api or self._negotiate(limit_s)
+        client: APIClient | None = getattr(self._local, "client", None)
+        if client is None or client.api_version != api:
+            client = self._local.client = client_for(self.url, api, self._resolver)
+        client.timeout = limit_s
+        return client
+
+    def _negotiate(self, limit_s: float) -> str:
+        client = client_for(self.url, API_FALLBACK, self._resolver)
+        client.timeout = limit_s
+        try:
+            told = _mapping(client.version(api_version=False))
+        except DockerException as error:
+            if getattr(error, "status_code", None) not in (401, 403, 404):
+                raise
+            self._api = API_FALLBACK
+        else:
+            newest, oldest = _numbers(told["ApiVersion"]), _numbers(told.get("MinAPIVersion") or "1.24")
+            self._api = "{}.{}".format(*max(min(newest, API_WANTED), oldest))
+        return self._api
+
+
+def _numbers(version: str) -> tuple[int, int]:
+    major, _, minor = version.partition(".")
+    return int(major), int(minor)
+
+
+def _whole(seconds: float) -> int:
+    return max(0, -int(-seconds // 1))
+
+
+def _mapping(answer: Any) -> Answer:
+    if not isinstance(answer, dict):
+        raise TypeError(f"expected an object, got {str(answer)[:80]!r}")
+    return answer
+
+
+def _archive_url(client: APIClient, container: str) -> str:
+    return f"{client.base_url}/v{client.api_version}/containers/{quote(container, safe='')}/archive"
+
+
+def _raise_for_status(response: Response) -> None:
+    try:
+        response.raise_for_status()
+    except requests.HTTPError as error:
+        create_api_error_from_http_exception(error)
+
+
+class _Reader:
+    """`read(n)` over the pieces of a response, as tarfile's stream mode wants it."""
+
+    def __init__(self, response: Response) -> None:
+        self._pieces = response.iter_content(64 << 10)
+        self._rest = b""
+
+    def read(self, size: int) -> bytes:
+        parts, missing = [], size
+        while missing > 0:
+            piece = self._rest or next(self._pieces, b"")
+            if not piece:
+                break
+            parts.append(piece[:missing])
+            self._rest, missing = piece[missing:], missing - len(parts[-1])
+        return b"".join(parts)
+
+
+def _untar(response: Response, sink: Callable[[bytes], object], what: str, limit: int) -> int:
+    """Hand the only file of the tar to `sink`."""
+    with tarfile.open(fileobj=_Reader(response), mode="r|") as archive:  # type: ignore[call-overload]
+        member = archive.next()
+        content = archive.extractfile(member) if member is not None and member.isreg() else None
+        if member is None or content is None:
+            raise CannotTell(f"{what} is no regular file")
+        if member.size > limit:
+            raise CannotTell(f"{what} has {member.size} bytes, more than the {limit} that PHM reads")
+        size = 0
+        while piece := content.read(64 << 10):
+            sink(piece)
+            size += len(piece)
+        if size != member.size:
+            raise EOFError(f"got {size} of {member.size} bytes")
+        return size

@@ -1,0 +1,112 @@
+"""What can go wrong when the Docker Engine is asked, as few kinds, each with a sentence for the operator."""
+
+from __future__ import annotations
+
+import errno
+
+import requests
+from docker.errors import APIError
+from urllib3.exceptions import ProtocolError
+
+from phm.facts import CannotTell, NotPermitted
+from phm.transport.deadline import Call
+
+_MAX_TEXT = 300
+
+
+_BROKE = (requests.ConnectionError, requests.exceptions.ChunkedEncodingError, ProtocolError, ConnectionError, EOFError)
+
+
+class EngineError(CannotTell):
+    """Base of all: the engine gave no usable answer."""
+
+
+class EngineTimeout(EngineError):
+    """No complete answer within the deadline."""
+
+
+class EngineUnreachable(EngineError):
+    """No connection: no socket, no permission, nobody listens, or the connection broke."""
+
+
+class EngineRefused(EngineError, NotPermitted):
+    """HTTP 403, as socket proxies answer."""
+
+
+class EngineConflict(EngineError):
+    """HTTP 409: the container or network is not in a state that allows this."""
+
+
+class EngineMissing(EngineError):
+    """HTTP 404: no such container, network or path."""
+
+
+class EngineBroken(EngineError):
+    """HTTP 5xx and other refusals, or an answer that makes no sense."""
+
+
+_BY_STATUS: dict[int, type[EngineError]] = {
+    401: EngineRefused,
+    403: EngineRefused,
+    404: EngineMissing,
+    409: EngineConflict,
+}
+
+
+def translate(error: BaseException, call: Call, url: str, limit_s: float, what: str) -> EngineError:
+    """`error`, raised while `what` was asked of the engine at `url`, as one of this family."""
+    if isinstance(error, EngineError):
+        return error
+    if call.expired:
+        return _late(url, limit_s, what)
+    if call.failure is not None:
+        return _no_connection(call.failure, url, limit_s, what)
+    if isinstance(error, APIError):
+        return _by_status(error, what)
+    # A socket's own timeout can strike just before the watchdog does.
+    if isinstance(error, (requests.Timeout, TimeoutError)) or "timed out" in str(error).lower():
+        return _late(url, limit_s, what)
+    if isinstance(error, _BROKE):
+        if "BadStatusLine" in repr(error) or "LineTooLong" in repr(error):
+            return EngineBroken(f"{url} does not speak the Docker Engine's language: asked for {what}: {_short(error)}")
+        return EngineUnreachable(f"the connection to the Docker Engine at {url} broke ({what}): {_short(error)}")
+    return EngineBroken(f"the Docker Engine at {url} answered nonsense ({what}): {_short(error)}")
+
+
+def _late(url: str, limit_s: float, what: str) -> EngineTimeout:
+    return EngineTimeout(
+        f"the Docker Engine at {url} did not answer within {limit_s:.1f} s ({what}): it hangs or is overloaded; "
+        "see `journalctl -u docker`"
+    )
+
+
+def _by_status(error: APIError, what: str) -> EngineError:
+    status = int(error.status_code or 0)
+    said = " ".join(str(error.explanation or error).split())[:_MAX_TEXT]
+    kind = _BY_STATUS.get(status, EngineBroken)
+    if kind is EngineRefused:
+        return kind(
+            f"the Docker Engine does not permit PHM to {what} (HTTP {status}): {said}; allow it at the socket proxy"
+        )
+    return kind(f"the Docker Engine answered HTTP {status} ({what}): {said}")
+
+
+def _no_connection(error: OSError, url: str, limit_s: float, what: str) -> EngineError:
+    if isinstance(error, TimeoutError):
+        return _late(url, limit_s, what)
+    path = url.removeprefix("unix://")
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return EngineUnreachable(
+            f"PHM may not open {path} (permission denied): add the docker group with group_add in the compose file"
+        )
+    if error.errno == errno.ENOENT:
+        return EngineUnreachable(
+            f"there is no {path}: start the Docker Engine, or mount its socket into PHM's container"
+        )
+    if error.errno == errno.ECONNREFUSED:
+        return EngineUnreachable(f"no Docker Engine listens at {url}: start it, e.g. `systemctl start docker`")
+    return EngineUnreachable(f"no connection to the Docker Engine at {url}: {_short(error)}")
+
+
+def _short(error: BaseException) -> str:
+    return " ".join((str(error) or type(error).__name__).split())[:_MAX_TEXT]

@@ -1,0 +1,206 @@
+"""docker-py's client on connections that belong to a call with a deadline, with answers of bounded size.
+
+Each call opens a connection of its own and closes it: a kept one may have died meanwhile, and opening
+a unix socket costs 0.1 ms.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+from urllib.parse import urlsplit
+
+import requests
+import requests.adapters
+import urllib3
+import urllib3.connection
+import urllib3.connectionpool
+from docker import APIClient
+from requests.models import PreparedRequest, Response
+
+from phm.transport.deadline import Call, cut
+from phm.transport.docker_errors import EngineBroken, EngineError
+from phm.transport.resolve import Resolver
+
+MAX_ANSWER_BYTES = 16 << 20
+"""An answer that is held in memory; a list of 1000 containers is about 2 MB."""
+MAX_LINE_BYTES = 1 << 20
+_CHUNK = 64 << 10
+_current = threading.local()
+
+
+@contextlib.contextmanager
+def using(call: Call) -> Iterator[None]:
+    """Connections opened by this thread meanwhile belong to `call`."""
+    _current.call = call
+    try:
+        yield
+    finally:
+        _current.call = None
+
+
+def _open(sock: socket.socket, address: Any) -> socket.socket:
+    """Connect `sock` as part of the current call, which also learns why that failed."""
+    call: Call | None = getattr(_current, "call", None)
+    if call is not None:
+        call.attach(sock)
+    try:
+        sock.connect(address)
+    except OSError as error:
+        sock.close()
+        if call is not None:
+            call.failure = error
+        raise
+    return sock
+
+
+class _UnixConnection(urllib3.connection.HTTPConnection):
+    socket_path = ""
+
+    def connect(self) -> None:
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        sock.settimeout(_seconds(self.timeout))
+        self.sock = _open(sock, self.socket_path)
+
+
+class _TcpConnection(urllib3.connection.HTTPConnection):
+    resolver: Resolver
+
+    def connect(self) -> None:
+        limit_s = _seconds(self.timeout)
+        try:
+            self.resolver.ask().wait(limit_s)
+            family, address = self.resolver.answer()
+        except OSError as error:
+            call: Call | None = getattr(_current, "call", None)
+            if call is not None:
+                call.failure = error
+            raise
+        sock = socket.socket(family, socket.SOCK_STREAM)
+        sock.settimeout(limit_s)
+        self.sock = _open(sock, address)
+
+
+def _seconds(timeout: Any) -> float | None:
+    return float(timeout) if isinstance(timeout, (int, float)) else None
+
+
+class _Pool(urllib3.connectionpool.HTTPConnectionPool):
+    """Makes connections of one kind; `more` are attributes that all of them get."""
+
+    def __init__(self, kind: type[urllib3.connection.HTTPConnection], **more: Any) -> None:
+        super().__init__("localhost", maxsize=1)
+        self.ConnectionCls = type(kind.__name__, (kind,), more)
+
+
+class _Bounded(requests.adapters.HTTPAdapter):
+    """Reads an answer that is not streamed up to MAX_ANSWER_BYTES, and refuses a longer one."""
+
+    def send(self, request: PreparedRequest, stream: bool = False, *args: Any, **kwargs: Any) -> Response:
+        request.headers["Connection"] = "close"
+        response = super().send(request, True, *args, **kwargs)
+        if not stream:
+            body = bytearray()
+            try:
+                for chunk in response.iter_content(_CHUNK):
+                    body += chunk
+                    if len(body) > MAX_ANSWER_BYTES:
+                        raise EngineBroken(f"the Docker Engine's answer is longer than {MAX_ANSWER_BYTES >> 20} MiB")
+            finally:
+                response.close()
+            # requests has no public way to hand over a body that was read already.
+            response._content = bytes(body)
+            response._content_consumed = True
+        return response
+
+
+class _Adapter(_Bounded):
+    """All requests go through one pool, whatever their URL says."""
+
+    def __init__(self, pool: _Pool) -> None:
+        self._pool = pool
+        super().__init__(pool_connections=1, pool_maxsize=1)
+
+    def get_connection_with_tls_context(self, *args: Any, **kwargs: Any) -> Any:
+        return self._pool
+
+    def get_connection(self, *args: Any, **kwargs: Any) -> Any:
+        return self._pool  # what requests before 2.32 asks for
+
+    def request_url(self, request: PreparedRequest, proxies: Any) -> str:
+        return str(request.path_url)
+
+    def close(self) -> None:
+        self._pool.close()
+        super().close()
+
+
+def resolver_for(url: str) -> Resolver | None:
+    """What finds the engine's host, to be shared by all clients; None for a unix socket."""
+    parts = urlsplit(url)
+    return Resolver(parts.hostname or "", parts.port or 2375, socket.SOCK_STREAM) if parts.scheme == "tcp" else None
+
+
+def client_for(url: str, version: str, resolver: Resolver | None) -> APIClient:
+    """A docker-py client for the use of one thread; `version` is the API's, so nothing is asked here."""
+    client = APIClient(base_url=url, version=version)
+    client.trust_env = False  # no HTTP_PROXY and no .netrc between PHM and its own engine
+    if resolver is None:
+        client.mount("http+docker://", _Adapter(_Pool(_UnixConnection, socket_path=url.removeprefix("unix://"))))
+    else:
+        client.mount("http://", _Adapter(_Pool(_TcpConnection, resolver=resolver)))
+    return client
+
+
+class EventStream:
+    """The engine's events as dictionaries, until the stream ends, breaks, or `close` is called.
+
+    Iterate once, in one thread; `close` may be called from any other and ends the iteration at once.
+    `failures` is what reading may raise, `translate` makes an EngineError of it.
+    """
+
+    def __init__(
+        self,
+        response: Response,
+        sockets: tuple[socket.socket, ...],
+        failures: tuple[type[BaseException], ...],
+        translate: Callable[[BaseException], EngineError],
+    ) -> None:
+        self._response, self._sockets = response, sockets
+        self._failures, self._translate = failures, translate
+        self.closed = False
+
+    def close(self) -> None:
+        self.closed = True
+        for sock in self._sockets:
+            cut(sock)
+
+    def __enter__(self) -> EventStream:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """For the reading thread only: `response.close` would wait for a read in another one."""
+        self.close()
+        self._response.close()
+
+    def __iter__(self) -> Iterator[Mapping[str, Any]]:
+        try:
+            yield from self._events()
+        except self._failures as error:
+            if not self.closed:
+                raise self._translate(error) from error
+
+    def _events(self) -> Iterator[Mapping[str, Any]]:
+        rest = b""
+        for chunk in self._response.iter_content(_CHUNK):
+            *lines, rest = (rest + chunk).split(b"\n")
+            if len(rest) > MAX_LINE_BYTES:
+                raise EngineBroken("the Docker Engine sent an event of more than 1 MiB")
+            for line in lines:
+                event = json.loads(line) if line.strip() else None
+                if isinstance(event, dict):
+                    yield event
