@@ -30,6 +30,12 @@ from phm.tracker import Tracker
 logger = logging.getLogger(__name__)
 
 STALLED_BEAT_S = 3.0
+DEADLY = ("signal 2", "signal 3", "signal 9", "signal 15")
+STOPPING_S = 11.0
+"""The engine's own time between SIGTERM and SIGKILL is 10 s."""
+LOOK_S = 1.0
+STALLED_END_S = 30.0
+"""A daemon that has stalled for so long ends itself, since Docker restarts what exits and not what hangs."""
 STALLED_CHECKS_S = 15.0
 """The companion check runs every second; no check coming back for this long means that the engine stalls."""
 
@@ -73,9 +79,18 @@ class Daemon:
         self.engine.start()
         self._heart.start()
 
-    def wait(self) -> None:
-        """Until `stop_soon` is called, e.g. by a signal."""
-        self._stop.wait()
+    def wait(self) -> bool:
+        """Until `stop_soon` is called, e.g. by a signal: True. False when PHM has stalled and must be replaced.
+
+        Looks are counted, not seconds: after a pause of the whole machine the first look is not held against us.
+        """
+        stalled = 0
+        while not self._stop.is_set():
+            stalled = 0 if self.alive() else stalled + 1
+            if stalled * LOOK_S >= STALLED_END_S:
+                return False
+            self.clock.wait(self._stop, LOOK_S)
+        return True
 
     def stop_soon(self) -> None:
         self._stop.set()
@@ -122,6 +137,8 @@ class Daemon:
 
     def _docker_event(self, event: DockerEvent) -> None:
         self.pipeline.note("DOCKER", str(event))
+        if event.action == "kill" and event.detail in DEADLY:
+            self.pipeline.expect_end(event.key, STOPPING_S)
         for subject in event.subjects:
             self._wake(subject)
 
@@ -215,7 +232,10 @@ class Daemon:
 
 
 def run(settings: Settings) -> int:
-    """Run until SIGTERM or SIGINT; 0 after an orderly end. Handlers only set a flag."""
+    """Run until SIGTERM or SIGINT; 0 after an orderly end. Handlers only set a flag.
+
+    Ends the process with 70 (EX_SOFTWARE) when the engine has stalled: restart policies act on that.
+    """
     daemon = Daemon(settings)
 
     def end(number: int, frame: FrameType | None) -> None:
@@ -224,7 +244,9 @@ def run(settings: Settings) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end)
     daemon.start()
-    daemon.wait()
+    if not daemon.wait():
+        logger.critical("PHM has stalled for %.0f s and ends itself, to be started anew", STALLED_END_S)
+        os._exit(os.EX_SOFTWARE)  # an orderly end would wait for what hangs
     daemon.stop()
     return os.EX_OK
 

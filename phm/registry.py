@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import TypeVar
 
 from phm.api import Check
 
 CHECKS, REPORTERS, ACTIONS = "phm.checks", "phm.reporters", "phm.actions"
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +25,7 @@ class Found:
     problem: str = ""
 
 
-def find(group: str, base: type[T]) -> list[Found]:
+def find(group: str, base: type) -> list[Found]:
     """Everything declared in `group`, by name; each is loaded and must be a subclass of `base`."""
     found = [_load(point, base) for point in entry_points(group=group)]
     return sorted(_without_twins(found), key=lambda entry: entry.name)

@@ -155,7 +155,7 @@ class TargetWorker:
         fault, shop = case.fault, self._shop
         action_class = shop.actions.get(act.action)
         if action_class is None or self._container is None:
-            self._once(case, act.action, Phase.FAILED, f"there is no action {act.action!r}: see phm checks --actions")
+            self._once(case, act.action, Phase.FAILED, f"no installed package provides the action {act.action!r}: correct recovery.ladders")
             case.refused = True
             return
         verify_s = shop.context.settings.recovery.verify

@@ -1,0 +1,213 @@
+"""A real agent for system tests: the demo application in a container, PHM as a process of this machine.
+
+PHM runs on the host here so that a test can kill, stop and look into it; the sidecar image itself is
+tested by the demonstration (test_demo.py).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import yaml
+from docker import DockerClient
+from docker.errors import APIError, DockerException, ImageNotFound, NotFound
+from docker.models.containers import Container
+
+from sitl.record import Event, Record
+
+APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
+ROOT = Path(__file__).resolve().parents[2]
+START_LIMIT_S = 60.0
+
+
+@pytest.fixture(scope="session")
+def docker_client() -> Iterator[DockerClient]:
+    """The engine of this machine; a test without one fails, it is never skipped."""
+    try:
+        client = DockerClient.from_env(timeout=60)
+        client.ping()
+        client.images.get(APP_IMAGE)
+    except ImageNotFound:
+        pytest.fail(f"there is no image {APP_IMAGE}: run scripts/image")
+    except DockerException as error:
+        pytest.fail(f"no Docker Engine answers ({error}): run scripts/engine start")
+    yield client
+    client.close()
+
+
+class Aboard:
+    """The application container `name` on network `network`, both of this test's own."""
+
+    def __init__(self, client: DockerClient) -> None:
+        self.client = client
+        self.name = f"phm-test-{uuid.uuid4().hex[:8]}"
+        self.domain = 10 + uuid.uuid4().int % 80
+        self.network = client.networks.create(self.name, labels={"phm.test": "1"})
+        self.container: Container = client.containers.run(
+            APP_IMAGE, name=self.name, detach=True, network=self.name, labels={"phm.test": "1"},
+            environment={"ROS_DOMAIN_ID": str(self.domain)}, mem_limit="500m",
+        )  # fmt: skip
+
+    def run(self, *argv: str) -> str:
+        code, output = self.container.exec_run(list(argv))
+        assert code == 0, output.decode(errors="replace")
+        return str(output.decode()).strip()
+
+    def kill_node(self, name: str) -> None:
+        self.run("kill", "-KILL", self.run("cat", f"/tmp/nodes/{name}.pid"))
+
+    def identity(self) -> tuple[str, str, str, tuple[str, ...]]:
+        """What changes when somebody acts on the container."""
+        self.container.reload()
+        state = self.container.attrs["State"]
+        networks = tuple(sorted(self.container.attrs["NetworkSettings"]["Networks"]))
+        return self.container.id or "", state["StartedAt"], state["Status"], networks
+
+    def remove(self) -> None:
+        with contextlib.suppress(NotFound, APIError):
+            self.container.remove(force=True)
+        with contextlib.suppress(NotFound, APIError):
+            self.network.remove()
+
+
+class Phm:
+    """`phm run` as a process, with its configuration, log and status in one folder."""
+
+    def __init__(self, folder: Path, config: dict[str, Any], domain: int) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        config = {"run_dir": str(folder / "run"), "log": {"directory": str(folder / "log")}, **config}
+        (folder / "phm.yaml").write_text(yaml.safe_dump(config))
+        self.config = folder / "phm.yaml"
+        self.environ = {**os.environ, "ROS_DOMAIN_ID": str(domain), "PHM_RUN_DIR": str(folder / "run")}
+        self.process: subprocess.Popen[bytes] | None = None
+        self.record = Record(folder / "log" / "phm.jsonl")
+
+    def start(self) -> None:
+        self._output = (self.folder / "output").open("ab")
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "phm.cli", "run", "-c", str(self.config)],
+            cwd=ROOT, env=self.environ, stdout=self._output, stderr=self._output,
+        )  # fmt: skip
+
+    def cli(self, *words: str, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
+        argv = [sys.executable, "-m", "phm.cli", *words]
+        return subprocess.run(
+            argv, cwd=ROOT, env=self.environ, capture_output=True, text=True, timeout=timeout_s, check=False
+        )
+
+    def output(self) -> str:
+        return (self.folder / "output").read_text(errors="replace")
+
+    def children(self) -> list[psutil.Process]:
+        assert self.process is not None
+        return [child for child in psutil.Process(self.process.pid).children() if "phm.probes.ros" in " ".join(child.cmdline())]
+
+    def wait(self, wanted: Callable[[Event], bool], what: str, limit_s: float = 30.0, since: int = 0) -> Event:
+        """The first matching event of the JSON log; fails with the end of the text log when it does not come."""
+        event = self.record.wait(wanted, limit_s, since=since)
+        if event is None:
+            text = self.folder / "log" / "phm.log"
+            tail = "\n".join(text.read_text(errors="replace").splitlines()[-40:]) if text.exists() else self.output()
+            pytest.fail(f"{what} did not happen within {limit_s:g} s; the log ends with\n{tail}")
+        return event
+
+    def wait_all_well(self, since: int = 0) -> None:
+        self.wait(
+            lambda event: event["event"] == "report" and all(digit == 1 for digit in event["status_array"]),
+            "a report with everything well", START_LIMIT_S, since,
+        )  # fmt: skip
+
+    def mark(self) -> int:
+        self.record.update()
+        return len(self.record.events)
+
+    def opened(self, since: int) -> list[str]:
+        self.record.update()
+        return [event["unit"] for event in self.record.events[since:] if event["event"] == "fault_opened"]
+
+    def stop(self) -> int:
+        """SIGTERM, and SIGKILL when it does not end; its exit code."""
+        assert self.process is not None
+        self.process.send_signal(signal.SIGTERM)
+        try:
+            return self.process.wait(15)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            pytest.fail(f"PHM did not end within 15 s of SIGTERM:\n{self.output()}")
+        finally:
+            self._output.close()
+
+
+def config_for(app: Aboard, **more: Any) -> dict[str, Any]:
+    """A configuration of the demo application; `more` replaces top-level sections."""
+    names = [f"/agent_1/node_{number}" for number in (1, 2, 3)]
+    topics = [
+        {"name": f"/agent_1/topic_{number}", "rate": "10Hz", "type": "std_msgs/msg/String", "publishers": [name]}
+        for number, name in enumerate(names, 1)
+    ]
+    return {
+        "interval": "3s",
+        "containers": [
+            {
+                "name": app.name,
+                "recover": True,
+                "networks": [app.name],
+                "files": [{"path": "/ws/src/critical_file", "executable": True}],
+                "devices": [{"path": "/dev/null", "mapped": False}],
+            }
+        ],
+        "ros": {"domain": app.domain, "nodes": [{"name": name} for name in names], "topics": topics},
+        "host": {"cpu": {"warn": 100, "error": 100}, "memory": {"warn": 99, "error": 100}, "disk": {"warn": 99, "error": 100}},
+        **more,
+    }  # fmt: skip
+
+
+@pytest.fixture
+def app(docker_client: DockerClient) -> Iterator[Aboard]:
+    """An application container of this test's own."""
+    aboard = Aboard(docker_client)
+    try:
+        yield aboard
+    finally:
+        aboard.remove()
+
+
+@pytest.fixture
+def start_phm(tmp_path: Path) -> Iterator[Callable[..., Phm]]:
+    """Starts PHM daemons with a configuration; each is ended with the test."""
+    running: list[Phm] = []
+
+    def start(config: dict[str, Any], domain: int = 0) -> Phm:
+        phm = Phm(tmp_path / f"phm{len(running)}", config, domain)
+        running.append(phm)
+        phm.start()
+        return phm
+
+    yield start
+    for phm in running:
+        if phm.process is not None and phm.process.poll() is None:
+            with contextlib.suppress(ProcessLookupError):
+                phm.process.send_signal(signal.SIGCONT)
+            phm.stop()
+
+
+def poll(condition: Callable[[], bool], what: str, limit_s: float = 20.0) -> None:
+    """Wait for something observable in the world."""
+    end = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > end:
+            pytest.fail(f"{what} did not happen within {limit_s:g} s")
+        time.sleep(0.05)

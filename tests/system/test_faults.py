@@ -1,0 +1,127 @@
+"""Real faults on a real agent: one alarm, at its cause, healed and proven."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from docker import DockerClient
+
+from sitl.record import Event
+from tests.system.conftest import Aboard, Phm, config_for
+
+SETTLED_S = 10.0
+"""A fault is watched for this long after it is healed: longer than the grace of any unit."""
+
+CASES: dict[str, tuple[str, str, Callable[[Aboard], object]]] = {
+    "node killed": ("nodes/agent_1/node_1", "restart", lambda app: app.kill_node("node_1")),
+    "container killed": ("container/{name}", "start", lambda app: app.container.kill()),
+    "container stopped": ("container/{name}", "start", lambda app: app.container.stop(timeout=3)),
+    "container paused": ("container/{name}", "unpause", lambda app: app.container.pause()),
+    "unhealthy": ("health/{name}", "restart", lambda app: app.run("touch", "/tmp/unhealthy")),
+    "network lost": ("network/{name}", "reconnect", lambda app: app.network.disconnect(app.container, force=True)),
+}
+
+
+def settled(phm: Phm, mark: int, from_mono: float) -> None:
+    """Let the log go on until `SETTLED_S` after a moment."""
+    phm.wait(lambda event: event["mono"] > from_mono + SETTLED_S, "the log going on", 2 * SETTLED_S, mark)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_one_fault_one_alarm_healed(case: str, app: Aboard, start_phm: Callable[..., Phm]) -> None:
+    """Exactly one fault is opened, at the right unit, resolved by the right action and verified."""
+    unit, action, inject = CASES[case]
+    unit = unit.format(name=app.name)
+    phm = start_phm(config_for(app), app.domain)
+    phm.wait_all_well()
+    mark = phm.mark()
+    inject(app)
+    closed = phm.wait(lambda event: event["event"] == "fault_closed" and event["unit"] == unit, f"{unit} healed", since=mark)
+    settled(phm, mark, closed["mono"])
+    assert phm.opened(mark) == [unit]
+    assert (closed["outcome"], closed["by"]) == ("resolved", action)
+    phases = [event["phase"] for event in phm.record.events[mark:] if event["event"] == "action"]
+    assert phases == ["started", "done", "verified"]
+    phm.wait_all_well(phm.mark())
+
+
+@pytest.mark.parametrize("recovery", [{"mode": "off"}, {"mode": "advise"}])
+def test_off_and_advise_change_nothing_in_the_world(
+    recovery: dict[str, Any], app: Aboard, start_phm: Callable[..., Phm]
+) -> None:
+    """A stopped container stays stopped; `advise` says what would help."""
+    phm = start_phm(config_for(app, recovery=recovery), app.domain)
+    phm.wait_all_well()
+    mark = phm.mark()
+    app.container.kill()
+    before = app.identity()
+    opened = phm.wait(lambda event: event["event"] == "fault_opened", "the fault", since=mark)
+    settled(phm, mark, opened["mono"])
+    assert app.identity() == before
+    assert before[2] == "exited"
+    phases = [event["phase"] for event in phm.record.events[mark:] if event["event"] == "action"]
+    assert phases == (["advised"] if recovery["mode"] == "advise" else [])
+
+
+def test_a_container_that_has_not_opted_in_is_left_alone(app: Aboard, start_phm: Callable[..., Phm]) -> None:
+    """No `recover: true`, no action, whatever the mode."""
+    config = config_for(app)
+    del config["containers"][0]["recover"]
+    phm = start_phm(config, app.domain)
+    phm.wait_all_well()
+    mark = phm.mark()
+    app.container.kill()
+    opened = phm.wait(lambda event: event["event"] == "fault_opened", "the fault", since=mark)
+    settled(phm, mark, opened["mono"])
+    assert app.identity()[2] == "exited"
+    assert not [event for event in phm.record.events[mark:] if event["event"] == "action"]
+
+
+def test_two_dead_nodes_are_two_faults_and_one_restart_heals_both(app: Aboard, start_phm: Callable[..., Phm]) -> None:
+    """Independent faults are each told; what heals both is done once."""
+    phm = start_phm(config_for(app), app.domain)
+    phm.wait_all_well()
+    mark = phm.mark()
+    app.run("sh", "-c", "kill -KILL $(cat /tmp/nodes/node_1.pid) $(cat /tmp/nodes/node_2.pid)")
+    count: list[Event] = []
+
+    def both_closed(event: Event) -> bool:
+        if event["event"] == "fault_closed":
+            count.append(event)
+        return len(count) == 2
+
+    last = phm.wait(both_closed, "both faults closed", since=mark)
+    settled(phm, mark, last["mono"])
+    assert sorted(phm.opened(mark)) == ["nodes/agent_1/node_1", "nodes/agent_1/node_2"]
+    started = [event for event in phm.record.events[mark:] if event["event"] == "action" and event["phase"] == "started"]
+    assert len(started) == 1
+
+
+def test_once_prints_the_same_picture_and_changes_nothing(app: Aboard, start_phm: Callable[..., Phm]) -> None:
+    """`phm once --json` beside a running daemon: the documented shape, all slots well, exit 0."""
+    phm = start_phm(config_for(app), app.domain)
+    phm.wait_all_well()
+    before = app.identity()
+    done = phm.cli("once", "-c", str(phm.config), "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert set(report) == {"agent", "status_array", "slots", "checks"}
+    assert report["status_array"] == [1] * 8
+    assert {"id", "slot", "layer", "level", "summary", "blocked_by", "duration_ms"} <= set(report["checks"][0])
+    assert app.identity() == before
+
+
+def test_once_names_a_fault_and_exits_1(app: Aboard, docker_client: DockerClient, start_phm: Callable[..., Phm]) -> None:
+    """One pass finds what is wrong, at its cause, and leaves it as it is."""
+    phm = start_phm(config_for(app, recovery={"mode": "off"}), app.domain)
+    phm.wait_all_well()
+    app.container.kill()
+    done = phm.cli("once", "-c", str(phm.config), "--json")
+    assert done.returncode == 1
+    levels = {check["id"]: (check["level"], check["blocked_by"]) for check in json.loads(done.stdout)["checks"]}
+    assert levels[f"container/{app.name}"] == ("ERROR", "")
+    assert levels["nodes/agent_1/node_1"] == ("STALE", f"container/{app.name}")
+    assert app.identity()[2] == "exited"
