@@ -147,17 +147,21 @@ def disks_stand_once(root: View) -> None:
     no_twins("disk", ((same_path(place.text), place) for place in root.get("host", "disks").texts))
 
 
-def names_of_checks(root: View, known: Iterable[str]) -> None:
+def names_of_checks(root: View, known: Iterable[str], units: Iterable[str] | None) -> None:
     """`checks.<name>` must be installed; needs name checks or units of checks."""
     names = sorted(known)
     for name, check in root.get("checks").items():
         if name not in names:
             check.complain(unknown("check", name, names) + " (`phm checks` lists them)")
         for need in check.get("needs").texts:
-            if need.text.partition("/")[0] not in names:
+            of_check, _, subject = need.text.partition("/")
+            if of_check not in names:
                 what = f"unknown need {shown(need.text)}"
-                near = unknown("check", need.text.partition("/")[0], names)
+                near = unknown("check", of_check, names)
                 need.complain(f"{what}: {near} (write a check's name or the id of a unit, check/subject)")
+            elif subject and units is not None and need.text not in units:
+                theirs = sorted(unit for unit in units if unit.startswith(f"{of_check}/"))
+                need.complain(unknown("unit", need.text, [of_check, *theirs]))
 
 
 def names_of_recovery(root: View, actions: Iterable[str] | None, conditions: Iterable[str] | None) -> None:

@@ -47,13 +47,14 @@ def load(
     known_checks: Collection[str] | None = None,
     known_actions: Collection[str] | None = None,
     known_conditions: Collection[str] | None = None,
+    known_units: Collection[str] | None = None,
     builtin_needs: Mapping[str, Collection[str]] | None = None,
 ) -> Settings:
     """Read and judge one file. Raises `ConfigError` with all problems at once.
 
     environ:          for `${VAR}` and PHM_INTERVAL; default: that of the process.
     known_checks:     names of the installed checks; None: names of checks are not judged. Likewise the actions and
-                      conditions of `recovery.ladders`.
+                      conditions of `recovery.ladders`, and the ids of units in `needs`.
     builtin_needs:    check name -> names of checks that it needs by itself, for finding circles.
     """
     file = find(path)
@@ -64,6 +65,7 @@ def load(
         known_checks=known_checks,
         known_actions=known_actions,
         known_conditions=known_conditions,
+        known_units=known_units,
         builtin_needs=builtin_needs,
     )
 
@@ -76,6 +78,7 @@ def loads(
     known_checks: Collection[str] | None = None,
     known_actions: Collection[str] | None = None,
     known_conditions: Collection[str] | None = None,
+    known_units: Collection[str] | None = None,
     builtin_needs: Mapping[str, Collection[str]] | None = None,
 ) -> Settings:
     """As `load`, from the text of a file called `file`."""
@@ -90,7 +93,7 @@ def loads(
     root = View(tree, file, problems, value=tree.data)
     cross.judge(root)
     if known_checks is not None:
-        cross.names_of_checks(root, known_checks)
+        cross.names_of_checks(root, known_checks, known_units)
     cross.names_of_recovery(root, known_actions, known_conditions)
     cross.needs_have_no_loop(root, {name: set(needs) for name, needs in (builtin_needs or {}).items()})
     if problems or settings is None:

@@ -1,0 +1,69 @@
+"""`phm validate`: is this configuration good, and if not, why not?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import click
+
+from phm.cli.options import EX_CONFIG, config_option, json_option
+
+if TYPE_CHECKING:
+    from phm.cli.reading import Read
+
+
+@click.command(epilog="Example: phm validate -c config/phm.yaml")
+@click.argument("file", required=False, type=click.Path())
+@config_option
+@json_option
+@click.pass_context
+def command(ctx: click.Context, file: str | None, config: str | None, as_json: bool) -> None:
+    """Check a configuration file and name every problem.
+
+    Opens nothing but the file. Exit code 0: it is good; 78: it is not.
+    """
+    ctx.exit(validate(file or config, as_json))
+
+
+def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None = None) -> int:
+    """Print the verdict, problems on stderr one a line (with `as_json` all on stdout); return 0 or 78."""
+    from phm.cli.reading import read
+    from phm.config import ConfigError
+
+    try:
+        good = read(path, environ)
+    except ConfigError as error:
+        if as_json:
+            problems = [asdict(problem) for problem in error.problems]
+            click.echo(json.dumps({"ok": False, "problems": problems}, indent=2))
+        else:
+            count = len(error.problems)
+            click.echo(str(error), err=True)
+            click.echo(f"{count} problem{'s' if count != 1 else ''}", err=True)
+        return EX_CONFIG
+    click.echo(json.dumps({"ok": True, **_facts(good), "problems": []}, indent=2) if as_json else _line(good))
+    return 0
+
+
+def _facts(good: Read) -> dict[str, str | int | float]:
+    settings = good.settings
+    return {
+        "file": good.file,
+        "agent": settings.agent.name,
+        "id": settings.agent.id,
+        "interval_s": settings.interval,
+        "units": good.unit_count,
+        "containers": len(settings.containers),
+        "nodes": len(settings.ros.nodes),
+        "topics": len(settings.ros.topics),
+        "endpoints": len(settings.mavlink.endpoints),
+    }
+
+
+def _line(good: Read) -> str:
+    facts = _facts(good)
+    counted = ", ".join(f"{facts[key]} {key}" for key in ("units", "containers", "nodes", "topics", "endpoints"))
+    return f"{good.file}: ok, agent {facts['agent']} (id {facts['id']}), every {facts['interval_s']:g} s: {counted}"
