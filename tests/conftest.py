@@ -2,9 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+ROOT = Path(__file__).resolve().parent
+NEEDS = {"system": ("engine", "ros"), "ros": ("ros",)}
+"""What all tests of a folder need; a test elsewhere carries its own mark. `scripts/test` runs those without any of these
+marks on every Python of the machine, with no ROS and no engine there."""
 SKIPPED_IS_FAILED = "tests were skipped: what a test needs is set up by scripts/test, so a skipped test is a failed one"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark by folder; in any folder, a file named `test_real_*` or `test_*_real` talks to a real engine."""
+    for item in items:
+        if ROOT not in item.path.parents:
+            continue
+        folder, name = item.path.relative_to(ROOT).parts[0], item.path.stem
+        for mark in NEEDS.get(folder, ()):
+            item.add_marker(mark)
+        if "real" in name.split("_"):
+            item.add_marker("engine")
 
 
 @pytest.hookimpl(trylast=True)

@@ -1,0 +1,110 @@
+"""The images and compose files are what an agent runs: what they promise is looked up in the engine itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+LIMIT_S = 60.0
+pytestmark = pytest.mark.engine
+
+
+def docker(*words: str) -> str:
+    """Standard output of a docker command that must succeed, run with nothing of ours in the environment."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PHM_", "DOCKER_GID"))}
+    done = subprocess.run(
+        ["docker", *words], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert done.returncode == 0, f"docker {' '.join(words)} ended with {done.returncode}:\n{done.stderr}"
+    return done.stdout
+
+
+def image(name: str) -> dict[str, Any]:
+    (found,) = json.loads(docker("image", "inspect", name))
+    config: dict[str, Any] = found["Config"]
+    return config
+
+
+def compose(*files: str, project: str = "phm") -> dict[str, Any]:
+    """The resolved configuration of compose files in docker/."""
+    words = [word for name in files for word in ("--file", f"docker/{name}")]
+    resolved: dict[str, Any] = json.loads(docker("compose", "--project-name", project, *words, "config", "--format", "json"))
+    return resolved
+
+
+def in_sidecar(*words: str) -> str:
+    """Run a program in a new sidecar container with as little as the compose file gives it."""
+    least = ("--rm", "--read-only", "--tmpfs", "/tmp", "--cap-drop", "ALL", "--network", "none", "--user", "10001:10001")
+    return docker("run", *least, "--entrypoint", words[0], "phm-sidecar:dev", *words[1:])
+
+
+def test_the_sidecar_is_no_root_and_watches_itself() -> None:
+    """The image runs `phm run` as user 10001, ends on SIGTERM and asks `phm status --healthy` how it is."""
+    config = image("phm-sidecar:dev")
+    assert config["User"] == "10001:10001"
+    assert [*config["Entrypoint"], *config["Cmd"]] == ["ros-entrypoint", "phm", "run"]
+    assert config["StopSignal"] == "SIGTERM"
+    assert config["Healthcheck"]["Test"] == ["CMD", "phm", "status", "--healthy"]
+
+
+def test_the_sidecar_carries_no_tools_to_build_or_fetch_with() -> None:
+    """Neither pip nor a compiler is in the image, nor the certificates that its building may have needed."""
+    found = in_sidecar("sh", "-c", "for name in pip pip3 gcc cc make git curl wget; do command -v $name; done; ls -d /build || true")
+    assert found.strip() == ""
+
+
+def test_the_sidecar_finds_ros_and_every_check() -> None:
+    """With a read-only root and no capabilities, rclpy imports in the image and every entry point loads."""
+    assert in_sidecar("python", "-c", "import rclpy; print(rclpy.__name__)").strip() == "rclpy"
+    entries = json.loads(in_sidecar("phm", "checks", "--json"))
+    assert entries
+    assert [entry["problem"] for entry in entries if entry["problem"]] == []
+
+
+def test_the_application_can_be_made_unhealthy() -> None:
+    """The demo application's health check is cheap, quick, and fails while the marker file exists."""
+    check = image("phm-app:dev")["Healthcheck"]
+    assert check["Test"] == ["CMD", "test", "!", "-e", "/tmp/unhealthy"]
+    assert check["Interval"] * check["Retries"] <= 2_000_000_000
+
+
+def test_compose_gives_the_sidecar_least_privilege() -> None:
+    """compose.yaml: no root, nothing writable but log and memory, no capabilities, limits, restarted when it ends."""
+    service = compose("compose.yaml")["services"]["phm"]
+    assert service["user"] == "10001:10001"
+    assert service["read_only"] is True
+    assert service["cap_drop"] == ["ALL"]
+    assert service["security_opt"] == ["no-new-privileges:true"]
+    assert service["restart"] == "unless-stopped"
+    assert "privileged" not in service
+    assert "cap_add" not in service
+    assert int(service["mem_limit"]) > 0
+    assert int(service["pids_limit"]) > 0
+    writable = {mount["target"] for mount in service["volumes"] if not mount.get("read_only")}
+    assert writable == {"/var/run/docker.sock", "/var/log/phm"}
+
+
+def test_every_setting_of_the_agent_is_in_the_example() -> None:
+    """agent.env.example names each variable that compose.yaml takes, with the same default."""
+    text = (ROOT / "docker" / "compose.yaml").read_text("utf-8")
+    example = dict(
+        line.split("=", 1)
+        for line in (ROOT / "docker" / "agent.env.example").read_text("utf-8").splitlines()
+        if line and not line.startswith("#")
+    )
+    taken = dict(piece.partition("}")[0].split(":-", 1) for piece in text.split("${")[1:])
+    assert taken == example
+
+
+def test_the_demonstration_is_laid_over_the_same_service() -> None:
+    """With compose.demo.yaml the sidecar keeps its restrictions and gains an application and an autopilot to watch."""
+    plain, demo = compose("compose.yaml"), compose("compose.yaml", "compose.demo.yaml")
+    assert set(demo["services"]) == {"phm", "ros_app", "autopilot"}
+    for key in ("user", "read_only", "cap_drop", "security_opt", "restart", "mem_limit", "tmpfs"):
+        assert demo["services"]["phm"][key] == plain["services"]["phm"][key]
