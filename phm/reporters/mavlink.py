@@ -63,14 +63,14 @@ class Mavlink(Reporter):
         now = self._context.clock.mono()
         if self._context.alive():
             if now >= self._heartbeat_at:
-                self._heartbeat_at = max(self._heartbeat_at + self._settings.heartbeat, now)
+                self._heartbeat_at = _next(self._heartbeat_at, self._settings.heartbeat, now)
                 self._heartbeat()
             if self._full_at is not None and now >= self._full_at:
                 self._full_at, self._last_full = None, now
                 self._heartbeat()
                 self._say(self._teller.full(self._context.states()))
             elif self._refresh_at is not None and now >= self._refresh_at:
-                self._refresh_at = max(self._refresh_at + self._refresh_s, now)
+                self._refresh_at = _next(self._refresh_at, self._refresh_s, now)
                 states = self._context.states()
                 self._say([*self._teller.reconcile(states), self._teller.refresh(states)])
         self._flush()
@@ -125,3 +125,8 @@ class Mavlink(Reporter):
         word = status_word.encode(worst_by_slot(states))
         kind, autopilot = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
         self._port.send(mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, word, system_status, 3))
+
+
+def _next(due: float, period_s: float, now: float) -> float:
+    """When it is due again: in step with before, unless a turn was missed; none is made up for."""
+    return due + period_s if due + period_s > now else now + period_s

@@ -21,6 +21,7 @@ MAX_PEERS = 16
 PEER_EXPIRES_S = 60.0
 READ_BYTES = 16384
 DATAGRAMS_A_TURN = 64
+SEND_BUFFER_BYTES = 16384
 CLIENT_BACKLOG_BYTES = 16384
 """A TCP client that is this far behind loses frames, and nobody else does."""
 _BUSY = frozenset((errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS))
@@ -274,7 +275,11 @@ class UdpIn(_Udp):
 
 
 def tune(sock: socket.socket) -> None:
-    """Non-blocking, small frames at once, and a silent other end is given up after 10 s instead of 15 min."""
+    """Non-blocking, small frames at once, and a silent other end is given up after 10 s instead of 15 min.
+
+    The kernel keeps little: megabytes of old lines behind a slow radio would be minutes of delay.
+    """
     sock.setblocking(False)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 10_000)

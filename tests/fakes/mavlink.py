@@ -1,0 +1,91 @@
+"""Peers and helpers for MAVLink tests: real pymavlink codecs and sockets on loopback."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from phm.facts import LinkFact
+from phm.transport.dialect import mavlink
+
+LIMIT_S = 15.0
+
+
+def until(wanted: Callable[[], Any], what: str = "it") -> Any:
+    """Poll until `wanted` gives something true, and return that; fail after LIMIT_S."""
+    end = time.monotonic() + LIMIT_S
+    while True:
+        value = wanted()
+        if value:
+            return value
+        assert time.monotonic() < end, f"{what} did not happen within {LIMIT_S:g} s"
+        time.sleep(0.01)
+
+
+def free_port(kind: int = socket.SOCK_STREAM) -> int:
+    """A port of loopback that nobody uses now."""
+    with socket.socket(socket.AF_INET, kind) as sock:
+        sock.bind(("127.0.0.1", 0))
+        return int(sock.getsockname()[1])
+
+
+def heartbeat(
+    custom_mode: int = 0, *, kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, autopilot: int = 8, base_mode: int = 0
+) -> Any:
+    return mavlink.MAVLink_heartbeat_message(kind, autopilot, base_mode, custom_mode, 4, 3)
+
+
+def text(words: str, severity: int = 6) -> Any:
+    return mavlink.MAVLink_statustext_message(severity, words.encode())
+
+
+class Sender:
+    """Another MAVLink program: packs frames with an identity and a sequence of its own."""
+
+    def __init__(self, system: int, component: int) -> None:
+        self._mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+
+    def frame(self, message: Any, *, v1: bool = False) -> bytes:
+        packed: bytes = message.pack(self._mav, force_mavlink1=v1)
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return packed
+
+    def received(self, message: Any) -> Any:
+        """The message as a receiver decodes it."""
+        return mavlink.MAVLink(None).decode(bytearray(self.frame(message)))
+
+
+class FakePort:
+    """A `MavlinkPort` that remembers what was sent, and lets the test play what is heard."""
+
+    def __init__(self) -> None:
+        self.sent: list[Any] = []
+        self._listeners: list[tuple[Callable[[Any, str], None], frozenset[int]]] = []
+
+    def send(self, message: Any) -> None:
+        self.sent.append(message)
+
+    def links(self) -> tuple[LinkFact, ...]:
+        return ()
+
+    def listen(self, callback: Callable[[Any, str], None], ids: Iterable[int]) -> None:
+        self._listeners.append((callback, frozenset(ids)))
+
+    def hear(self, message: Any) -> None:
+        for callback, ids in self._listeners:
+            if message.get_msgId() in ids:
+                callback(message, "test")
+
+    def lines(self) -> list[tuple[int, str]]:
+        """Severity and text of the STATUSTEXTs since the last call; forgets everything."""
+        found = [(message.severity, message.text) for message in self.sent if message.get_type() == "STATUSTEXT"]
+        self.sent.clear()
+        return found
+
+    def heartbeats(self) -> list[Any]:
+        """HEARTBEATs since the last call; forgets everything."""
+        found = [message for message in self.sent if message.get_type() == "HEARTBEAT"]
+        self.sent.clear()
+        return found

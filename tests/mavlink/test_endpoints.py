@@ -1,0 +1,389 @@
+"""The endpoints against real peers: every kind of connection carries every frame, and none stalls another."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import socket
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink import mavutil
+
+from phm.clock import SystemClock
+from phm.facts import LinkFact
+from phm.settings import MavlinkSettings
+from phm.testing import FakeClock
+from phm.transport.mavlink import MavlinkHub
+from phm.transport.mavlink_codec import Counters
+from phm.transport.mavlink_endpoint import OUTBOX_AGE_S, OUTBOX_SIZE, Outbox
+from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
+
+WORD = 0x40025D55
+MakeHub = Callable[..., MavlinkHub]
+
+
+@pytest.fixture
+def make_hub() -> Iterator[MakeHub]:
+    """Hubs of system 7, component 193 with the given endpoint urls, started, and closed at the end."""
+    hubs: list[MavlinkHub] = []
+
+    def make(*urls: str) -> MavlinkHub:
+        hub = MavlinkHub(
+            MavlinkSettings.model_validate({"endpoints": [{"url": url} for url in urls]}), 7, SystemClock()
+        )
+        hub.heard = []  # type: ignore[attr-defined]
+        hub.listen(lambda message, link: hub.heard.append((message, link)), (0, 253))  # type: ignore[attr-defined]
+        hubs.append(hub)
+        hub.start()
+        return hub
+
+    yield make
+    for hub in hubs:
+        hub.close()
+
+
+@pytest.fixture
+def serial_pair() -> Iterator[tuple[int, str]]:
+    """A pseudo terminal: the descriptor of the far end and the path that PHM opens."""
+    far, near = pty.openpty()
+    tty.setraw(far)
+    tty.setraw(near)
+    path = os.ttyname(near)
+    os.close(near)
+    yield far, path
+    with contextlib.suppress(OSError):
+        os.close(far)
+
+
+class SerialPeer:
+    """The far end of a pseudo terminal as a pymavlink connection: mavutil wants to open a path itself."""
+
+    def __init__(self, fd: int) -> None:
+        os.set_blocking(fd, False)
+        self._fd, self.mav = fd, mavutil.mavlink.MAVLink(self, 255, 190)
+        self.mav.robust_parsing = True
+        self._waiting: list[Any] = []
+
+    def write(self, data: bytes) -> None:
+        os.write(self._fd, data)
+
+    def recv_msg(self) -> Any:
+        with contextlib.suppress(OSError):
+            self._waiting += self.mav.parse_buffer(os.read(self._fd, 4096)) or []
+        return self._waiting.pop(0) if self._waiting else None
+
+    def close(self) -> None:
+        """The descriptor belongs to the fixture."""
+
+
+def connect(url: str) -> Any:
+    return mavutil.mavlink_connection(url, source_system=255, source_component=190, dialect="common")
+
+
+def exchange(hub: MavlinkHub, peer: Any) -> list[Any]:
+    """Have the peer speak first, then send a HEARTBEAT and a STATUSTEXT; the frames that the peer decoded."""
+
+    def speak() -> bool:
+        peer.mav.heartbeat_send(6, 8, 0, 0, 4)
+        peer.recv_msg()
+        return bool(hub.heard)  # type: ignore[attr-defined]
+
+    until(speak, "the peer being heard")
+    hub.send(heartbeat(WORD))
+    hub.send(text("A07 FAIL 6 node_1 dead", 2))
+    found: dict[str, Any] = {}
+
+    def received() -> bool:
+        message = peer.recv_msg()
+        if message is not None and message.get_srcSystem() == 7:
+            found[message.get_type()] = message
+        return len(found) == 2
+
+    until(received, "both messages")
+    return [found["HEARTBEAT"], found["STATUSTEXT"]]
+
+
+def judge(hub: MavlinkHub, messages: list[Any]) -> None:
+    """The contract of docs/mavlink.md on the wire."""
+    beat, line = messages
+    for message in messages:
+        assert (message.get_srcSystem(), message.get_srcComponent(), message.get_msgbuf()[0]) == (7, 193, 0xFD)
+    assert (beat.custom_mode, beat.type, beat.autopilot) == (WORD, 18, 8)
+    assert (line.severity, line.text, line.id, line.chunk_seq) == (2, "A07 FAIL 6 node_1 dead", 0, 0)
+    assert line.get_seq() == beat.get_seq() + 1
+    (counters,) = hub.counters().values()
+    until(lambda: counters.sent >= 2)
+    assert counters.received >= 1
+    assert all(fact.open and not fact.error for fact in hub.links())
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "they_first"),
+    [
+        ("udpout:127.0.0.1:{}", "udpin:127.0.0.1:{}", True),
+        ("udpin:127.0.0.1:{}", "udpout:127.0.0.1:{}", False),
+        ("tcp:127.0.0.1:{}", "tcpin:127.0.0.1:{}", True),
+        ("tcpin:127.0.0.1:{}", "tcp:127.0.0.1:{}", False),
+        ("udpbcast:127.255.255.255:{}", "udpin:0.0.0.0:{}", True),
+    ],
+)
+def test_a_pymavlink_peer_reads_what_is_sent(make_hub: MakeHub, ours: str, theirs: str, they_first: bool) -> None:
+    """UDP and TCP in both directions: identity, wire version 2, status word, severity and text arrive."""
+    port = free_port(socket.SOCK_DGRAM if ours.startswith("udp") else socket.SOCK_STREAM)
+    peer = connect(theirs.format(port)) if they_first else None
+    hub = make_hub(ours.format(port))
+    until(lambda: any(fact.open for fact in hub.links()), "the endpoint opening")
+    if they_first:
+        # Somebody who only listens by UDP answers to whom he heard.
+        hub.send(heartbeat(1))
+    peer = peer or connect(theirs.format(port))
+    try:
+        judge(hub, exchange(hub, peer))
+    finally:
+        peer.close()
+
+
+def test_a_serial_peer_reads_what_is_sent(make_hub: MakeHub, serial_pair: tuple[int, str]) -> None:
+    """A serial line carries the same frames."""
+    far, path = serial_pair
+    hub = make_hub(path)
+    judge(hub, exchange(hub, SerialPeer(far)))
+
+
+def test_a_tcp_server_that_restarts_is_found_again(make_hub: MakeHub) -> None:
+    """The link is reported closed with a reason, reopened by itself, and another endpoint notices nothing."""
+    tcp, udp = free_port(), free_port(socket.SOCK_DGRAM)
+    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    other.bind(("127.0.0.1", udp))
+    other.settimeout(5.0)
+    hub = make_hub(f"tcp:127.0.0.1:{tcp}", f"udpout:127.0.0.1:{udp}")
+    for _ in range(2):
+        with socket.create_server(("127.0.0.1", tcp)) as server:
+            server.settimeout(10.0)
+            client, _ = server.accept()
+            until(lambda: hub.links()[0].open)
+            client.close()
+        fact = until(lambda: [link for link in hub.links() if not link.open])[0]
+        assert (fact.name, bool(fact.error)) == (f"tcp:127.0.0.1:{tcp}", True)
+        hub.send(text("still here"))
+        assert b"still here" in other.recv(300)
+    other.close()
+
+
+def test_a_serial_port_that_vanishes_is_opened_again(make_hub: MakeHub, tmp_path: Path) -> None:
+    """An unplugged adapter is a closed link; plugged in again it works without anybody's help."""
+    path = tmp_path / "ttyRADIO"
+    hub = make_hub(str(path))
+    fact = until(hub.links)[0]
+    assert not fact.open
+    assert "No such file" in fact.error
+    for _ in range(2):
+        far, near = pty.openpty()
+        tty.setraw(far)
+        path.symlink_to(os.ttyname(near))
+        os.close(near)
+        until(lambda: hub.links()[0].open, "the port opening")
+        path.unlink()
+        os.close(far)
+        until(lambda: not hub.links()[0].open, "the loss of the port being seen")
+
+
+@contextlib.contextmanager
+def silent_server() -> Iterator[int]:
+    """A port of loopback on which connecting hangs: the queue of a server that never accepts is full."""
+    with socket.socket() as server, contextlib.ExitStack() as clients:
+        server.bind(("127.0.0.1", 0))
+        server.listen(0)
+        for _ in range(4):
+            client = clients.enter_context(socket.socket())
+            client.setblocking(False)
+            client.connect_ex(server.getsockname())
+        yield server.getsockname()[1]
+
+
+def test_a_connection_that_hangs_stalls_nobody(make_hub: MakeHub) -> None:
+    """While one endpoint waits for an answer that never comes, another sends and the hub still closes at once."""
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp.bind(("127.0.0.1", 0))
+    udp.settimeout(5.0)
+    with silent_server() as port:
+        hub = make_hub(f"tcp:127.0.0.1:{port}", f"udpout:127.0.0.1:{udp.getsockname()[1]}")
+        for number in range(500):
+            hub.send(text(f"line {number}"))
+        assert b"line" in udp.recv(300)
+        assert [fact.name for fact in hub.links()] == [f"udpout:127.0.0.1:{udp.getsockname()[1]}"]
+        hub.close()
+        assert not [
+            thread for thread in threading.enumerate() if thread.name.startswith(f"phm-mavlink-tcp:127.0.0.1:{port}")
+        ]
+    udp.close()
+
+
+def test_a_name_server_that_hangs_stalls_nobody(make_hub: MakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A look-up without an answer costs its own endpoint, and when the answer comes it is used."""
+    real, release = socket.getaddrinfo, threading.Event()
+
+    def slow(host: str, *rest: Any, **named: Any) -> Any:
+        if host == "radio" and not named.get("flags"):
+            release.wait(10.0)
+            host = "127.0.0.1"
+        return real(host, *rest, **named)
+
+    monkeypatch.setattr(socket, "getaddrinfo", slow)
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp.bind(("127.0.0.1", 0))
+    udp.settimeout(5.0)
+    port = udp.getsockname()[1]
+    hub = make_hub(f"udpout:radio:{port}", f"udpout:127.0.0.1:{port}")
+    hub.send(text("by address"))
+    assert b"by address" in udp.recv(300)
+    assert [fact.name for fact in hub.links()] == [f"udpout:127.0.0.1:{port}"]
+    release.set()
+    until(lambda: len(hub.links()) == 2 and all(fact.open for fact in hub.links()))
+    udp.close()
+
+
+def test_a_name_may_appear_later(make_hub: MakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A container that is started after PHM is found when its name is; until then the link says what is missing."""
+    real, known = socket.getaddrinfo, threading.Event()
+
+    def names(host: str, *rest: Any, **named: Any) -> Any:
+        if host == "autopilot":
+            if not known.is_set():
+                raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+            host = "127.0.0.1"
+        return real(host, *rest, **named)
+
+    monkeypatch.setattr(socket, "getaddrinfo", names)
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp.bind(("127.0.0.1", 0))
+    udp.settimeout(5.0)
+    hub = make_hub(f"udpout:autopilot:{udp.getsockname()[1]}")
+    (fact,) = until(hub.links)
+    assert not fact.open
+    assert "autopilot" in fact.error
+    hub.send(text("told before the name was known"))
+    known.set()
+    assert b"told before" in udp.recv(300)
+    until(lambda: hub.links()[0] == LinkFact(fact.name, open=True))
+    udp.close()
+
+
+def test_a_client_that_does_not_read_loses_its_own_frames_only(make_hub: MakeHub) -> None:
+    """A ground station that hangs must not keep the others from being told."""
+    port = free_port()
+    hub = make_hub(f"tcpin:127.0.0.1:{port}")
+    until(hub.links)
+    with socket.socket() as stuck, socket.create_connection(("127.0.0.1", port)) as reader:
+        stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        stuck.connect(("127.0.0.1", port))
+        (counters,) = hub.counters().values()
+        reader.settimeout(5.0)
+        got = bytearray()
+
+        def told() -> bool:
+            for _ in range(50):
+                hub.send(text("x" * 50))
+            got.extend(reader.recv(65536))
+            return counters.dropped > 0 and b"at last" in got
+
+        def lost() -> bool:
+            hub.send(text("at last"))
+            return told()
+
+        until(lost, "the stuck client losing frames while the other reads")
+
+
+def test_udp_answers_to_peers_that_speak_mavlink_only(make_hub: MakeHub) -> None:
+    """Noise makes nobody a peer, a frame does, and there are never more than 16."""
+    port = free_port(socket.SOCK_DGRAM)
+    hub = make_hub(f"udpin:127.0.0.1:{port}")
+    until(hub.links)
+    frame = Sender(255, 190).frame(heartbeat())
+    with contextlib.ExitStack() as stack:
+        peers = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(19)]
+        for peer in peers:
+            peer.setblocking(False)
+            peer.connect(("127.0.0.1", port))
+        peers[0].send(b"\xfd\x09garbage" * 9)
+        peers[1].send(frame[:-1])
+        for peer in peers[2:]:
+            peer.send(frame)
+        until(lambda: len(hub.heard) == 17)  # type: ignore[attr-defined]
+        hub.send(text("hello"))
+        until(lambda: next(iter(hub.counters().values())).sent == 1)
+        assert [bool(_read(peer)) for peer in peers] == [False, False] + [True] * 16 + [False]
+
+
+def _read(sock: socket.socket) -> bytes:
+    try:
+        return sock.recv(300)
+    except BlockingIOError:
+        return b""
+
+
+def test_a_listener_that_fails_does_not_close_the_link(make_hub: MakeHub) -> None:
+    """A defect in a probe or reporter stays its own affair."""
+
+    def broken(message: Any, link: str) -> None:
+        raise RuntimeError("a defect")
+
+    port = free_port(socket.SOCK_DGRAM)
+    hub = make_hub(f"udpin:127.0.0.1:{port}")
+    hub.listen(broken, (0,))
+    until(hub.links)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        for count in (1, 2):
+            peer.sendto(Sender(255, 190).frame(heartbeat()), ("127.0.0.1", port))
+            until(lambda wanted=count: len(hub.heard) == wanted)  # type: ignore[attr-defined, misc]
+    assert hub.links()[0].open
+
+
+def test_closing_sends_what_is_queued(make_hub: MakeHub) -> None:
+    """The farewell heartbeat, queued just before, reaches the ground."""
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp.bind(("127.0.0.1", 0))
+    udp.settimeout(5.0)
+    hub = make_hub(f"udpout:127.0.0.1:{udp.getsockname()[1]}")
+    until(hub.links)
+    hub.send(text("farewell"))
+    hub.close()
+    assert b"farewell" in udp.recv(300)
+    udp.close()
+
+
+def drain(outbox: Outbox) -> list[Any]:
+    found = []
+    while (message := outbox.take()) is not None:
+        found.append(message)
+    return found
+
+
+def test_a_full_outbox_drops_its_oldest_and_counts() -> None:
+    """What is newest matters most, and what was lost is known."""
+    counters = Counters()
+    outbox = Outbox(FakeClock(), counters)
+    for number in range(OUTBOX_SIZE + 5):
+        outbox.put(text(f"line {number}"))
+    assert counters.dropped == 5
+    assert [message.text for message in drain(outbox)] == [f"line {number}" for number in range(5, OUTBOX_SIZE + 5)]
+
+
+def test_waiting_heartbeats_are_replaced_and_old_lines_expire() -> None:
+    """After an outage the ground gets one heartbeat, and no line that is no news any more."""
+    clock, counters = FakeClock(), Counters()
+    outbox = Outbox(clock, counters)
+    outbox.put(text("old"))
+    outbox.put(heartbeat(1))
+    clock.advance(OUTBOX_AGE_S + 1)
+    outbox.put(text("new"))
+    outbox.put(heartbeat(2))
+    first, second = drain(outbox)
+    assert (first.text, second.custom_mode) == ("new", 2)
+    assert counters.dropped == 1

@@ -1,0 +1,320 @@
+"""What the ground is told, and when: one line for each change, none for what has not changed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from phm.model import (
+    ActionEvent,
+    Fault,
+    FaultClosed,
+    FaultOpened,
+    Layer,
+    Level,
+    Outcome,
+    Phase,
+    Report,
+    Result,
+    Slot,
+    Transition,
+    UnitState,
+)
+from phm.reporters.base import ReporterContext
+from phm.reporters.mavlink import Mavlink
+from phm.testing import FakeClock, settings
+from phm.transport.dialect import mavlink
+from phm.wire import status_word
+from tests.fakes.mavlink import FakePort, Sender, heartbeat
+
+
+class Scene:
+    """A reporter with units whose levels the test sets; events reach it in the tracker's order."""
+
+    def __init__(self, *, agent: int = 1, **mavlink_settings: object) -> None:
+        self.clock, self.port, self.alive = FakeClock(), FakePort(), True
+        self.units: dict[str, UnitState] = {}
+        for slot, name in ((Slot.CONTAINER, "container/app"), (Slot.NODES, "nodes/a"), (Slot.HOST, "host")):
+            self.units[name] = UnitState(
+                name, name, slot, Layer.ROS, Level.OK, Result(Level.OK, ""), self.clock.stamp()
+            )
+        self.settings = settings(agent={"id": agent}, mavlink=mavlink_settings)
+        context = ReporterContext(
+            self.settings, self.clock, "boot", lambda: tuple(self.units.values()), lambda: self.alive, dict, self.port
+        )
+        built = Mavlink.build(context)
+        assert built is not None
+        self.reporter = built
+
+    def become(self, unit: str, level: Level, brief: str = "", *, blocked_by: str = "", by: str = "itself") -> None:
+        """Move a unit to a level, with the events that the tracker sends, in its order."""
+        old, now = self.units[unit], self.clock.stamp()
+        fault = Fault("F1", unit, old.slot, old.layer, old.result, now, by=by)
+        opens = level is Level.ERROR and not old.fault
+        closes = bool(old.fault) and (level is Level.OK or bool(blocked_by))
+        if opens:
+            self.reporter.handle(FaultOpened(now, fault))
+        if closes and blocked_by:
+            self.reporter.handle(FaultClosed(now, replace(fault, outcome=Outcome.REATTRIBUTED, by=blocked_by)))
+        name = "F1" if opens or (old.fault and not closes) else ""
+        new = replace(old, level=level, result=Result(level, "", brief), blocked_by=blocked_by, fault=name)
+        self.units[unit] = new
+        self.reporter.handle(Transition(now, old.level, new, changed_text=old.level is level))
+        if closes and not blocked_by:
+            self.reporter.handle(FaultClosed(now, replace(fault, outcome=Outcome.RESOLVED)))
+
+    def report(self) -> None:
+        now = self.clock.stamp()
+        self.reporter.handle(Report(now, 1, now, tuple(self.units.values())))
+
+    def pass_time(self, seconds: float) -> None:
+        for _ in range(round(seconds * 10)):
+            self.clock.advance(0.1)
+            self.reporter.tick()
+
+    def running(self) -> Scene:
+        """After the first report and its refresh line, with nothing remembered as sent."""
+        self.reporter.tick()
+        self.report()
+        self.reporter.tick()
+        self.port.sent.clear()
+        return self
+
+    def last_heartbeat(self, seconds: float = 2.1) -> object:
+        self.pass_time(seconds)
+        return self.port.heartbeats()[-1]
+
+
+def status(scene: Scene) -> int:
+    return int(scene.last_heartbeat().system_status)  # type: ignore[attr-defined]
+
+
+def test_a_fault_is_told_once_at_its_severity() -> None:
+    """A lost mission function is CRITICAL, anything else lost is ERROR, and time alone repeats neither."""
+    scene = Scene().running()
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    scene.become("host", Level.ERROR, "disk / 99%")
+    scene.pass_time(100.0)
+    lines = scene.port.lines()
+    assert [line for line in lines if line[0] <= 5] == [(2, "A01 FAIL 6 a dead"), (3, "A01 FAIL 9 disk / 99%")]
+
+
+def test_the_end_of_a_fault_says_who_ended_it() -> None:
+    """One NOTICE, with the action that healed it, or that it went by itself."""
+    scene = Scene().running()
+    for by, words in (("restart", "restart fixed"), ("itself", "cleared itself")):
+        scene.become("nodes/a", Level.ERROR, "a dead")
+        scene.port.sent.clear()
+        scene.become("nodes/a", Level.OK, by=by)
+        assert scene.port.lines() == [(5, f"A01 OK 6 {words}: a dead")]
+
+
+def test_a_warning_comes_and_goes() -> None:
+    """WARNING once, then a NOTICE that it is over."""
+    scene = Scene().running()
+    scene.become("host", Level.WARN, "disk / 88%")
+    scene.become("host", Level.OK)
+    assert scene.port.lines() == [(4, "A01 WARN 9 disk / 88%"), (5, "A01 OK 9 cleared: disk / 88%")]
+
+
+def test_a_change_of_words_is_a_change() -> None:
+    """A second network lost while the first still is: the operator hears it; the same words again are not told."""
+    scene = Scene().running()
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    scene.become("nodes/a", Level.ERROR, "a, b dead")
+    scene.become("nodes/a", Level.ERROR, "a, b dead")
+    assert [words for _, words in scene.port.lines()] == ["A01 FAIL 6 a dead", "A01 FAIL 6 a, b dead"]
+
+
+def test_what_follows_from_another_fault_says_nothing() -> None:
+    """STALE is silent, blocked or not; coming back from it is silent too when nothing bad was told."""
+    scene = Scene().running()
+    scene.become("nodes/a", Level.STALE, blocked_by="container/app")
+    scene.become("nodes/a", Level.OK)
+    scene.become("nodes/a", Level.STALE)
+    assert scene.port.lines() == []
+
+
+def test_not_knowing_for_a_while_repeats_nothing() -> None:
+    """ERROR, STALE, ERROR of the same fault is one alarm."""
+    scene = Scene().running()
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    scene.become("nodes/a", Level.STALE)
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    assert len(scene.port.lines()) == 1
+
+
+def test_a_fault_found_to_follow_from_another_is_taken_back() -> None:
+    """What was told as a fault and then reattributed is told as over when the unit is well."""
+    scene = Scene().running()
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    scene.become("nodes/a", Level.STALE, blocked_by="container/app")
+    scene.become("nodes/a", Level.OK)
+    assert scene.port.lines() == [(2, "A01 FAIL 6 a dead"), (5, "A01 OK 6 cleared: a dead")]
+
+
+@pytest.mark.parametrize(
+    ("phase", "expected"),
+    [
+        (Phase.ADVISED, [(4, "A01 ADVISE 2 restart app")]),
+        (Phase.ESCALATED, [(2, "A01 GAVE UP 2 app exited")]),
+        (Phase.STARTED, []),
+        (Phase.DONE, []),
+        (Phase.VERIFIED, []),
+    ],
+)
+def test_only_what_asks_for_the_operator_is_told_of_actions(phase: Phase, expected: list[tuple[int, str]]) -> None:
+    """Advice and giving up are lines; what PHM did is told by what came of it."""
+    scene = Scene().running()
+    scene.become("container/app", Level.ERROR, "app exited")
+    scene.port.sent.clear()
+    scene.reporter.handle(ActionEvent(scene.clock.stamp(), "F1", "container/app", "restart", "app", phase))
+    assert scene.port.lines() == expected
+
+
+def test_the_refresh_comes_at_its_period_as_info() -> None:
+    """From the first report on, one INFO line a period: the array and the worst unit."""
+    scene = Scene(refresh=10).running()
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    scene.port.sent.clear()
+    scene.pass_time(30.5)
+    assert scene.port.lines() == [(6, "A01 FAIL -1---0-- 6 a dead")] * 3
+
+
+def test_the_refresh_takes_the_interval_by_default() -> None:
+    """Without `mavlink.refresh` the line comes with each pass."""
+    scene = Scene().running()
+    scene.pass_time(41.0)
+    assert scene.port.lines() == [(6, "A01 OK -1---1--")] * 2
+
+
+def test_heartbeats_carry_the_status_word() -> None:
+    """Every `heartbeat` seconds: ONBOARD_CONTROLLER, no autopilot, no mode, the word of all slots."""
+    scene = Scene(heartbeat=2).running()
+    scene.become("nodes/a", Level.WARN, "a slow")
+    scene.pass_time(20.05)
+    beats = scene.port.heartbeats()
+    assert len(beats) == 10
+    beat = beats[-1]
+    assert (beat.type, beat.autopilot, beat.base_mode) == (18, 8, 0)
+    levels = {Slot.CONTAINER: Level.OK, Slot.NODES: Level.WARN, Slot.HOST: Level.OK}
+    assert status_word.decode(beat.custom_mode) == levels
+
+
+def test_the_system_status_says_how_bad_it_is() -> None:
+    """BOOT before the first report, then ACTIVE, CRITICAL when degraded, EMERGENCY when the mission function is lost."""
+    scene = Scene()
+    scene.reporter.tick()
+    assert scene.port.heartbeats()[-1].system_status == mavlink.MAV_STATE_BOOT
+    scene.report()
+    assert status(scene) == mavlink.MAV_STATE_ACTIVE
+    scene.become("host", Level.ERROR, "disk / 99%")
+    assert status(scene) == mavlink.MAV_STATE_CRITICAL
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    assert status(scene) == mavlink.MAV_STATE_EMERGENCY
+    scene.reporter.close()
+    assert scene.port.heartbeats()[-1].system_status == mavlink.MAV_STATE_POWEROFF
+
+
+def test_the_dead_mans_switch_silences_heartbeat_and_refresh() -> None:
+    """When the engine stalls nothing claims that it looks; when it is back both go on."""
+    scene = Scene(refresh=5).running()
+    scene.alive = False
+    scene.pass_time(30.0)
+    assert scene.port.sent == []
+    scene.alive = True
+    scene.pass_time(0.2)
+    assert sorted(message.get_type() for message in scene.port.sent) == ["HEARTBEAT", "STATUSTEXT"]
+
+
+def test_a_new_ground_station_hears_everything_once() -> None:
+    """Heartbeat, each bad unit at its severity, the refresh; then nothing more for the same station."""
+    scene = Scene().running()
+    gcs = Sender(255, 190)
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    scene.become("host", Level.WARN, "disk / 88%")
+    scene.port.sent.clear()
+    for _ in range(3):
+        scene.port.hear(gcs.received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
+        scene.pass_time(1.0)
+    lines = scene.port.lines()
+    assert lines == [
+        (2, "A01 FAIL 6 a dead"),
+        (4, "A01 WARN 9 disk / 88%"),
+        (6, "A01 FAIL -1---0-- 6 a dead +1"),
+    ]
+
+
+def test_a_ground_station_that_was_lost_hears_everything_again() -> None:
+    """Silence for longer than `gcs_timeout` means that it missed what was sent meanwhile."""
+    scene = Scene(gcs_timeout=10).running()
+    gcs = Sender(255, 190)
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    for silence, expected in ((5.0, 1), (9.0, 0), (11.0, 1)):
+        scene.pass_time(silence)
+        scene.port.sent.clear()
+        scene.port.hear(gcs.received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
+        scene.pass_time(0.5)
+        assert [severity for severity, _ in scene.port.lines()].count(2) == expected
+
+
+def test_answers_of_a_swarm_are_spread() -> None:
+    """Agents answer the same ground station one after another, by their number."""
+    waits = []
+    for agent in (1, 30):
+        scene = Scene(agent=agent).running()
+        scene.port.hear(Sender(255, 190).received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
+        before = scene.clock.mono()
+        while not scene.port.lines():
+            scene.pass_time(0.1)
+        waits.append(scene.clock.mono() - before)
+    assert waits[0] < waits[1] < 1.1
+
+
+@pytest.mark.parametrize(("system", "kind"), [(255, mavlink.MAV_TYPE_QUADROTOR), (1, mavlink.MAV_TYPE_GCS)])
+def test_other_senders_are_no_ground_station(system: int, kind: int) -> None:
+    """Another vehicle, or a program aboard that calls itself a ground station, gets no answer."""
+    scene = Scene().running()
+    scene.port.hear(Sender(system, 190).received(heartbeat(kind=kind)))
+    scene.pass_time(1.0)
+    assert scene.port.lines() == []
+
+
+def test_many_changes_at_once_leave_at_ten_a_second_gravest_first() -> None:
+    """A storm of changes does not flood the radio, and each unit's newest word is what is sent."""
+    scene = Scene().running()
+    template = scene.units["nodes/a"]
+    for number in range(40):
+        name = f"nodes/n{number}"
+        scene.units[name] = replace(template, unit=name, slot=Slot.NODES if number % 2 else Slot.HOST)
+        scene.become(name, Level.ERROR, f"n{number} dead")
+        scene.become(name, Level.ERROR, f"n{number} gone")
+    first = scene.port.lines()
+    scene.pass_time(1.0)
+    second = scene.port.lines()
+    scene.pass_time(5.0)
+    rest = scene.port.lines()
+    assert len(first) <= 10
+    assert len(second) <= 11
+    assert [line[0] for line in second] == sorted(line[0] for line in second)
+    told = {words for _, words in first + second + rest}
+    assert all(any(f"n{number} gone" in words for words in told) for number in range(10, 40))
+
+
+def test_lost_events_are_made_up_for_at_the_refresh() -> None:
+    """A queue that overflowed must not leave a fault untold, nor one that is over standing."""
+    scene = Scene(refresh=10).running()
+    well = scene.units["nodes/a"]
+    scene.units["nodes/a"] = replace(well, level=Level.ERROR, result=Result(Level.ERROR, "", "a dead"), fault="F9")
+    scene.pass_time(10.5)
+    assert (2, "A01 FAIL 6 a dead") in scene.port.lines()
+    scene.units["nodes/a"] = well
+    scene.pass_time(10.0)
+    assert (5, "A01 OK 6 cleared: a dead") in scene.port.lines()
+
+
+def test_without_endpoints_there_is_no_reporter() -> None:
+    """An agent without MAVLink pays nothing for it."""
+    context = ReporterContext(settings(), FakeClock(), "boot", tuple, lambda: True, dict, None)
+    assert Mavlink.build(context) is None

@@ -1,0 +1,128 @@
+"""The simulated autopilot and ground station behave like what they stand for, with PHM's own hub beside them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.model import Level, Slot
+from phm.probes.links import Links
+from phm.testing import settings
+from phm.transport.mavlink import MavlinkHub
+from phm.wire import status_word
+from sitl.autopilot import Autopilot
+from sitl.ground import Ground, TextLine, WordChange, as_text
+from sitl.link import Port
+from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
+
+
+class Flight:
+    """Autopilot 7 with a companion port and a ground port on loopback, and PHM's hub and probe beside it."""
+
+    def __init__(self) -> None:
+        self.companion, self.ground_port = free_port(), free_port()
+        self.pilot = self._pilot()
+        chosen = settings(agent={"id": 7}, mavlink={"endpoints": [{"url": f"tcp:127.0.0.1:{self.companion}"}]})
+        self.hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
+        self.links = Links(self.hub, chosen, SystemClock(), lambda: None)
+        self.ground = Ground(f"tcp:127.0.0.1:{self.ground_port}")
+        self.hub.start()
+        self.hub.send(text("PHM is here"))  # the autopilot passes nothing on to a port that is silent
+        self.ground.start()
+
+    def _pilot(self) -> Autopilot:
+        pilot = Autopilot(7, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self.ground_port}")
+        self._thread = threading.Thread(target=pilot.run, daemon=True)
+        self._thread.start()
+        return pilot
+
+    def restart_pilot(self) -> None:
+        self.pilot.stop()
+        self._thread.join(5.0)
+        self.pilot = self._pilot()
+
+    def close(self) -> None:
+        self.ground.stop()
+        self.hub.close()
+        self.pilot.stop()
+        self._thread.join(5.0)
+
+
+@pytest.fixture
+def flight() -> Iterator[Flight]:
+    made = Flight()
+    yield made
+    made.close()
+
+
+def test_lines_and_words_reach_the_ground_through_the_autopilot(flight: Flight) -> None:
+    """What PHM sends to the autopilot arrives at the ground station with identity, severity and word unchanged."""
+    until(lambda: flight.links.gcs_age_s() is not None and (7, 1) in flight.ground.heartbeats)
+    word = status_word.encode({Slot.NODES: Level.ERROR})
+    flight.hub.send(heartbeat(word))
+    flight.hub.send(text("A07 FAIL 6 node_1 dead", 2))
+    line = until(lambda: [line for line in flight.ground.lines if "FAIL" in line.text])[0]
+    assert (line.system, line.component, line.severity, line.text) == (7, 193, 2, "A07 FAIL 6 node_1 dead")
+    change = until(lambda: list(flight.ground.words))[0]
+    assert change.levels == {Slot.NODES: Level.ERROR}
+
+
+def test_a_silent_ground_port_hears_the_autopilot_alone(flight: Flight) -> None:
+    """As measured on a real ArduPilot: frames are passed on only to links that have themselves sent a packet."""
+    until(lambda: flight.links.autopilot() is not None)
+    silent = Port(f"tcp:127.0.0.1:{flight.ground_port}")
+    heard: list[tuple[int, int]] = []
+
+    def listen() -> bool:
+        flight.hub.send(text("for everybody"))
+        for sock in silent.sockets():
+            heard.extend((message.get_srcSystem(), message.get_srcComponent()) for _, message in silent.receive(sock))
+        return heard.count((7, 1)) > 6 and len(flight.ground.lines) > 6
+
+    until(listen)
+    assert set(heard) == {(7, 1)}
+    silent.send(Sender(254, 190).frame(heartbeat(kind=6)))
+    until(lambda: listen() and (7, 193) in heard)
+    silent.close()
+
+
+def test_the_ground_arms_and_the_companion_sees_it(flight: Flight) -> None:
+    """The arm command is acknowledged by a heartbeat with the armed bit, which the link probe reads."""
+    for armed in (True, False):
+        until(lambda: flight.links.autopilot() is not None and (7, 1) in flight.ground.heartbeats)
+        flight.ground.arm(7, armed=armed)
+        until(lambda wanted=armed: (fact := flight.links.autopilot()) is not None and fact.armed is wanted)  # type: ignore[misc]
+
+
+def test_both_sides_find_an_autopilot_that_rebooted(flight: Flight) -> None:
+    """After a reboot of the autopilot PHM and the ground station reconnect and lines flow again."""
+    until(lambda: flight.links.autopilot() is not None)
+    flight.restart_pilot()
+
+    def told() -> bool:
+        flight.hub.send(text("after the reboot"))
+        return any(line.text == "after the reboot" for line in flight.ground.lines)
+
+    until(told)
+
+
+def test_frames_that_claim_to_be_the_autopilot_vanish(flight: Flight) -> None:
+    """Component 1 of the vehicle's own system is not passed on."""
+    until(lambda: flight.links.gcs_age_s() is not None)
+    liar = Port(f"tcp:127.0.0.1:{flight.companion}")
+    liar.send(Sender(7, 1).frame(text("I am the autopilot")))
+    liar.send(Sender(7, 42).frame(text("I am not")))
+    until(lambda: any(line.text == "I am not" for line in flight.ground.lines))
+    assert all(line.text != "I am the autopilot" for line in flight.ground.lines)
+    liar.close()
+
+
+def test_the_terminal_line_cannot_be_steered() -> None:
+    """Text from the radio is shown without control characters; words of another version are shown as such."""
+    line = as_text(TextLine(0.0, 0.0, 7, 193, 2, "A07 \x1b[2J FAIL"))
+    assert "\x1b" not in line
+    assert "CRITICAL" in line
+    assert "version 3" in as_text(WordChange(0.0, 0.0, 7, 193, 0xC0000001, 4))
