@@ -134,16 +134,18 @@ def _read(path: FilePath) -> str:
         handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except (OSError, ValueError) as error:
         raise _refused(path, _why(error)) from error
-    with os.fdopen(handle, "rb") as stream:
-        mode = os.fstat(stream.fileno()).st_mode
+    try:
+        mode = os.fstat(handle).st_mode
         if stat.S_ISDIR(mode):
             raise _refused(path, "is a directory: name the file in it")
         if not stat.S_ISREG(mode):
             raise _refused(path, "is no regular file: name a file")
-        try:
+        with os.fdopen(handle, "rb", closefd=False) as stream:
             raw = stream.read(MAX_BYTES + 1)
-        except OSError as error:
-            raise _refused(path, _why(error)) from error
+    except OSError as error:
+        raise _refused(path, _why(error)) from error
+    finally:
+        os.close(handle)
     if len(raw) > MAX_BYTES:
         raise _refused(
             path, f"is larger than {MAX_BYTES // 1024} KiB, which no configuration needs: is it the right file?"

@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     if target.is_file() and target.read_text(encoding="utf-8") == text():
         return 0
-    print(f"{target.name} does not match phm/settings.py: run 'python -m phm.config.schema'", file=sys.stderr)
+    sys.stderr.write(f"{target.name} does not match phm/settings.py: run 'python -m phm.config.schema'\n")
     return 1
 
 

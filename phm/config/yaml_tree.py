@@ -91,7 +91,9 @@ def parse(text: str, file: str, expander: Expander) -> Tree:
         tree.problems.append(Problem(file, line, "", problem))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        tree.problems.append(Problem(file, mark.line + 1 if mark else 0, "", _sentence(error)))
+        line = mark.line + 1 if mark else 0
+        hint = " (inside [] and {} a text with ${...} needs quotes)" if "${" in _line(text, line) else ""
+        tree.problems.append(Problem(file, line, "", _sentence(error) + hint))
     else:
         if node is None:
             tree.problems.append(Problem(file, 0, "", "is empty: write at least one key (see config/phm.yaml)"))
@@ -116,6 +118,11 @@ def _compose(text: str) -> yaml.Node | None:
         loader.dispose()
 
 
+def _line(text: str, number: int) -> str:
+    lines = text.split("\n")
+    return lines[number - 1] if 0 < number <= len(lines) else ""
+
+
 def _sentence(error: yaml.MarkedYAMLError) -> str:
     """PyYAML's words, made plain for the mistakes that people make."""
     problem = str(error.problem or error.context or "syntax error")
@@ -126,7 +133,9 @@ def _sentence(error: yaml.MarkedYAMLError) -> str:
     if "expected a single document" in str(error.context):
         return "a second document starts here: keep one, without '---' between"
     if "mapping values are not allowed" in problem:
-        return "a ':' stands where no key can be: check the indentation, and put text with ': ' in quotes"
+        return (
+            "a ':' stands where no key can be: check the indentation and the line before, put text with ': ' in quotes"
+        )
     if "could not find expected ':'" in problem:
         return "a ':' is missing after a key, or a line is indented wrongly"
     if "found undefined alias" in problem:

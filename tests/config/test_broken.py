@@ -1,0 +1,247 @@
+"""Broken configurations by the dozen: each is refused with the line, the key, what is wrong and what is allowed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import pytest
+
+from phm.config import ConfigError, Problem, loads
+
+CHECKS = ("companion", "container", "files", "network", "nodes", "topics", "rates", "host")
+ACTIONS = ("start", "restart", "unpause", "reconnect")
+BUILTIN = {"files": {"container"}, "network": {"container"}, "nodes": {"container", "network"}, "topics": {"nodes"}}
+UNITS = ("container/app", "nodes/a/one", "nodes/a/two", "host")
+ENVIRON = {"WORD": "abc", "NUMBER": "300", "EMPTY": ""}
+
+
+class Broken(NamedTuple):
+    """What stands in the file, and what must be said about it: line, key, words in this order."""
+
+    name: str
+    text: str
+    line: int
+    key: str
+    words: tuple[str, ...]
+
+
+def refused(text: str, **environ: str) -> tuple[Problem, ...]:
+    """All problems of a text that must be refused."""
+    with pytest.raises(ConfigError) as caught:
+        loads(
+            text, "phm.yaml", environ={**ENVIRON, **environ}, known_checks=CHECKS, known_actions=ACTIONS,
+            known_conditions=("exited", "unhealthy"), known_units=UNITS, builtin_needs=BUILTIN,
+        )  # fmt: skip
+    return caught.value.problems
+
+
+ONE = "containers:\n  - name: app\n"
+
+BROKEN = [
+    # the file as YAML
+    Broken("empty", "", 0, "", ("is empty",)),
+    Broken("only comments", "# nothing\n", 0, "", ("is empty",)),
+    Broken("list at the top", "- agent\n", 1, "", ("top level is no mapping", "'agent:'")),
+    Broken("text at the top", "\nhello\n", 2, "", ("top level is no mapping",)),
+    Broken("tab", "agent:\n\tname: a\n", 2, "", ("a tab", "spaces")),
+    Broken("unclosed list", "containers: [\n", 2, "", ("no YAML",)),
+    Broken("unclosed quote", 'agent:\n  name: "abc\n', 3, "", ("no YAML",)),
+    Broken("two colons", "agent: name: a\n", 1, "", ("':'", "indentation")),
+    Broken("missing colon", "agent:\n  name\n  id: 3\n", 3, "", ("':'", "line before")),
+    Broken("two documents", "interval: 5\n---\ninterval: 6\n", 2, "", ("second document", "keep one")),
+    Broken("tag", "agent:\n  name: !!python/name:os.system x\n", 2, "", ("tag", "not supported")),
+    Broken("local tag", "interval: !secret x\n", 1, "", ("tag '!secret'",)),
+    Broken("undefined alias", "agent:\n  name: *nobody\n", 2, "", ("undefined alias 'nobody'", "quotes")),
+    Broken("control character", "agent:\n  name: a\x01b\n", 2, "", ("'\\x01'", "not allowed")),
+    Broken("impossible escape", 'agent:\n  name: "\\UFFFFFFFF"\n', 2, "", ("escape is no character",)),
+    Broken("half a character", 'agent:\n  name: "\\uD800"\n', 2, "agent.name", ("text that is valid Unicode",)),
+    Broken("deep", "checks: " + "[" * 60 + "]" * 60, 1, "", ("deeper than 24 levels",)),
+    Broken("list as key", "? [a, b]\n: 1\n", 1, "", ("a key is a list or a mapping",)),
+    Broken("merge key", "agent: &a {id: 2}\nlog:\n  <<: *a\n", 3, "log.<<", ("merge keys are not supported",)),
+    Broken("cycle", "checks:\n  host:\n    options: &o\n      again: *o\n", 3, "checks.host.options.again", ("own anchor",)),
+    # keys
+    Broken("repeated key", "interval: 5\nagent: {}\ninterval: 6\n", 3, "interval", ("stands twice", "line 1")),
+    Broken("repeated key inside", "agent:\n  id: 2\n  id: 3\n", 3, "agent.id", ("stands twice", "line 2")),
+    Broken("unknown key", "intervall: 5\n", 1, "intervall",
+           ("unknown key 'intervall', did you mean 'interval'? allowed: agent, interval, containers",)),
+    Broken("unknown key inside", "log:\n  sink: a\n", 2, "log.sink", ("unknown key 'sink'", "directory, max_size")),
+    Broken("unknown key in a list", ONE + "    restart: true\n", 3, "containers[0].restart", ("unknown key", "recover")),
+    Broken("unknown key in a check", "checks:\n  host:\n    perod: 1\n", 3, "checks.host.perod", ("did you mean 'period'",)),
+    Broken("empty key", "agent:\n  '': 5\n", 2, "agent.''", ("unknown key ''",)),
+    Broken("missing path", ONE + "    files:\n      - present: true\n", 4, "containers[0].files[0].path", ("is missing",)),
+    Broken("missing limit", "host:\n  cpu: {warn: 50}\n", 2, "host.cpu.error", ("is missing", "ERROR from here")),
+    # types
+    Broken("text for a number", "agent:\n  id: one\n", 2, "agent.id", ("is text 'one', a whole number is wanted",)),
+    Broken("quoted number", "agent:\n  id: '7'\n", 2, "agent.id", ("is text '7', a whole number is wanted",)),
+    Broken("fraction", "agent:\n  id: 1.5\n", 2, "agent.id", ("is the number 1.5, a whole number is wanted",)),
+    Broken("number for a name", "agent:\n  name: 7\n", 2, "agent.name", ("whole number 7, text is wanted", "quotes")),
+    Broken("yes", ONE + "    recover: yes\n", 3, "containers[0].recover", ("true or false", "write true")),
+    Broken("off", "log:\n  sync: off\n", 2, "log.sync", ("is text 'off'", "write false")),
+    Broken("one for true", "log:\n  sync: 1\n", 2, "log.sync", ("whole number 1, true or false is wanted",)),
+    Broken("nothing for a list", "containers:\n", 1, "containers", ("is empty, a list is wanted", "remove the key")),
+    Broken("mapping for a list", "containers:\n  name: app\n", 1, "containers", ("is a mapping, a list is wanted",)),
+    Broken("text for a list", ONE + "    networks: net\n", 3, "containers[0].networks", ("a list is wanted", "'- '")),
+    Broken("list for a section", "agent: [1]\n", 1, "agent", ("is a list, a section",)),
+    Broken("nothing for a section", "ros:\n", 1, "ros", ("is empty, a section",)),
+    Broken("list for a duration", "interval: [5]\n", 1, "interval", ("is a list, a number of seconds is wanted",)),
+    # quantities
+    Broken("wrong unit", "interval: 20 Hz\n", 1, "interval", ("wrong unit 'Hz'", "ms, s, min, h")),
+    Broken("time of day", "interval: 12:30:45\n", 1, "interval", ("'12:30:45' is no duration",)),
+    Broken("wrong unit of size", "log:\n  max_size: 5s\n", 2, "log.max_size", ("wrong unit 's'", "kB, KB, MB")),
+    Broken("true for a duration", "interval: true\n", 1, "interval", ("is no duration", "number")),
+    Broken("too short", "interval: 10ms\n", 1, "interval", ("is '10ms', allowed is 1 to 3600 seconds",)),
+    Broken("infinite", "interval: .inf\n", 1, "interval", ("is inf, allowed is 1 to 3600 seconds",)),
+    Broken("not a number", "docker:\n  timeout: .nan\n", 2, "docker.timeout", ("above 0, at most 60 seconds",)),
+    Broken("share above 100", "host:\n  disk: {warn: 50, error: 120%}\n", 2, "host.disk.error", ("0 to 100 percent",)),
+    Broken("too large", "agent:\n  id: 251\n", 2, "agent.id", ("is 251, allowed is 1 to 250",)),
+    Broken("radio's number", "agent:\n  id: 51\n", 2, "agent.id", ("SiK", "choose another")),
+    # patterns and choices
+    Broken("name with a space", "agent:\n  name: my drone\n", 2, "agent.name", ("is 'my drone', allowed is letters",)),
+    Broken("relative path", "run_dir: run/phm\n", 1, "run_dir", ("is 'run/phm'", "absolute path")),
+    Broken("digest", ONE + "    files:\n      - {path: /a, sha256: abc}\n", 4, "containers[0].files[0].sha256", ("64 hex",)),
+    Broken("message type", "ros:\n  topics:\n    - {name: /t, type: String}\n", 3, "ros.topics[0].type", ("std_msgs/msg",)),
+    Broken("ros name", "ros:\n  nodes:\n    - name: /a//b\n", 3, "ros.nodes[0].name", ("a ROS name such as",)),
+    Broken("choice", "recovery:\n  mode: acct\n", 2, "recovery.mode", ("is 'acct', allowed are act, advise, off",)),
+    Broken("socket", "docker:\n  socket: /run/docker.sock\n", 2, "docker.socket", ("unix:///path or tcp://",)),
+    Broken("endpoint", "mavlink:\n  endpoints:\n    - url: serial:1\n", 3, "mavlink.endpoints[0].url", ("udpout:HOST",)),
+    Broken("port", "mavlink:\n  endpoints:\n    - url: tcp:h:99999\n", 3, "mavlink.endpoints[0].url", ("1 to 65535",)),
+    # variables
+    Broken("unset variable", "agent:\n  name: ${NOBODY}\n", 2, "agent.name", ("${NOBODY} is not set", ":-default")),
+    Broken("unclosed variable", "agent:\n  name: ${WORD\n", 2, "agent.name", ("never closed",)),
+    Broken("variable in braces", "agent: {id: ${NUMBER}}\n", 1, "", ("inside [] and {}", "quotes")),
+    Broken("odd variable", "agent:\n  name: ${WORD:?no}\n", 2, "agent.name", ("'${WORD:?no}' is no variable",)),
+    Broken("variable in a default", "agent:\n  name: ${A:-${WORD}}\n", 2, "agent.name", ("default of ${A}",)),
+    Broken("variable out of range", "agent:\n  id: ${NUMBER}\n", 2, "agent.id", ("is 300, allowed is 1 to 250",)),
+    Broken("variable of wrong type", "agent:\n  id: ${WORD}\n", 2, "agent.id", ("is text 'abc'",)),
+    Broken("empty variable", "agent:\n  name: ${EMPTY}\n", 2, "agent.name", ("is empty, text is wanted",)),
+    # containers
+    Broken("no identity", "containers:\n  - recover: true\n", 2, "containers[0]", ("neither 'name' nor 'label'",)),
+    Broken("two identities", ONE + "    label: a=b\n", 3, "containers[0].label", ("one of both",)),
+    Broken("same container", ONE + "  - name: app\n", 3, "containers[1]", ("container 'app' stands twice", "line 2")),
+    Broken("same alias", ONE + "  - {name: b, alias: app}\n", 3, "containers[1]", ("'app' stands twice",)),
+    Broken("two aliases", ONE + "  - {name: app, alias: b}\n", 3, "containers[1].name", ("'app' stands twice",)),
+    Broken("label without value", "containers:\n  - label: a=\n", 2, "containers[0].label", ("empty value", "alias")),
+    Broken("same file", ONE + "    files:\n      - path: /a\n      - path: //a/.\n", 5, "containers[0].files[1].path",
+           ("file '/a' stands twice", "line 4")),
+    Broken("same device", ONE + "    devices:\n      - path: /dev/a\n      - path: /dev/a\n", 5,
+           "containers[0].devices[1].path", ("device '/dev/a' stands twice",)),
+    Broken("same network", ONE + "    networks: [a, b, a]\n", 3, "containers[0].networks[2]", ("network 'a'",)),
+    # ros
+    Broken("same node", "ros:\n  nodes:\n    - name: /a/one\n    - name: a/one\n", 4, "ros.nodes[1].name", ("line 3",)),
+    Broken("same topic", "ros:\n  topics:\n    - name: /t\n    - name: t\n", 4, "ros.topics[1].name", ("topic 't'",)),
+    Broken("node's container", ONE + "ros:\n  nodes:\n    - {name: /n, container: ap}\n", 5, "ros.nodes[0].container",
+           ("unknown container 'ap', did you mean 'app'?",)),
+    Broken("node without containers", "ros:\n  nodes:\n    - {name: /n, container: app}\n", 3, "ros.nodes[0].container",
+           ("none is configured",)),
+    Broken("container by name beside its alias", "containers:\n  - {name: long, alias: short}\n"
+           "ros:\n  topics:\n    - {name: /t, container: long}\n", 5, "ros.topics[0].container", ("alias 'short'",)),
+    Broken("publisher", "ros:\n  nodes: [{name: /a/one}]\n  topics:\n    - name: /t\n      publishers: [/a/onee]\n", 5,
+           "ros.topics[0].publishers[0]", ("unknown node '/a/onee', did you mean '/a/one'?", "ros.nodes")),
+    Broken("subscriber", "ros:\n  nodes: [{name: /a/one}]\n  topics:\n    - name: /t\n      subscribers:\n"
+           "        - a/one\n        - /zzz\n", 7, "ros.topics[0].subscribers[1]", ("unknown node '/zzz', allowed: /a/one",)),
+    # mavlink
+    Broken("same endpoint", "mavlink:\n  endpoints:\n    - url: tcp:h:1\n    - url: tcp:h:1\n", 4,
+           "mavlink.endpoints[1].url", ("endpoint 'tcp:h:1' stands twice",)),
+    Broken("same endpoint name", "mavlink:\n  endpoints:\n    - {url: tcp:h:1, name: g}\n    - {url: tcp:h:2, name: g}\n",
+           4, "mavlink.endpoints[1].name", ("endpoint name 'g'",)),
+    Broken("nothing to hear on", "mavlink:\n  autopilot: true\n", 2, "mavlink.autopilot", ("no endpoints",)),
+    Broken("autopilot's number", "mavlink:\n  component_id: 1\n", 2, "mavlink.component_id", ("allowed is 2 to 250",)),
+    # pairs
+    Broken("limits", "host:\n  cpu:\n    warn: 99%\n    error: 98\n", 3, "host.cpu.warn", ("98 or less",)),
+    Broken("warm", "host:\n  temperature_warn: 90C\n", 2, "host.temperature_warn", ("is 90", "85 or less")),
+    Broken("cold", "host:\n  temperature_error: 70\n", 2, "host.temperature_error", ("is 70", "75 or more")),
+    Broken("back-off", "recovery:\n  backoff: 2min\n", 2, "recovery.backoff", ("is 120", "'backoff_max'")),
+    Broken("same disk", "host:\n  disks: [/, /data, /data/]\n", 2, "host.disks[2]", ("disk '/data' stands twice",)),
+    # names of parts
+    Broken("check", "checks:\n  nods: {}\n", 2, "checks.nods", ("unknown check 'nods', did you mean 'nodes'?",)),
+    Broken("need", "checks:\n  host:\n    needs: [hots]\n", 3, "checks.host.needs[0]", ("unknown need 'hots'", "'host'")),
+    Broken("need of a unit", "checks:\n  host:\n    needs: [nodes/a/on]\n", 3, "checks.host.needs[0]",
+           ("unknown unit 'nodes/a/on', did you mean 'nodes/a/one'?",)),
+    Broken("circle of two", "checks:\n  host: {needs: [rates]}\n  rates: {needs: [host]}\n", 2, "checks.host.needs[0]",
+           ("circle: host -> rates -> host",)),
+    Broken("circle through built-in needs", "checks:\n  container:\n    needs:\n      - topics\n", 4,
+           "checks.container.needs[0]", ("circle: container -> topics -> nodes -> container",)),
+    Broken("circle through a unit", "checks:\n  container: {needs: [nodes/a/one]}\n", 2, "checks.container.needs[0]",
+           ("circle: container -> nodes -> container",)),
+    Broken("need of itself", "checks:\n  host: {needs: [host]}\n", 2, "checks.host.needs[0]", ("circle: host -> host",)),
+    Broken("action", "recovery:\n  ladders:\n    exited: [start, reboot]\n", 3, "recovery.ladders.exited[1]",
+           ("unknown action 'reboot'", "reconnect, restart, start, unpause")),
+    Broken("condition", "recovery:\n  ladders:\n    exitd: [start]\n", 3, "recovery.ladders.exitd",
+           ("unknown condition 'exitd', did you mean 'exited'?",)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.name)
+def test_a_mistake_is_told_once_with_its_place(broken: Broken) -> None:
+    """A file with one mistake gives one problem, which has its line, its key, and what is allowed."""
+    problems = refused(broken.text)
+    assert [(problem.file, problem.line, problem.key) for problem in problems] == [
+        ("phm.yaml", broken.line, broken.key)
+    ]
+    start = 0
+    for word in broken.words:
+        assert word in problems[0].message[start:], problems[0].message
+        start = problems[0].message.index(word, start)
+
+
+def test_all_mistakes_are_told_at_once_in_order_of_lines() -> None:
+    """Mistakes of YAML keys, types, variables, names and pairs in one file are all in the one error."""
+    text = (
+        "agent: {id: '${NOBODY}'}\n"
+        "intervall: 5\n"
+        "containers: [{name: a}, {name: a}, {files: [{path: b}]}]\n"
+        "host: {temperature_warn: 99C, disks: /}\n"
+        "log: {files: 0}\n"
+        "log: {}\n"
+        "checks: {nods: {needs: [x]}}\n"
+    )
+    problems = refused(text, PHM_INTERVAL="soon")
+    assert [(problem.line, problem.key) for problem in problems] == [
+        (0, "interval"), (1, "agent.id"), (2, "intervall"), (3, "containers[1]"), (3, "containers[2]"),
+        (3, "containers[2].files[0].path"), (4, "host.disks"), (4, "host.temperature_warn"), (5, "log.files"),
+        (6, "log"), (7, "checks.nods"), (7, "checks.nods.needs[0]"),
+    ]  # fmt: skip
+
+
+def test_a_problem_is_printed_as_file_line_key_and_sentence() -> None:
+    """The printed form is `file:line: key: message`, one problem a line."""
+    with pytest.raises(ConfigError) as caught:
+        loads("log:\n  files: 0\n  sync: 1\n", "config/phm.yaml", environ={})
+    assert str(caught.value).splitlines() == [
+        "config/phm.yaml:2: log.files: is 0, allowed is 1 to 100",
+        "config/phm.yaml:3: log.sync: is the whole number 1, true or false is wanted",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [("soon", "'soon' is no duration"), ("0.1", "allowed is 1 to 3600 seconds"), ("5 Hz", "wrong unit 'Hz'")],
+)
+def test_a_wrong_interval_in_the_environment_is_named_as_such(value: str, words: str) -> None:
+    """PHM_INTERVAL is judged like the key, and the problem says that the environment is at fault."""
+    (problem,) = refused("interval: 5\n", PHM_INTERVAL=value)
+    assert str(problem).startswith("environment PHM_INTERVAL: interval: ")
+    assert words in problem.message
+
+
+def test_an_alias_bomb_is_refused() -> None:
+    """Nine lines that unfold to a billion values are refused after a bounded amount of work."""
+    lines = ["checks:", "  host:", "    options:", "      a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    lines += [f"      a{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 10)}]" for level in range(1, 9)]
+    (problem,) = refused("\n".join(lines))
+    assert "more than 20000 values" in problem.message
+
+
+def test_a_file_that_grows_by_its_variables_is_refused() -> None:
+    """A long variable, repeated, cannot fill the memory."""
+    text = "checks:\n  host:\n    options:\n" + "".join(f"      k{n}: ${{LONG}}\n" for n in range(3000))
+    problems = refused(text, LONG="x" * 4096)
+    assert all("by its variables" in problem.message for problem in problems)
+
+
+def test_a_message_stays_on_one_line_and_short() -> None:
+    """Whatever stands in the file, a problem is one printable line, so that it cannot fake another."""
+    problems = refused('agent:\n  name: "a\\nphm.yaml:1: fine"\n  "x\\ny\\e[31m": 1\n  id: "' + "z" * 5000 + '"\n')
+    for problem in problems:
+        assert str(problem).isprintable()
+        assert len(str(problem)) < 300

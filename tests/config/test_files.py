@@ -1,0 +1,252 @@
+"""The files in config/: every key documented with its true default and range, examples good, schema fresh."""
+
+from __future__ import annotations
+
+import json
+import operator
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin
+
+import jsonschema
+import pytest
+from click.testing import CliRunner
+from pydantic import BaseModel, BeforeValidator, TypeAdapter
+from pydantic.fields import FieldInfo
+
+from phm.cli.validate import command
+from phm.config import load, loads, schema
+from phm.config.expand import Expander
+from phm.config.fields import bound, field_at, metadata, model_of
+from phm.config.words import PATTERNS
+from phm.config.yaml_tree import parse
+from phm.settings import Settings
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+SHIPPED = sorted([CONFIG / "phm.yaml", *(CONFIG / "examples").glob("*.yaml")])
+KEY = re.compile(r"^(?P<indent> *(?:- )?)(?P<off>#?)(?P<key>[a-z_0-9]+):(?: |$)")
+PROSE = re.compile(r"^ *# (?P<text>.*)$")
+QUOTED = re.compile(r"`([^`]*)`")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One key of phm.yaml: its path without indexes and names of checks, and the prose above it."""
+
+    path: tuple[str, ...]
+    prose: str
+
+
+def entries(text: str) -> list[Entry]:
+    """All keys of the file, also those that are commented out (`#key:`), by their indentation."""
+    found: list[Entry] = []
+    stack: list[tuple[int, str]] = []
+    prose: list[str] = []
+    for line in text.splitlines():
+        if comment := PROSE.match(line):
+            prose.append(comment["text"])
+        elif key := KEY.match(line):
+            indent = len(key["indent"])
+            while stack and stack[-1][0] >= indent:
+                stack.pop()
+            stack.append((indent, key["key"]))
+            path = tuple(name for _, name in stack)
+            found.append(Entry(path[:1] + path[2:] if path[0] == "checks" else path, " ".join(prose)))
+            prose = []
+        else:
+            prose = []
+    return found
+
+
+def fields(
+    model: type[BaseModel] = Settings, path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
+    """Every field of the models, with its path."""
+    for name, field in model.model_fields.items():
+        yield (*path, name), field
+        inner = model_of(field.annotation)
+        if inner:
+            yield from fields(inner, (*path, name))
+
+
+FIELDS = dict(fields())
+DOCUMENTED = {entry.path: entry.prose for entry in reversed(entries((CONFIG / "phm.yaml").read_text()))}
+
+
+def is_section(field: FieldInfo) -> bool:
+    """A section whose keys have the defaults, unlike a Limit, whose keys are required."""
+    annotation = field.annotation
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel) and not any(
+        inner.is_required() for inner in annotation.model_fields.values()
+    )  # fmt: skip
+
+
+def annotated(kind: Any, extras: list[Any]) -> Any:
+    """`Annotated[kind, *extras]`, which Python 3.10 cannot write."""
+    return operator.getitem(Annotated, (kind, *extras)) if extras else kind
+
+
+def value_of(written: str, field: FieldInfo) -> Any:
+    """What a value in the prose means: read as YAML, then by the field's own type."""
+    tree = parse(f"x: {written}", "prose", Expander({}))
+    assert not tree.problems
+    kind: Any = field.annotation
+    if field.metadata:
+        kind = annotated(kind, [entry for entry in field.metadata if not hasattr(entry, "ge")])
+    return TypeAdapter(kind).validate_python(tree.data["x"])
+
+
+def test_every_key_of_the_model_is_in_phm_yaml_and_no_other() -> None:
+    """Keys of the documented file and of the models are the same set."""
+    assert set(DOCUMENTED) == set(FIELDS)
+
+
+@pytest.mark.parametrize("path", FIELDS, ids=".".join)
+def test_a_key_is_documented_with_its_true_default(path: tuple[str, ...]) -> None:
+    """The prose above a key explains it and states the model's default, or that it is required."""
+    field, prose = FIELDS[path], DOCUMENTED[path]
+    assert len(prose) > 10
+    if is_section(field):
+        return
+    if field.is_required():
+        assert "Required." in prose
+        return
+    stated = re.search(r"Default: `([^`]*)`", prose)
+    assert stated, prose
+    assert value_of(stated[1], field) == field.get_default(call_default_factory=True)
+
+
+RANGED = [path for path, field in FIELDS.items() if bound(field, "ge", "gt", "le", "lt") is not None]
+
+
+@pytest.mark.parametrize("path", RANGED, ids=".".join)
+def test_a_number_is_documented_with_its_true_range(path: tuple[str, ...]) -> None:
+    """The prose states the lowest and the highest value that the model allows."""
+    field, allowed = FIELDS[path], DOCUMENTED[path].partition("Allowed: ")[2].partition("Default")[0]
+    limits = [limit for limit in (bound(field, "ge", "gt"), bound(field, "le", "lt")) if limit is not None]
+    stated = [TypeAdapter(_kind(field)).validate_python(parse(f"x: {text}", "", Expander({})).data["x"])
+              for text in QUOTED.findall(allowed) if text[0].isdigit()]  # fmt: skip
+    assert stated == limits
+    assert bool(re.search(r"(?<!not )above `", allowed)) == (bound(field, "gt") is not None)
+
+
+def _kind(field: FieldInfo) -> Any:
+    """The field's type without its range: only the unit is left."""
+    base = next((part for part in get_args(field.annotation) if part is not type(None)), field.annotation)
+    while get_origin(base) is Annotated:
+        base = get_args(base)[0]
+    units = [entry for entry in metadata(field) if isinstance(entry, BeforeValidator)]
+    return annotated(base, units)
+
+
+CHOICES = [path for path, field in FIELDS.items() if field.annotation is bool or "Literal" in str(field.annotation)]
+
+
+@pytest.mark.parametrize("path", CHOICES, ids=".".join)
+def test_a_choice_is_documented_with_all_it_allows(path: tuple[str, ...]) -> None:
+    """The prose lists exactly the words that the model takes."""
+    field, allowed = FIELDS[path], DOCUMENTED[path].partition("Allowed: ")[2].partition("Default")[0]
+    words = ["true", "false"] if field.annotation is bool else list(get_args(field.annotation))
+    assert QUOTED.findall(allowed) == words
+
+
+def test_every_commented_key_may_be_uncommented() -> None:
+    """With all `#key:` set, the file still fits the models."""
+    text = re.sub(r"^( *)#(?=[a-z_0-9]+:)", r"\1", (CONFIG / "phm.yaml").read_text(), flags=re.MULTILINE)
+    tree = parse(text, "phm.yaml", Expander({}))
+    assert not tree.problems
+    assert isinstance(Settings.model_validate(tree.data, strict=True), Settings)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+def test_a_shipped_file_is_good_by_the_command(path: Path) -> None:
+    """`phm validate` accepts each file that we ship, with the installed checks, and exits 0."""
+    done = CliRunner().invoke(command, ["-c", str(path)], env={"PHM_INTERVAL": ""})
+    assert done.exit_code == 0, done.output
+    assert done.stdout.startswith(f"{path}: ok, agent ")
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+def test_a_shipped_file_fits_the_schema_before_variables_are_expanded(path: Path) -> None:
+    """An editor that uses the schema shows no error in our files."""
+    data = parse(path.read_text().replace("${", "$${"), path.name, Expander({})).data
+    jsonschema.Draft202012Validator(json.loads((CONFIG / "phm.schema.json").read_text())).validate(data)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"intervall": 5}, {"interval": "5 Hz"}, {"agent": {"id": "seven"}}, {"containers": {}},
+        {"recovery": {"mode": "acct"}}, {"agent": {"name": "a b"}}, {"checks": {"a": {"perod": 1}}},
+    ],
+)  # fmt: skip
+def test_the_schema_refuses_what_the_models_refuse(data: dict[str, Any]) -> None:
+    """An editor that uses the schema shows these mistakes."""
+    validator = jsonschema.Draft202012Validator(schema.schema())
+    jsonschema.Draft202012Validator.check_schema(schema.schema())
+    assert not validator.is_valid(data)
+
+
+def test_the_schema_describes_every_key() -> None:
+    """Each property of the schema has a description, so that an editor can show it."""
+    made = schema.schema()
+    for section in [made, *made["$defs"].values()]:
+        for name, value in section.get("properties", {}).items():
+            section_of_its_own = made["$defs"].get(value.get("$ref", "").rpartition("/")[2], {})
+            assert value.get("description") or section_of_its_own.get("description"), name
+
+
+def test_the_schema_file_is_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--check` accepts the committed file and refuses another one with the command that helps."""
+    assert schema.main(["--check"]) == 0
+    stale = tmp_path / "phm.schema.json"
+    stale.write_text("{}")
+    assert schema.main(["--check", str(stale)]) == 1
+    assert "python -m phm.config.schema" in capsys.readouterr().err
+    assert stale.read_text() == "{}"
+    assert schema.main([str(stale)]) == 0
+    assert schema.main(["--check", str(stale)]) == 0
+
+
+def test_one_file_serves_a_whole_swarm() -> None:
+    """The variables of phm.yaml reach names, numbers, nodes, topics and the endpoint."""
+    environ = {"PHM_AGENT": "scout_7", "PHM_AGENT_ID": "7", "PHM_APP": "swarm-app-1", "PHM_NETWORK": "swarm",
+               "PHM_DEVICE": "/dev/ttyACM0", "PHM_MAVLINK": "tcp:gcs:5760", "PHM_AUTOPILOT": "true"}  # fmt: skip
+    read = load(CONFIG / "phm.yaml", environ=environ)
+    assert (read.agent.name, read.agent.id) == ("scout_7", 7)
+    assert read.containers[0].name == "swarm-app-1"
+    assert read.containers[0].networks == ["swarm"]
+    assert read.containers[0].devices[0].path == "/dev/ttyACM0"
+    assert [node.name for node in read.ros.nodes] == [f"/scout_7/node_{number}" for number in (1, 2, 3)]
+    assert [topic.subscribers for topic in read.ros.topics] == [[f"/scout_7/node_{number}"] for number in (2, 3, 1)]
+    assert read.mavlink.endpoints[0].url == "tcp:gcs:5760"
+    assert read.mavlink.autopilot
+
+
+def test_what_phm_yaml_sets_is_the_default_where_the_application_needs_nothing_else() -> None:
+    """Sections about PHM itself only repeat defaults, so copying the file changes nothing unseen."""
+    read, plain = load(CONFIG / "phm.yaml", environ={}), loads("{}", environ={})
+    for section in ("agent", "interval", "host", "recovery", "log", "docker", "run_dir"):
+        assert getattr(read, section) == getattr(plain, section), section
+
+
+def test_every_pattern_of_the_models_has_words() -> None:
+    """No message shows a regular expression."""
+    patterns = {
+        entry.pattern for field in FIELDS.values() for entry in metadata(field) if getattr(entry, "pattern", None)
+    }
+    patterns |= set(re.findall(r"pattern='([^']*)'", str([*FIELDS.values()])))
+    assert patterns
+    assert {str(pattern) for pattern in patterns} <= set(PATTERNS) | {
+        pattern.replace("\\", "\\\\") for pattern in PATTERNS
+    }
+
+
+def test_the_field_of_a_path_is_found_through_lists_and_mappings() -> None:
+    """Ranges and units in messages come from the field that a path ends at."""
+    assert field_at(("containers", 0, "files", 1, "path")) is FIELDS["containers", "files", "path"]
+    assert field_at(("checks", "nodes", "period")) is FIELDS["checks", "period"]
+    assert field_at(("ros", "topics", 2, "publishers", 0)) is FIELDS["ros", "topics", "publishers"]
+    assert field_at(("nothing",)) is None

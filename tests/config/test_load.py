@@ -1,0 +1,250 @@
+"""What a good file becomes, which file is read, and files that cannot be read at all."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phm.config import ConfigError, Problem, find, load, loads
+from phm.config.scalars import resolve
+from phm.config.yaml_tree import MAX_BYTES
+from phm.settings import Settings
+
+NAMES = ("host", "nodes")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("on", "on"), ("yes", "yes"), ("off", "off"), ("NO", "NO"), ("true", True), ("False", False), ("~", None),
+        ("", None), ("null", None), ("12:30:45", "12:30:45"), ("2024-12-03", "2024-12-03"), ("1e3", 1000.0), ("1.", 1.0),
+        (".5", 0.5), ("+7", 7), ("007", 7), ("0o17", 15), ("0x1F", 31), ("1_000", "1_000"), ("0b1", "0b1"),
+        ("-.inf", float("-inf")), ("9" * 64, "9" * 64), ("1e", "1e"), ("=", "="),
+    ],
+)  # fmt: skip
+def test_plain_scalars_follow_yaml_1_2(text: str, value: object) -> None:
+    """Switches, times and dates stay text, numbers with an exponent are numbers, long runs of digits stay text."""
+    found = resolve(text)
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "number"),
+    [
+        ("name: ${A}\n  id: ${N}", "drone", 7),
+        ("name: x-${A}-${N}\n  id: ${N}${N}", "x-drone-7", 77),
+        ("name: '${A}'\n  id: ${NONE:-9}", "drone", 9),
+        ('name: "${EMPTY:-b}"\n  id: ${N:-9}', "b", 7),
+        ("name: >-\n    ${A}\n  id: 1", "drone", 1),
+        ('name: "${N}"\n  id: 1', "7", 1),
+    ],
+)
+def test_variables_are_expanded_before_types_are_decided(text: str, name: str, number: int) -> None:
+    """A variable works alone, inside a longer text and in quotes; alone and unquoted it may be a number."""
+    read = loads(f"agent:\n  {text}\n", environ={"A": "drone", "N": "7", "EMPTY": ""})
+    assert (read.agent.name, read.agent.id) == (name, number)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("$${A}", "${A}"), ("a$b", "a$b"), ("$A", "$A"), ("'${OTHER}'", "${A}"), ("${NONE:-}", None), ("$$${A}", "$${A}")],
+)
+def test_escapes_and_dollars(text: str, value: object) -> None:
+    """`$${` is a literal `${`, other dollars are nothing special, and what a variable holds is not expanded again."""
+    read = loads(f"checks:\n  host:\n    options:\n      x: {text}\n", environ={"A": "drone", "OTHER": "${A}"})
+    assert read.checks["host"].options["x"] == value
+
+
+def test_quantities_with_units_become_seconds_bytes_and_hertz() -> None:
+    """The model's units reach through the file, strictly typed values beside them."""
+    read = loads("interval: 2min\nlog: {max_size: 1MiB}\nhost: {cpu: {warn: 50%, error: 60}}\n", environ={})
+    assert (read.interval, read.log.max_size, read.host.cpu.warn) == (120.0, 2.0**20, 50.0)
+
+
+def test_anchors_save_repetition() -> None:
+    """An alias stands for its anchor, as YAML says."""
+    read = loads("host:\n  cpu: &limits {warn: 1, error: 2}\n  disk: *limits\n", environ={})
+    assert read.host.disk == read.host.cpu
+
+
+@pytest.mark.parametrize(("value", "interval"), [("5", 5.0), ("1min", 60.0), (" ", 20.0), ("", 20.0)])
+def test_the_environment_overrides_the_interval(value: str, interval: float) -> None:
+    """PHM_INTERVAL wins over the file, with units; blank is as if it were not set."""
+    assert loads("interval: 20s\n", environ={"PHM_INTERVAL": value}).interval == interval
+
+
+def test_a_node_may_be_without_a_container_when_several_are_configured() -> None:
+    """Its container is then not known, and nothing is restarted for it."""
+    read = loads("containers: [{name: a}, {name: b}]\nros: {nodes: [{name: /n}]}\n", environ={})
+    assert read.container_of_node("/n") == ""
+
+
+def test_a_topic_may_name_any_node_while_no_nodes_are_listed() -> None:
+    """Without `ros.nodes` there is nothing to compare publishers with."""
+    read = loads("ros: {topics: [{name: /t, publishers: [/n], subscribers: [/m]}]}\n", environ={})
+    assert read.ros.topics[0].publishers == ["/n"]
+
+
+def test_needs_may_name_a_check_or_one_unit_of_the_check_itself() -> None:
+    """All nodes may need one node; that is no circle."""
+    text = "checks:\n  nodes:\n    needs: [host, nodes/a/one]\n"
+    read = loads(text, environ={}, known_checks=NAMES, known_units=("nodes/a/one",), builtin_needs={"nodes": ()})
+    assert read.checks["nodes"].needs == ["host", "nodes/a/one"]
+
+
+def test_a_need_of_a_check_that_is_off_closes_no_circle() -> None:
+    """A check that is not run waits for nobody."""
+    text = "checks:\n  host: {needs: [nodes]}\n  nodes: {needs: [host], enabled: false}\n"
+    assert not loads(text, environ={}, known_checks=NAMES).checks["nodes"].enabled
+
+
+def test_names_are_not_judged_without_knowing_what_is_installed() -> None:
+    """`known_checks=None` leaves names of checks alone, e.g. on a ground station."""
+    assert "anything" in loads("checks: {anything: {}}\n", environ={}).checks
+
+
+def test_a_byte_order_mark_and_windows_line_ends_are_harmless(tmp_path: Path) -> None:
+    """Files from Windows editors are read, with the right lines."""
+    path = tmp_path / "phm.yaml"
+    path.write_bytes(b"\xef\xbb\xbfinterval: 5\r\nlog:\r\n  files: 0\r\n")
+    with pytest.raises(ConfigError, match=r"phm\.yaml:3: log\.files: "):
+        load(path, environ={})
+
+
+def unreadable(folder: Path, kind: str) -> Path:
+    """A path that holds no configuration, of one kind."""
+    path = folder / "phm.yaml"
+    match kind:
+        case "directory":
+            path.mkdir()
+        case "empty":
+            path.touch()
+        case "latin-1":
+            path.write_bytes(b"interval: 5\nagent:\n  name: M\xfcller\n")
+        case "huge":
+            path.write_bytes(b"# " + b"x" * MAX_BYTES)
+        case "fifo":
+            os.mkfifo(path)
+        case "loop":
+            path.symlink_to(path)
+        case "below a file":
+            path.touch()
+            path /= "x.yaml"
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "line", "words"),
+    [
+        ("missing", 0, "there is no such file"), ("directory", 0, "is a directory"), ("empty", 0, "is empty"),
+        ("latin-1", 3, "is not UTF-8"), ("huge", 0, "is larger than 256 KiB"), ("fifo", 0, "is no regular file"),
+        ("loop", 0, "cannot be read"), ("below a file", 0, "there is no such file"),
+    ],
+)  # fmt: skip
+def test_a_file_that_cannot_be_read_is_one_sentence(tmp_path: Path, kind: str, line: int, words: str) -> None:
+    """Whatever is at the path, there is one problem that says what, and nothing waits."""
+    path = unreadable(tmp_path, kind)
+    with pytest.raises(ConfigError) as caught:
+        load(path, environ={})
+    (problem,) = caught.value.problems
+    assert (problem.file, problem.line, problem.key) == (str(path), line, "")
+    assert words in problem.message
+
+
+def test_a_forbidden_file_says_who_may_not_read_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Root may read anything, so here the system call itself is what refuses."""
+
+    def refuse(*_: object, **__: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(ConfigError, match=r"secret\.yaml: may not be read by user \d+: change its permissions"):
+        load("secret.yaml", environ={})
+
+
+def test_the_default_file_is_the_installed_one_else_that_of_the_repository(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A path that is given wins; without one, /etc/phm/phm.yaml, else config/phm.yaml."""
+    installed = tmp_path / "phm.yaml"
+    # By name: the package's attribute `load` is the function, not the module.
+    monkeypatch.setattr(importlib.import_module("phm.config.load"), "INSTALLED", installed)
+    assert find("other.yaml") == Path("other.yaml")
+    assert find() == Path("config/phm.yaml")
+    installed.touch()
+    assert find() == installed
+
+
+yaml_like = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.sampled_from(["5s", "${A}", "/a", "a"])),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4),
+        st.dictionaries(st.one_of(st.text(max_size=8), st.sampled_from([*Settings.model_fields, "name", "cpu", "warn",
+            "nodes", "topics", "needs", "files", "path", "ladders", "endpoints", "url", "label", "host"])), inner, max_size=5),
+    ),
+    max_leaves=20,
+)  # fmt: skip
+
+
+def outcome(text: str) -> Settings | tuple[Problem, ...]:
+    """The only two outcomes there are; any other exception fails the test."""
+    try:
+        return loads(
+            text, environ={"A": "x"}, known_checks=NAMES, known_actions=("start",), builtin_needs={"nodes": ("host",)}
+        )
+    except ConfigError as error:
+        return error.problems
+
+
+def settings_or_problems(text: str) -> None:
+    """Settings, or at least one problem, each of which is one line that can be printed."""
+    found = outcome(text)
+    if isinstance(found, Settings):
+        return
+    assert found
+    for problem in found:
+        assert problem.line >= 0
+        assert "\n" not in str(problem)
+        str(problem).encode()
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text(alphabet=st.characters(), max_size=200))
+def test_any_text_gives_settings_or_problems(text: str) -> None:
+    """No text, whatever it is, ends in another exception."""
+    settings_or_problems(text)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text(alphabet="ab:-{}[]\"'\\U${}&*!|>%?@`#,\n \t~0.eE", max_size=120))
+def test_any_soup_of_yaml_signs_gives_settings_or_problems(text: str) -> None:
+    """Nor does text made of the signs that mean something in YAML."""
+    settings_or_problems(text)
+
+
+@settings(max_examples=300, deadline=None)
+@given(yaml_like)
+def test_any_structure_gives_settings_or_problems(data: object) -> None:
+    """Nor does well-formed YAML of any shape, with known keys in unknown places."""
+    import yaml
+
+    settings_or_problems(yaml.safe_dump(data, allow_unicode=True))
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=200))
+def test_any_bytes_in_the_file_give_settings_or_problems(tmp_path_factory: pytest.TempPathFactory, raw: bytes) -> None:
+    """Nor do bytes that are no text."""
+    path = tmp_path_factory.getbasetemp() / "phm-any.yaml"
+    path.write_bytes(raw)
+    try:
+        problems: tuple[Problem, ...] | None = None if load(path, environ={}) else ()
+    except ConfigError as error:
+        problems = error.problems
+    assert problems is None or problems

@@ -1,0 +1,101 @@
+"""The command `phm validate` and the reading that it shares with `phm run`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from phm import api, registry
+from phm.cli import reading
+from phm.cli.reading import read
+from phm.cli.validate import command
+from phm.config import ConfigError
+
+GOOD = "containers: [{name: app}]\nros: {nodes: [{name: /a/one}]}\n"
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A good configuration that a test may change."""
+    path = tmp_path / "phm.yaml"
+    path.write_text(GOOD)
+    return path
+
+
+def test_a_good_file_is_summed_up_in_one_line(file: Path) -> None:
+    """Exit 0 and one line that says what the file makes."""
+    done = CliRunner().invoke(command, [str(file)], env={"PHM_INTERVAL": "5s"})
+    assert done.exit_code == 0
+    assert done.stdout.startswith(f"{file}: ok, agent agent_1 (id 1), every 5 s: ")
+    assert "1 nodes" in done.stdout
+    assert done.stderr == ""
+
+
+def test_a_bad_file_ends_with_78_and_every_problem(file: Path) -> None:
+    """Problems go to stderr, one a line, with their number at the end."""
+    file.write_text(GOOD + "log: {files: 0}\nchecks: {nods: {}}\nrecovery: {ladders: {exited: [restrat]}}\n")
+    done = CliRunner().invoke(command, ["-c", str(file)])
+    assert done.exit_code == 78
+    assert done.stdout == ""
+    lines = done.stderr.splitlines()
+    assert [line.partition(": ")[0] for line in lines[:3]] == [f"{file}:3", f"{file}:4", f"{file}:5"]
+    assert "did you mean 'nodes'?" in lines[1]
+    assert "did you mean 'restart'?" in lines[2]
+    assert lines[3] == "3 problems"
+
+
+def test_json_holds_the_same(file: Path) -> None:
+    """With --json all goes to stdout as one object, good or bad."""
+    good = json.loads(CliRunner().invoke(command, ["--json", str(file)]).stdout)
+    assert good["ok"]
+    assert good["problems"] == []
+    assert good["containers"] == 1
+    file.write_text("log: {files: 0}\n")
+    done = CliRunner().invoke(command, ["--json", str(file)])
+    assert done.exit_code == 78
+    assert json.loads(done.stdout) == {
+        "ok": False,
+        "problems": [{"file": str(file), "line": 1, "key": "log.files", "message": "is 0, allowed is 1 to 100"}],
+    }
+
+
+def test_units_are_counted_and_needs_may_name_them(file: Path) -> None:
+    """The units come from the installed checks, so a need may name one of them and nothing else."""
+    file.write_text(GOOD + "checks: {host: {needs: [nodes/a/one]}}\n")
+    assert "nodes/a/one" in {unit.id for unit in read(str(file), {}).units["nodes"]}
+    file.write_text(GOOD + "checks: {host: {needs: [nodes/a/two]}}\n")
+    with pytest.raises(ConfigError, match="unknown unit 'nodes/a/two', did you mean 'nodes/a/one'"):
+        read(str(file), {})
+
+
+def test_a_circle_through_the_needs_of_installed_checks_is_refused(file: Path) -> None:
+    """A node needs its container; a container that needs nodes closes the circle."""
+    file.write_text(GOOD + "checks:\n  container:\n    needs: [nodes]\n")
+    with pytest.raises(
+        ConfigError, match=r"phm\.yaml:5: checks\.container\.needs\[0\]: needs run in a circle: container"
+    ):
+        read(str(file), {})
+
+
+def test_a_check_that_cannot_be_built_is_named(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plug-in that refuses its options is a problem of the configuration, until it is switched off."""
+
+    class Picky(api.Check):
+        name, slot, layer = "picky", api.Slot.USER_1, api.Layer.CUSTOM
+
+        @classmethod
+        def build(cls, settings: api.Settings) -> list[api.Check]:
+            raise ValueError("option 'volts' is missing")
+
+        def run(self, world: api.World) -> api.Result:
+            return api.ok("never reached")
+
+    installed = {**registry.checks(), "picky": Picky}
+    monkeypatch.setattr(reading, "checks", lambda: installed)
+    with pytest.raises(ConfigError, match=r"checks\.picky: the check cannot be built: ValueError: option 'volts'"):
+        read(str(file), {})
+    file.write_text(GOOD + "checks: {picky: {enabled: false}}\n")
+    assert read(str(file), {}).settings.checks["picky"].enabled is False
