@@ -71,7 +71,7 @@ class Outbox:
 
 class Endpoint:
     """See the module. `deliver` gets every message that somebody wants; `changed` is called when the endpoint
-    opens or closes and, while nothing happens, about every IDLE_S; both in the endpoint's thread.
+    opens or closes, and about every IDLE_S meanwhile (every back-off while it is closed); both in the endpoint's thread.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Endpoint:
         self._opener = Opener(settings, codec, clock, self._stopping)
         self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._fact: LinkFact | None = None
-        self._heard = 0.0
+        self._heard = self._looked = 0.0
         self._thread = threading.Thread(target=self._loop, name=f"phm-mavlink-{self.name}"[:60], daemon=True)
 
     def start(self) -> None:
@@ -133,7 +133,7 @@ class Endpoint:
                 wait_s = BACKOFF_S
             self._clock.wait(self._stopping, wait_s)
             wait_s = min(2 * wait_s, BACKOFF_MAX_S)
-            self._changed()
+            self._look()
 
     def _live(self, channel: Channel) -> None:
         """Serve an open channel until PHM stops. Raises OSError when it is lost."""
@@ -159,8 +159,7 @@ class Endpoint:
         poller.register(self._bell, select.POLLIN)
         for fd, mask in channel.polls():
             poller.register(fd, mask)
-        happened = poller.poll(timeout_s * 1000)
-        for fd, events in happened:
+        for fd, events in poller.poll(timeout_s * 1000):
             if fd == self._bell:
                 with contextlib.suppress(BlockingIOError):
                     os.eventfd_read(self._bell)
@@ -170,8 +169,8 @@ class Endpoint:
                 self._tell(is_open=True)
                 self._deliver(message, self.name)
         self._write(channel)
-        if not happened:
-            self._changed()
+        if self._clock.mono() - self._looked >= IDLE_S:
+            self._look()
 
     def _write(self, channel: Channel) -> None:
         while channel.ready and (message := self._outbox.take()) is not None:
@@ -192,7 +191,11 @@ class Endpoint:
         if old is None or old.open != is_open:
             if not is_open:
                 logger.info("MAVLink endpoint %s is closed: %s", self.name, error)
-            self._changed()
+            self._look()
+
+    def _look(self) -> None:
+        self._looked = self._clock.mono()
+        self._changed()
 
     def _ring(self) -> None:
         with contextlib.suppress(OSError):

@@ -345,6 +345,23 @@ def test_a_listener_that_fails_does_not_close_the_link(make_hub: MakeHub) -> Non
     assert hub.links()[0].open
 
 
+def test_the_watch_goes_on_while_a_link_is_busy(make_hub: MakeHub) -> None:
+    """A link that never rests must not keep the loss of a ground station from being noticed."""
+    port = free_port(socket.SOCK_DGRAM)
+    hub = make_hub(f"udpin:127.0.0.1:{port}")
+    until(hub.links)
+    looks: list[int] = []
+    hub.watch(lambda: looks.append(1))
+    frame = Sender(7, 1).frame(heartbeat())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+
+        def busy() -> bool:
+            peer.sendto(frame, ("127.0.0.1", port))
+            return len(looks) >= 2
+
+        until(busy)
+
+
 def test_closing_sends_what_is_queued(make_hub: MakeHub) -> None:
     """The farewell heartbeat, queued just before, reaches the ground."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
