@@ -137,17 +137,23 @@ class RosProcess:
     def renew(self, reason: str) -> None:
         """Replace the child on purpose: the network changed under it. Returns at once."""
         with self._lock:
+            if self._closing:
+                return
             self._renew = reason
-        self._poke()
+            self._poke()
 
     def close(self) -> None:
         """End the child and the thread. Safe to call twice."""
         with self._lock:
+            if self._closing:
+                return
             self._closing = True
+        self._poke()
         if self._thread is not None:
-            self._poke()
             self._thread.join(self._limits.farewell_s + 5.0)
-            self._thread = None
+        if self._thread is None or not self._thread.is_alive():
+            self._lose("the ROS probe is closed")
+            os.close(self._wake)
 
     # ---- the thread
 

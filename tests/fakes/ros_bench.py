@@ -1,0 +1,120 @@
+"""Real nodes and a real child, on loopback, each test in a ROS domain of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from phm.clock import SystemClock
+from phm.facts import CannotTell, RosFact
+from phm.probes.ros.process import COMMAND, Limits, RosProcess
+from phm.settings import Settings
+
+ROOT = Path(__file__).resolve().parents[2]
+LIMITS = Limits()
+_domains = itertools.count(os.getpid() % 60)
+
+
+def until(condition: Callable[[], Any], what: str, limit_s: float = 20.0) -> Any:
+    """Poll an observable; the deadline only bounds a failing test."""
+    end_s = time.monotonic() + limit_s
+    while time.monotonic() < end_s:
+        if value := condition():
+            return value
+        time.sleep(0.01)
+    raise AssertionError(f"not within {limit_s:g} s: {what}")
+
+
+class Bench:
+    """Starts application nodes and probes in one private domain, and ends them all."""
+
+    def __init__(self) -> None:
+        # 60 to 119: clear of 0, which others use, and below 128, above which ports collide with ephemeral ones.
+        self.domain = 60 + next(_domains) % 60
+        self.environ = {
+            **os.environ,
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_DOMAIN_ID": str(self.domain),
+            "PYTHONPATH": str(ROOT),
+        }
+        self.notes: list[str] = []
+        self.changes = 0
+        self._closing = contextlib.ExitStack()
+
+    def node(self, name: str, *arguments: str, module: str = "sitl.node") -> subprocess.Popen[bytes]:
+        """A demo node in /agent_1 with the short-lease profile that we ship."""
+        environ = {**self.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds.xml")}
+        command = [sys.executable, "-m", module, "--name", name, "--namespace", "/agent_1", *arguments]
+        process = subprocess.Popen(command, env=environ)
+        self._closing.callback(_end, process)
+        return process
+
+    def source(self, hz: float, path: Path) -> None:
+        """A publisher that writes to `path` what it really published; see `ros_source`."""
+        script = ROOT / "tests" / "fakes" / "ros_source.py"
+        process = subprocess.Popen([sys.executable, str(script), str(hz), str(path)], env=self.environ)
+        self._closing.callback(_end, process)
+
+    def probe(
+        self,
+        topics: Sequence[Mapping[str, Any]] = (),
+        *,
+        command: Sequence[str] = COMMAND,
+        limits: Limits = LIMITS,
+        environ: Mapping[str, str] | None = None,
+        **ros: Any,
+    ) -> RosProcess:
+        settings = Settings.model_validate({"ros": {"topics": list(topics), "domain": self.domain, **ros}})
+        merged = {**self.environ, **(environ or {})}
+        probe = RosProcess(
+            settings, SystemClock(), self._changed, self.notes.append, merged, command=command, limits=limits
+        )
+        self._closing.callback(probe.close)
+        probe.start()
+        return probe
+
+    def _changed(self) -> None:
+        self.changes += 1
+
+    def close(self) -> None:
+        self._closing.close()
+
+
+def seen(probe: RosProcess, condition: Callable[[RosFact], Any], what: str, limit_s: float = 20.0) -> Any:
+    """Wait until a picture satisfies `condition`; STALE moments are waited out."""
+
+    def look() -> Any:
+        try:
+            return condition(probe.look())
+        except CannotTell:
+            return None
+
+    return until(look, what, limit_s)
+
+
+def stale(probe: RosProcess) -> str:
+    """The sentence with which the probe cannot tell, or empty when it can."""
+    try:
+        probe.look()
+    except CannotTell as error:
+        return str(error)
+    return ""
+
+
+def gone(pid: int) -> bool:
+    return not Path(f"/proc/{pid}").exists()
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        process.send_signal(signal.SIGCONT)
+    process.kill()
+    process.wait()

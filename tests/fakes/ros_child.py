@@ -1,0 +1,66 @@
+"""A ROS child without ROS, for tests of its supervision: speaks the protocol and misbehaves as told.
+
+    python tests/fakes/ros_child.py BEHAVIOUR [FOLDER]
+
+Behaviours: `good`; `garbage` (good, between lines that are no messages); `long` (good, after a line of
+several megabytes); `exit` (a picture, then code 3); `mute` (a picture, then nothing); `never` (nothing at all);
+`crash` (SIGSEGV after a picture); `stubborn` (good, and ignores its closed input). FOLDER gets a file per start.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import sys
+import time
+from pathlib import Path
+
+
+def main(behaviour: str, folder: str = "") -> int:
+    wanted = json.loads(sys.stdin.buffer.readline())
+    if folder:
+        Path(folder, str(os.getpid())).touch()
+    if behaviour == "never":
+        return _wait_for_end()
+    if behaviour == "long":
+        _write(b"x" * 3_000_000 + b"\n")
+    began_s = time.monotonic()
+    while True:
+        _picture(wanted, time.monotonic() - began_s)
+        if behaviour == "garbage":
+            _write(b'[WARN] stray library output\n\xff\xfe\n{"kind":"picture"}\n[1,2]\n{"kind":"tick","up_s":NaN}\n\n')
+        elif behaviour == "exit":
+            sys.stderr.write("it went wrong\n")
+            return 3
+        elif behaviour == "mute":
+            return _wait_for_end()
+        elif behaviour == "crash":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        readable, _, _ = select.select([0], [], [], 0.05)
+        if readable and behaviour != "stubborn" and not os.read(0, 100):
+            return 0
+
+
+def _picture(wanted: dict[str, object], up_s: float) -> None:
+    topics = wanted["topics"]
+    assert isinstance(topics, list)
+    empty: dict[str, object] = {"pub": [], "sub": [], "rate": None}
+    picture = {"kind": "picture", "up_s": up_s, "nodes": {"/a/n": 1}, "topics": {t["name"]: empty for t in topics}}
+    _write(json.dumps(picture).encode() + b"\n")
+
+
+def _write(data: bytes) -> None:
+    while data:
+        data = data[os.write(1, data) :]
+
+
+def _wait_for_end() -> int:
+    while os.read(0, 100):
+        pass
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(*sys.argv[1:]))

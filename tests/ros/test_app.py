@@ -1,0 +1,54 @@
+"""The demo application: its launcher and its specification."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sitl.app import node_argv
+from sitl.node import topic_rate
+from tests.fakes.ros_bench import Bench, gone, seen, until
+
+
+def test_nodes_form_a_ring() -> None:
+    """Node i publishes topic_i and listens to the one before it, the first to the last."""
+    assert node_argv("agent_1", 1, 3, 10.0)[3:] == [
+        "--name", "node_1", "--namespace", "/agent_1", "--publish", "topic_1:10", "--subscribe", "topic_3",
+    ]  # fmt: skip
+    assert node_argv("a", 1, 1, 0.5)[-3:] == ["topic_1:0.5", "--subscribe", "topic_1"]
+
+
+@pytest.mark.parametrize("text", ["topic", "topic:", "topic:0", "topic:-1", ":5", "topic:nan", "topic:x"])
+def test_a_rate_must_be_above_zero(text: str) -> None:
+    """A wrong TOPIC:HZ is refused with what is allowed."""
+    with pytest.raises(argparse.ArgumentTypeError, match="rate above zero"):
+        topic_rate(text)
+
+
+def test_the_application_runs_and_stops_as_a_container_would(bench: Bench, tmp_path: Path) -> None:
+    """Pid files lead to the nodes, a killed node stays dead, a stale marker is gone, SIGTERM ends all with code 0."""
+    marker, pids = tmp_path / "unhealthy", tmp_path / "nodes"
+    marker.touch()
+    command = [sys.executable, "-m", "sitl.app", "--nodes", "2", "--pids", str(pids), "--marker", str(marker)]
+    app = subprocess.Popen(command, env=bench.environ, stdout=subprocess.DEVNULL)
+    try:
+        probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}])
+        seen(probe, lambda fact: set(fact.nodes) == {"/agent_1/node_1", "/agent_1/node_2"}, "both nodes")
+        assert not marker.exists()
+        first, second = (int((pids / f"node_{number}.pid").read_text()) for number in (1, 2))
+        os.kill(first, signal.SIGKILL)
+        until(lambda: not (pids / "node_1.pid").exists(), "the pid file's end")
+        assert app.poll() is None
+        app.terminate()
+        assert app.wait(10) == 0
+        assert gone(first) and gone(second)
+        assert not list(pids.iterdir())
+    finally:
+        app.kill()
+        app.wait()

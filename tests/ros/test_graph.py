@@ -1,0 +1,181 @@
+"""The real child against real nodes: what is there is seen, and what is gone is gone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from phm.facts import EndpointFact, RateFact, RosFact
+from phm.probes.ros.process import Limits
+from tests.fakes.ros_bench import Bench, gone, seen, stale, until
+
+TOPIC = "/agent_1/topic_1"
+STRING = "std_msgs/msg/String"
+
+
+def rate_of(fact: RosFact) -> RateFact:
+    """The rate of the only topic; one that knows nothing where there is none yet."""
+    return fact.topics[TOPIC].rate or RateFact(None, None)
+
+
+def true_rate(path: Path, window_s: float) -> float:
+    """What the source really published, over the last `window_s`, on however busy a machine."""
+    lines = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
+    sent = [(int(words[0]), float(words[1])) for words in lines[:-1]]  # the last line may be half written
+    count, at_s = sent[-1]
+    first = next(entry for entry in sent if at_s - entry[1] <= window_s)
+    return (count - first[0]) / (at_s - first[1])
+
+
+def within_2_percent(fact: RosFact, path: Path) -> bool:
+    rate = rate_of(fact)
+    if rate.hz is None or rate.window_s < 2.0:
+        return False
+    return rate.hz == pytest.approx(true_rate(path, rate.window_s), rel=0.02)
+
+
+def test_a_killed_node_leaves_the_picture(bench: Bench) -> None:
+    """With the profile that we ship, a node ended by SIGKILL is out of the picture long before the usual 20 s."""
+    node = bench.node("node_1", "--publish", "topic_1:10")
+    probe = bench.probe([{"name": "agent_1/topic_1", "rate": 10}])
+    seen(probe, lambda fact: fact.nodes.get("/agent_1/node_1") == 1 and fact.topics[TOPIC].publishers, "the node")
+    changes = bench.changes
+    node.send_signal(signal.SIGKILL)
+    seen(probe, lambda fact: not fact.nodes and not fact.topics[TOPIC].publishers, "its absence", limit_s=10.0)
+    assert bench.changes > changes
+
+
+def test_a_node_that_leaves_properly_says_so(bench: Bench) -> None:
+    """SIGTERM ends the demo node with code 0 and takes it off the graph."""
+    node = bench.node("node_1")
+    probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}])
+    seen(probe, lambda fact: "/agent_1/node_1" in fact.nodes, "the node")
+    node.terminate()
+    assert node.wait(10) == 0
+    seen(probe, lambda fact: not fact.nodes, "its absence")
+
+
+def test_endpoints_are_told_by_node_type_and_quality(bench: Bench) -> None:
+    """Publishers and subscribers carry the node's full name; PHM's own reader is not among them."""
+    bench.node("node_1", "--publish", "topic_1:10")
+    bench.node("node_2", "--subscribe", "topic_1")
+    probe = bench.probe([{"name": TOPIC, "rate": 10}, {"name": "/agent_1/other"}])
+    fact = seen(
+        probe,
+        lambda fact: fact.topics[TOPIC].publishers and fact.topics[TOPIC].subscribers and rate_of(fact).hz
+        and fact,
+        "both ends and a rate",
+    )  # fmt: skip
+    assert fact.topics[TOPIC].publishers == (EndpointFact("/agent_1/node_1", STRING, "reliable", "volatile"),)
+    assert fact.topics[TOPIC].subscribers == (EndpointFact("/agent_1/node_2", STRING, "reliable", "volatile"),)
+    assert fact.topics["/agent_1/other"].publishers == ()
+    assert fact.topics["/agent_1/other"].rate is None
+    assert set(fact.nodes) == {"/agent_1/node_1", "/agent_1/node_2"}
+
+
+@pytest.mark.parametrize("hz", [10.0, 200.0])
+def test_the_measured_rate_is_the_true_rate(bench: Bench, tmp_path: Path, hz: float) -> None:
+    """Within 2 % of what was really published, at 10 and at 200 Hz."""
+    bench.source(hz, tmp_path / "sent")
+    probe = bench.probe([{"name": TOPIC, "rate": hz}])
+    seen(probe, lambda fact: within_2_percent(fact, tmp_path / "sent"), "a rate within 2 %")
+
+
+def test_a_stopped_node_is_listed_and_silent(bench: Bench) -> None:
+    """SIGSTOP: the topic falls silent, which is told at once, and flows again after SIGCONT."""
+    node = bench.node("node_1", "--publish", "topic_1:10")
+    probe = bench.probe([{"name": TOPIC, "rate": 10}], silence=0.5)
+
+    seen(probe, lambda fact: rate_of(fact).hz, "a rate")
+    changes = bench.changes
+    node.send_signal(signal.SIGSTOP)
+    seen(probe, lambda fact: rate_of(fact).hz == 0.0 and (rate_of(fact).silent_s or 0.0) > 0.5, "silence")
+    assert bench.changes > changes
+    node.send_signal(signal.SIGCONT)
+    seen(probe, lambda fact: rate_of(fact).hz, "a rate again")
+
+
+def test_an_unknown_type_is_a_problem_and_not_a_crash(bench: Bench) -> None:
+    """A topic whose package is not installed beside PHM has publishers, no rate, and a reason."""
+    bench.node("node_1", "--publish", "topic_1:10")
+    hidden = (
+        "import sys; sys.modules['std_msgs'] = None; from phm.probes.ros.child import main; raise SystemExit(main())"
+    )
+    probe = bench.probe([{"name": TOPIC, "rate": 10}], command=(sys.executable, "-c", hidden))
+    rate = seen(probe, lambda fact: fact.topics[TOPIC].publishers and fact.topics[TOPIC].rate, "the publisher")
+    assert (rate.hz, rate.problem) == (None, f"type unknown: {STRING} is not installed beside PHM")
+    assert probe.restarts == 0
+
+
+def test_two_publishers_are_ambiguous(bench: Bench) -> None:
+    """Two nodes on one topic: the count is told instead of a rate that means nothing."""
+    bench.node("node_1", "--publish", "topic_1:10")
+    bench.node("node_2", "--publish", "topic_1:10")
+    probe = bench.probe([{"name": TOPIC, "rate": 10}])
+    seen(probe, lambda fact: rate_of(fact).problem.startswith("ambiguous"), "the problem")
+    assert len(probe.look().topics[TOPIC].publishers) == 2
+
+
+def test_without_sequence_numbers_samples_are_counted(bench: Bench, tmp_path: Path) -> None:
+    """Humble and Cyclone give no numbers: a deep queue is counted instead, with the same result."""
+    hide = (
+        "import phm.probes.ros.rates as r; plain = r._sample\n"
+        "r._sample = lambda info, now: plain({**info, 'publication_sequence_number': None}, now)\n"
+        "from phm.probes.ros.child import main; raise SystemExit(main())"
+    )
+    bench.source(50.0, tmp_path / "sent")
+    probe = bench.probe([{"name": TOPIC, "rate": 50}], command=(sys.executable, "-c", hide))
+    seen(probe, lambda fact: within_2_percent(fact, tmp_path / "sent"), "a rate within 2 %")
+
+
+def test_a_latched_topic_has_no_rate(bench: Bench) -> None:
+    """Expected rate 0: nothing is subscribed to, and nothing is measured."""
+    bench.node("node_1", "--publish", "topic_1:10")
+    probe = bench.probe([{"name": TOPIC, "rate": 0}])
+    fact = seen(probe, lambda fact: fact.topics[TOPIC].publishers and fact, "the publisher")
+    assert fact.topics[TOPIC].rate is None
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_the_real_child_is_replaced(bench: Bench, number: signal.Signals) -> None:
+    """Killed or stopped, the child is replaced, and the new one sees the same nodes."""
+    bench.node("node_1")
+    probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}], limits=Limits(silent_s=1.0, backoff_s=0.1))
+    seen(probe, lambda fact: "/agent_1/node_1" in fact.nodes, "the node")
+    first = probe.pid
+    os.kill(first, number)
+    until(lambda: stale(probe), "STALE in between")
+    seen(probe, lambda fact: probe.pid not in (0, first) and "/agent_1/node_1" in fact.nodes, "the node again")
+    assert gone(first)
+    assert probe.restarts == 1
+
+
+def test_a_leaking_child_is_replaced(bench: Bench) -> None:
+    """Above the memory limit it is killed, and the note gives both figures."""
+    limits = Limits(weigh_s=0.1, backoff_s=0.1)
+    probe = bench.probe(
+        nodes=[{"name": "/a"}], max_memory="120MB", limits=limits, environ={"PHM_DEBUG_ROS_LEAK_MB": "20"}
+    )
+    until(lambda: probe.restarts >= 1, "a replacement")
+    assert "allowed are 120 MB" in bench.notes[0]
+
+
+def test_the_child_ends_with_its_parent(bench: Bench) -> None:
+    """A daemon that is killed leaves no child behind: neither a running nor a stopped one."""
+    code = (
+        "import sys, time; from phm.clock import SystemClock; from phm.settings import Settings\n"
+        "from phm.probes.ros.process import RosProcess\n"
+        "p = RosProcess(Settings(), SystemClock(), lambda: print(p.pid, flush=True), print); p.start(); time.sleep(60)"
+    )
+    daemon = subprocess.Popen([sys.executable, "-c", code], env=bench.environ, stdout=subprocess.PIPE)
+    assert daemon.stdout is not None
+    child = int(daemon.stdout.readline())
+    daemon.kill()
+    daemon.wait()
+    daemon.stdout.close()
+    until(lambda: gone(child), "the end of the child")

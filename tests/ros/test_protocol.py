@@ -1,0 +1,66 @@
+"""Messages survive the pipe, and nothing else is taken for one."""
+
+from __future__ import annotations
+
+import pytest
+
+from phm.facts import EndpointFact, RateFact, TopicFact
+from phm.probes.ros.protocol import (
+    Message,
+    Missing,
+    Picture,
+    ProtocolError,
+    Tick,
+    Wanted,
+    WantedTopic,
+    decode,
+    decode_wanted,
+    encode,
+    encode_wanted,
+)
+
+END = EndpointFact("/a/n", "std_msgs/msg/String", "reliable", "volatile")
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Picture(1.5, {"/a/n": 2}, {"/t": TopicFact((END,), (END, END), RateFact(9.9, 0.1, 3.0, 7, "x"))}),
+        Picture(0.0, {}, {"/t": TopicFact()}),
+        Tick(2.0, {"/t": 0.5, "/u": None}),
+        Missing("rclpy", "No module named 'rclpy'"),
+    ],
+)
+def test_what_is_written_is_what_is_read(message: Message) -> None:
+    """Each message comes back equal, on one line."""
+    line = encode(message)
+    assert line.count(b"\n") == 1
+    assert decode(line) == message
+
+
+def test_the_configuration_comes_through() -> None:
+    """The child gets exactly what the daemon wants."""
+    wanted = Wanted("agent_1", 3, (WantedTopic("/t", 10.0, 2.0), WantedTopic("/u")), 0.1, 2.0)
+    assert decode_wanted(encode_wanted(wanted)) == wanted
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"", b"[INFO] hello", b"\xff\xfe", b"[]", b"{}", b'{"kind":"other"}', b'{"kind":"picture"}',
+        b'{"kind":"tick","up_s":"x","silent_s":{}}', b'{"kind":"tick","up_s":1,"silent_s":[1]}',
+        b'{"kind":"tick","up_s":NaN,"silent_s":{}}', b'{"kind":"picture","up_s":1,"nodes":{"/a":1},"topi',
+        b'{"kind":"picture","up_s":1,"nodes":{},"topics":{"/t":{"pub":[["/n"]],"sub":[],"rate":null}}}',
+        b"[" * 100_000,
+    ],
+)  # fmt: skip
+def test_anything_else_is_refused(line: bytes) -> None:
+    """Stray output and cut lines raise ProtocolError and nothing else."""
+    with pytest.raises(ProtocolError):
+        decode(line)
+
+
+def test_a_wrong_configuration_is_refused() -> None:
+    """Unknown keys are a mistake between versions, not something to guess about."""
+    with pytest.raises(ProtocolError):
+        decode_wanted(b'{"agent":"a","topics":[],"colour":1}')

@@ -1,0 +1,147 @@
+"""The child is replaced whatever it does, and the daemon is never harmed by it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from phm.probes.ros.process import NOT_INSTALLED, Limits, child_environ, wanted
+from phm.settings import Settings
+from tests.fakes.ros_bench import ROOT, Bench, gone, seen, stale, until
+
+FAST = Limits(start_s=2.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, backoff_max_s=0.2, farewell_s=0.5)
+
+
+def fake(behaviour: str, folder: Path | str = "") -> tuple[str, ...]:
+    return (sys.executable, str(ROOT / "tests" / "fakes" / "ros_child.py"), behaviour, str(folder))
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "words"),
+    [
+        ("exit", "exited with code 3 (it went wrong)"),
+        ("crash", "was ended by SIGSEGV"),
+        ("mute", "said nothing for 0.5 s and was killed"),
+        ("never", "said nothing for 2 s and was killed"),
+    ],
+)
+def test_a_child_that_fails_is_replaced_with_a_sentence(bench: Bench, behaviour: str, words: str) -> None:
+    """However a child fails, the probe says how, counts it, and starts another."""
+    probe = bench.probe(command=fake(behaviour), limits=FAST)
+    until(lambda: probe.restarts >= 2, "two replacements")
+    assert any(words in note for note in bench.notes)
+    until(lambda: words in stale(probe), "the sentence in CannotTell")
+
+
+def test_the_same_failure_is_noted_once(bench: Bench) -> None:
+    """A child that fails for ever must not fill the log."""
+    probe = bench.probe(command=fake("exit"), limits=FAST)
+    until(lambda: probe.restarts >= 4, "four replacements")
+    assert len(bench.notes) == 1
+
+
+def test_a_command_that_does_not_exist_is_a_sentence(bench: Bench) -> None:
+    """A child that cannot even be started leaves the probe STALE and trying."""
+    probe = bench.probe(command=("/nonexistent/python",), limits=FAST)
+    until(lambda: probe.restarts >= 2, "two attempts")
+    assert "cannot be started" in stale(probe)
+
+
+def test_an_interpreter_without_rclpy_says_what_to_install(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without rclpy the probe is STALE with the remedy, tries rarely, and counts no restart."""
+    monkeypatch.chdir(ROOT)
+    probe = bench.probe(command=(sys.executable, "-S", "-m", "phm.probes.ros.child"), environ={"PYTHONPATH": ""})
+    until(lambda: stale(probe) == NOT_INSTALLED, "the sentence about rclpy")
+    assert bench.notes == [NOT_INSTALLED]
+    assert probe.restarts == 0
+
+
+@pytest.mark.parametrize("behaviour", ["garbage", "long"])
+def test_stray_output_does_no_harm(bench: Bench, behaviour: str) -> None:
+    """Lines that are no messages, and lines without end, are dropped; the messages between them count."""
+    probe = bench.probe(command=fake(behaviour), limits=FAST)
+    seen(probe, lambda fact: fact.up_s > 0.5 and fact.nodes == {"/a/n": 1}, "a picture among the garbage")
+    assert probe.restarts == 0
+
+
+def test_a_stopped_child_is_replaced(bench: Bench) -> None:
+    """SIGSTOP looks like a deadlock in the middleware: it is killed, and another answers."""
+    probe = bench.probe(command=fake("good"), limits=FAST)
+    seen(probe, lambda fact: fact.nodes, "a picture")
+    first = probe.pid
+    os.kill(first, signal.SIGSTOP)
+    until(lambda: stale(probe), "STALE while it is silent")
+    seen(probe, lambda fact: probe.pid not in (0, first), "a picture of another child")
+    assert gone(first)
+    assert probe.restarts == 1
+
+
+def test_a_killed_child_is_replaced(bench: Bench) -> None:
+    """SIGKILL from outside (the kernel's out-of-memory killer) is named, and another answers."""
+    probe = bench.probe(command=fake("good"), limits=FAST)
+    seen(probe, lambda fact: fact.nodes, "a picture")
+    first = probe.pid
+    os.kill(first, signal.SIGKILL)
+    until(lambda: bench.notes == ["the ROS child was ended by SIGKILL"], "the note")
+    seen(probe, lambda fact: probe.pid not in (0, first), "a picture of another child")
+
+
+def test_renewing_replaces_it_without_counting_a_fault(bench: Bench) -> None:
+    """After a network was joined the child is made anew: on purpose, so it is no restart."""
+    probe = bench.probe(command=fake("good"), limits=FAST)
+    seen(probe, lambda fact: fact.nodes, "a picture")
+    first = probe.pid
+    probe.renew("PHM joined a network")
+    seen(probe, lambda fact: probe.pid not in (0, first), "a picture of another child")
+    assert gone(first)
+    assert probe.restarts == 0
+    assert bench.notes == ["the ROS child is renewed: PHM joined a network"]
+
+
+@pytest.mark.parametrize("behaviour", ["good", "stubborn", "never", "exit"])
+def test_closing_leaves_no_process(bench: Bench, tmp_path: Path, behaviour: str) -> None:
+    """After `close` none of the children exists, and the probe says so."""
+    probe = bench.probe(command=fake(behaviour, tmp_path), limits=FAST)
+    until(lambda: list(tmp_path.iterdir()), "a start")
+    probe.close()
+    probe.close()
+    assert all(gone(int(path.name)) for path in tmp_path.iterdir())
+    assert "closed" in stale(probe)
+
+
+def test_before_the_start_it_cannot_tell() -> None:
+    """Silence is never OK: a probe that has seen nothing yet says so."""
+    from phm.clock import SystemClock
+    from phm.probes.ros.process import RosProcess
+
+    probe = RosProcess(Settings(), SystemClock(), lambda: None, lambda _: None, {})
+    assert "not been started" in stale(probe)
+    probe.close()
+
+
+def test_the_first_picture_and_its_loss_are_changes(bench: Bench) -> None:
+    """Checks are woken when there is a view and when it is lost, and not by every message."""
+    probe = bench.probe(command=fake("good"), limits=FAST)
+    seen(probe, lambda fact: fact.up_s > 0.5, "several pictures")
+    assert bench.changes == 1
+    os.kill(probe.pid, signal.SIGKILL)
+    until(lambda: bench.changes >= 3, "the loss, and the first picture of the next")
+
+
+def test_the_environment_of_the_child() -> None:
+    """UDP by default, the user's own choice first, and the configured domain over both."""
+    settings = Settings.model_validate({"ros": {"domain": 7}})
+    assert child_environ(settings, {})["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
+    assert child_environ(settings, {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"})["FASTDDS_BUILTIN_TRANSPORTS"] == "DEFAULT"
+    assert child_environ(settings, {"ROS_DOMAIN_ID": "3"})["ROS_DOMAIN_ID"] == "7"
+    assert child_environ(Settings(), {"ROS_DOMAIN_ID": "3"})["ROS_DOMAIN_ID"] == "3"
+
+
+def test_topics_are_asked_for_by_their_full_names() -> None:
+    """A missing first slash is added, as the configuration promises."""
+    settings = Settings.model_validate({"ros": {"topics": [{"name": "a/b", "rate": 5}, {"name": "/c"}], "silence": 2}})
+    assert [(t.name, t.rate_hz, t.silence_s) for t in wanted(settings).topics] == [("/a/b", 5, 2), ("/c", None, 2)]
