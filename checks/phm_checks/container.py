@@ -73,7 +73,7 @@ class Container(PerContainer):
         if len(times) == LOOP_RESTARTS and now - times[0] <= LOOP_WINDOW_S:
             return api.warn(
                 f"{self.key} runs, but the engine restarted it {LOOP_RESTARTS} times or more within {LOOP_WINDOW_S:.0f} s, "
-                f"expected none: see `docker logs {self.key}`",
+                f"expected none: see `docker logs {fact.name}`",
                 brief=brief(self.key, "keeps restarting"),
                 condition="crash_loop",
                 target=self.key,
@@ -90,13 +90,13 @@ class Container(PerContainer):
         if status == "restarting":
             words = (
                 f"{key} ends again and again; the engine waits to restart it (restart {fact.restart_count}; last exit code "
-                f"{fact.exit_code}: {code_in_words(fact.exit_code)}).{said} See `docker logs {key}`"
+                f"{fact.exit_code}: {code_in_words(fact.exit_code)}).{said} See `docker logs {fact.name}`"
             )
             return self._bad("restarting", words, "crash loop", values)
         told = {
-            "created": ("never started", f"was created but never started: `docker start {key}`"),
-            "paused": ("paused", f"is paused, its processes are frozen: `docker unpause {key}`"),
-            "dead": ("dead", f"is dead, the engine could not remove it: `docker rm -f {key}`, then create it again"),
+            "created": ("never started", f"was created but never started: `docker start {fact.name}`"),
+            "paused": ("paused", f"is paused, its processes are frozen: `docker unpause {fact.name}`"),
+            "dead": ("dead", f"is dead, the engine could not remove it: `docker rm -f {fact.name}`, then create it again"),
             "removing": ("being removed", "is being removed: create it again"),
         }
         short, words = told.get(status, (f"is {clean(status, 12)}", f"is in the unknown state {clean(status, 40)!r}"))
@@ -109,12 +109,12 @@ class Container(PerContainer):
         if fact.oom_killed:
             words = (
                 f"{self.key} was killed for lack of memory (exit code {fact.exit_code}), expected running.{said} Raise its "
-                f"memory limit or find the leak; `docker start {self.key}`"
+                f"memory limit or find the leak; `docker start {fact.name}`"
             )
             return self._bad("oom", words, "out of memory", values)
         words = (
             f"{self.key} exited with code {fact.exit_code} ({code_in_words(fact.exit_code)}), expected running.{said} "
-            f"`docker logs {self.key}` tells more; `docker start {self.key}` starts it"
+            f"`docker logs {fact.name}` tells more; `docker start {fact.name}` starts it"
         )
         return self._bad("exited", words, f"exited {fact.exit_code}", values)
 

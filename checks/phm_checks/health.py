@@ -39,7 +39,7 @@ class Health(PerContainer):
         if fact.health == "unhealthy":
             return api.error(
                 f"health check of {self.key} failed {fact.health_streak} times in a row, expected healthy. Last output: "
-                f"{output or 'none'}. `docker inspect {self.key}` shows the earlier ones",
+                f"{output or 'none'}. `docker inspect {fact.name}` shows the earlier ones",
                 brief=brief(self.key, "unhealthy"),
                 condition="unhealthy",
                 target=self.key,

@@ -83,7 +83,7 @@ class Network(PerContainer):
             gone = any(one.name == name for one in fact.networks)
             why = ": it is still attached to a network of that name that was removed and made again" if gone else ""
             return self._bad(
-                f"{self.key} is not connected to {name}{why}; `docker network connect {name} {self.key}` connects it",
+                f"{self.key} is not connected to {name}{why}; `docker network connect {name} {fact.name}` connects it",
                 f"off {name}",
                 "disconnected",
             )

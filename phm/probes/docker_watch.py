@@ -29,7 +29,7 @@ CONFIRM_S = 0.2
 """A difference is looked at again after this: the event that explains it may be on its way."""
 _MAX_IDS = 1000
 CONTAINER_ACTIONS = (
-    "create", "start", "die", "stop", "restart", "pause", "unpause", "oom", "health_status", "destroy", "rename",
+    "create", "start", "kill", "die", "stop", "restart", "pause", "unpause", "oom", "health_status", "destroy", "rename",
 )  # fmt: skip
 NETWORK_ACTIONS = ("connect", "disconnect", "destroy")
 # The engine matches actions by their beginning once `health_status` is among them: exec events stay out.
@@ -43,7 +43,7 @@ class DockerEvent:
     kind:   container or network.
     key:    the container's key in the configuration, or the network's name.
     action: one of CONTAINER_ACTIONS or NETWORK_ACTIONS.
-    detail: e.g. ``exit code 137``, ``unhealthy``, or empty.
+    detail: e.g. ``exit code 137``, ``unhealthy``, ``signal 15`` for kill (which `docker stop` sends first), or empty.
     container: for network events the key of the container concerned, when it is a configured one.
     lost:   the stream did not tell; the comparison found it.
     """
@@ -174,6 +174,8 @@ class Watch:
                 self._expected[key] = after(self._expected[key], action, detail, container_id)
         if action == "die":
             detail = f"exit code {attributes.get('exitCode', 'unknown')}"
+        elif action == "kill":
+            detail = f"signal {attributes.get('signal', 'unknown')}"
         return DockerEvent("container", key, action, detail, self._clock.stamp())
 
     def _network_event(self, action: str, network_id: str, attributes: Mapping[str, Any]) -> DockerEvent | None:

@@ -137,7 +137,8 @@ class TargetWorker:
                 self._once(case, "wait", Phase.REFUSED, f"{self._target} is left alone for now: {decision.why}")
             return decision.until
         if isinstance(decision, GiveUp):
-            step = f"look at it by hand: docker logs --tail 50 {self._target}"
+            named = self._container.name if self._container is not None else None
+            step = f"look at it by hand: docker logs --tail 50 {named or self._target}"
             self._once(case, decision.action, Phase.ESCALATED, f"gave up on {self._target}: {decision.why}; {step}")
             case.refused = True
             self._shop.pipeline.escalate(case.fault.id)

@@ -95,11 +95,11 @@ class Phm:
         self.record = Record(folder / "log" / "phm.jsonl")
 
     def start(self) -> None:
-        self._output = (self.folder / "output").open("ab")
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "phm.cli", "run", "-c", str(self.config)],
-            cwd=ROOT, env=self.environ, stdout=self._output, stderr=self._output,
-        )  # fmt: skip
+        with (self.folder / "output").open("ab") as output:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "phm.cli", "run", "-c", str(self.config)],
+                cwd=ROOT, env=self.environ, stdout=output, stderr=output,
+            )  # fmt: skip
 
     def cli(self, *words: str, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
         argv = [sys.executable, "-m", "phm.cli", *words]
@@ -147,8 +147,6 @@ class Phm:
             self.process.kill()
             self.process.wait()
             pytest.fail(f"PHM did not end within 15 s of SIGTERM:\n{self.output()}")
-        finally:
-            self._output.close()
 
 
 def config_for(app: Aboard, **more: Any) -> dict[str, Any]:
