@@ -14,6 +14,8 @@ os.environ["MAVLINK20"] = "1"
 from pymavlink.dialects.v20 import common as mavlink
 
 if float(mavlink.WIRE_PROTOCOL_VERSION) != 2.0:
-    raise ImportError(f"pymavlink speaks MAVLink {mavlink.WIRE_PROTOCOL_VERSION}, PHM needs 2.0: it was imported earlier")
+    raise ImportError(
+        f"pymavlink speaks MAVLink {mavlink.WIRE_PROTOCOL_VERSION}, PHM needs 2.0: it was imported earlier"
+    )
 
 __all__ = ["mavlink"]

@@ -57,16 +57,24 @@ class Outbox:
                 self._messages.popleft()
                 self._counters.dropped += 1
 
-    def take(self) -> Any | None:
-        """The oldest message that is still news, or None."""
+    def take(self) -> tuple[float, Any] | None:
+        """When it was put and the oldest message that is still news, or None."""
         oldest = self._clock.mono() - OUTBOX_AGE_S
         with self._lock:
             while self._messages:
-                put, message = self._messages.popleft()
-                if put >= oldest:
-                    return message
+                entry = self._messages.popleft()
+                if entry[0] >= oldest:
+                    return entry
                 self._counters.dropped += 1
         return None
+
+    def give_back(self, entry: tuple[float, Any]) -> None:
+        """What was taken could not be sent: it is first again, unless the outbox has filled up meanwhile."""
+        with self._lock:
+            if len(self._messages) < OUTBOX_SIZE:
+                self._messages.appendleft(entry)
+            else:
+                self._counters.dropped += 1
 
 
 class Endpoint:
@@ -173,14 +181,19 @@ class Endpoint:
             self._look()
 
     def _write(self, channel: Channel) -> None:
-        while channel.ready and (message := self._outbox.take()) is not None:
+        while channel.ready and (entry := self._outbox.take()) is not None:
             try:
-                frame = self.codec.pack(message)
+                frame = self.codec.pack(entry[1])
             except Exception:  # a message that cannot be packed is our defect; the link is well
                 self.codec.counters.dropped += 1
                 logger.exception("a MAVLink message could not be packed")
                 continue
-            if channel.write(frame):
+            try:
+                taken = channel.write(frame)
+            except OSError:
+                self._outbox.give_back(entry)
+                raise
+            if taken:
                 self.codec.counters.sent += 1
                 self.codec.counters.bytes_out += len(frame)
                 self._tell(is_open=True)

@@ -46,7 +46,9 @@ class Resolver:
         """The newest address. Raises OSError with a sentence when the name was never found."""
         with self._lock:
             if self._found is None:
-                raise OSError(self._problem or f"the name {self._host} has not been found yet: the name server is silent")
+                raise OSError(
+                    self._problem or f"the name {self._host} has not been found yet: the name server is silent"
+                )
             return self._found
 
     def newest(self) -> Address | None:

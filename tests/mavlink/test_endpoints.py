@@ -345,6 +345,19 @@ def test_a_listener_that_fails_does_not_close_the_link(make_hub: MakeHub) -> Non
     assert hub.links()[0].open
 
 
+def test_a_network_that_refuses_is_a_closed_link_until_something_gets_through(make_hub: MakeHub) -> None:
+    """A UDP socket can always be opened, which proves nothing: the link must not look open between failures."""
+    # The kernel refuses this address to a socket that did not ask to broadcast, as it does any without a route.
+    hub = make_hub("udpout:255.255.255.255:9")
+    until(hub.links)
+    states: list[bool] = []
+    hub.watch(lambda: states.append(hub.links()[0].open))
+    hub.send(text("to nobody"))
+    until(lambda: len(states) >= 4 and states[-1] is False, "several attempts")
+    assert hub.links()[0].error == "Permission denied"
+    assert True not in states[states.index(False) :]
+
+
 def test_the_watch_goes_on_while_a_link_is_busy(make_hub: MakeHub) -> None:
     """A link that never rests must not keep the loss of a ground station from being noticed."""
     port = free_port(socket.SOCK_DGRAM)
@@ -377,8 +390,8 @@ def test_closing_sends_what_is_queued(make_hub: MakeHub) -> None:
 
 def drain(outbox: Outbox) -> list[Any]:
     found = []
-    while (message := outbox.take()) is not None:
-        found.append(message)
+    while (entry := outbox.take()) is not None:
+        found.append(entry[1])
     return found
 
 
@@ -390,6 +403,22 @@ def test_a_full_outbox_drops_its_oldest_and_counts() -> None:
         outbox.put(text(f"line {number}"))
     assert counters.dropped == 5
     assert [message.text for message in drain(outbox)] == [f"line {number}" for number in range(5, OUTBOX_SIZE + 5)]
+
+
+def test_what_could_not_be_sent_is_first_again() -> None:
+    """A network that is gone for a moment costs no line and changes no order; a full outbox keeps what is newer."""
+    counters = Counters()
+    outbox = Outbox(FakeClock(), counters)
+    outbox.put(text("first"))
+    outbox.put(text("second"))
+    entry = outbox.take()
+    assert entry is not None
+    outbox.give_back(entry)
+    assert [message.text for message in drain(outbox)] == ["first", "second"]
+    for number in range(OUTBOX_SIZE):
+        outbox.put(text(f"line {number}"))
+    outbox.give_back(entry)
+    assert (counters.dropped, len(outbox)) == (1, OUTBOX_SIZE)
 
 
 def test_waiting_heartbeats_are_replaced_and_old_lines_expire() -> None:
