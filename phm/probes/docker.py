@@ -89,7 +89,7 @@ class Docker:
             entry.lock.release()
 
     def _usable(self, entry: _Entry, called_at: float) -> bool:
-        if entry.error is not None and entry.done_at >= called_at:
+        if entry.error is not None and entry.done_at > called_at:
             return True  # failed while we waited: to try again would only queue up the deadlines
         return entry.generation == self._generation and self._clock.mono() - entry.asked_at < FRESH_S
 

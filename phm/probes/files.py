@@ -37,24 +37,42 @@ class Files:
         self._docker, self._engine, self._clock = docker_probe, engine, clock
         # Behind tcp:// the engine may be another machine's, whose paths mean nothing here.
         self._same_host = settings.docker.socket.startswith("unix:")
+        self._last: dict[str, tuple[ContainerFact, ContainerFact | None]] = {}
         self._sums: OrderedDict[Hashable, str] = OrderedDict()
         self._lock = threading.Lock()
 
     def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
         """Raises CannotTell when the container does not exist, or the file is too large or too slow to read."""
-        fact = self._docker.container(container)
-        if fact is None:
-            raise CannotTell(f"there is no container {container} to look into")
         path = normal(path)
         try:
-            return self._through_volume(fact, path, digest)
+            fact, me = self._docker.container(container), self._docker.myself()
+        except CannotTell as error:
+            return self._without_engine(container, path, digest, error)
+        if fact is None:
+            self._last.pop(container, None)
+            raise CannotTell(f"there is no container {container} to look into")
+        self._last[container] = (fact, me)
+        try:
+            return self._through_volume(fact, me, path, digest)
         except Outside:
             return self._through_engine(fact, path, digest)
 
+    def _without_engine(self, container: str, path: str, digest: bool, error: CannotTell) -> FileFact | None:
+        """Through a volume, as the container was mounted when the engine last answered; else what `error` says."""
+        last = self._last.get(container)
+        if last is None:
+            raise error
+        try:
+            return self._through_volume(*last, path, digest)
+        except Outside:
+            raise error from None
+
     # ------------------------------------------------------------ volume
 
-    def _through_volume(self, fact: ContainerFact, path: str, digest: bool) -> FileFact | None:
-        roots = self._roots(fact)
+    def _through_volume(
+        self, fact: ContainerFact, me: ContainerFact | None, path: str, digest: bool
+    ) -> FileFact | None:
+        roots = self._roots(fact, me)
         number = resolve(path, {mount.destination: roots.get(mount.destination, "") for mount in fact.mounts})
         if number is None:
             return None
@@ -65,10 +83,9 @@ class Files:
             os.close(number)
         return _file_fact(path, info.st_mode, info.st_size, sha256, "volume")
 
-    def _roots(self, fact: ContainerFact) -> dict[str, str]:
+    def _roots(self, fact: ContainerFact, me: ContainerFact | None) -> dict[str, str]:
         """Where PHM sees the mounts of a container: destination in the container -> path here."""
         mounts = [mount for mount in fact.mounts if mount.kind in ("bind", "volume") and mount.source]
-        me = self._docker.myself() if mounts else None
         if me is not None:
             seen = {mount.destination: _my_view(mount, me.mounts) for mount in mounts}
         else:
@@ -135,7 +152,7 @@ class Files:
         for root in (*hidden, *_NOT_SEEN_BY_ENGINE):
             if path == root or path.startswith(root.rstrip("/") + "/"):
                 raise CannotTell(
-                    f"{path} lies in memory ({root}), where the Docker Engine cannot look: move it to a volume"
+                    f"{path} is in memory ({root}), where the Docker Engine cannot look: move it to a volume"
                 )
         if self._docker_gone(fact):
             raise CannotTell(f"{fact.name} was removed while PHM looked for {path}")

@@ -96,6 +96,12 @@ class _Pool(urllib3.connectionpool.HTTPConnectionPool):
         super().__init__("localhost", maxsize=1)
         self.ConnectionCls = type(kind.__name__, (kind,), more)
 
+    def _put_conn(self, conn: Any) -> None:
+        """Keep no connection: an answer without `Connection: close` would leave it to the next call, closed or not."""
+        if conn is not None:
+            conn.close()
+        super()._put_conn(None)
+
 
 class _Bounded(requests.adapters.HTTPAdapter):
     """Reads an answer that is not streamed up to MAX_ANSWER_BYTES, and refuses a longer one."""

@@ -17,9 +17,11 @@ import io
 import json
 import re
 import socketserver
+import sys
 import tarfile
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler
@@ -137,7 +139,11 @@ class _Server(socketserver.ThreadingUnixStreamServer):
     fake: FakeEngine
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Clients that hang up are part of the game."""
+        """Clients that hang up are part of the game; a defect of the fake is kept for whoever wonders."""
+        error = sys.exc_info()[1]
+        if error is not None and not isinstance(error, ConnectionError):
+            self.fake.errors.append(error)
+            traceback.print_exception(error)
 
 
 class FakeEngine:
@@ -150,6 +156,7 @@ class FakeEngine:
         self.networks: dict[str, dict[str, Any]] = {}
         self.calls: collections.deque[str] = collections.deque(maxlen=1000)
         self.events: collections.deque[dict[str, Any]] = collections.deque(maxlen=256)
+        self.errors: collections.deque[BaseException] = collections.deque(maxlen=100)
         self.changed = threading.Condition()
         self.stopping = False
         self.streams = 0

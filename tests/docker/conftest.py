@@ -1,0 +1,121 @@
+"""A fake engine for faults; the real one, with containers and networks of our own, for the truth."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from docker import DockerClient
+from docker.errors import DockerException, NotFound
+
+from phm.transport.docker import Engine
+from tests.fakes.engine import FakeEngine
+
+SOCKET = "unix:///var/run/docker.sock"
+LABEL = "phm.test.docker"
+
+
+@pytest.fixture
+def fake(tmp_path: Path) -> Iterator[FakeEngine]:
+    with FakeEngine(tmp_path / "engine.sock") as engine:
+        yield engine
+
+
+@pytest.fixture
+def ask(fake: FakeEngine) -> Iterator[Engine]:
+    """An engine client on the fake, with a short time-out."""
+    engine = Engine(fake.url, timeout_s=0.5)
+    yield engine
+    engine.close()
+
+
+class Real:
+    """Containers and networks on the real engine, all removed at the end."""
+
+    def __init__(self, client: DockerClient, image: str) -> None:
+        self.client, self.image = client, image
+        self._mark = uuid.uuid4().hex[:8]
+        self._removals: list[Callable[[], Any]] = []
+        self.made = 0
+
+    def name(self) -> str:
+        self.made += 1
+        return f"phm-test-{self._mark}-{self.made}"
+
+    def container(self, command: str = "exec sleep 600", *, name: str = "", start: bool = True, **more: Any) -> Any:
+        """A container of the test image that runs `command` in a shell; `more` as docker-py takes it."""
+        labels = {LABEL: self._mark, **more.pop("labels", {})}
+        made = self.client.containers.create(
+            self.image, ["sh", "-c", command], name=name or self.name(), labels=labels, init=True, **more
+        )
+        self._removals.append(lambda: made.remove(force=True, v=True))
+        if start:
+            made.start()
+        return made
+
+    def network(self) -> Any:
+        made = self.client.networks.create(self.name(), labels={LABEL: self._mark})
+        self._removals.append(made.remove)
+        return made
+
+    def volume(self) -> Any:
+        made = self.client.volumes.create(self.name(), labels={LABEL: self._mark})
+        self._removals.append(made.remove)
+        return made
+
+    def clean(self) -> None:
+        for remove in self._removals[::-1]:
+            try:
+                remove()
+            except NotFound:
+                continue
+
+
+@pytest.fixture
+def real() -> Iterator[Real]:
+    image = os.environ.get("PHM_TEST_IMAGE", "phm-base:dev")
+    try:
+        client = DockerClient(base_url=SOCKET, version="1.41", timeout=30)
+        client.ping()
+    except DockerException as error:
+        pytest.fail(f"no Docker Engine answers at {SOCKET}: start one, or run scripts/test, which does ({error})")
+    try:
+        client.images.get(image)
+    except DockerException:
+        client.close()
+        pytest.fail(f"the engine has no image {image}: run scripts/test, which makes it, or set PHM_TEST_IMAGE")
+    made = Real(client, image)
+    yield made
+    made.clean()
+    client.close()
+
+
+@pytest.fixture
+def engine() -> Iterator[Engine]:
+    """PHM's own client of the real engine."""
+    engine = Engine(SOCKET, timeout_s=10)
+    yield engine
+    engine.close()
+
+
+Until = Callable[[Callable[[], object], str], None]
+
+
+@pytest.fixture
+def until() -> Until:
+    """Wait for something that can be observed, or fail with what was waited for."""
+
+    def wait(condition: Callable[[], object], what: str) -> None:
+        end = time.monotonic() + 20
+        while not condition():
+            if time.monotonic() > end:
+                pytest.fail(f"waited 20 s for: {what}")
+            threading.Event().wait(0.02)
+
+    return wait

@@ -1,0 +1,238 @@
+"""Files of containers: through volumes without leaving them, through the engine otherwise."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
+from phm.probes.files import Files
+from phm.probes.volume_path import Outside, resolve
+from phm.testing import FakeClock, FakeDocker, settings
+from phm.testing import container as fact
+from phm.transport.docker import Engine
+from tests.fakes.engine import FakeEngine, Hang, container
+
+
+class Place:
+    """A container `app` with one mount on /data, seen by PHM as `here`, and the engine's view beside it."""
+
+    def __init__(self, here: Path, fake: FakeEngine, ask: Engine) -> None:
+        self.here, self.fake = here, fake
+        here.mkdir()
+        self.fact: ContainerFact = fact(
+            "app", id="c1", mounts=(Mount(kind="bind", source=str(here), destination="/data"),)
+        )
+        fake.containers["app"] = container("app", container_id="c1")
+        self.probe: DockerProbe = FakeDocker(self.fact)
+        self.files = Files(self.probe, ask, settings(containers=[{"name": "app"}]), FakeClock())
+
+    def look(self, path: str, *, digest: bool = False) -> FileFact | None:
+        return self.files.look("app", path, digest=digest)
+
+    def engine_has(self, path: str, content: bytes) -> None:
+        self.fake.containers["app"]["_files"][path] = content
+
+    @property
+    def archive_calls(self) -> int:
+        return sum("archive" in call for call in self.fake.calls)
+
+
+@pytest.fixture
+def place(tmp_path: Path, fake: FakeEngine, ask: Engine) -> Place:
+    return Place(tmp_path / "volume", fake, ask)
+
+
+def test_a_file_in_a_volume_is_seen_without_the_engine(place: Place) -> None:
+    """The volume is looked at directly, with mode, size and sum, while the engine hangs."""
+    (place.here / "model.bin").write_bytes(b"weights")
+    (place.here / "model.bin").chmod(0o750)
+    place.fake.fault = Hang()
+    seen = place.look("/data/model.bin", digest=True)
+    assert seen == FileFact("/data/model.bin", "file", 7, 0o750, True, hashlib.sha256(b"weights").hexdigest(), "volume")
+
+
+def test_a_volume_is_looked_at_while_the_engine_is_down(place: Place) -> None:
+    """The mounts are known from before; what is not in a volume cannot be told."""
+    (place.here / "model.bin").write_bytes(b"weights")
+    place.look("/data/model.bin")
+    assert isinstance(place.probe, FakeDocker)
+    place.probe.fail("the engine is down")
+    assert place.look("/data/model.bin") is not None
+    (place.here / "model.bin").unlink()
+    assert place.look("/data/model.bin") is None
+    with pytest.raises(CannotTell, match="the engine is down"):
+        place.look("/opt/app")
+
+
+def test_a_missing_file_and_a_directory_in_a_volume(place: Place) -> None:
+    """Absence in a volume is certain; a directory is told from a file."""
+    assert place.look("/data/none") is None
+    assert place.look("/data/none/deeper") is None
+    directory = place.look("/data", digest=True)
+    assert directory is not None
+    assert (directory.kind, directory.sha256) == ("directory", "")
+
+
+def test_a_file_outside_of_volumes_is_seen_through_the_engine(place: Place) -> None:
+    """The image's own files come from the archive route, hashed without being held."""
+    place.engine_has("/opt/app", b"binary")
+    seen = place.look("/opt/app", digest=True)
+    assert seen is not None
+    assert (seen.seen_through, seen.sha256, seen.kind) == ("engine", hashlib.sha256(b"binary").hexdigest(), "file")
+    assert place.look("/opt/none") is None
+
+
+def test_a_sum_is_read_again_only_when_the_file_changed(place: Place) -> None:
+    """Reading a large file every few seconds would wear the card: size, times and inode decide."""
+    file = place.here / "model.bin"
+    file.write_bytes(b"one")
+    first = place.look("/data/model.bin", digest=True)
+    again = place.look("/data/model.bin", digest=True)
+    assert first == again
+    file.write_bytes(b"two")
+    os.utime(file, ns=(1, 1))
+    changed = place.look("/data/model.bin", digest=True)
+    assert changed is not None
+    assert changed.sha256 == hashlib.sha256(b"two").hexdigest()
+    place.engine_has("/opt/app", b"binary")
+    place.look("/opt/app", digest=True)
+    before = list(place.fake.calls).count("GET /containers/c1/archive")
+    place.look("/opt/app", digest=True)
+    assert list(place.fake.calls).count("GET /containers/c1/archive") == before
+
+
+def test_a_link_within_the_volume_is_followed(place: Place) -> None:
+    """Relative links, and absolute ones in the container's own paths, lead to the file."""
+    (place.here / "v2").mkdir()
+    (place.here / "v2" / "model").write_bytes(b"new")
+    (place.here / "current").symlink_to("v2")
+    (place.here / "absolute").symlink_to("/data/v2/../v2/model")
+    for path in ("/data/current/model", "/data/absolute", "/data/./v2/../current//model"):
+        seen = place.look(path)
+        assert seen is not None
+        assert (seen.kind, seen.size, seen.seen_through) == ("file", 3, "volume")
+
+
+@pytest.mark.parametrize("target", ["/etc/passwd", "../../../../../../../../etc/passwd", "../secret"])
+def test_a_link_out_of_the_volume_never_leads_into_phms_own_files(place: Place, target: str) -> None:
+    """Whoever writes the volume decides where a link leads: it leads in the container, as the engine sees it."""
+    (place.here.parent / "secret").write_bytes(b"of PHM")
+    (place.here / "link").symlink_to(target)
+    assert place.look("/data/link", digest=True) is None
+    assert place.archive_calls > 0
+    place.engine_has("/data/link", b"of the container")
+    seen = place.look("/data/link", digest=True)
+    assert seen is not None
+    assert (seen.seen_through, seen.sha256) == ("engine", hashlib.sha256(b"of the container").hexdigest())
+
+
+def test_links_in_a_circle_are_missing_files(place: Place) -> None:
+    """A loop ends after as many links as the kernel follows."""
+    (place.here / "a").symlink_to("b")
+    (place.here / "b").symlink_to("a")
+    assert place.look("/data/a") is None
+
+
+def test_a_pipe_is_not_opened(place: Place) -> None:
+    """Reading a pipe that nobody writes would hang the check: it is `other`, and has no sum."""
+    os.mkfifo(place.here / "pipe")
+    seen = place.look("/data/pipe", digest=True)
+    assert seen is not None
+    assert (seen.kind, seen.sha256) == ("other", "")
+
+
+def test_a_volume_that_phm_may_not_read_is_left_to_the_engine(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PHM is not root: EACCES in the volume proves nothing about the file."""
+    (place.here / "private").mkdir()
+    place.engine_has("/data/private/key", b"k")
+    real_open = os.open
+
+    def forbidden(path: Any, *args: Any, **kwargs: Any) -> int:
+        if path == "key":
+            raise PermissionError(13, "Permission denied")
+        return real_open(path, *args, **kwargs)
+
+    monkeypatch.setattr(os, "open", forbidden)
+    seen = place.look("/data/private/key")
+    assert seen is not None
+    assert seen.seen_through == "engine"
+
+
+def test_a_mount_below_a_volume_that_phm_does_not_see_hides_it(place: Place) -> None:
+    """A tmpfs on /data/cache: what lies there in the volume is not what the container sees."""
+    (place.here / "cache").mkdir()
+    (place.here / "cache" / "old").write_bytes(b"")
+    with pytest.raises(Outside):
+        resolve("/data/cache/old", {"/data": str(place.here), "/data/cache": ""})
+
+
+def test_phm_in_a_container_looks_through_its_own_mounts(tmp_path: Path, fake: FakeEngine, ask: Engine) -> None:
+    """The same volume by name, or a directory that contains the bind's source, as PHM's container mounts them."""
+    named, host = tmp_path / "named", tmp_path / "host"
+    (host / "maps").mkdir(parents=True)
+    named.mkdir()
+    (named / "a").write_bytes(b"1")
+    (host / "maps" / "b").write_bytes(b"22")
+    app = fact(
+        "app",
+        id="c1",
+        mounts=(
+            Mount(kind="volume", source="/var/lib/docker/volumes/m/_data", destination="/models", name="m"),
+            Mount(kind="bind", source="/srv/swarm/maps", destination="/maps"),
+            Mount(kind="bind", source="/srv/other", destination="/other"),
+        ),
+    )
+    me = fact(
+        "phm",
+        mounts=(
+            Mount(kind="volume", source="/elsewhere", destination=str(named), name="m"),
+            Mount(kind="bind", source="/srv/swarm", destination=str(host)),
+        ),
+    )
+    fake.containers["app"] = container("app", container_id="c1", files={"/other/c": b"333"})
+    files = Files(FakeDocker(app, me=me), ask, settings(), FakeClock())
+    sizes = {}
+    for path in ("/models/a", "/maps/b", "/other/c"):
+        seen = files.look("app", path, digest=False)
+        assert seen is not None
+        sizes[path] = (seen.size, seen.seen_through)
+    assert sizes == {"/models/a": (1, "volume"), "/maps/b": (2, "volume"), "/other/c": (3, "engine")}
+
+
+def test_an_engine_on_another_machine_has_other_paths(tmp_path: Path, fake: FakeEngine, ask: Engine) -> None:
+    """Behind tcp:// the mount's source means nothing here, even when such a path exists."""
+    (tmp_path / "a").write_bytes(b"ours")
+    app = fact("app", id="c1", mounts=(Mount(kind="bind", source=str(tmp_path), destination="/data"),))
+    fake.containers["app"] = container("app", container_id="c1", files={"/data/a": b"theirs!"})
+    files = Files(FakeDocker(app), ask, settings(docker={"socket": "tcp://192.0.2.1:2375"}), FakeClock())
+    seen = files.look("app", "/data/a", digest=False)
+    assert seen is not None
+    assert (seen.size, seen.seen_through) == (7, "engine")
+
+
+def test_a_file_in_memory_cannot_be_told(fake: FakeEngine, ask: Engine) -> None:
+    """The engine does not see into a tmpfs: its `not there` is no proof of absence."""
+    app = fact("app", id="c1", mounts=(Mount(kind="tmpfs", source="", destination="/run"),))
+    fake.containers["app"] = container("app", container_id="c1")
+    files = Files(FakeDocker(app), ask, settings(), FakeClock())
+    with pytest.raises(CannotTell, match="is in memory"):
+        files.look("app", "/run/lock", digest=False)
+
+
+def test_without_a_container_there_is_nothing_to_look_into(ask: Engine) -> None:
+    """A container that does not exist is its own check's fault, not a missing file."""
+    files = Files(FakeDocker(), ask, settings(), FakeClock())
+    with pytest.raises(CannotTell, match="there is no container app"):
+        files.look("app", "/etc/hosts", digest=False)
+
+
+def test_a_hanging_engine_cannot_tell(place: Place) -> None:
+    """Outside of volumes the engine's silence is no missing file."""
+    place.fake.fault = Hang()
+    with pytest.raises(CannotTell):
+        place.look("/opt/app")

@@ -1,0 +1,271 @@
+"""The watch: events of configured containers, what the stream lost, reconnecting."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.probes.docker_compare import Expected, after, differences
+from phm.probes.docker_watch import DockerEvent, Watch
+from phm.testing import settings
+from phm.transport.docker import Engine
+from tests.fakes.engine import DropStream, FakeEngine, Hang, Status, container
+
+Until = Callable[[Callable[[], object], str], None]
+
+
+class Heard(list[DockerEvent]):
+    """The events of a watch, as short texts too."""
+
+    def texts(self) -> list[str]:
+        return [f"{event.key} {event.action} {event.detail}".strip() for event in list(self)]
+
+
+@pytest.fixture
+def watch(fake: FakeEngine) -> Iterator[Callable[..., tuple[Watch, Heard]]]:
+    """Starts a watch on the fake and waits until it follows and has seen the containers once."""
+    started: list[tuple[Watch, Engine]] = []
+
+    def start(*containers: dict[str, Any], compare: float = 60.0) -> tuple[Watch, Heard]:
+        heard = Heard()
+        engine = Engine(fake.url, timeout_s=2)
+        made = Watch(
+            engine,
+            settings(containers=list(containers), docker={"compare": compare}),
+            SystemClock(),
+            heard.append,
+        )
+        started.append((made, engine))
+        made.start()
+        assert fake.wait(lambda server: server.streams == 1)
+        return made, heard
+
+    yield start
+    for made, engine in started:
+        made.stop()
+        engine.close()
+
+
+def test_events_of_a_configured_container_are_told(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """Death comes with its exit code, health with its word, and both wake the container's checks."""
+    fake.containers["app"] = container("app", health="healthy")
+    _, heard = watch({"name": "app", "alias": "ros"})
+    fake.set("app", health="unhealthy")
+    fake.set("app", status="exited", exit_code=137)
+    until(lambda: len(heard) == 2, "two events")
+    assert heard.texts() == ["ros health_status unhealthy", "ros die exit code 137"]
+    assert heard[0].subjects == {"container:ros"}
+    assert not heard[0].lost
+
+
+def test_other_containers_and_exec_events_are_not_told(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """What happens to a container that nobody configured, and each run of a healthcheck, wakes nobody."""
+    fake.containers["app"], fake.containers["db"] = container("app"), container("db")
+    _, heard = watch({"name": "app"})
+    fake.set("db", status="exited")
+    fake.emit_for("app", "exec_start: sh -c true")
+    fake.emit_for("app", "exec_die")
+    fake.emit("network", "connect", "n", name="elsewhere", container="someone")
+    fake.set("app", status="paused")
+    until(lambda: heard, "the event of the configured one")
+    assert heard.texts() == ["app pause"]
+
+
+def test_a_container_that_was_renamed_away_is_still_known(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """The configured name is gone then: its check must look."""
+    fake.containers["app"] = container("app")
+    made, heard = watch({"name": "app"})
+    until(made.healthy, "the first comparison")
+    entry = fake.containers["app"]
+    entry["Name"] = "/app_old"
+    fake.emit("container", "rename", entry["Id"], name="app_old", oldName="/app")
+    until(lambda: heard, "the rename")
+    assert heard.texts() == ["app rename"]
+
+
+def test_a_container_is_known_by_its_label(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """Events carry labels, so a container that Compose made anew is known at once."""
+    _, heard = watch({"label": "role=app"})
+    fake.containers["swarm-app-1"] = container("swarm-app-1", status="created", labels={"role": "app"})
+    fake.set("swarm-app-1", status="running")
+    until(lambda: "app start" in heard.texts(), "the start")
+
+
+def test_network_events_wake_the_network_checks(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """Connecting and disconnecting names the network and the container."""
+    fake.containers["app"] = container("app", networks=["swarm"])
+    made, heard = watch({"name": "app", "networks": ["swarm"]})
+    until(made.healthy, "the first comparison")
+    helper = Engine(fake.url)
+    helper.disconnect("swarm", "app", force=True)
+    helper.connect("swarm", "app")
+    until(lambda: len(heard) == 2, "two events")
+    assert [(event.kind, event.key, event.action, event.container) for event in heard] == [
+        ("network", "swarm", "disconnect", "app"),
+        ("network", "swarm", "connect", "app"),
+    ]
+    assert heard[0].subjects == {"network"}
+
+
+def test_what_the_stream_lost_is_found_by_comparing(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """A change without an event is told within a comparison period, marked as lost."""
+    fake.containers["app"] = container("app", health="healthy", networks=["swarm"])
+    made, heard = watch({"name": "app"}, compare=0.5)
+    until(made.healthy, "the first comparison")
+    fake.set("app", silently=True, status="exited", exit_code=139)
+    fake.containers["app"]["NetworkSettings"]["Networks"].clear()
+    until(lambda: len(heard) >= 2, "the lost events")
+    assert heard.texts() == ["app die exit code 139", "swarm disconnect"]
+    assert all(event.lost for event in heard)
+
+
+def test_what_the_stream_told_is_not_told_again(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """The comparison knows what the events have led to."""
+    fake.containers["app"] = container("app", health="healthy")
+    made, heard = watch({"name": "app"}, compare=0.5)
+    until(made.healthy, "the first comparison")
+    fake.set("app", status="paused")
+    until(lambda: heard, "the pause")
+    looks = list(fake.calls).count("GET /containers/app/json")
+    until(lambda: list(fake.calls).count("GET /containers/app/json") >= looks + 3, "three more comparisons")
+    assert heard.texts() == ["app pause"]
+
+
+def test_a_dropped_stream_is_followed_again_and_what_was_missed_is_told(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """After a reconnect the containers are compared at once, whatever the period."""
+    fake.containers["app"] = container("app")
+    made, heard = watch({"name": "app"}, compare=60.0)
+    until(made.healthy, "the first comparison")
+    fake.fault = DropStream()
+    assert fake.wait(lambda server: server.streams == 0)
+    fake.set("app", silently=True, status="exited", exit_code=1)
+    fake.fault = None
+    until(lambda: heard, "the lost death")
+    assert heard.texts() == ["app die exit code 1"]
+    fake.set("app", status="running")
+    until(lambda: len(heard) == 2, "the next event over the new stream")
+
+
+def test_events_while_the_stream_was_down_are_read_from_the_engines_memory(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """The stream is taken up where it broke off, so nothing is told twice and nothing is left out."""
+    fake.containers["app"] = container("app")
+    made, heard = watch({"name": "app"}, compare=60.0)
+    until(made.healthy, "the first comparison")
+    fake.set("app", status="paused")
+    until(lambda: heard, "an event to take the time from")
+    fake.fault = DropStream()
+    assert fake.wait(lambda server: server.streams == 0)
+    fake.set("app", status="running")
+    fake.set("app", status="exited", exit_code=1)
+    fake.fault = None
+    until(lambda: "app die exit code 1" in heard.texts(), "the missed events")
+    assert heard.texts() == ["app pause", "app start", "app die exit code 1"]
+
+
+@pytest.mark.parametrize("fault", [Status(500), Hang()])
+def test_a_failing_engine_is_tried_again_and_shows_in_healthy(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until, fault: Any
+) -> None:
+    """While the engine fails the watch says so; afterwards it goes on by itself."""
+    fake.containers["app"] = container("app")
+    made, heard = watch({"name": "app"}, compare=0.5)
+    until(made.healthy, "the first comparison")
+    fake.fault = DropStream()
+    assert fake.wait(lambda server: server.streams == 0)
+    fake.fault = fault
+    until(lambda: not made.healthy(), "the failure to show")
+    fake.fault = None
+    until(made.healthy, "the recovery")
+    fake.set("app", status="exited")
+    until(lambda: heard, "an event")
+
+
+def test_a_listener_that_raises_does_not_end_the_watch(fake: FakeEngine, until: Until) -> None:
+    """A defect elsewhere costs its own event only."""
+    fake.containers["app"] = container("app")
+    heard: list[str] = []
+
+    def listen(event: DockerEvent) -> None:
+        heard.append(event.action)
+        raise RuntimeError("injected")
+
+    engine = Engine(fake.url, timeout_s=2)
+    made = Watch(engine, settings(containers=[{"name": "app"}]), SystemClock(), listen)
+    made.start()
+    assert fake.wait(lambda server: server.streams == 1)
+    fake.set("app", status="paused")
+    fake.set("app", status="running")
+    until(lambda: heard == ["pause", "start"], "both events")
+    made.stop()
+    engine.close()
+
+
+def test_stop_ends_both_threads(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
+    """Nothing of the watch goes on after `stop`, although the stream was silent."""
+    made, _ = watch({"name": "app"})
+    made.stop()
+    names = {thread.name for thread in threading.enumerate()}
+    assert not names & {"phm-docker-events", "phm-docker-compare"}
+
+
+RUNNING = Expected("a", "running", "t1", "healthy", 0, frozenset({("swarm", "n1")}))
+
+
+@pytest.mark.parametrize(
+    ("now", "told"),
+    [
+        (RUNNING, []),
+        (Expected(), [("container", "destroy", "")]),
+        (Expected("b", "running", "t2", "healthy", 0, RUNNING.networks), [("container", "create", "")]),
+        (Expected("a", "running", "t2", "healthy", 0, RUNNING.networks), [("container", "restart", "")]),
+        (Expected("a", "paused", "t1", "healthy", 0, RUNNING.networks), [("container", "pause", "")]),
+        (
+            Expected("a", "running", "t1", "unhealthy", 0, RUNNING.networks),
+            [("container", "health_status", "unhealthy")],
+        ),
+        (
+            Expected("a", "running", "t1", "healthy", 0, frozenset({("swarm", "n2")})),
+            [("network", "disconnect", "swarm"), ("network", "connect", "swarm")],
+        ),
+    ],
+)
+def test_each_difference_has_its_event(now: Expected, told: list[tuple[str, str, str]]) -> None:
+    """A container or network that was made anew under the same name is another one: ids are compared."""
+    assert differences(RUNNING, now) == told
+
+
+def test_what_an_event_leaves_open_does_not_differ() -> None:
+    """After a start the health and the time of start are not known until they are read."""
+    started = after(Expected("a", "exited", "t1", "none", 1, RUNNING.networks), "start", "", "a")
+    assert differences(started, RUNNING) == []
+    assert differences(after(RUNNING, "die", "", "a"), Expected("a", "exited", "t1", "none", 137)) == []
+    assert differences(after(RUNNING, "disconnect", "swarm", "n1"), Expected("a", "running", "t1", "healthy")) == []
+
+
+def test_a_death_after_a_start_that_was_told_is_still_found() -> None:
+    """Losing the last of several events is no less a loss."""
+    started = after(Expected("a", "exited", "t1", "none", 1), "start", "", "a")
+    dead = Expected("a", "exited", "t2", "none", 2)
+    assert differences(started, dead) == [("container", "die", "exit code 2")]

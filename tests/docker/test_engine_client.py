@@ -1,0 +1,308 @@
+"""The client of the engine: deadlines, kinds of failure, limits."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import socket
+import threading
+from pathlib import Path
+
+import pytest
+
+from phm.facts import CannotTell, NotPermitted
+from phm.testing import FakeClock
+from phm.transport.deadline import Watchdog
+from phm.transport.docker import (
+    Engine,
+    EngineBroken,
+    EngineConflict,
+    EngineError,
+    EngineMissing,
+    EngineRefused,
+    EngineTimeout,
+    EngineUnreachable,
+)
+from tests.fakes.engine import (
+    DropStream,
+    FakeEngine,
+    Fault,
+    Garbage,
+    Hang,
+    NoHttp,
+    Oversize,
+    Status,
+    Trickle,
+    Truncate,
+    container,
+)
+
+
+@pytest.mark.parametrize("fault", [Hang(), Trickle(), Trickle(route="/json")])
+def test_a_hanging_and_a_trickling_engine_are_cut_at_the_deadline(fake: FakeEngine, ask: Engine, fault: Fault) -> None:
+    """Each call has a wall-clock deadline, which bytes that trickle in do not extend."""
+    fake.containers["app"] = container("app")
+    fake.fault = fault
+    with pytest.raises(EngineTimeout, match=r"did not answer within 0\.5 s \(inspect app\)"):
+        ask.inspect("app")
+
+
+def test_an_engine_that_was_cut_is_asked_again_with_success(fake: FakeEngine, ask: Engine) -> None:
+    """A call that was cut leaves nothing behind that spoils the next one."""
+    fake.containers["app"] = container("app")
+    fake.fault = Trickle()
+    with pytest.raises(EngineTimeout):
+        ask.inspect("app")
+    fake.fault = None
+    assert ask.inspect("app")["Name"] == "/app"
+
+
+def test_only_the_overdue_call_is_cut(fake: FakeEngine) -> None:
+    """The deadline of one call leaves a call of another thread with a later one alone."""
+    fake.containers["app"] = container("app")
+    patient = Engine(fake.url, timeout_s=30)
+    patient.version()
+    fake.fault = Trickle(every_s=0.005, endless=False, route="/app/")
+    seen: list[object] = []
+    thread = threading.Thread(target=lambda: seen.append(patient.inspect("app")["Name"]))
+    thread.start()
+    assert fake.wait(lambda engine: "GET /containers/app/json" in engine.calls)
+    with pytest.raises(EngineTimeout):
+        patient.call(lambda client: client.inspect_container("app"), deadline_s=0.2)
+    thread.join(30)
+    assert seen == ["/app"]
+    patient.close()
+
+
+def test_calls_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine, ask: Engine) -> None:
+    """A hundred calls, some of them cut, cost nothing that stays."""
+    fake.containers["app"] = container("app")
+    ask.inspect("app")
+    threads = {thread for thread in threading.enumerate() if thread.name.startswith("phm-")}
+    descriptors = len(os.listdir("/proc/self/fd"))
+    for number in range(100):
+        if number % 50 == 0:
+            fake.fault = Hang()
+            with pytest.raises(EngineTimeout):
+                ask.call(lambda client: client.inspect_container("app"), deadline_s=0.05)
+            fake.fault = None
+        ask.inspect("app")
+    assert {thread for thread in threading.enumerate() if thread.name.startswith("phm-")} == threads
+    assert len(os.listdir("/proc/self/fd")) <= descriptors + 4  # the fake's ends of the last connections
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "words"),
+    [
+        (Status(403, "not on the list"), EngineRefused, r"does not permit PHM to inspect app \(HTTP 403\)"),
+        (Status(404, "No such container"), EngineMissing, "HTTP 404"),
+        (Status(409, "is not running"), EngineConflict, "is not running"),
+        (Status(500, "driver failed"), EngineBroken, "driver failed"),
+        (Status(503), EngineBroken, "HTTP 503"),
+        (Garbage(), EngineBroken, "nonsense"),
+        (NoHttp(), EngineBroken, "does not speak"),
+        (Truncate(), EngineUnreachable, "broke"),
+        (Oversize(), EngineBroken, "longer than 16 MiB"),
+    ],
+)
+def test_each_failure_of_the_engine_has_a_kind_and_a_sentence(
+    fake: FakeEngine, ask: Engine, fault: Fault, kind: type[EngineError], words: str
+) -> None:
+    """Whatever goes wrong is one of a small family, so a caller needs to know nothing of HTTP libraries."""
+    fake.containers["app"] = container("app")
+    ask.version()
+    ask.ping()
+    fake.fault = fault
+    with pytest.raises(kind, match=words):
+        ask.inspect("app")
+
+
+def test_a_refusal_is_not_permitted_and_everything_is_cannot_tell() -> None:
+    """Checks and recovery know `CannotTell` and `NotPermitted` alone."""
+    assert issubclass(EngineRefused, NotPermitted)
+    assert all(
+        issubclass(kind, CannotTell)
+        for kind in (EngineTimeout, EngineUnreachable, EngineRefused, EngineConflict, EngineMissing, EngineBroken)
+    )
+
+
+def test_a_missing_socket_names_its_path(tmp_path: Path) -> None:
+    """Without a socket the sentence says which path was tried."""
+    with pytest.raises(EngineUnreachable, match=r"there is no .*/none\.sock"):
+        Engine(f"unix://{tmp_path}/none.sock").ping()
+
+
+def test_a_dead_socket_says_that_nobody_listens(tmp_path: Path) -> None:
+    """A socket file that an engine left behind is told from a missing one."""
+    left = socket.socket(socket.AF_UNIX)
+    left.bind(str(tmp_path / "left.sock"))
+    left.close()
+    with pytest.raises(EngineUnreachable, match="no Docker Engine listens"):
+        Engine(f"unix://{tmp_path}/left.sock").ping()
+
+
+def test_a_forbidden_socket_says_which_group_is_needed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Permission denied on the socket is answered with the remedy, not with an error number."""
+
+    class Forbidden(socket.socket):
+        def connect(self, address: object) -> None:
+            raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("phm.transport.docker_http.socket.socket", Forbidden)
+    with pytest.raises(EngineUnreachable, match="add the docker group with group_add"):
+        Engine(f"unix://{tmp_path}/engine.sock").ping()
+
+
+def test_a_tcp_engine_that_nobody_serves_is_unreachable() -> None:
+    """The tcp form goes through the same deadline and the same words."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with pytest.raises(EngineTimeout):
+            Engine(f"tcp://127.0.0.1:{port}", timeout_s=0.3).ping()
+    with pytest.raises(EngineUnreachable, match=f"127.0.0.1:{port}"):
+        Engine(f"tcp://127.0.0.1:{port}", timeout_s=5).ping()
+
+
+def test_nothing_is_asked_when_the_client_is_made(fake: FakeEngine) -> None:
+    """PHM starts although the engine is down: the first call is the first contact."""
+    Engine(fake.url)
+    assert list(fake.calls) == []
+
+
+@pytest.mark.parametrize(
+    ("newest", "oldest", "spoken"), [("1.41", "1.24", "1.41"), ("1.54", "1.44", "1.44"), ("1.60", "1.50", "1.50")]
+)
+def test_the_api_version_suits_the_engine(tmp_path: Path, newest: str, oldest: str, spoken: str) -> None:
+    """An old engine is spoken to in its own version, a new one in the newest that PHM knows, if it still takes it."""
+    with FakeEngine(tmp_path / "e.sock", api=newest, minimum=oldest) as fake:
+        engine = Engine(fake.url)
+        assert engine.call(lambda client: client.api_version) == spoken
+
+
+def test_a_proxy_that_hides_the_version_is_no_obstacle(fake: FakeEngine, ask: Engine) -> None:
+    """A socket proxy may allow containers and nothing else."""
+    fake.containers["app"] = container("app")
+    fake.fault = Status(403, route="/version")
+    assert ask.inspect("app")["Name"] == "/app"
+
+
+def test_a_restart_may_take_its_stop_timeout(fake: FakeEngine, ask: Engine) -> None:
+    """The deadline of a restart is longer than the time the container is given to stop."""
+    fake.containers["app"] = container("app")
+    ask.ping()
+    fake.fault = Trickle(every_s=0.02, endless=False, route="/restart")  # an answer that takes longer than 0.5 s
+    before = fake.containers["app"]["State"]["StartedAt"]
+    ask.restart("app", stop_timeout_s=1.0)
+    assert fake.containers["app"]["State"]["StartedAt"] != before
+
+
+def test_actions_change_the_container(fake: FakeEngine, ask: Engine) -> None:
+    """start, stop, pause, unpause, kill, connect and disconnect reach the engine with their arguments."""
+    fake.containers["app"] = container("app", networks=["swarm"])
+    state = fake.containers["app"]["State"]
+    ask.pause("app")
+    assert state["Status"] == "paused"
+    ask.unpause("app")
+    ask.start("app")
+    ask.kill("app")
+    assert state["ExitCode"] == 137
+    ask.start("app")
+    ask.stop("app", 0.5)
+    assert state["Status"] == "exited"
+    ask.disconnect("swarm", "app", force=True)
+    ask.connect("swarm", "app", aliases=("nav",), address="10.9.0.7")
+    attached = fake.containers["app"]["NetworkSettings"]["Networks"]["swarm"]
+    assert attached["Aliases"] == ["nav"]
+    assert attached["IPAMConfig"] == {"IPv4Address": "10.9.0.7"}
+
+
+def test_a_file_is_read_up_to_its_limit(fake: FakeEngine, ask: Engine) -> None:
+    """Content comes through the archive route, and more than the limit is refused before it is read."""
+    content = os.urandom(300_000)
+    fake.containers["app"] = container("app", files={"/opt/model": content})
+    total = hashlib.sha256()
+    assert ask.copy_file("app", "/opt/model", total.update, limit=1 << 20) == 300_000
+    assert total.digest() == hashlib.sha256(content).digest()
+    assert ask.stat_path("app", "/opt/model")["size"] == 300_000
+    with pytest.raises(CannotTell, match="more than the 1000"):
+        ask.read_file("app", "/opt/model", 1000)
+    with pytest.raises(EngineMissing):
+        ask.stat_path("app", "/opt/none")
+
+
+def test_an_event_stream_ends_at_once_when_it_is_closed(fake: FakeEngine, ask: Engine) -> None:
+    """Another thread ends the reader of a silent stream."""
+    stream = ask.events()
+    seen: list[object] = []
+    reader = threading.Thread(target=lambda: seen.extend(stream))
+    reader.start()
+    assert fake.wait(lambda engine: engine.streams == 1)
+    stream.close()
+    reader.join(10)
+    assert not reader.is_alive()
+    assert seen == []
+
+
+def test_a_dropped_event_stream_ends_the_iteration(fake: FakeEngine, ask: Engine) -> None:
+    """The caller sees the end and reconnects; events before it were delivered."""
+    stream = ask.events()
+    assert fake.wait(lambda engine: engine.streams == 1)
+    fake.emit("container", "die", "x", name="app")
+    iterator = iter(stream)
+    assert next(iterator)["Action"] == "die"
+    fake.fault = DropStream()
+    assert list(iterator) == []
+
+
+def test_a_hanging_event_stream_is_given_up_at_the_deadline(fake: FakeEngine, ask: Engine) -> None:
+    """Opening the stream has the deadline of a call."""
+    ask.ping()
+    fake.fault = Hang(route="/events")
+    with pytest.raises(EngineTimeout):
+        ask.events()
+
+
+def test_close_cuts_what_is_under_way_and_refuses_the_rest(fake: FakeEngine) -> None:
+    """PHM ends at once although the engine hangs."""
+    engine = Engine(fake.url, timeout_s=60)
+    fake.fault = Hang()
+    caught: list[BaseException] = []
+
+    def hang() -> None:
+        try:
+            engine.ping()
+        except CannotTell as error:
+            caught.append(error)
+
+    thread = threading.Thread(target=hang)
+    thread.start()
+    assert fake.wait(lambda server: bool(server.calls))
+    engine.close()
+    thread.join(10)
+    assert len(caught) == 1
+    with pytest.raises(EngineUnreachable, match="closing"):
+        engine.ping()
+
+
+def test_a_socket_is_cut_when_its_time_comes_and_not_before() -> None:
+    """The watchdog follows the injected clock, and a finished call's socket is never touched."""
+    clock = FakeClock()
+    watchdog = Watchdog(clock, "phm-test-deadlines")
+    ours, theirs = socket.socketpair()
+    done, other = socket.socketpair()
+    with watchdog.watch(1.0) as early:
+        early.attach(done)
+    with watchdog.watch(5.0) as call:
+        call.attach(ours)
+        clock.wait_for_sleepers(1)
+        clock.advance(4.9)
+        clock.wait_for_sleepers(1)
+        assert not call.expired
+        clock.advance(0.2)
+        assert theirs.recv(1) == b""
+        assert call.expired
+    done.send(b"x")
+    assert other.recv(1) == b"x"
+    watchdog.close()
+    for end in (ours, theirs, done, other):
+        end.close()

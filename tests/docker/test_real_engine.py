@@ -1,0 +1,280 @@
+"""The truth: real containers and networks on the real engine."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.facts import CannotTell, ContainerFact
+from phm.probes.docker import Docker
+from phm.probes.docker_watch import DockerEvent, Watch
+from phm.probes.files import Files
+from phm.testing import settings
+from phm.transport.docker import Engine, EngineConflict, EngineError, EngineMissing
+
+pytestmark = pytest.mark.engine
+
+Until = Callable[[Callable[[], object], str], None]
+HEALTH = {
+    "test": ["CMD", "test", "-e", "/tmp/healthy"],
+    "interval": 500_000_000,
+    "retries": 1,
+    "timeout": 5_000_000_000,
+}
+
+
+def probe(engine: Engine, *names: str) -> Docker:
+    return Docker(engine, settings(containers=[{"name": name} for name in names]), SystemClock())
+
+
+def fact_of(docker: Docker, name: str) -> ContainerFact:
+    docker.invalidate()
+    fact = docker.container(name)
+    assert fact is not None
+    return fact
+
+
+@pytest.fixture
+def heard(engine: Engine) -> Iterator[Callable[..., list[DockerEvent]]]:
+    """Starts a watch on the real engine; the list fills as events come."""
+    watches: list[Watch] = []
+
+    def start(until: Until, **more: Any) -> list[DockerEvent]:
+        events: list[DockerEvent] = []
+        watch = Watch(engine, settings(docker={"compare": 60.0}, **more), SystemClock(), events.append)
+        watches.append(watch)
+        watch.start()
+        until(watch.healthy, "the watch to follow")
+        return events
+
+    yield start
+    for watch in watches:
+        watch.stop()
+
+
+def test_the_engine_answers(engine: Engine) -> None:
+    """The version is the engine's own."""
+    assert probe(engine).engine()[0].isdigit()
+
+
+def test_a_life_of_a_container(real: Any, engine: Engine, until: Until) -> None:
+    """running, paused, running, exited with its code, and running again as another life."""
+    made = real.container("trap 'exit 7' TERM; while :; do sleep 0.1; done")
+    docker = probe(engine, made.name)
+    first = fact_of(docker, made.name)
+    assert (first.status, first.running, first.health, first.restart_policy) == ("running", True, "none", "no")
+    engine.pause(made.name)
+    assert fact_of(docker, made.name).status == "paused"
+    engine.unpause(made.name)
+    engine.stop(made.name, 10)
+    stopped = fact_of(docker, made.name)
+    assert (stopped.status, stopped.exit_code, stopped.oom_killed) == ("exited", 7, False)
+    engine.start(made.name)
+    second = fact_of(docker, made.name)
+    assert second.running
+    assert second.life != first.life
+    engine.restart(made.name, 10)
+    assert fact_of(docker, made.name).life != second.life
+    engine.kill(made.name)
+    until(lambda: fact_of(docker, made.name).exit_code == 137, "the kill to show")
+    made.remove(force=True)
+    docker.invalidate()
+    assert docker.container(made.name) is None
+
+
+def test_failing_health_is_seen_with_its_output(real: Any, engine: Engine, until: Until) -> None:
+    """healthy while the command succeeds, unhealthy with its streak when it fails."""
+    made = real.container("touch /tmp/healthy; exec sleep 600", healthcheck=HEALTH)
+    docker = probe(engine, made.name)
+    until(lambda: fact_of(docker, made.name).health == "healthy", "healthy")
+    made.exec_run(["rm", "/tmp/healthy"])
+    until(lambda: fact_of(docker, made.name).health == "unhealthy", "unhealthy")
+    assert fact_of(docker, made.name).health_streak >= 1
+
+
+def test_a_container_that_used_too_much_memory_is_told(real: Any, engine: Engine, until: Until) -> None:
+    """The engine says that the kernel killed it for memory."""
+    made = real.container(
+        "exec python3 -c 'x = bytearray(200 << 20)'", mem_limit="32m", memswap_limit="32m", start=False
+    )
+    docker = probe(engine, made.name)
+    made.start()
+    until(lambda: fact_of(docker, made.name).status == "exited", "the container's end")
+    fact = fact_of(docker, made.name)
+    assert (fact.exit_code, fact.oom_killed) == (137, True)
+
+
+def test_events_of_a_real_container_wake_its_checks(
+    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]], until: Until
+) -> None:
+    """Each change of state arrives by the stream, and the runs of its healthcheck do not."""
+    made = real.container("touch /tmp/healthy; exec sleep 600", start=False, healthcheck=HEALTH)
+    events = heard(until, containers=[{"name": made.name}])
+    made.start()
+    until(lambda: "healthy" in [event.detail for event in events], "healthy")
+    made.exec_run(["rm", "/tmp/healthy"])
+    until(lambda: "unhealthy" in [event.detail for event in events], "unhealthy")
+    made.pause()
+    made.unpause()
+    made.kill()
+    until(lambda: "die" in [event.action for event in events], "death")
+    actions = [event.action for event in events if event.kind == "container"]
+    assert actions == ["start", "health_status", "health_status", "pause", "unpause", "kill", "die"]
+    assert "exit code 137" in [event.detail for event in events]
+    assert not any(event.lost for event in events)
+
+
+def test_networks_are_left_and_joined_with_ids(
+    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]], until: Until
+) -> None:
+    """Disconnected, then connected again with its alias: seen as events and as facts, by the network's id."""
+    network = real.network()
+    made = real.container(network=network.name)
+    docker = probe(engine, made.name)
+    assert docker.network_id(network.name) == network.id
+    assert [(at.name, at.network_id) for at in fact_of(docker, made.name).networks] == [(network.name, network.id)]
+    events = heard(until, containers=[{"name": made.name, "networks": [network.name]}])
+    engine.disconnect(network.name, made.name, force=True)
+    assert fact_of(docker, made.name).networks == ()
+    engine.connect(network.id, made.name, aliases=("nav",))
+    joined = fact_of(docker, made.name).networks[0]
+    assert joined.network_id == network.id
+    assert "nav" in joined.aliases
+    assert joined.address
+    until(lambda: "connect" in [event.action for event in events], "both events")
+    # The engine sends `disconnect` twice for each.
+    assert list(dict.fromkeys((event.key, event.action, event.container) for event in events)) == [
+        (network.name, "disconnect", made.name),
+        (network.name, "connect", made.name),
+    ]
+    assert docker.network_id(real.name()) == ""
+
+
+def test_an_address_answers_as_long_as_its_container_lives(real: Any, engine: Engine) -> None:
+    """A container on a bridge answers, paused too; one that is gone does not."""
+    network = real.network()
+    made = real.container(network=network.name)
+    docker = probe(engine, made.name)
+    address = fact_of(docker, made.name).networks[0].address
+    assert docker.reachable(address)
+    assert not docker.reachable(address.rpartition(".")[0] + ".254")
+
+
+def test_an_echo_is_answered_where_the_kernel_allows_it(real: Any) -> None:
+    """In a container ICMP is allowed to anyone, so a firewalled TCP stack is no obstacle; nobody is root here."""
+    network = real.network()
+    peer = real.container(network=network.name)
+    peer.reload()
+    address = peer.attrs["NetworkSettings"]["Networks"][network.name]["IPAddress"]
+    source = Path(__file__).resolve().parents[2] / "phm"
+    program = (
+        "from phm.probes import reach; import socket, sys; "
+        "echo = reach._echo(socket.AF_INET, sys.argv[1]); assert echo is not None; "
+        "import select; assert select.select([echo], [], [], 5)[0] and echo.recv(256); "
+        "assert reach.answers(sys.argv[1]); print('answers')"
+    )
+    mine = real.container(
+        network=network.name,
+        volumes={str(source): {"bind": "/src/phm", "mode": "ro"}},
+        user="1000:1000",
+        cap_drop=["ALL"],
+    )
+    code, output = mine.exec_run(
+        ["python3", "-c", program, address], environment={"PYTHONPATH": "/src"}, user="1000:1000"
+    )
+    assert (code, output.decode().strip()) == (0, "answers")
+
+
+def test_own_container_is_found_from_within(real: Any, engine: Engine, tmp_path: Path) -> None:
+    """What /proc says inside a real container is the id by which the engine knows it."""
+    made = real.container()
+    for file in ("mountinfo", "cgroup"):
+        (tmp_path / file).write_bytes(made.exec_run(["cat", f"/proc/self/{file}"]).output)
+    me = Docker(engine, settings(), SystemClock(), proc=tmp_path).myself()
+    assert me is not None
+    assert me.id == made.id
+
+
+def test_a_label_finds_a_real_container(real: Any, engine: Engine) -> None:
+    """Two containers with one label cannot be told apart until one of them ends."""
+    label = {"phm.test.role": real.name()}
+    one, two = real.container(labels=label), real.container(labels=label)
+    entry = {"label": f"phm.test.role={label['phm.test.role']}", "alias": "app"}
+    docker = Docker(engine, settings(containers=[entry]), SystemClock())
+    with pytest.raises(CannotTell, match="names 2 containers"):
+        docker.container("app")
+    one.kill()
+    assert fact_of(docker, "app").id == two.id
+
+
+def test_a_file_is_the_same_by_volume_and_by_engine(real: Any, engine: Engine) -> None:
+    """Mode, size and sum of one file agree whichever way it is looked at, links included."""
+    volume = real.volume()
+    made = real.container(
+        "umask 022; head -c 3000000 /dev/urandom > /data/model; chmod 750 /data/model; cp -p /data/model /opt/model; "
+        "ln -s /data/model /opt/link; ln -s model /opt/same; touch /data/done; exec sleep 600",
+        volumes={volume.name: {"bind": "/data", "mode": "rw"}},
+    )
+    docker = probe(engine, made.name)
+    files = Files(docker, engine, settings(), SystemClock())
+    while files.look(made.name, "/data/done", digest=False) is None:
+        assert fact_of(docker, made.name).running
+    wanted = hashlib.sha256(engine.read_file(made.name, "/opt/model", 4 << 20)).hexdigest()
+    seen = {
+        path: files.look(made.name, path, digest=True)
+        for path in ("/data/model", "/opt/model", "/opt/link", "/opt/same")
+    }
+    for path, fact in seen.items():
+        assert fact is not None, path
+        assert (fact.kind, fact.size, fact.mode, fact.executable, fact.sha256) == ("file", 3000000, 0o750, True, wanted)
+        assert fact.seen_through == ("volume" if path == "/data/model" else "engine")
+    directory = files.look(made.name, "/etc", digest=True)
+    assert directory is not None
+    assert (directory.kind, directory.seen_through) == ("directory", "engine")
+    assert files.look(made.name, "/opt/none", digest=True) is None
+    engine.stop(made.name, 0)
+    assert files.look(made.name, "/opt/model", digest=True) == seen["/opt/model"]
+
+
+def test_a_volume_that_a_container_fills_with_links_shows_nothing_of_the_host(real: Any, engine: Engine) -> None:
+    """A link to /etc/hostname in a volume is the container's own file, seen through the engine."""
+    volume = real.volume()
+    made = real.container(
+        "ln -s /etc/os-release /data/escape; ln -s ../../../../../../etc/shadow-of-host /data/climb; touch /data/done; exec sleep 600",
+        volumes={volume.name: {"bind": "/data", "mode": "rw"}},
+    )
+    docker = probe(engine, made.name)
+    files = Files(docker, engine, settings(), SystemClock())
+    while files.look(made.name, "/data/done", digest=False) is None:
+        assert fact_of(docker, made.name).running
+    seen = files.look(made.name, "/data/escape", digest=False)
+    assert seen is not None
+    assert (seen.kind, seen.seen_through) == ("file", "engine")
+    assert files.look(made.name, "/data/climb", digest=False) is None
+
+
+def test_processes_of_a_real_container_are_listed(real: Any, engine: Engine) -> None:
+    """The process list needs no exec."""
+    made = real.container("exec sleep 321")
+    assert any("sleep 321" in " ".join(row) for row in engine.top(made.name)["Processes"])
+
+
+def test_the_real_engines_refusals_have_their_kinds(real: Any, engine: Engine) -> None:
+    """404 and 409 mean the same from the real engine as from the fake one."""
+    with pytest.raises(EngineMissing):
+        engine.inspect(real.name())
+    with pytest.raises(EngineMissing):
+        engine.start(real.name())
+    made = real.container()
+    engine.pause(made.name)
+    with pytest.raises(EngineConflict):
+        engine.pause(made.name)
+    with pytest.raises(EngineError):
+        engine.connect(real.name(), made.name)
+    with pytest.raises(EngineMissing):
+        engine.stat_path(made.name, "/no/such/path")
