@@ -145,9 +145,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scripts/demo", description=__doc__)
     parser.add_argument("--keep", action="store_true", help="leave the agent running at the end")
     parser.add_argument("--interval", type=float, default=20.0, metavar="SECONDS", help="between full reports (20)")
+    parser.add_argument("--project", default="phm-demo", metavar="NAME", help="name of the Compose project (phm-demo)")
+    parser.add_argument("--ground-port", type=int, default=5760, metavar="PORT", help="where the ground listens (5760)")
     chosen = parser.parse_args(arguments)
     console = Console()
-    stack = Stack(interval_s=chosen.interval)
+    stack = Stack(chosen.project, interval_s=chosen.interval, ground_port=chosen.ground_port)
     try:
         with console.status("starting the agent: application, PHM, simulated autopilot"):
             stack.up()

@@ -1,0 +1,86 @@
+"""The demonstration as people run it: Compose, the real sidecar image, a simulated autopilot, a ground listener."""
+
+from __future__ import annotations
+
+import io
+import socket
+import uuid
+from collections.abc import Iterator
+
+import pytest
+from docker import DockerClient
+from rich.console import Console
+
+from sitl import demo
+from sitl.record import Record
+from sitl.stack import Stack
+from tests.system.conftest import poll
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def stack() -> Iterator[Stack]:
+    """One agent for all tests of this file."""
+    stack = Stack(f"phm-test-{uuid.uuid4().hex[:6]}", interval_s=5.0, ground_port=free_port())
+    try:
+        stack.up()
+        yield stack
+    finally:
+        stack.down()
+
+
+def test_the_whole_story(stack: Stack, docker_client: DockerClient) -> None:
+    """A clean pass, four faults seen once at their cause, healed, verified and told to the ground: exit 0."""
+    output = io.StringIO()
+    code = demo.run(stack, Console(file=output, width=200))
+    print(output.getvalue())
+    assert code == 0
+    assert "A01 FAIL 6 node_1 dead" in output.getvalue()
+
+
+def test_the_sidecar_runs_with_least_privilege_and_is_healthy(stack: Stack, docker_client: DockerClient) -> None:
+    """Not root, nothing writable, no capabilities; its own HEALTHCHECK passes; it joined the network by itself."""
+    phm = stack.agent.container("phm")
+    config, host = phm.attrs["Config"], phm.attrs["HostConfig"]
+    assert config["User"] == "10001:10001"
+    assert host["ReadonlyRootfs"] is True
+    assert host["CapDrop"] == ["ALL"]
+    assert any(option.startswith("no-new-privileges") for option in host["SecurityOpt"])
+    assert host["RestartPolicy"]["Name"] == "unless-stopped"
+    assert f"{stack.project}_net" in phm.attrs["NetworkSettings"]["Networks"]
+
+    def healthy() -> bool:
+        phm.reload()
+        return bool(phm.attrs["State"]["Health"]["Status"] == "healthy")
+
+    poll(healthy, "a healthy sidecar", 60.0)
+
+
+KILL_DAEMON = """
+import os
+for pid in filter(str.isdigit, os.listdir('/proc')):
+    with open(f'/proc/{pid}/cmdline', 'rb') as stream:
+        if stream.read().endswith(b'phm\\0run\\0') and pid != '1':
+            os.kill(int(pid), 9)
+"""
+
+
+def test_a_killed_daemon_is_back_and_goes_on(stack: Stack, docker_client: DockerClient) -> None:
+    """SIGKILL to PHM itself: the engine starts it again, and the log goes on in a new boot."""
+    phm = stack.agent.container("phm")
+    phm.exec_run(["python", "-c", KILL_DAEMON])
+    record = Record(stack.record)
+
+    def second_boot() -> bool:
+        record.update()
+        boots = {event["boot_id"] for event in record.events if event["event"] == "report"}
+        return len(boots) == 2
+
+    poll(second_boot, "a report of a second boot", 60.0)
+    phm.reload()
+    assert phm.attrs["RestartCount"] == 1
