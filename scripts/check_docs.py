@@ -19,7 +19,13 @@ ROOT = Path(__file__).resolve().parent.parent
 LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]+)(?:#[^)\s]*)?\)")
 GROUPS = ("phm.checks", "phm.reporters", "phm.actions")
 # Written in parts, so that this file does not name what it forbids.
-HOSTS = (("py" + "pi", "org"), ("files", "python" + "hosted"), ("deb", "debian"), ("archive", "ubuntu"), ("registry", "npm" + "js"))
+HOSTS = (
+    ("py" + "pi", "org"),
+    ("files", "python" + "hosted"),
+    ("deb", "debian"),
+    ("archive", "ubuntu"),
+    ("registry", "npm" + "js"),
+)
 HOST = re.compile("|".join(re.escape(".".join(parts)) for parts in HOSTS))
 MACHINE_PATH = re.compile(r"(?<![\w./-])/(?:{})/".format("|".join(("wo" + "rk", "ro" + "ot/\\.pyenv"))))
 EXEMPT = {"LICENSE"}
@@ -45,8 +51,8 @@ def broken_links(files: list[Path]) -> Iterator[str]:
 
 
 def undocumented() -> Iterator[str]:
-    """Verbs, entry points and sections of the configuration that no document mentions."""
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+    """Verbs, entry points and sections of the configuration that no document mentions; phm.yaml is one, since it explains each key."""
+    pages = [ROOT / "README.md", ROOT / "config" / "phm.yaml", *sorted((ROOT / "docs").glob("**/*.md"))]
     text = "\n".join(page.read_text("utf-8") for page in pages)
     for verb in VERBS:
         if f"phm {verb}" not in text:
@@ -56,7 +62,7 @@ def undocumented() -> Iterator[str]:
             if not re.search(rf"\b{re.escape(point.name)}\b", text):
                 yield f"docs: {point.name} of {group} is mentioned nowhere"
     for section in Settings.model_fields:
-        if not re.search(rf"(`{section}[`.:]|^\s*{section}:)", text, re.MULTILINE):
+        if not re.search(rf"(`{section}[`.:]|^\s*#?{section}:)", text, re.MULTILINE):
             yield f"docs: the configuration's `{section}` is mentioned nowhere"
 
 

@@ -34,13 +34,26 @@ def image(name: str) -> dict[str, Any]:
 def compose(*files: str, project: str = "phm") -> dict[str, Any]:
     """The resolved configuration of compose files in docker/."""
     words = [word for name in files for word in ("--file", f"docker/{name}")]
-    resolved: dict[str, Any] = json.loads(docker("compose", "--project-name", project, *words, "config", "--format", "json"))
+    resolved: dict[str, Any] = json.loads(
+        docker("compose", "--project-name", project, *words, "config", "--format", "json")
+    )
     return resolved
 
 
 def in_sidecar(*words: str) -> str:
     """Run a program in a new sidecar container with as little as the compose file gives it."""
-    least = ("--rm", "--read-only", "--tmpfs", "/tmp", "--cap-drop", "ALL", "--network", "none", "--user", "10001:10001")
+    least = (
+        "--rm",
+        "--read-only",
+        "--tmpfs",
+        "/tmp",
+        "--cap-drop",
+        "ALL",
+        "--network",
+        "none",
+        "--user",
+        "10001:10001",
+    )
     return docker("run", *least, "--entrypoint", words[0], "phm-sidecar:dev", *words[1:])
 
 
@@ -55,7 +68,9 @@ def test_the_sidecar_is_no_root_and_watches_itself() -> None:
 
 def test_the_sidecar_carries_no_tools_to_build_or_fetch_with() -> None:
     """Neither pip nor a compiler is in the image, nor the certificates that its building may have needed."""
-    found = in_sidecar("sh", "-c", "for name in pip pip3 gcc cc make git curl wget; do command -v $name; done; ls -d /build || true")
+    found = in_sidecar(
+        "sh", "-c", "for name in pip pip3 gcc cc make git curl wget; do command -v $name; done; ls -d /build || true"
+    )
     assert found.strip() == ""
 
 

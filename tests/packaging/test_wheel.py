@@ -24,7 +24,13 @@ def run(*words: str | Path, cwd: Path) -> str:
     """The standard output of a command that must succeed. Nothing of this process's Python settings reaches it."""
     environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     done = subprocess.run(
-        [str(word) for word in words], cwd=cwd, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
+        [str(word) for word in words],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
     )
     assert done.returncode == 0, f"{words} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}"
     return done.stdout
@@ -33,7 +39,9 @@ def run(*words: str | Path, cwd: Path) -> str:
 def build(source: Path, target: Path) -> Path:
     """A wheel of `source`, built from a copy with the setuptools of this environment."""
     copy = target / "source"
-    ignored = shutil.ignore_patterns(".git", ".venv*", ".cache", "build", "dist", "*.egg-info", "__pycache__", ".*_cache", "sitl")
+    ignored = shutil.ignore_patterns(
+        ".git", ".venv*", ".cache", "build", "dist", "*.egg-info", "__pycache__", ".*_cache", "sitl"
+    )
     shutil.copytree(source, copy, ignore=ignored)
     run(
         sys.executable, "-m", "pip", "wheel", "--quiet", "--no-index", "--no-deps", "--no-build-isolation",
@@ -80,7 +88,15 @@ def test_the_command_runs_from_the_wheel_alone(clean: Path) -> None:
 def test_without_rclpy_everything_still_loads(clean: Path) -> None:
     """No part of PHM needs ROS to be imported: all checks are listed, none with a problem."""
     entries = json.loads(run(clean / "phm", "checks", "--json", cwd=clean))
-    assert {entry["name"] for entry in entries} >= {"companion", "container", "files", "network", "nodes", "topics", "rates"}
+    assert {entry["name"] for entry in entries} >= {
+        "companion",
+        "container",
+        "files",
+        "network",
+        "nodes",
+        "topics",
+        "rates",
+    }
     assert [entry for entry in entries if entry.get("problem")] == []
 
 
@@ -91,7 +107,12 @@ def test_a_third_partys_check_is_found_beside_ours(clean: Path, tmp_path: Path) 
     run(*pip, "install", "--quiet", "--no-index", "--no-deps", plugin, cwd=tmp_path)
     try:
         output = subprocess.run(
-            [clean / "phm", "checks", "--json"], cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S, check=False
+            [clean / "phm", "checks", "--json"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
         ).stdout
     finally:
         run(*pip, "uninstall", "--quiet", "--yes", "phm-battery", cwd=tmp_path)

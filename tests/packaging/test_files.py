@@ -1,0 +1,70 @@
+"""Files of the repository that must hold on any machine: locks, scripts, and no name of the machine they came from."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+LOCKS = sorted((ROOT / "scripts" / "locks").glob("*.lock"))
+SCRIPTS = [ROOT / "scripts" / name for name in ("check", "engine", "image", "lock", "test", "venv")]
+PIN = re.compile(r"^([A-Za-z0-9._-]+)==(\S+)((?: ;[^\\]*)?) \\$")
+
+
+def check_docs() -> ModuleType:
+    spec = spec_from_file_location("check_docs", ROOT / "scripts" / "check_docs.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def pins(lock: Path) -> set[tuple[str, str, str]]:
+    """(name, version, marker) of each package of a lock."""
+    found = (PIN.match(line) for line in lock.read_text("utf-8").splitlines())
+    return {(match[1], match[2], match[3]) for match in found if match}
+
+
+def test_no_file_names_a_registry_or_a_machine() -> None:
+    """No file has the host of a package registry or a folder of one machine in it."""
+    module = check_docs()
+    assert list(module.machine_names(module.tracked())) == []
+
+
+@pytest.mark.parametrize("lock", LOCKS, ids=lambda path: path.stem)
+def test_a_lock_is_nothing_but_pinned_packages_with_hashes(lock: Path) -> None:
+    """Each line of a lock is a package at one version or a hash of one of its files; no address, no option."""
+    package = None
+    for line in lock.read_text("utf-8").splitlines():
+        if line.startswith("    --hash=sha256:"):
+            assert package, line
+        else:
+            package = PIN.match(line)
+            assert package, line
+    assert pins(lock)
+
+
+def test_the_locks_agree() -> None:
+    """What one lock pins, no other pins otherwise, so any two can be installed together."""
+    versions: dict[tuple[str, str], str] = {}
+    for lock in LOCKS:
+        for name, version, marker in pins(lock):
+            assert versions.setdefault((name, marker), version) == version, (lock.name, name)
+    names = {lock.stem: {name for name, _, _ in pins(lock)} for lock in LOCKS}
+    assert names["runtime"] < names["ros"]
+    assert names["runtime"] < names["test"] < names["dev"]
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_scripts_can_be_run_and_are_strict(script: Path) -> None:
+    """Each script is executable, is valid Bash, and takes its strictness from lib.sh."""
+    assert os.access(script, os.X_OK)
+    assert 'source "$(dirname -- "${BASH_SOURCE[0]}")/lib.sh"' in script.read_text("utf-8")
+    subprocess.run(["bash", "-n", str(script)], check=True, timeout=10)
