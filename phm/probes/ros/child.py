@@ -30,6 +30,16 @@ from phm.probes.ros.protocol import (
 
 _PR_SET_PDEATHSIG = 1
 
+_PROFILE = b"""<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com"><profiles>
+<participant profile_name="phm" is_default_profile="true"><rtps><builtin><discovery_config>
+<leaseDuration><sec>5</sec></leaseDuration>
+<leaseAnnouncement><sec>0</sec><nanosec>250000000</nanosec></leaseAnnouncement>
+</discovery_config></builtin></rtps></participant>
+</profiles></dds>
+"""
+_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+
 
 class Watch:
     """One participant, the graph that it sees and a meter for each topic with a rate."""
@@ -137,6 +147,7 @@ def main() -> int:
     out = _claim_stdout()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the daemon, which then closes the pipe
     _die_with_parent()
+    _announce_often()
     try:
         wanted = decode_wanted(_first_line())
     except ProtocolError as error:
@@ -206,6 +217,20 @@ def _die_with_parent() -> None:
         return
     if os.getppid() != parent:
         os._exit(0)
+
+
+def _announce_often() -> None:
+    """Have Fast DDS announce this participant four times a second instead of once in three seconds.
+
+    A node that starts (or was restarted) is seen once it has heard of us too: measured 0.5 s instead of up to
+    4 s. The profile is a file in memory, as the sidecar's file system is read-only; a user's own one wins.
+    """
+    if any(os.environ.get(name) for name in _PROFILE_VARIABLES):
+        return
+    file = os.memfd_create("phm-fastdds.xml")
+    os.write(file, _PROFILE)
+    for name in _PROFILE_VARIABLES:
+        os.environ[name] = f"/proc/self/fd/{file}"
 
 
 def _send(out: int, message: Message) -> None:
