@@ -11,12 +11,13 @@ from types import FrameType
 from typing import Any
 
 from phm import registry
+from phm.api import Check
 from phm.assembly import Parts, assemble
 from phm.bus import Bus
 from phm.clock import Clock, SystemClock
 from phm.engine import WATCH_S, Batch, Engine
 from phm.facts import CannotTell
-from phm.model import ActionEvent, Phase, UnitState
+from phm.model import ActionEvent, Event, Phase, UnitState
 from phm.pipeline import Pipeline
 from phm.plan import Plan, make
 from phm.probes.docker_watch import DockerEvent
@@ -155,7 +156,8 @@ class Daemon:
             if found.loaded is None:
                 continue
             try:
-                reporter = found.loaded.build(context)
+                kind: type[Reporter] = found.loaded
+                reporter = kind.build(context)
             except Exception:
                 logger.exception("reporter %s could not be built", found.name)
                 continue
@@ -180,9 +182,9 @@ class Daemon:
         docker = self.parts.world.docker
         return ActionContext(self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered)
 
-    def _publish_action(self, event: ActionEvent) -> None:
+    def _publish_action(self, event: Event) -> None:
         self.bus.publish(event)
-        if event.phase is Phase.DONE and event.action == "join":
+        if isinstance(event, ActionEvent) and event.phase is Phase.DONE and event.action == "join":
             self.parts.renew_ros("PHM joined a network")
 
     def _armed(self) -> bool:
@@ -193,21 +195,23 @@ class Daemon:
         return pilot.armed
 
     def _join_networks(self) -> None:
-        """Before ROS starts: DDS picks its interfaces when the participant is made. Nobody waits for this."""
-        if self.settings.recovery.mode == "act":
-            for container in self.settings.containers:
-                try:
-                    done = join(container, self._action_context())
-                except CannotTell as error:
-                    self.pipeline.note("PHM", f"could not join the networks of {container.key}: {error}")
-                else:
-                    if done:
-                        self.pipeline.note("ACTION", done)
+        """Before ROS starts: DDS picks its interfaces when the participant is made. Nobody waits for this.
+
+        Done in every recovery mode: it is how PHM comes to see, and it touches PHM's own container alone.
+        """
+        for container in self.settings.containers:
+            try:
+                done = join(container, self._action_context())
+            except CannotTell as error:
+                self.pipeline.note("PHM", f"could not join the networks of {container.key}: {error}")
+            else:
+                if done:
+                    self.pipeline.note("ACTION", done)
         self.parts.start_ros()
 
     def _tell_what_could_not_load(self) -> None:
         groups: tuple[tuple[str, type], ...] = (
-            (registry.CHECKS, registry.Check), (registry.REPORTERS, Reporter), (registry.ACTIONS, Action)
+            (registry.CHECKS, Check), (registry.REPORTERS, Reporter), (registry.ACTIONS, Action)
         )  # fmt: skip
         for group, base in groups:
             for found in registry.find(group, base):

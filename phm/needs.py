@@ -21,7 +21,9 @@ class Needs:
     """
 
     def __init__(self, needs: Mapping[str, Iterable[str]]) -> None:
-        direct = {unit: tuple(need for need in wanted if need in needs and need != unit) for unit, wanted in needs.items()}
+        direct = {
+            unit: tuple(need for need in wanted if need in needs and need != unit) for unit, wanted in needs.items()
+        }
         try:
             order = tuple(TopologicalSorter(direct).static_order())
         except CycleError as error:

@@ -73,5 +73,7 @@ def _without_twins(found: list[Found]) -> list[Found]:
         if len(sources) == 1:
             result.append(entries[0])
         else:
-            result.append(Found(name, ", ".join(sources), None, f"several packages provide {name!r}: remove all but one"))
+            result.append(
+                Found(name, ", ".join(sources), None, f"several packages provide {name!r}: remove all but one")
+            )
     return result

@@ -53,7 +53,9 @@ Seconds = Annotated[float, BeforeValidator(_quantity("duration")), _schema("dura
 Bytes = Annotated[float, BeforeValidator(_quantity("size")), _schema("size"), Field(allow_inf_nan=False)]
 Hertz = Annotated[float, BeforeValidator(_quantity("rate")), _schema("rate"), Field(allow_inf_nan=False)]
 Percent = Annotated[float, BeforeValidator(_quantity("share")), _schema("share"), Field(ge=0, le=100)]
-Celsius = Annotated[float, BeforeValidator(_quantity("temperature")), _schema("temperature"), Field(allow_inf_nan=False)]
+Celsius = Annotated[
+    float, BeforeValidator(_quantity("temperature")), _schema("temperature"), Field(allow_inf_nan=False)
+]
 # The engine's own rule for names; anything else cannot exist, so it is a typing mistake.
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=128)]
 RosName = Annotated[str, Field(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=255)]
@@ -271,7 +273,7 @@ class RecoverySettings(Section):
     """What PHM may do about faults. Only containers with `recover: true` are ever touched."""
 
     mode: Literal["act", "advise", "off"] = "act"
-    """`act` does it, `advise` only says what it would do, `off` says nothing."""
+    """`act` does it, `advise` only says what it would do, `off` says nothing. PHM joins networks itself in any mode."""
     backoff: Annotated[Seconds, Field(gt=0)] = 1.0
     """Seconds before the second attempt; doubled for each further one."""
     backoff_max: Annotated[Seconds, Field(gt=0)] = 60.0

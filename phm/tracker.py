@@ -233,7 +233,9 @@ class Tracker:
             self._tell(entry, Level.STALE, result, now, step)
         elif now.mono < entry.quiet_until and entry.fault is None:
             entry.pending_since = None
-            waiting = replace(result, level=Level.STALE, summary=f"not known yet: {result.summary}", brief="", condition="")
+            waiting = replace(
+                result, level=Level.STALE, summary=f"not known yet: {result.summary}", brief="", condition=""
+            )
             self._tell(entry, Level.STALE, waiting, now, step)
         else:
             self._bad(entry, result, now, step)
@@ -309,7 +311,9 @@ class Tracker:
     def _tell(self, entry: _Unit, level: Level, result: Result, now: Stamp, step: Step, blocked_by: str = "") -> None:
         old = entry.told
         changed = old.level is not level
-        reworded = not changed and level.bad and (old.result.condition, old.result.brief) != (result.condition, result.brief)
+        reworded = (
+            not changed and level.bad and (old.result.condition, old.result.brief) != (result.condition, result.brief)
+        )
         since = now if changed else old.since
         if level is Level.ERROR and entry.fault is None and not entry.escalated:
             self._open(entry, result, now)

@@ -94,7 +94,9 @@ class Bench:
             time.sleep(seconds / samples)
             cpu.append(100 * (_cpu_s(self.stack.agent) - before) / (time.monotonic() - began))
             memory.append(sum(process.memory_info().rss for process in processes(self.stack.agent)) / 1e6)
-        return Figure("sidecar, CPU", "% of a core", 5.0, tuple(cpu)), Figure("sidecar, RSS", "MB", 140.0, tuple(memory))
+        return Figure("sidecar, CPU", "% of a core", 5.0, tuple(cpu)), Figure(
+            "sidecar, RSS", "MB", 140.0, tuple(memory)
+        )
 
     def _mark(self) -> int:
         self.record.update()
@@ -151,7 +153,9 @@ def observing_config() -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="scripts/bench", description=__doc__, epilog="Example: scripts/bench --runs 5")
+    parser = argparse.ArgumentParser(
+        prog="scripts/bench", description=__doc__, epilog="Example: scripts/bench --runs 5"
+    )
     parser.add_argument("--runs", type=int, default=10, metavar="N", help="faults of each kind (10)")
     parser.add_argument("--cost-seconds", type=float, default=60.0, metavar="S", help="how long cost is sampled (60)")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
@@ -169,7 +173,9 @@ def main(arguments: list[str] | None = None) -> int:
     finally:
         stack.down()
     if chosen.json:
-        rows = [{"name": f.name, "unit": f.unit, "aim": f.limit, "median": f.median, "values": f.values} for f in figures]
+        rows = [
+            {"name": f.name, "unit": f.unit, "aim": f.limit, "median": f.median, "values": f.values} for f in figures
+        ]
         print(json.dumps({"machine": machine(), "figures": rows}, indent=2))
     else:
         print_figures(figures, console)

@@ -105,7 +105,7 @@ class Demo:
         return table
 
     def _all_well(self, event: Event) -> bool:
-        return event["event"] == "report" and all(digit == 1 for digit in event["status_array"])
+        return bool(event["event"] == "report" and all(digit == 1 for digit in event["status_array"]))
 
     def _print_log_tail(self) -> None:
         text = self.stack.logs / "phm.log"
@@ -115,7 +115,7 @@ class Demo:
 
 
 def _verified(event: Event, unit: str) -> bool:
-    return event["event"] == "action" and event["phase"] == "verified" and event["unit"] == unit
+    return bool(event["event"] == "action" and event["phase"] == "verified" and event["unit"] == unit)
 
 
 def _seconds(value: float | None) -> str:

@@ -96,7 +96,10 @@ class Container(PerContainer):
         told = {
             "created": ("never started", f"was created but never started: `docker start {fact.name}`"),
             "paused": ("paused", f"is paused, its processes are frozen: `docker unpause {fact.name}`"),
-            "dead": ("dead", f"is dead, the engine could not remove it: `docker rm -f {fact.name}`, then create it again"),
+            "dead": (
+                "dead",
+                f"is dead, the engine could not remove it: `docker rm -f {fact.name}`, then create it again",
+            ),
             "removing": ("being removed", "is being removed: create it again"),
         }
         short, words = told.get(status, (f"is {clean(status, 12)}", f"is in the unknown state {clean(status, 40)!r}"))

@@ -17,7 +17,7 @@ from phm.facts import CannotTell, NotPermitted
 from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase, Transition
 from phm.pipeline import Pipeline
 from phm.recovery.base import Action, ActionContext, ActionFailed
-from phm.recovery.policy import Act, Advise, Attempt, Decision, GiveUp, History, Leave, Wait, decide
+from phm.recovery.policy import Act, Advise, Attempt, Decision, GiveUp, History, Wait, decide
 from phm.settings import ContainerSettings
 
 logger = logging.getLogger(__name__)
@@ -130,7 +130,9 @@ class TargetWorker:
     def _say(self, case: _Case, decision: Decision) -> float | None:
         """Tell a decision that is not to act, once; when to look again, or None when only an event helps."""
         if isinstance(decision, Advise):
-            self._once(case, decision.action, Phase.ADVISED, f"advised: {decision.action} {self._target} ({decision.why})")
+            self._once(
+                case, decision.action, Phase.ADVISED, f"advised: {decision.action} {self._target} ({decision.why})"
+            )
             return decision.again_at
         if isinstance(decision, Wait):
             if decision.tell:
@@ -156,7 +158,12 @@ class TargetWorker:
         fault, shop = case.fault, self._shop
         action_class = shop.actions.get(act.action)
         if action_class is None or self._container is None:
-            self._once(case, act.action, Phase.FAILED, f"no installed package provides the action {act.action!r}: correct recovery.ladders")
+            self._once(
+                case,
+                act.action,
+                Phase.FAILED,
+                f"no installed package provides the action {act.action!r}: correct recovery.ladders",
+            )
             case.refused = True
             return
         verify_s = shop.context.settings.recovery.verify
@@ -164,7 +171,13 @@ class TargetWorker:
         shop.pipeline.hold(self._target, fault.unit, act.action, action_class.deadline_s + verify_s + 5.0)
         worked = False
         try:
-            self._publish(fault, act.action, Phase.STARTED, f"{act.action} {self._target} for: {fault.result.summary}", act.attempt)
+            self._publish(
+                fault,
+                act.action,
+                Phase.STARTED,
+                f"{act.action} {self._target} for: {fault.result.summary}",
+                act.attempt,
+            )
             detail, worked = self._run(case, action_class(), act)
             if worked:
                 done = shop.clock.mono()
@@ -172,9 +185,21 @@ class TargetWorker:
                 worked = self._verify(fault, done, verify_s)
                 if worked:
                     took = shop.clock.mono() - began
-                    self._publish(fault, act.action, Phase.VERIFIED, f"{fault.unit} is OK again {took:.1f} s after the action began", act.attempt)
+                    self._publish(
+                        fault,
+                        act.action,
+                        Phase.VERIFIED,
+                        f"{fault.unit} is OK again {took:.1f} s after the action began",
+                        act.attempt,
+                    )
                 else:
-                    self._publish(fault, act.action, Phase.FAILED, f"{act.action} of {self._target} did not bring {fault.unit} back", act.attempt)
+                    self._publish(
+                        fault,
+                        act.action,
+                        Phase.FAILED,
+                        f"{act.action} of {self._target} did not bring {fault.unit} back",
+                        act.attempt,
+                    )
             else:
                 self._publish(fault, act.action, Phase.FAILED, detail, act.attempt)
         finally:

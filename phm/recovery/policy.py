@@ -1,9 +1,9 @@
 """Decides what to do about a fault. Pure: fault, history and armed state in, a decision out.
 
-Rules, first match wins: not opted in -> nothing; no ladder for the condition -> nothing; the same
-failure `same_failure` times -> give up and say so; flight-critical while armed -> advise; mode advise ->
-advise; budget used up -> wait, and say so; back-off not over -> wait; else the rung of the ladder
-that follows the number of failed attempts.
+Rules, first match wins: no ladder for the condition -> nothing; mode off -> nothing; not opted in ->
+nothing; the same failure `same_failure` times -> give up and say so; flight-critical while armed -> advise; mode
+advise -> advise; budget used up -> wait, and say so; back-off not over -> wait; else the rung of the ladder that
+follows the number of failed attempts. Actions on PHM's own container are bound by budget and back-off alone.
 """
 
 from __future__ import annotations
@@ -111,17 +111,17 @@ def decide(
     """What to do about `fault` at `now` (monotonic seconds).
 
     armed: True also when an autopilot is configured and silent (unknown counts as armed).
-    free_actions: actions on PHM's own container, which need no opt-in and endanger nobody.
+    free_actions: actions on PHM's own container; they endanger nobody, so mode, opt-in and arming do not bind them.
     """
     condition = fault.result.condition
     ladder = tuple(settings.ladders.get(condition, LADDERS.get(condition, ())))
-    if settings.mode == "off":
-        return Leave("recovery is off")
     if not ladder:
         return Leave(f"no action is known for {condition or 'this'}")
     same = _same_failures(history, fault, now, settings.verify)
     action = ladder[min(len(same), len(ladder) - 1)]
     if action not in free_actions:
+        if settings.mode == "off":
+            return Leave("recovery is off")
         if container is None:
             return Leave("no container to act on")
         if not container.recover:
@@ -130,7 +130,7 @@ def decide(
         return GiveUp(action, f"{len(same)} attempts did not help")
     if action not in free_actions and container is not None and container.flight_critical and armed:
         return Advise(action, "flight-critical and armed", again_at=now + ARMED_AGAIN_S)
-    if settings.mode == "advise":
+    if action not in free_actions and settings.mode == "advise":
         return Advise(action, "recovery only advises")
     recent = history.within(now - settings.window)
     if len(recent) >= settings.budget:

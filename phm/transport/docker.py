@@ -202,7 +202,7 @@ class Engine:
 
     def connect(self, network: str, container: str, aliases: Sequence[str] = (), address: str = "") -> None:
         """Put a container on a network, with `aliases` and, when given, a fixed `address` (IPv4 or IPv6)."""
-        fixed = {"ipv6_address" if ":" in address else "ipv4_address": address} if address else {}
+        fixed: dict[str, Any] = {"ipv6_address" if ":" in address else "ipv4_address": address} if address else {}
         self._act(
             lambda client: client.connect_container_to_network(
                 container, network, aliases=list(aliases) or None, **fixed
@@ -249,12 +249,12 @@ class Engine:
         client: APIClient | None = getattr(self._local, "client", None)
         if client is None or client.api_version != api:
             client = self._local.client = client_for(self.url, api, self._resolver)
-        client.timeout = limit_s
+        client.timeout = limit_s  # type: ignore[assignment]  # the stubs say int; requests takes any number
         return client
 
     def _negotiate(self, limit_s: float) -> str:
         client = client_for(self.url, API_FALLBACK, self._resolver)
-        client.timeout = limit_s
+        client.timeout = limit_s  # type: ignore[assignment]
         try:
             told = _mapping(client.version(api_version=False))
         except DockerException as error:

@@ -120,7 +120,7 @@ class _Bounded(requests.adapters.HTTPAdapter):
                 response.close()
             # requests has no public way to hand over a body that was read already.
             response._content = bytes(body)
-            response._content_consumed = True
+            response._content_consumed = True  # type: ignore[attr-defined]
         return response
 
 

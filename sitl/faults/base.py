@@ -35,6 +35,7 @@ class Agent:
     def run_in_app(self, *argv: str) -> str:
         """Run a command inside the application container and return what it printed."""
         code, output = self.app.exec_run(list(argv))
+        assert isinstance(output, bytes)  # no stream was asked for
         text = output.decode(errors="replace").strip()
         if code != 0:
             raise RuntimeError(f"{' '.join(argv)} in {self.app.name} ended with {code}: {text}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.policy import Act, Advise, Attempt, GiveUp, History, Leave, Wait, decide
@@ -106,9 +107,13 @@ def test_flight_critical_and_armed_is_advice_only() -> None:
     assert say(container=APP, armed=True) == Act("restart", 1)
 
 
-def test_phms_own_steps_need_no_opt_in() -> None:
-    """Joining a network moves nothing but PHM itself."""
-    decision = say(fault=fault("sidecar_apart"), container=ContainerSettings(name="app"), free_actions=frozenset({"join"}))
+@pytest.mark.parametrize("mode", ["act", "advise", "off"])
+def test_phms_own_steps_need_neither_opt_in_nor_mode(mode: str) -> None:
+    """Joining a network moves nothing but PHM itself, and without it PHM sees nothing."""
+    decision = say(
+        fault=fault("sidecar_apart"), container=ContainerSettings(name="app"), free_actions=frozenset({"join"}),
+        settings=RecoverySettings(mode=mode),  # type: ignore[arg-type]
+    )  # fmt: skip
     assert decision == Act("join", 1)
 
 

@@ -112,7 +112,11 @@ class Phm:
 
     def children(self) -> list[psutil.Process]:
         assert self.process is not None
-        return [child for child in psutil.Process(self.process.pid).children() if "phm.probes.ros" in " ".join(child.cmdline())]
+        return [
+            child
+            for child in psutil.Process(self.process.pid).children()
+            if "phm.probes.ros" in " ".join(child.cmdline())
+        ]
 
     def wait(self, wanted: Callable[[Event], bool], what: str, limit_s: float = 30.0, since: int = 0) -> Event:
         """The first matching event of the JSON log; fails with the end of the text log when it does not come."""

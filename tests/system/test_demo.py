@@ -38,8 +38,7 @@ def test_the_whole_story(stack: Stack, docker_client: DockerClient) -> None:
     """A clean pass, four faults seen once at their cause, healed, verified and told to the ground: exit 0."""
     output = io.StringIO()
     code = demo.run(stack, Console(file=output, width=200))
-    print(output.getvalue())
-    assert code == 0
+    assert code == 0, output.getvalue()
     assert "A01 FAIL 6 node_1 dead" in output.getvalue()
 
 

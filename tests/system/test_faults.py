@@ -39,7 +39,9 @@ def test_one_fault_one_alarm_healed(case: str, app: Aboard, start_phm: Callable[
     phm.wait_all_well()
     mark = phm.mark()
     inject(app)
-    closed = phm.wait(lambda event: event["event"] == "fault_closed" and event["unit"] == unit, f"{unit} healed", since=mark)
+    closed = phm.wait(
+        lambda event: event["event"] == "fault_closed" and event["unit"] == unit, f"{unit} healed", since=mark
+    )
     settled(phm, mark, closed["mono"])
     assert phm.opened(mark) == [unit]
     assert (closed["outcome"], closed["by"]) == ("resolved", action)
@@ -96,7 +98,9 @@ def test_two_dead_nodes_are_two_faults_and_one_restart_heals_both(app: Aboard, s
     last = phm.wait(both_closed, "both faults closed", since=mark)
     settled(phm, mark, last["mono"])
     assert sorted(phm.opened(mark)) == ["nodes/agent_1/node_1", "nodes/agent_1/node_2"]
-    started = [event for event in phm.record.events[mark:] if event["event"] == "action" and event["phase"] == "started"]
+    started = [
+        event for event in phm.record.events[mark:] if event["event"] == "action" and event["phase"] == "started"
+    ]
     assert len(started) == 1
 
 
@@ -114,7 +118,9 @@ def test_once_prints_the_same_picture_and_changes_nothing(app: Aboard, start_phm
     assert app.identity() == before
 
 
-def test_once_names_a_fault_and_exits_1(app: Aboard, docker_client: DockerClient, start_phm: Callable[..., Phm]) -> None:
+def test_once_names_a_fault_and_exits_1(
+    app: Aboard, docker_client: DockerClient, start_phm: Callable[..., Phm]
+) -> None:
     """One pass finds what is wrong, at its cause, and leaves it as it is."""
     phm = start_phm(config_for(app, recovery={"mode": "off"}), app.domain)
     phm.wait_all_well()
