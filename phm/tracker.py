@@ -8,7 +8,8 @@ The rules, in the order in which `_judge` applies them to a unit's newest result
    STALE `blocked_by` the fault under repair. A unit whose own fault is open stays as it is.
 4. A bad result while something it needs is bad is a consequence: STALE `blocked_by` the first cause.
    If it had been told as a fault of its own, that fault is closed as reattributed.
-5. A bad result during grace (after start, after a need recovered) is `not known yet`.
+5. A bad result during grace (after start, after a need recovered) is `not known yet`. Grace ends early when
+   the unit has been OK for SURE_S.
 6. Otherwise all its needs are run again; it is told only when each has answered since, when it was bad
    `failures` times in a row, and when it has lasted `settle_s`.
 
@@ -41,6 +42,9 @@ from phm.needs import Needs
 ITSELF = "itself"
 ASK_AGAIN_S = 1.0
 """While a bad result waits to be confirmed, it and its needs are run again this often."""
+SURE_S = 2.5
+"""Grace ends early once a unit has been OK for this long: shorter could be the memory of what was there before (a killed
+node stays listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
 _NEVER = float("-inf")
 
 
@@ -85,12 +89,18 @@ class _Unit:
     bad_in_a_row: int = 0
     pending_since: float | None = None
     quiet_until: float = 0.0
+    well_since: float | None = None
     fault: Fault | None = None
     escalated: bool = False
 
     @property
     def id(self) -> str:
         return self.spec.unit.id
+
+    def grant(self, until: float) -> None:
+        """Grace until then; what was seen before no longer counts."""
+        self.pending_since = self.well_since = None
+        self.quiet_until = max(self.quiet_until, until)
 
     @property
     def failing(self) -> bool:
@@ -196,8 +206,7 @@ class Tracker:
         for entry in self._units.values():
             above = (self._units[need].spec.unit.target for need in self.needs.upstream(entry.id))
             if entry.spec.unit.target == target and target in above:
-                entry.pending_since = None
-                entry.quiet_until = max(entry.quiet_until, now.mono + at_most_s)
+                entry.grant(now.mono + at_most_s)
         return Step()
 
     def escalate(self, fault_id: str, now: Stamp) -> Step:
@@ -218,6 +227,7 @@ class Tracker:
         if result.level is Level.OK:
             self._well(entry, result, now, step)
             return
+        entry.well_since = None
         entry_hold = self._holds.get(entry.spec.unit.target)
         if entry_hold is not None and result.level.bad:
             entry.pending_since = None
@@ -243,6 +253,9 @@ class Tracker:
     def _well(self, entry: _Unit, result: Result, now: Stamp, step: Step) -> None:
         recovered = entry.told.level is Level.ERROR or bool(entry.told.blocked_by)
         entry.pending_since, entry.escalated = None, False
+        entry.well_since = now.mono if entry.well_since is None else entry.well_since
+        if now.mono - entry.well_since >= SURE_S:
+            entry.quiet_until = min(entry.quiet_until, now.mono)
         self._tell(entry, Level.OK, result, now, step)
         if entry.fault is not None:
             self._close(entry, Outcome.RESOLVED, entry.fault.by or ITSELF, now, step)
@@ -301,8 +314,7 @@ class Tracker:
         """What was seen before no longer counts: look again, and give it time to come back."""
         for name in units:
             entry = self._units[name]
-            entry.pending_since = None
-            entry.quiet_until = max(entry.quiet_until, now.mono + entry.spec.unit.grace_s)
+            entry.grant(now.mono + entry.spec.unit.grace_s)
             if entry.raw is not None and entry.raw.level is not Level.OK:
                 step.rerun.add(name)
 

@@ -28,6 +28,7 @@ from sitl.stack import ROOT, Stack
 
 WELL_LIMIT_S = 90.0
 SEEN_LIMIT_S = 30.0
+STEADY_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -52,13 +53,18 @@ class Bench:
         self.record = Record(stack.record)
 
     def wait_well(self) -> None:
-        """A report that began after now, with everything well."""
-        self.record.update()
-        found = self.record.wait(
-            lambda event: event["event"] == "report" and all(digit == 1 for digit in event["status_array"]),
-            WELL_LIMIT_S, since=len(self.record.events),
-        )  # fmt: skip
-        if found is None:
+        """Until all reports of STEADY_S seconds have found everything well: what is measured is an agent at work."""
+        well_from: list[float] = []
+
+        def steady(event: Event) -> bool:
+            if event["event"] == "report":
+                if any(digit != 1 for digit in event["status_array"]):
+                    well_from.clear()
+                else:
+                    well_from.append(event["mono"])
+            return bool(well_from) and event["mono"] - well_from[0] >= STEADY_S
+
+        if self.record.wait(steady, WELL_LIMIT_S, since=self._mark()) is None:
             raise RuntimeError(f"the agent did not become well within {WELL_LIMIT_S:g} s; see {self.stack.logs}")
 
     def repeat(self, name: str, limit_s: float, runs: int, once: Callable[[], float]) -> Figure:

@@ -21,11 +21,7 @@ SOCKET = Path("/var/run/docker.sock")
 
 @dataclass
 class Stack:
-    """A compose project with the application, PHM beside it and a simulated autopilot.
-
-    device: a character device of the host made for the demonstration, so that the device check has
-    something that may vanish. It is a copy of /dev/null under another name.
-    """
+    """A compose project with the application, PHM beside it and a simulated autopilot."""
 
     project: str = "phm-demo"
     agent_name: str = "agent_1"
@@ -33,12 +29,17 @@ class Stack:
     interval_s: float = 20.0
     ground_port: int = 5760
     logs: Path = field(default_factory=lambda: Path(tempfile.mkdtemp(prefix="phm-demo-")))
-    device: Path = Path("/dev/phm_demo_radio")
     extra: dict[str, str] = field(default_factory=dict)
 
     @property
     def agent(self) -> Agent:
         return Agent(self.project, self.agent_name)
+
+    @property
+    def device(self) -> Path:
+        """A character device of the host made for this project alone, so that the device check has something
+        that may vanish. It is a copy of /dev/null under another name."""
+        return Path("/dev") / f"{self.project.replace('-', '_')}_radio"
 
     @property
     def record(self) -> Path:

@@ -218,6 +218,44 @@ def test_grace_after_a_need_recovered() -> None:
     assert bench.opened == ["container", "nodes"]
 
 
+def recovered(bench: Bench) -> None:
+    """The container was down and is back; its nodes have eight seconds of grace."""
+    bench.later(10)
+    bench.all_well()
+    bench.see("container", BAD)
+    bench.see("nodes", BAD)
+    bench.now += 1
+    bench.see("container", OK)
+    bench.events.clear()
+
+
+def test_grace_ends_early_once_the_unit_is_surely_well() -> None:
+    """A node that dies seconds after a restart is told as quickly as any other."""
+    bench = chain(grace_s=8.0)
+    recovered(bench)
+    for _ in range(4):
+        bench.later(1.0)
+        bench.see("nodes", OK)
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    assert bench.opened == ["nodes"]
+
+
+def test_a_short_ok_does_not_end_grace() -> None:
+    """What is still listed from before the restart says nothing about what comes after it."""
+    bench = chain(grace_s=8.0)
+    recovered(bench)
+    bench.see("nodes", OK)
+    bench.later(1.0)
+    bench.see("nodes", OK)
+    for _ in range(3):
+        bench.later(1.0)
+        bench.see("nodes", BAD)
+        bench.see("container", OK)
+    bench.see("nodes", OK)
+    assert bench.opened == []
+
+
 def test_stale_neither_opens_nor_closes() -> None:
     """Not knowing is no fault and no cure."""
     bench = chain()
