@@ -147,7 +147,8 @@ class Fault:
     """An episode at one unit, from the transition to ERROR until it is over.
 
     `by` is ``itself`` or the name of the action that ended it; `blocks` lists the units that are
-    STALE because of it, in the order in which they were found.
+    STALE because of it, in the order in which they were found; `consequences` names the checks that
+    cannot be well while it lasts, by the graph of needs (known at once, when the alarm is raised).
     """
 
     id: str
@@ -160,6 +161,7 @@ class Fault:
     outcome: Outcome = Outcome.OPEN
     by: str = ""
     blocks: tuple[str, ...] = ()
+    consequences: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +182,7 @@ class Phase(str, Enum):
     """Where an action stands. ADVISED and REFUSED change nothing in the world."""
 
     ADVISED = "advised"
+    APPROVED = "approved"
     REFUSED = "refused"
     STARTED = "started"
     DONE = "done"

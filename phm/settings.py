@@ -95,6 +95,8 @@ class FileSettings(Section):
     """True: some execute bit must be set."""
     sha256: Annotated[str, Field(pattern=r"^[0-9a-fA-F]{64}$")] | None = None
     """Expected SHA-256 of the content, 64 hexadecimal digits."""
+    restore: Annotated[str, Field(pattern=r"^(image|/.*)$", max_length=4096)] | None = None
+    """Where a good copy is: `image` for the container's own image, or a path that PHM sees. Default: never restored."""
 
 
 class DeviceSettings(Section):
@@ -122,7 +124,11 @@ class ContainerSettings(Section):
     recover: bool = False
     """Opt-in: PHM may start, restart, unpause and reconnect this container."""
     flight_critical: bool = False
-    """True: nothing is done to it while the autopilot is armed (advice only)."""
+    """True: what is done to it while the autopilot is armed is decided by `when_armed`."""
+    when_armed: Literal["advise", "act"] = "advise"
+    """For a flight-critical container while armed: only advise (an operator may approve), or act all the same."""
+    after: list[Name] = Field(default_factory=list)
+    """Containers that must have started before this one; it is restarted after one of them was restarted by PHM."""
     healthcheck: Literal["auto", "required", "ignore"] = "auto"
     """`auto`: judged when the image has a HEALTHCHECK, else BYPASS. `required`: having none is an error."""
     networks: list[Name] = Field(default_factory=list)
@@ -147,6 +153,8 @@ class NodeSettings(Section):
     """Full name, e.g. /agent_1/node_1 (a missing first slash is added)."""
     container: Name | None = None
     """The container it runs in; default: the only configured one. Recovery restarts it."""
+    relaunch: list[str] = Field(default_factory=list)
+    """Command, word by word, that starts this node inside its container; tried before the container is restarted."""
 
 
 class TopicSettings(Section):
@@ -288,6 +296,8 @@ class RecoverySettings(Section):
     """Seconds within which the check must be OK again after an action, else it failed."""
     stop_timeout: Annotated[Seconds, Field(ge=0, le=300)] = 5.0
     """Seconds between SIGTERM and SIGKILL when a container is restarted."""
+    patience: Annotated[Seconds, Field(ge=0, le=600)] = 10.0
+    """Seconds that a topic must have been silent or slow, with its node alive, before anything is done about it."""
     ladders: dict[str, list[str]] = Field(default_factory=dict)
     """Per condition, the actions in order, replacing the built-in ladder, e.g. `unhealthy: [restart]`."""
 
@@ -358,6 +368,8 @@ class Settings(Section):
     """The Docker Engine."""
     checks: dict[str, CheckSettings] = Field(default_factory=dict)
     """Overrides by check name."""
+    state_dir: AbsolutePath = "/var/lib/phm"
+    """Where open faults, budgets and holds are kept over a restart of PHM (on a disk that survives power loss)."""
     run_dir: AbsolutePath = "/run/phm"
     """Where the running daemon keeps its status for `phm status` (in memory: a tmpfs)."""
 

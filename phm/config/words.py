@@ -16,6 +16,7 @@ PATTERNS = {
     "words of letters, digits and '_' that start with no digit, with '/' between",
     r"^/": "an absolute path, one that starts with '/'",
     r"^[0-9a-fA-F]{64}$": "64 hexadecimal digits, as sha256sum prints",
+    r"^(image|/.*)$": "'image', or an absolute path that PHM sees",
     r"^[^=\s]+(=.*)?$": "'key' or 'key=value' without spaces in the key",
     r"^[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*$": "package/msg/Type, such as std_msgs/msg/String",
     r"^(unix:///.+|tcp://.+)$": "unix:///path or tcp://host:port",

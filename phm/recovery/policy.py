@@ -107,10 +107,12 @@ def decide(
     armed: bool,
     settings: RecoverySettings,
     free_actions: frozenset[str] = frozenset(),
+    approved: bool = False,
 ) -> Decision:
     """What to do about `fault` at `now` (monotonic seconds).
 
     armed: True also when an autopilot is configured and silent (unknown counts as armed).
+    approved: an operator has said yes to this fault: mode advise and the armed state no longer hold it back.
     free_actions: actions on PHM's own container; they endanger nobody, so mode, opt-in and arming do not bind them.
     """
     condition = fault.result.condition
@@ -128,9 +130,10 @@ def decide(
             return Leave(f"{container.key} has not opted in (recover: true)")
     if len(same) >= settings.same_failure:
         return GiveUp(action, f"{len(same)} attempts did not help")
-    if action not in free_actions and container is not None and container.flight_critical and armed:
+    bound = action not in free_actions and not approved
+    if bound and container is not None and _critical_now(container, armed):
         return Advise(action, "flight-critical and armed", again_at=now + ARMED_AGAIN_S)
-    if action not in free_actions and settings.mode == "advise":
+    if bound and settings.mode == "advise":
         return Advise(action, "recovery only advises")
     recent = history.within(now - settings.window)
     if len(recent) >= settings.budget:
@@ -139,6 +142,10 @@ def decide(
     if now < ready:
         return Wait(ready, "backing off")
     return Act(action, len(same) + 1)
+
+
+def _critical_now(container: ContainerSettings, armed: bool) -> bool:
+    return armed and container.flight_critical and container.when_armed == "advise"
 
 
 def _same_failures(history: History, fault: Fault, now: float, lasting_s: float) -> list[Attempt]:

@@ -120,3 +120,18 @@ def test_phms_own_steps_need_neither_opt_in_nor_mode(mode: str) -> None:
 def test_giving_up_needs_no_armed_state() -> None:
     """What was given up is not advised again and again."""
     assert isinstance(say(attempts(900.0, 910.0, 920.0), settings=replace_rules(budget=2)), GiveUp)
+
+
+def test_when_armed_act_lets_the_user_decide_otherwise() -> None:
+    """Some containers are worse down than restarted, and only their owner knows."""
+    brave = ContainerSettings(name="app", recover=True, flight_critical=True, when_armed="act")
+    assert say(container=brave, armed=True) == Act("restart", 1)
+
+
+def test_an_approved_action_is_done_in_advise_mode_and_while_armed() -> None:
+    """The operator's yes replaces PHM's caution, and nothing else: budget and opt-in still bind."""
+    critical = ContainerSettings(name="app", recover=True, flight_critical=True)
+    assert say(container=critical, armed=True, approved=True) == Act("restart", 1)
+    assert say(settings=RecoverySettings(mode="advise"), approved=True) == Act("restart", 1)
+    assert isinstance(say(settings=RecoverySettings(mode="off"), approved=True), Leave)
+    assert isinstance(say(container=ContainerSettings(name="app"), approved=True), Leave)
