@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 
 from phm.bus import Bus
 from phm.clock import Clock
-from phm.model import Fault, FaultClosed, Level, Note, Report, ReportStarted, Result, Stamp, UnitState
+from phm.model import Event, Fault, FaultClosed, Level, Note, Report, ReportStarted, Result, Stamp, UnitState
 from phm.tracker import Step, Tracker
 
 WakeUnits = Callable[[Iterable[str], str], None]
@@ -35,6 +35,11 @@ class Pipeline:
     def attach(self, wake_units: WakeUnits) -> None:
         """Tell the pipeline how to have units run again."""
         self._wake_units = wake_units
+
+    def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault]) -> tuple[Event, ...]:
+        """Before anything runs: see `Tracker.restore`. The events are for the caller to publish, once somebody hears."""
+        with self._lock:
+            return tuple(self._tracker.restore(faults, given_up, self._clock.stamp()).events)
 
     # ------------------------------------------------------------ from the engine
 
@@ -119,6 +124,11 @@ class Pipeline:
     def open_faults(self) -> tuple[Fault, ...]:
         with self._lock:
             return self._tracker.open_faults()
+
+    def given_up(self) -> tuple[Fault, ...]:
+        """Escalated faults of units that have not been well since."""
+        with self._lock:
+            return self._tracker.given_up()
 
     def recent_faults(self) -> tuple[Fault, ...]:
         """The last RECENT_FAULTS closed faults, oldest first."""

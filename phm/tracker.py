@@ -40,6 +40,9 @@ from phm.model import (
 from phm.needs import Needs
 
 ITSELF = "itself"
+CONFIGURATION = "configuration"
+"""What ended a fault whose unit is no longer configured."""
+RESTORED = "restored after a restart of PHM"
 ASK_AGAIN_S = 1.0
 """While a bad result waits to be confirmed, it and its needs are run again this often."""
 SURE_S = 2.5
@@ -92,6 +95,8 @@ class _Unit:
     well_since: float | None = None
     fault: Fault | None = None
     escalated: bool = False
+    given_up: Fault | None = None
+    """The fault that recovery gave up on, while `escalated`."""
 
     @property
     def id(self) -> str:
@@ -101,6 +106,11 @@ class _Unit:
         """Grace until then; what was seen before no longer counts."""
         self.pending_since = self.well_since = None
         self.quiet_until = max(self.quiet_until, until)
+
+    @property
+    def told_given_up(self) -> bool:
+        """Known as a fault that PHM has given up on: grace after a restart of PHM does not make it unknown again."""
+        return self.escalated and self.told.level is Level.ERROR
 
     @property
     def failing(self) -> bool:
@@ -119,6 +129,7 @@ class Tracker:
         self.needs = Needs({entry.unit.id: entry.needs for entry in tracked})
         self._prefix = fault_prefix
         self._count = 0
+        self._taken: frozenset[str] = frozenset()
         self._holds: dict[str, _Hold] = {}
         self._units: dict[str, _Unit] = {}
         for entry in tracked:
@@ -141,6 +152,10 @@ class Tracker:
     def open_faults(self) -> tuple[Fault, ...]:
         return tuple(unit.fault for unit in self._units.values() if unit.fault is not None)
 
+    def given_up(self) -> tuple[Fault, ...]:
+        """The escalated faults of units that have not been well since."""
+        return tuple(unit.given_up for unit in self._units.values() if unit.escalated and unit.given_up is not None)
+
     def undecided(self, now: Stamp) -> tuple[str, ...]:
         """Units that need more time or more results before they can be told."""
         return tuple(
@@ -150,6 +165,37 @@ class Tracker:
             or unit.pending_since is not None
             or (now.mono < unit.quiet_until and unit.raw.level is not Level.OK and not unit.told.blocked_by)
         )
+
+    # ------------------------------------------------------------ what was, before PHM was started again
+
+    def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault], now: Stamp) -> Step:
+        """Put back what an earlier run of PHM left open or had given up, before the first result.
+
+        No FaultOpened is sent: it was told once. Faults of units that the configuration no longer names are
+        closed in the returned step, as resolved by ``configuration``.
+        """
+        step = Step()
+        faults, given_up = tuple(faults), tuple(given_up)
+        self._taken = frozenset(fault.id for fault in (*faults, *given_up))
+        for fault in faults:
+            entry = self._units.get(fault.unit)
+            if entry is None:
+                closed = replace(fault, closed=now, outcome=Outcome.RESOLVED, by=CONFIGURATION)
+                step.events.append(FaultClosed(now, closed))
+            elif entry.fault is None:
+                entry.fault = replace(fault, slot=entry.spec.slot, layer=entry.spec.layer)
+                self._restored(entry, fault, fault.id)
+        for fault in given_up:
+            entry = self._units.get(fault.unit)
+            if entry is not None and entry.fault is None:
+                entry.escalated, entry.given_up = True, fault
+                self._restored(entry, fault, "")
+        return step
+
+    def _restored(self, entry: _Unit, fault: Fault, name: str) -> None:
+        summary = f"{RESTORED}: {fault.result.summary}"
+        result = replace(fault.result, level=Level.ERROR, summary=summary)
+        entry.told = replace(entry.told, level=Level.ERROR, result=result, since=fault.opened, fault=name)
 
     # ------------------------------------------------------------ what happens
 
@@ -214,8 +260,8 @@ class Tracker:
         step = Step()
         for entry in self._units.values():
             if entry.fault is not None and entry.fault.id == fault_id:
+                entry.given_up, entry.escalated = entry.fault, True
                 self._close(entry, Outcome.ESCALATED, "", now, step)
-                entry.escalated = True
         return step
 
     # ------------------------------------------------------------ the rules
@@ -241,7 +287,7 @@ class Tracker:
         elif result.level is Level.STALE:
             entry.pending_since = None
             self._tell(entry, Level.STALE, result, now, step)
-        elif now.mono < entry.quiet_until and entry.fault is None:
+        elif now.mono < entry.quiet_until and entry.fault is None and not entry.told_given_up:
             entry.pending_since = None
             waiting = replace(
                 result, level=Level.STALE, summary=f"not known yet: {result.summary}", brief="", condition=""
@@ -252,7 +298,7 @@ class Tracker:
 
     def _well(self, entry: _Unit, result: Result, now: Stamp, step: Step) -> None:
         recovered = entry.told.level is Level.ERROR or bool(entry.told.blocked_by)
-        entry.pending_since, entry.escalated = None, False
+        entry.pending_since, entry.escalated, entry.given_up = None, False, None
         entry.well_since = now.mono if entry.well_since is None else entry.well_since
         if now.mono - entry.well_since >= SURE_S:
             entry.quiet_until = min(entry.quiet_until, now.mono)
@@ -342,8 +388,32 @@ class Tracker:
 
     def _open(self, entry: _Unit, result: Result, now: Stamp) -> None:
         self._count += 1
+        while f"{self._prefix}{self._count}" in self._taken:
+            self._count += 1
         spec = entry.spec
-        entry.fault = Fault(f"{self._prefix}{self._count}", entry.id, spec.slot, spec.layer, result, now)
+        entry.fault = Fault(
+            f"{self._prefix}{self._count}",
+            entry.id,
+            spec.slot,
+            spec.layer,
+            result,
+            now,
+            consequences=self._consequences(entry.id),
+            suspects=self._suspects(entry.id),
+        )
+
+    def _consequences(self, unit: str) -> tuple[str, ...]:
+        """Names of the checks that cannot be well while `unit` is not, in slot order."""
+        below = sorted((self._units[name].spec for name in self.needs.downstream(unit)), key=lambda spec: spec.slot)
+        return tuple(dict.fromkeys(spec.check for spec in below))
+
+    def _suspects(self, unit: str) -> tuple[str, ...]:
+        """Units told as ERROR that can be behind anything (`Unit.suspect`), such as a full disk."""
+        return tuple(
+            other.id
+            for other in self._units.values()
+            if other.spec.unit.suspect and other.told.level is Level.ERROR and other.id != unit
+        )
 
     def _close(self, entry: _Unit, outcome: Outcome, by: str, now: Stamp, step: Step) -> None:
         assert entry.fault is not None
