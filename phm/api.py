@@ -81,6 +81,8 @@ class Unit:
             its cause (a topic falls silent before discovery notices that its node is dead).
     grace_s: how long, after PHM's start, after a need recovered and after an action on the target, a bad
             result counts as `not known yet` (discovery needs seconds to fill the graph).
+    suspect: while this unit is ERROR, each fault that opens names it as a possible cause. It blocks nobody:
+            for what can be behind anything but need not be (a full disk, memory used up).
     """
 
     id: str
@@ -88,6 +90,7 @@ class Unit:
     target: str = ""
     settle_s: float = 0.0
     grace_s: float = 0.0
+    suspect: bool = False
 
 
 class Check(ABC):

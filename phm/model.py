@@ -148,7 +148,8 @@ class Fault:
 
     `by` is ``itself`` or the name of the action that ended it; `blocks` lists the units that are
     STALE because of it, in the order in which they were found; `consequences` names the checks that
-    cannot be well while it lasts, by the graph of needs (known at once, when the alarm is raised).
+    cannot be well while it lasts, by the graph of needs (known at once, when the alarm is raised);
+    `suspects` names units that were ERROR then and can be behind anything, a full disk: a hint, not a verdict.
     """
 
     id: str
@@ -162,6 +163,7 @@ class Fault:
     by: str = ""
     blocks: tuple[str, ...] = ()
     consequences: tuple[str, ...] = ()
+    suspects: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

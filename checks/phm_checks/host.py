@@ -13,6 +13,8 @@ MARGIN = 0.05
 """A level is left only when the value is this share of the limit below it, so that a value at the limit does not flap."""
 STEP_TOLD_S = 30.0
 """A jump of the clock lasts one reading; it is told for this long so that it is seen."""
+SUSPECTS = ("memory", "disk")
+"""A full disk or used-up memory can be behind any fault; neither need be."""
 _MOST_READINGS = 1000
 
 
@@ -55,7 +57,8 @@ class Host(api.Check):
 
     @property
     def units(self) -> Sequence[api.Unit]:
-        return tuple(api.Unit(f"host/{part}") for part in ("cpu", "memory", "disk", "temperature", "clock"))
+        parts = ("cpu", "memory", "disk", "temperature", "clock")
+        return tuple(api.Unit(f"host/{part}", suspect=part in SUSPECTS) for part in parts)
 
     def run(self, world: api.World) -> Mapping[str, api.Result]:
         fact = world.host.read()

@@ -6,13 +6,15 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 
 from phm.model import (
     ActionEvent,
     Event,
+    Fault,
     FaultClosed,
+    FaultOpened,
     Level,
     Note,
     Outcome,
@@ -68,11 +70,12 @@ def encode(line: str) -> bytes:
 
 
 class TextLines:
-    """Turns events into lines. Remembers only what later lines need: slots of units, told escalations."""
+    """Turns events into lines. Remembers only what later lines need: slots of units, open faults, told escalations."""
 
     def __init__(self) -> None:
         self._slots: dict[str, Slot] = {}
         self._escalated: deque[str] = deque(maxlen=_REMEMBERED)
+        self._faults: dict[str, Fault] = {}
         self._open_report: int | None = None
 
     def of(self, event: Event) -> list[str]:
@@ -84,14 +87,17 @@ class TextLines:
             self._slots[event.unit] = event.state.slot
             # While a report is being made, what turns out well is in its list a moment later.
             if not (self._open_report is not None and (event.old, event.new) == (Level.STALE, Level.OK)):
-                yield _unit_line(event.at, event.state)
+                yield _unit_line(event.at, event.state, self._faults.get(event.unit))
         elif isinstance(event, ReportStarted):
             yield from self._begin(event.at, event.number)
         elif isinstance(event, Report):
             yield from self._report(event)
         elif isinstance(event, ActionEvent):
             yield from self._action(event)
+        elif isinstance(event, FaultOpened):
+            self._faults[event.fault.unit] = event.fault
         elif isinstance(event, FaultClosed):
+            self._faults.pop(event.fault.unit, None)
             yield from self._closed(event)
         elif isinstance(event, Note):
             yield _line(event.at, note_kind(event.kind), None, event.text)
@@ -106,7 +112,7 @@ class TextLines:
         self._open_report = None
         self._slots = {state.unit: state.slot for state in report.units}
         for _check, states in groupby(report.units, key=lambda state: (state.check, state.slot)):
-            yield from _check_lines(report.at, tuple(states))
+            yield from _check_lines(report.at, tuple(states), self._faults)
         array = status_array(report.units)
         yield (
             f"{clock_text(report.at.utc)} REPORT Successes: {array.count(1)}, Failures: {array.count(0)}, "
@@ -150,8 +156,25 @@ def _action_words(event: ActionEvent) -> str:
     return f"{what} for {event.unit}: {event.phase.value}" if event.unit else f"{what}: {event.phase.value}"
 
 
-def _unit_line(at: Stamp, state: UnitState) -> str:
-    return _line(at, unit_kind(state), state.slot, _message(state))
+def _unit_line(at: Stamp, state: UnitState, fault: Fault | None = None) -> str:
+    known = fault if fault is not None and fault.id == state.fault else None
+    return _line(
+        at, unit_kind(state), state.slot, _message(state) + (following(known, state.result.summary) if known else "")
+    )
+
+
+def following(fault: Fault, text: str) -> str:
+    """What stands behind a fault's sentence `text`: its consequences, and what else is bad and could be its cause.
+
+    ``: blocks nodes, topics, rates; host/disk is also bad``; ``; blocks ...`` after a sentence that has its colon.
+    """
+    parts = []
+    if fault.consequences:
+        parts.append(f"{';' if ': ' in text else ':'} blocks {', '.join(fault.consequences)}")
+    if fault.suspects:
+        is_bad = "is" if len(fault.suspects) == 1 else "are"
+        parts.append(f"; {', '.join(fault.suspects)} {is_bad} also bad")
+    return "".join(parts)
 
 
 def _message(state: UnitState) -> str:
@@ -162,14 +185,14 @@ def _message(state: UnitState) -> str:
     )
 
 
-def _check_lines(at: Stamp, states: Sequence[UnitState]) -> Iterator[str]:
+def _check_lines(at: Stamp, states: Sequence[UnitState], faults: Mapping[str, Fault]) -> Iterator[str]:
     """The units of one check: what is well in one line, at the place of the first; everything else by itself."""
     judged = [state for state in states if unit_kind(state) != "BYPASS"]
     well = [state for state in judged if state.level is Level.OK]
     folded = len(well) > 1
     for state in states:
         if not folded or state not in well:
-            yield _unit_line(at, state)
+            yield _unit_line(at, state, faults.get(state.unit))
         elif state is well[0]:
             yield _line(at, "SUCCESS", state.slot, _folded(well, len(judged)))
 

@@ -97,6 +97,8 @@ def fault_json(fault: Fault, *, blocks: Sequence[str] | None = None) -> dict[str
         "outcome": fault.outcome.value,
         "by": fault.by,
         "blocks": list(fault.blocks if blocks is None else blocks),
+        "consequences": list(fault.consequences),
+        "suspects": list(fault.suspects),
     }
 
 

@@ -400,6 +400,33 @@ def test_a_fault_lists_what_it_blocks() -> None:
     assert bench.tracker.open_faults()[0].blocks == ("nodes", "topics")
 
 
+def test_a_fault_names_its_consequences_when_it_opens() -> None:
+    """Which checks cannot be well follows from the graph, in slot order, before any of them has been seen bad."""
+    rates = Tracked(Unit("rates/t"), "rates", Slot.RATES, Layer.ROS, needs=("topics/t",))
+    topics = Tracked(Unit("topics/t"), "topics", Slot.TOPICS, Layer.ROS, needs=("nodes/a", "nodes/b"))
+    nodes = [Tracked(Unit(f"nodes/{n}"), "nodes", Slot.NODES, Layer.ROS, needs=("container",)) for n in "ab"]
+    bench = Bench([rates, topics, *nodes, unit("container"), unit("files")])
+    bench.see("container", BAD)
+    [event] = [event for event in bench.events if isinstance(event, FaultOpened)]
+    assert event.fault.consequences == ("nodes", "topics", "rates")
+    assert event.fault.blocks == ()
+
+
+def test_a_suspect_is_named_and_blocks_nobody() -> None:
+    """A full disk can be behind a dead node but need not be: the fault is told, with the disk as a hint."""
+    disk = Tracked(Unit("host/disk", suspect=True), "host", Slot.HOST, Layer.COMPANION)
+    bench = Bench([disk, unit("nodes")])
+    bench.all_well()
+    bench.see("host/disk", warn("nearly full", brief="disk 90%"))
+    bench.see("nodes", BAD)
+    bench.see("nodes", OK)
+    bench.see("host/disk", BAD)
+    bench.see("nodes", BAD)
+    assert bench.opened == ["nodes", "host/disk", "nodes"]
+    opened = [event.fault for event in bench.events if isinstance(event, FaultOpened)]
+    assert [fault.suspects for fault in opened] == [(), (), ("host/disk",)]
+
+
 def test_what_goes_before_its_stopped_container_is_no_fault() -> None:
     """`docker stop`: nodes say goodbye before the container has exited, and the container alone is told."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app", settle_s=0.3)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from phm.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
@@ -174,6 +176,28 @@ def test_giving_up_is_said_once() -> None:
     lines = TextLines()
     assert len(lines.of(action(Phase.ESCALATED, "land"))) == 1
     assert lines.of(closed(NODE_DEAD, Outcome.ESCALATED, "restart", 5.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("summary", "suspects", "told"),
+    [
+        ("ros_app exited 137 (killed)", (), "ros_app exited 137 (killed): blocks nodes, topics"),
+        ("ros_app is dead: remove it", (), "ros_app is dead: remove it; blocks nodes, topics"),
+        ("ros_app exited", ("host/disk",), "ros_app exited: blocks nodes, topics; host/disk is also bad"),
+    ],
+)
+def test_a_failure_names_cause_and_consequences(summary: str, suspects: tuple[str, ...], told: str) -> None:
+    """While the fault is open its line says what it blocks and what else is bad; after it nothing remains."""
+    state = replace(unit("container/ros_app", Slot.CONTAINER, Level.ERROR, summary), fault="ab12-1")
+    event = opened(state)
+    lines = TextLines()
+    assert (
+        lines.of(replace(event, fault=replace(event.fault, consequences=("nodes", "topics"), suspects=suspects))) == []
+    )
+    assert lines.of(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {told}"]
+    assert lines.of(Report(at(), 1, at(), (state,)))[1] == f"{STAMP} ---- FAILURE: (2) {told}"
+    lines.of(closed(state, Outcome.RESOLVED, "itself", 1.0))
+    assert lines.of(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {summary}"]
 
 
 def test_what_a_transition_has_told_is_not_repeated() -> None:
