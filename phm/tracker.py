@@ -11,7 +11,7 @@ The rules, in the order in which `_judge` applies them to a unit's newest result
 5. A bad result during grace (after start, after a need recovered) is `not known yet`. Grace ends early when
    the unit has been OK for SURE_S.
 6. Otherwise all its needs are run again; it is told only when each has answered since, when it was bad
-   `failures` times in a row, and when it has lasted `settle_s`.
+   `failures` times in a row, and when it has lasted `settle_s`. Needs that are STALE get UNKNOWN_S to be known.
 
 So one cause raises one alarm, whatever order the evidence arrives in, as long as the evidence of the
 cause arrives within the dependent's `settle_s`.
@@ -45,6 +45,8 @@ CONFIGURATION = "configuration"
 RESTORED = "restored after a restart of PHM"
 ASK_AGAIN_S = 1.0
 """While a bad result waits to be confirmed, it and its needs are run again this often."""
+UNKNOWN_S = 10.0
+"""How long a bad result waits for a need that is STALE at the moment."""
 SURE_S = 2.5
 """Grace ends early once a unit has been OK for this long: shorter could be the memory of what was there before (a killed
 node stays listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
@@ -317,10 +319,16 @@ class Tracker:
             entry.pending_since = now.mono
             step.rerun.update(upstream)
         asked = all(self._units[need].started >= entry.pending_since for need in upstream)
+        # What it needs may be the cause and is not known at the moment: it gets time to become known, not for ever.
+        unknown = any(self._unknown(need) for need in upstream) and now.mono - entry.pending_since < UNKNOWN_S
         settled = now.mono - entry.pending_since >= entry.spec.unit.settle_s
-        if asked and settled and entry.bad_in_a_row >= entry.spec.failures:
+        if asked and settled and not unknown and entry.bad_in_a_row >= entry.spec.failures:
             entry.pending_since = None
             self._tell(entry, result.level, result, now, step)
+
+    def _unknown(self, name: str) -> bool:
+        raw = self._units[name].raw
+        return raw is None or raw.level is Level.STALE
 
     def _cause(self, entry: _Unit) -> str:
         """The first unit upstream that is failing; if that one is under repair, the fault being repaired."""

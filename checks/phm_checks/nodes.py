@@ -41,6 +41,8 @@ class Nodes(api.Check):
         self._units = tuple(units)
         self._grace_s = grace_s
         self._seen: set[str] = set()
+        self._listed_by_this_child: set[str] = set()
+        self._child_up_s = 0.0
         self._lives: dict[str, str] = {}
         self._twice_since: dict[str, float] = {}
 
@@ -75,6 +77,9 @@ class Nodes(api.Check):
         if fact.age_s > OLD_PICTURE_S:
             words = f"the newest picture of the ROS graph is {span(fact.age_s)} old, too old to judge by"
             return {node.unit: api.stale(words) for node in self._wanted}
+        if fact.up_s < self._child_up_s:
+            self._listed_by_this_child.clear()
+        self._child_up_s = fact.up_s
         return {node.unit: self._judge(world, node, fact) for node in self._wanted}
 
     def _judge(self, world: api.World, node: Wanted, fact: api.RosFact) -> api.Result:
@@ -82,7 +87,8 @@ class Nodes(api.Check):
         if count:
             return self._listed(world, node, count)
         self._twice_since.pop(node.name, None)
-        if fact.up_s < self._grace_s:
+        # A picture that once had the node and has it no more is proof, however young it is.
+        if fact.up_s < self._grace_s and node.name not in self._listed_by_this_child:
             return api.stale(
                 f"node {node.name} is not listed yet; PHM has looked at the graph for {span(fact.up_s)} only"
             )
@@ -106,6 +112,7 @@ class Nodes(api.Check):
         return [name for name in fact.nodes if name not in configured]
 
     def _listed(self, world: api.World, node: Wanted, count: int) -> api.Result:
+        self._listed_by_this_child.add(node.name)
         if node.name not in self._seen:
             self._forget_earlier_life(world, node.container)
             self._seen.add(node.name)

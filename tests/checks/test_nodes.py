@@ -135,3 +135,14 @@ def test_a_node_of_an_unknown_container_needs_none() -> None:
     settings = testing.settings(containers=[{"name": "a"}, {"name": "b"}], ros={"nodes": [{"name": "/n"}]})
     (check,) = Nodes.build(settings)
     assert check.units == (api.Unit("nodes/n", settle_s=SETTLE_S, grace_s=8.0),)
+
+
+def test_a_node_that_a_young_picture_had_and_lost_is_dead() -> None:
+    """The warm-up protects nodes that were not found yet, not nodes that were found and are gone."""
+    bench = Bench()
+    bench.ros.change(up_s=2.0)
+    bench.result()
+    bench.ros.change(nodes={}, up_s=3.0)
+    assert bench.result().level is api.Level.ERROR
+    bench.ros.change(up_s=0.5)
+    assert bench.result().level is api.Level.STALE

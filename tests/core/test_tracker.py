@@ -451,3 +451,34 @@ def test_a_stop_that_does_not_come_about_masks_nothing_for_long() -> None:
         bench.see("container", OK)
         bench.see("nodes", BAD)
     assert bench.opened == ["nodes"]
+
+
+def test_a_need_that_is_not_known_gets_time_to_be_known() -> None:
+    """A topic is silent while the graph is still being learned: its dead node is told, not the topic."""
+    bench = chain()
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", stale("the graph is young"))
+    bench.see("topics", BAD)
+    bench.see("container", OK)
+    bench.later(3.0)
+    bench.see("nodes", stale("the graph is young"))
+    assert bench.opened == []
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    assert bench.opened == ["nodes"]
+    assert bench.blocked_by("topics") == "nodes"
+
+
+def test_a_need_that_stays_unknown_does_not_hide_a_fault_for_ever() -> None:
+    """A check that never comes to a verdict costs ten seconds, not the alarm."""
+    bench = chain()
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", stale("the graph is young"))
+    bench.see("topics", BAD)
+    for _ in range(11):
+        bench.later(1.0)
+        bench.see("container", OK)
+        bench.see("nodes", stale("the graph is young"))
+    assert bench.opened == ["topics"]
