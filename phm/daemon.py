@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import signal
 import threading
 import uuid
+from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
@@ -15,15 +17,19 @@ from phm.api import Check
 from phm.assembly import Parts, assemble
 from phm.bus import Bus
 from phm.clock import Clock, SystemClock
+from phm.control import Control
 from phm.engine import WATCH_S, Batch, Engine
 from phm.facts import CannotTell
-from phm.model import ActionEvent, Event, Phase, UnitState
+from phm.model import ActionEvent, Event, Fault, Phase, UnitState
 from phm.pipeline import Pipeline
 from phm.plan import Plan, make
 from phm.probes.docker_watch import DockerEvent
 from phm.recovery.actions import join
 from phm.recovery.base import Action, ActionContext
-from phm.recovery.executor import Executor, Shop
+from phm.recovery.executor import Executor
+from phm.recovery.shop import Shop
+from phm.recovery.state import State
+from phm.recovery.state_file import Keeper, StateFile
 from phm.reporters.base import Reporter, ReporterContext
 from phm.settings import Settings
 from phm.tracker import Tracker
@@ -66,14 +72,20 @@ class Daemon:
         self.pipeline.attach(self.engine.wake_units)
         self.reporters: list[Reporter] = []
         self.executor: Executor | None = None
+        self.control: Control | None = None
+        self.keeper: Keeper | None = None
         self._stop = threading.Event()
         self._heart = threading.Thread(target=self._beat_on, name="phm-heart", daemon=True)
 
     # ------------------------------------------------------------ life
 
     def start(self) -> None:
+        file = StateFile(self.settings.state_dir, self.clock)
+        state, problem = file.load(self.settings.recovery.window)
+        gone = self.pipeline.restore(state.faults, state.given_up)
         self._start_reporters()
-        self._start_recovery()
+        self._start_recovery(state, file)
+        self._tell_what_was_restored(state, problem, gone)
         self._tell_what_could_not_load()
         self.parts.start()
         threading.Thread(target=self._join_networks, name="phm-join", daemon=True).start()
@@ -99,10 +111,14 @@ class Daemon:
     def stop(self) -> None:
         self._stop.set()
         self.pipeline.note("PHM", "PHM is stopping")
+        if self.control is not None:
+            self.control.close()
         if self.executor is not None:
             self.executor.stop()
         self.engine.stop()
         self.bus.close()
+        if self.keeper is not None:
+            self.keeper.tick()
         for reporter in self.reporters:
             try:
                 reporter.close()
@@ -145,13 +161,16 @@ class Daemon:
 
     def _problems(self) -> tuple[float, tuple[str, ...], dict[str, int], tuple[str, ...]]:
         problems = [problem for reporter in self.reporters if (problem := reporter.problem())]
+        parts = (self.keeper, self.control)
+        problems += [problem for part in parts if part is not None and (problem := part.problem())]
         uptime_s = self.clock.mono() - self._started.mono
         return uptime_s, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems())
 
     def _start_reporters(self) -> None:
         context = ReporterContext(
-            self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink
-        )
+            self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink,
+            restored=self.pipeline.open_faults(),
+        )  # fmt: skip
         for found in registry.find(registry.REPORTERS, Reporter):
             if found.loaded is None:
                 continue
@@ -168,7 +187,7 @@ class Daemon:
                     tick=reporter.tick, period_s=reporter.period_s,
                 )  # fmt: skip
 
-    def _start_recovery(self) -> None:
+    def _start_recovery(self, state: State, file: StateFile) -> None:
         actions = registry.usable(registry.find(registry.ACTIONS, Action))
         graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
         shop = Shop(
@@ -176,11 +195,45 @@ class Daemon:
             self._armed, lambda unit: graces.get(unit, 0.0),
         )  # fmt: skip
         self.executor = Executor(shop)
+        for cut_short in self.executor.restore(state):
+            self.pipeline.note("PHM", cut_short)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
+        self.keeper = Keeper(file, self.pipeline, self.executor.kept, self.clock)
+        self.bus.subscribe(
+            "state", self.keeper.handle, kinds=Keeper.kinds, key=Keeper.key, tick=self.keeper.tick,
+            period_s=Keeper.period_s,
+        )  # fmt: skip
+        self.control = Control(self.settings.run_dir, self.executor.approve, self.pipeline.note)
+        self.control.start()
+
+    def _tell_what_was_restored(self, state: State, problem: str, gone: tuple[Event, ...]) -> None:
+        if problem:
+            self.pipeline.note("PHM", f"warning: {problem}")
+        for event in gone:
+            self.bus.publish(event)
+        for fault in self.pipeline.open_faults():
+            self.pipeline.note("PHM", f"{fault.unit}: fault {fault.id} is still open after a restart of PHM")
+        for fault in self.pipeline.given_up():
+            self.pipeline.note("PHM", f"{fault.unit}: fault {fault.id} was given up before the restart of PHM")
+        attempts = sum(len(made) for made in state.recovery.attempts.values())
+        if attempts:
+            self.pipeline.note("PHM", f"{attempts} recovery attempts of before the restart of PHM are remembered")
 
     def _action_context(self) -> ActionContext:
         docker = self.parts.world.docker
-        return ActionContext(self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered)
+        return ActionContext(
+            self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
+            listed_nodes=lambda: self.parts.world.ros.look().nodes, armed=self._armed, holding=self._holding,
+        )  # fmt: skip
+
+    @contextlib.contextmanager
+    def _holding(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
+        """A container that is restarted because of another one's fault raises none of its own meanwhile."""
+        self.pipeline.hold(key, fault.unit, action, at_most_s)
+        try:
+            yield
+        finally:
+            self.pipeline.release(key, worked=True)
 
     def _publish_action(self, event: Event) -> None:
         self.bus.publish(event)

@@ -6,11 +6,12 @@ Found through the entry-point group ``phm.actions``; the entry point's name is t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import ClassVar
 
-from phm.facts import Attachment, ContainerFact
+from phm.facts import Attachment, CannotTell, ContainerFact
 from phm.model import Fault
 from phm.settings import ContainerSettings, Settings
 from phm.transport.docker import Engine
@@ -20,6 +21,14 @@ class ActionFailed(Exception):
     """The step could not be done; the message says why and what an operator can do."""
 
 
+def _no_graph() -> Mapping[str, int]:
+    raise CannotTell("no ROS graph is watched")
+
+
+def _no_hold(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractContextManager[None]:
+    return nullcontext()
+
+
 @dataclass(frozen=True)
 class ActionContext:
     """What an action may use.
@@ -27,6 +36,9 @@ class ActionContext:
     container:  the engine's view of a configured container now, or None when there is none.
     myself:     PHM's own container, or None when it runs on the host.
     remembered: how a container was attached to a network when that was last seen.
+    listed_nodes: ROS nodes in the graph now, with how often each is listed. Raises CannotTell.
+    armed:      whether the autopilot is armed, or must be taken for armed.
+    holding:    while it is entered, what breaks in that other container follows from this fault's repair.
     """
 
     engine: Engine
@@ -34,6 +46,9 @@ class ActionContext:
     container: Callable[[str], ContainerFact | None]
     myself: Callable[[], ContainerFact | None]
     remembered: Callable[[str, str], Attachment | None]
+    listed_nodes: Callable[[], Mapping[str, int]] = _no_graph
+    armed: Callable[[], bool] = lambda: False
+    holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
 
 
 class Action(ABC):
@@ -42,6 +57,11 @@ class Action(ABC):
     name: ClassVar[str]
     deadline_s: ClassVar[float] = 20.0
     on_myself: ClassVar[bool] = False
+
+    @classmethod
+    def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
+        """Whether the configuration has what this step needs; a rung that does not apply is left out of the ladder."""
+        return True
 
     @abstractmethod
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:

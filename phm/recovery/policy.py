@@ -29,10 +29,18 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "disconnected": ("reconnect", "restart"),
     "address_silent": ("reconnect", "restart"),
     "sidecar_apart": ("join",),
-    "node_missing": ("restart",),
+    "node_missing": ("relaunch", "restart"),
+    "silent": ("relaunch", "restart"),
+    "rate_low": ("relaunch", "restart"),
+    "file_missing": ("restore",),
+    "file_not_executable": ("restore",),
+    "file_altered": ("restore",),
+    "device_replugged": ("restart",),
 }
-"""Built-in ladders by condition. Conditions that are not here are told and left alone: a missing file,
-a lost device or a slow topic is not mended by restarting."""
+"""Built-in ladders by condition. Conditions that are not here are told and left alone: `restarting` because the engine's
+own restart policy is at work and is not fought, `not_received` because a blocked transport outlives every restart."""
+PATIENT = frozenset({"silent", "rate_low"})
+"""Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,15 +116,17 @@ def decide(
     settings: RecoverySettings,
     free_actions: frozenset[str] = frozenset(),
     approved: bool = False,
+    usable: frozenset[str] | None = None,
 ) -> Decision:
     """What to do about `fault` at `now` (monotonic seconds).
 
     armed: True also when an autopilot is configured and silent (unknown counts as armed).
     approved: an operator has said yes to this fault: mode advise and the armed state no longer hold it back.
     free_actions: actions on PHM's own container; they endanger nobody, so mode, opt-in and arming do not bind them.
+    usable: the actions that apply to this fault; other rungs are left out. None: all.
     """
     condition = fault.result.condition
-    ladder = tuple(settings.ladders.get(condition, LADDERS.get(condition, ())))
+    ladder = tuple(rung for rung in ladder_of(condition, settings) if usable is None or rung in usable)
     if not ladder:
         return Leave(f"no action is known for {condition or 'this'}")
     same = _same_failures(history, fault, now, settings.verify)
@@ -130,8 +140,10 @@ def decide(
             return Leave(f"{container.key} has not opted in (recover: true)")
     if len(same) >= settings.same_failure:
         return GiveUp(action, f"{len(same)} attempts did not help")
+    if condition in PATIENT and now < fault.opened.mono + settings.patience:
+        return Wait(fault.opened.mono + settings.patience, "it may come back by itself")
     bound = action not in free_actions and not approved
-    if bound and container is not None and _critical_now(container, armed):
+    if bound and container is not None and critical_now(container, armed):
         return Advise(action, "flight-critical and armed", again_at=now + ARMED_AGAIN_S)
     if bound and settings.mode == "advise":
         return Advise(action, "recovery only advises")
@@ -144,7 +156,13 @@ def decide(
     return Act(action, len(same) + 1)
 
 
-def _critical_now(container: ContainerSettings, armed: bool) -> bool:
+def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:
+    """The user's ladder for the condition, else the built-in one, else none."""
+    return tuple(settings.ladders.get(condition, LADDERS.get(condition, ())))
+
+
+def critical_now(container: ContainerSettings, armed: bool) -> bool:
+    """Whether the container must be left alone in the air unless an operator approves."""
     return armed and container.flight_critical and container.when_armed == "advise"
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import posixpath
 import tarfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -38,10 +39,11 @@ from phm.transport.docker_errors import (
     translate,
 )
 from phm.transport.docker_http import EventStream, client_for, resolver_for, using
+from phm.transport.docker_tar import FileCopy, pack, unpack
 
 __all__ = [
     "Engine", "EngineBroken", "EngineConflict", "EngineError", "EngineMissing", "EngineRefused",
-    "EngineTimeout", "EngineUnreachable", "EventStream",
+    "EngineTimeout", "EngineUnreachable", "EventStream", "FileCopy",
 ]  # fmt: skip
 
 T = TypeVar("T")
@@ -138,14 +140,24 @@ class Engine:
 
         Raises CannotTell when the path is no regular file (a link is not followed) or exceeds `limit`.
         """
+        return self._fetch(container, path, sink, limit, deadline_s).size
 
-        def ask(client: APIClient) -> int:
+    def fetch_file(self, container: str, path: str, limit: int) -> FileCopy:
+        """The file with its mode and owner; as `copy_file`, with the time that an action has."""
+        content = bytearray()
+        member = self._fetch(container, path, content.extend, limit, self.timeout_s + ACT_MARGIN_S)
+        return FileCopy(bytes(content), member.mode & 0o7777, member.uid, member.gid)
+
+    def _fetch(
+        self, container: str, path: str, sink: Callable[[bytes], object], limit: int, deadline_s: float | None
+    ) -> tarfile.TarInfo:
+        def ask(client: APIClient) -> tarfile.TarInfo:
             response = client.get(
                 _archive_url(client, container), params={"path": path}, stream=True, timeout=client.timeout
             )
             try:
                 _raise_for_status(response)
-                return _untar(response, sink, f"{path} in {container}", limit)
+                return unpack(response, sink, f"{path} in {container}", limit)
             finally:
                 response.close()
 
@@ -209,6 +221,52 @@ class Engine:
             ),
             f"connect {container} to {network}",
         )
+
+    def exec_detached(self, container: str, argv: Sequence[str], user: str = "") -> None:
+        """Start a program in a running container, with its environment and as its user unless another is given.
+
+        No shell is involved. Returns when the program has been started; how it ends is not known here.
+        """
+
+        def ask(client: APIClient) -> None:
+            made = client.exec_create(container, list(argv), stdout=False, stderr=False, user=user)
+            client.exec_start(made["Id"], detach=True)
+
+        self._act(ask, f"run {argv[0] if argv else 'nothing'} in {container}")
+
+    def put_file(
+        self, container: str, path: str, data: bytes, mode: int, uid: int = 0, gid: int = 0, *, base: str = ""
+    ) -> None:
+        """Put a regular file at `path`, replacing one that is there; a folder is never replaced.
+
+        base: a folder above it that exists (default: the one it is in); folders below that are made.
+        """
+        folder = base or posixpath.dirname(path)
+        made = pack(posixpath.relpath(path, folder), FileCopy(data, mode, uid, gid), self._clock.utc())
+
+        def ask(client: APIClient) -> None:
+            params = {"path": folder, "noOverwriteDirNonDir": "true"}
+            _raise_for_status(
+                client.put(_archive_url(client, container), params=params, data=made, timeout=client.timeout)
+            )
+
+        self._act(ask, f"put {path} into {container}")
+
+    def create_from_image(self, image: str, labels: Mapping[str, str], name: str = "") -> str:
+        """Make a container that is not to be started, without network, to look into an image; its id."""
+
+        def ask(client: APIClient) -> str:
+            alone = client.create_host_config(network_mode="none")
+            made = client.create_container(
+                image, command=["never-started"], name=name or None, labels=dict(labels), host_config=alone
+            )
+            return str(made["Id"])
+
+        return self.call(ask, deadline_s=self.timeout_s + ACT_MARGIN_S, what=f"make a container of {image}")
+
+    def remove(self, ref: str) -> None:
+        """Remove a container that does not run, with its nameless volumes."""
+        self._act(lambda client: client.remove_container(ref, v=True), f"remove {ref}")
 
     # ------------------------------------------------------------ how
 
@@ -291,39 +349,3 @@ def _raise_for_status(response: Response) -> None:
         response.raise_for_status()
     except requests.HTTPError as error:
         create_api_error_from_http_exception(error)
-
-
-class _Reader:
-    """`read(n)` over the pieces of a response, as tarfile's stream mode wants it."""
-
-    def __init__(self, response: Response) -> None:
-        self._pieces = response.iter_content(64 << 10)
-        self._rest = b""
-
-    def read(self, size: int) -> bytes:
-        parts, missing = [], size
-        while missing > 0:
-            piece = self._rest or next(self._pieces, b"")
-            if not piece:
-                break
-            parts.append(piece[:missing])
-            self._rest, missing = piece[missing:], missing - len(parts[-1])
-        return b"".join(parts)
-
-
-def _untar(response: Response, sink: Callable[[bytes], object], what: str, limit: int) -> int:
-    """Hand the only file of the tar to `sink`."""
-    with tarfile.open(fileobj=_Reader(response), mode="r|") as archive:  # type: ignore[call-overload]
-        member = archive.next()
-        content = archive.extractfile(member) if member is not None and member.isreg() else None
-        if member is None or content is None:
-            raise CannotTell(f"{what} is no regular file")
-        if member.size > limit:
-            raise CannotTell(f"{what} has {member.size} bytes, more than the {limit} that PHM reads")
-        size = 0
-        while piece := content.read(64 << 10):
-            sink(piece)
-            size += len(piece)
-        if size != member.size:
-            raise EOFError(f"got {size} of {member.size} bytes")
-        return size

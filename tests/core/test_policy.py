@@ -43,8 +43,28 @@ def test_mode_off_does_nothing_and_advise_only_says() -> None:
 
 
 def test_a_condition_without_a_ladder_is_left_alone() -> None:
-    """A missing file is not mended by a restart."""
-    assert isinstance(say(fault=fault("file_missing")), Leave)
+    """A missing device is not mended by a restart, nor is a blocked transport; the engine's crash loop is its own."""
+    for condition in ("device_missing", "not_received", "restarting"):
+        assert isinstance(say(fault=fault(condition)), Leave)
+
+
+def test_rungs_that_do_not_apply_are_left_out_of_the_ladder() -> None:
+    """No relaunch command: restart at once, and that is no failed attempt; nothing left: leave it alone."""
+    missing = fault("node_missing")
+    assert say(fault=missing, usable=frozenset({"restart"})) == Act("restart", 1)
+    assert say(fault=missing, usable=frozenset({"relaunch", "restart"})) == Act("relaunch", 1)
+    assert isinstance(say(fault=fault("file_missing"), usable=frozenset()), Leave)
+
+
+@pytest.mark.parametrize("condition", ["silent", "rate_low"])
+def test_a_topic_that_pauses_is_given_time(condition: str) -> None:
+    """Nothing is done, and nothing advised, before the fault has lasted `recovery.patience`."""
+    for mode in ("act", "advise"):
+        rules = replace_rules(patience=10.0, mode=mode)
+        early = say(fault=fault(condition), now=1009.0, settings=rules)
+        assert early == Wait(1010.0, "it may come back by itself")
+    assert say(fault=fault(condition), now=1010.0) == Act("relaunch", 1)
+    assert say(fault=fault("node_missing"), now=1000.0) == Act("relaunch", 1)
 
 
 def test_the_configuration_may_replace_a_ladder() -> None:

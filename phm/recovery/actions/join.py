@@ -1,0 +1,35 @@
+"""Join a network oneself."""
+
+from __future__ import annotations
+
+from phm.model import Fault
+from phm.recovery.base import Action, ActionContext
+from phm.settings import ContainerSettings
+
+
+class Join(Action):
+    """Connect PHM's own container to the networks of a container, so that it can see its nodes."""
+
+    name = "join"
+    on_myself = True
+
+    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        return join(target, context) or f"PHM is on the networks of {target.key} already"
+
+
+def join(target: ContainerSettings, context: ActionContext) -> str:
+    """Join every network of `target` that PHM's container is not on; what was joined, in words, or empty."""
+    me = context.myself()
+    if me is None or me.network_mode == "host":
+        return ""
+    joined = []
+    for name in target.networks:
+        network = str(context.engine.inspect_network(name).get("Id", ""))
+        mine = next((entry for entry in me.networks if entry.name == name), None)
+        if mine is not None and mine.network_id == network:
+            continue
+        if mine is not None:
+            context.engine.disconnect(name, me.name, force=True)
+        context.engine.connect(network, me.id, aliases=(), address="")
+        joined.append(name)
+    return f"PHM joined network {', '.join(joined)}" if joined else ""

@@ -1,0 +1,65 @@
+"""Start one ROS node again inside its container, with the command that the user gave for it."""
+
+from __future__ import annotations
+
+from phm.facts import CannotTell
+from phm.model import Fault
+from phm.recovery.actions._common import present
+from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.settings import ContainerSettings, NodeSettings, Settings
+
+
+class Relaunch(Action):
+    """Run `nodes[].relaunch` through the engine's exec: word by word, detached, as the container's own user.
+
+    It never makes a second copy of a node: one that is still listed, or whose command still runs, is left
+    to the next rung of the ladder, which restarts the container and so ends the hung copy too.
+    """
+
+    name = "relaunch"
+
+    @classmethod
+    def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
+        return _node(target, fault, settings) is not None
+
+    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        node = _node(target, fault, context.settings)
+        if node is None:
+            raise ActionFailed(f"no relaunch command is configured for {fault.unit}: add it to its node in ros.nodes")
+        name = f"/{node.name.lstrip('/')}"
+        if self._listed(name, fault, context):
+            if fault.result.condition == "node_missing":
+                return f"{name} is listed again"
+            raise ActionFailed(f"{name} is still running, and a second copy would disturb it: relaunch does not help")
+        fact = present(target, context)
+        if _runs(" ".join(node.relaunch), fact.id, context):
+            raise ActionFailed(f"the command of {name} still runs in {target.key}, so a second copy is not started")
+        context.engine.exec_detached(fact.id, node.relaunch)
+        return f"relaunched {name} in {target.key}: {' '.join(node.relaunch)}"
+
+    @staticmethod
+    def _listed(name: str, fault: Fault, context: ActionContext) -> bool:
+        """Where nobody can tell, a node that was reported missing counts as missing, and any other as there."""
+        try:
+            return context.listed_nodes().get(name, 0) > 0
+        except CannotTell:
+            return fault.result.condition != "node_missing"
+
+
+def _node(target: ContainerSettings, fault: Fault, settings: Settings) -> NodeSettings | None:
+    """The node to start for this fault: of a topic the first publisher; None when it has no command."""
+    check, _, subject = fault.unit.partition("/")
+    name = subject if check == "nodes" else ""
+    if check in ("topics", "rates"):
+        topic = next((entry for entry in settings.ros.topics if entry.name.lstrip("/") == subject), None)
+        name = topic.publishers[0].lstrip("/") if topic is not None and topic.publishers else ""
+    node = next((entry for entry in settings.ros.nodes if entry.name.lstrip("/") == name), None)
+    if node is None or not node.relaunch or settings.container_of_node(node.name) != target.key:
+        return None
+    return node
+
+
+def _runs(command: str, container: str, context: ActionContext) -> bool:
+    """Whether some process of the container has this command line; an interpreter may stand before it."""
+    processes = context.engine.top(container).get("Processes") or []
+    return any(f" {command}" in f" {row[-1]}" for row in processes if row)

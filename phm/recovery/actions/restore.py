@@ -1,0 +1,146 @@
+"""Put a file back into a container, from the container's own image or from a golden copy."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import posixpath
+import stat
+
+from phm.facts import ContainerFact
+from phm.model import Fault
+from phm.recovery.actions._common import present
+from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.settings import ContainerSettings, FileSettings, Settings
+from phm.transport.docker import Engine, EngineMissing, FileCopy
+
+LIMIT = 16 << 20
+"""Bytes of the largest file that is put back: it is held in memory, beside the archive that carries it."""
+LABEL = "phm.restore"
+"""Carried, with the value 1, by the container that is made for a moment to read a file of an image."""
+_GO_DIRECTORY, _GO_LINK = 1 << 31, 1 << 27
+_GO_NOT_REGULAR = _GO_DIRECTORY | _GO_LINK | 1 << 26 | 1 << 25 | 1 << 24 | 1 << 21 | 1 << 19
+"""Bits of Go's FileMode: folder, link, device, pipe, socket, character device, anything else."""
+
+
+class Restore(Action):
+    """Put back every file of the container that has a `restore` and is missing, not executable or altered.
+
+    A copy whose SHA-256 is not the configured one is refused: a bad file is not replaced by another.
+    """
+
+    name = "restore"
+    deadline_s = 90.0
+
+    @classmethod
+    def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
+        """The file at fault can be put back; any file can when the check does not say which it is."""
+        path = fault.result.values.get("path")
+        return any(file.restore and file.present and path in (None, file.path) for file in target.files)
+
+    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        fact = present(target, context)
+        done, problems = [], []
+        for file in target.files:
+            if not file.restore or not file.present:
+                continue
+            try:
+                if put_back(file, fact, context.engine):
+                    done.append(f"{file.path} from {'its image' if file.restore == 'image' else file.restore}")
+            except ActionFailed as error:
+                problems.append(str(error))
+        if problems:
+            raise ActionFailed("; ".join([*problems, *(f"restored {words}" for words in done)]))
+        return (
+            f"restored in {target.key}: {', '.join(done)}" if done else f"the files of {target.key} are as they must be"
+        )
+
+
+def put_back(file: FileSettings, fact: ContainerFact, engine: Engine) -> bool:
+    """Restore one file; False when it is as it must be. Raises ActionFailed and the engine's errors."""
+    place = _place(engine, fact.id, file.path)
+    if _well(engine, fact.id, place, file):
+        return False
+    copy = _from_image(engine, fact, file.path) if file.restore == "image" else _golden(file.restore or "")
+    if file.sha256 and hashlib.sha256(copy.data).hexdigest() != file.sha256.lower():
+        raise ActionFailed(
+            f"the copy of {file.path} from {file.restore} has not the configured SHA-256: it is not used"
+        )
+    mode = copy.mode | 0o111 if file.executable else copy.mode
+    engine.put_file(fact.id, place, copy.data, mode, copy.uid, copy.gid, base=_base(engine, fact.id, place))
+    return True
+
+
+def _place(engine: Engine, container: str, path: str) -> str:
+    """Where a path leads in the container: the end of a symbolic link, else the path itself."""
+    path = posixpath.normpath(path)
+    try:
+        seen = engine.stat_path(container, path)
+    except EngineMissing:
+        return path
+    return posixpath.normpath(str(seen["linkTarget"])) if int(seen["mode"]) & _GO_LINK else path
+
+
+def _well(engine: Engine, container: str, path: str, file: FileSettings) -> bool:
+    """Whether nothing needs to be done. Raises ActionFailed when something else than a file stands there."""
+    try:
+        seen = engine.stat_path(container, path)
+    except EngineMissing:
+        return False
+    if int(seen["mode"]) & _GO_NOT_REGULAR:
+        raise ActionFailed(f"{path} is no regular file now, and is not replaced: remove what stands there")
+    if file.executable and not int(seen["mode"]) & 0o111:
+        return False
+    if file.sha256 is None:
+        return True
+    if int(seen["size"]) > LIMIT:
+        return False
+    digest = hashlib.sha256()
+    engine.copy_file(container, path, digest.update, limit=LIMIT)
+    return digest.hexdigest() == file.sha256.lower()
+
+
+def _base(engine: Engine, container: str, path: str) -> str:
+    """The nearest folder above `path` that is there: what is missing below it is made."""
+    folder = posixpath.dirname(path)
+    while folder != "/":
+        try:
+            if int(engine.stat_path(container, folder)["mode"]) & (_GO_DIRECTORY | _GO_LINK):
+                return folder
+            raise ActionFailed(f"{folder} is no folder, so {path} cannot be put there")
+        except EngineMissing:
+            folder = posixpath.dirname(folder)
+    return folder
+
+
+def _from_image(engine: Engine, fact: ContainerFact, path: str) -> FileCopy:
+    """The file as the image has it, read from a container that is made for this and never started."""
+    image = str(engine.inspect(fact.id).get("Image", ""))
+    name = f"phm-restore-{fact.id[:12]}"
+    with contextlib.suppress(EngineMissing):
+        engine.remove(name)  # left by a PHM that was killed meanwhile; only one PHM heals a container
+    made = engine.create_from_image(image, {LABEL: "1"}, name)
+    try:
+        return engine.fetch_file(made, _place(engine, made, path), LIMIT)
+    except EngineMissing as error:
+        raise ActionFailed(f"{path} is not in the image of {fact.name}: give another `restore`") from error
+    finally:
+        with contextlib.suppress(EngineMissing):
+            engine.remove(made)
+
+
+def _golden(path: str) -> FileCopy:
+    """The copy that PHM sees at `path`. Raises ActionFailed when it is not there, no regular file or too big."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with open(descriptor, "rb") as file:
+            seen = os.fstat(descriptor)
+            if not stat.S_ISREG(seen.st_mode):
+                raise ActionFailed(f"the golden copy {path} is no regular file")
+            data = file.read(LIMIT + 1)
+    except OSError as error:
+        raise ActionFailed(f"the golden copy {path} cannot be read: {error.strerror or error}") from error
+    if len(data) > LIMIT:
+        raise ActionFailed(f"the golden copy {path} has more than the {LIMIT >> 20} MiB that PHM puts back")
+    return FileCopy(data, stat.S_IMODE(seen.st_mode), seen.st_uid, seen.st_gid)

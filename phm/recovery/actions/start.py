@@ -1,0 +1,24 @@
+"""Start a container that has stopped."""
+
+from __future__ import annotations
+
+from phm.model import Fault
+from phm.recovery.actions._common import present, restart_dependants
+from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.settings import ContainerSettings
+
+
+class Start(Action):
+    """Start the container, then restart whoever depends on it."""
+
+    name = "start"
+    deadline_s = 120.0
+
+    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        fact = present(target, context)
+        if fact.status == "paused":
+            raise ActionFailed(f"{target.key} is paused, not stopped: unpause it")
+        if fact.running:
+            return f"{target.key} runs already"
+        context.engine.start(fact.id)
+        return f"started {target.key}{restart_dependants(target, fault, context)}"

@@ -1,0 +1,21 @@
+"""Let a paused container go on."""
+
+from __future__ import annotations
+
+from phm.model import Fault
+from phm.recovery.actions._common import present
+from phm.recovery.base import Action, ActionContext
+from phm.settings import ContainerSettings
+
+
+class Unpause(Action):
+    """Let a paused container go on."""
+
+    name = "unpause"
+
+    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        fact = present(target, context)
+        if fact.status != "paused":
+            return f"{target.key} is no longer paused"
+        context.engine.unpause(fact.id)
+        return f"unpaused {target.key}"

@@ -1,0 +1,72 @@
+"""One file as the engine's archive calls carry it: a tar with a single member, read as it comes or made in memory."""
+
+from __future__ import annotations
+
+import io
+import posixpath
+import tarfile
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from requests.models import Response
+
+from phm.facts import CannotTell
+
+_PIECE = 64 << 10
+
+
+@dataclass(frozen=True, slots=True)
+class FileCopy:
+    """A regular file: its content, permission bits and owner."""
+
+    data: bytes
+    mode: int
+    uid: int
+    gid: int
+
+
+class _Reader:
+    """`read(n)` over the pieces of a response, as tarfile's stream mode wants it."""
+
+    def __init__(self, response: Response) -> None:
+        self._pieces = response.iter_content(_PIECE)
+        self._rest = b""
+
+    def read(self, size: int) -> bytes:
+        parts, missing = [], size
+        while missing > 0:
+            piece = self._rest or next(self._pieces, b"")
+            if not piece:
+                break
+            parts.append(piece[:missing])
+            self._rest, missing = piece[missing:], missing - len(parts[-1])
+        return b"".join(parts)
+
+
+def unpack(response: Response, sink: Callable[[bytes], object], what: str, limit: int) -> tarfile.TarInfo:
+    """Hand the only file of the tar to `sink`; its header. Raises CannotTell for anything but a file within `limit`."""
+    with tarfile.open(fileobj=_Reader(response), mode="r|") as archive:  # type: ignore[call-overload]
+        member: tarfile.TarInfo | None = archive.next()
+        content = archive.extractfile(member) if member is not None and member.isreg() else None
+        if member is None or content is None:
+            raise CannotTell(f"{what} is no regular file")
+        if member.size > limit:
+            raise CannotTell(f"{what} has {member.size} bytes, more than the {limit} that PHM reads")
+        size = 0
+        while piece := content.read(_PIECE):
+            sink(piece)
+            size += len(piece)
+        if size != member.size:
+            raise EOFError(f"got {size} of {member.size} bytes")
+        return member
+
+
+def pack(path: str, copy: FileCopy, now: float) -> bytes:
+    """A tar that puts `copy` at the relative `path`, last changed at `now` (UTC seconds)."""
+    member = tarfile.TarInfo(posixpath.normpath(path))
+    member.size, member.mode, member.mtime = len(copy.data), copy.mode & 0o7777, int(now)
+    member.uid, member.gid = copy.uid, copy.gid
+    made = io.BytesIO()
+    with tarfile.open(fileobj=made, mode="w", format=tarfile.PAX_FORMAT) as archive:
+        archive.addfile(member, io.BytesIO(copy.data))
+    return made.getvalue()
