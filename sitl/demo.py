@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from rich.console import Console
 from rich.table import Table
 
+from phm.model import Slot
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
 from sitl.ground import Ground
@@ -80,7 +81,9 @@ class Demo:
 
     def _judge(self, fault: Fault, unit: str, moment: float, mark: int, heard: int) -> Outcome:
         events = self.record.events[mark:]
-        outcome = Outcome(fault, unit, [event for event in events if event["event"] == "fault_opened"])
+        # A busy machine may well raise an alarm about its own load meanwhile; it is shown, and is not what is judged.
+        told = [event for event in events if event["event"] == "fault_opened"]
+        outcome = Outcome(fault, unit, [event for event in told if event["slot"] != Slot.HOST])
         for event in events:
             if event["event"] == "fault_opened" and event["unit"] == unit and outcome.detected_s is None:
                 outcome.detected_s = event["mono"] - moment
@@ -90,7 +93,7 @@ class Demo:
             self.console.print(f"[cyan]ground[/]  {line.text}")
             if "FAIL" in line.text and outcome.told_s is None:
                 outcome.told_s = line.mono - moment
-        for event in outcome.opened:
+        for event in told:
             self.console.print(f"[red]fault[/]   {event['unit']}: {event['summary']}")
         return outcome
 

@@ -87,7 +87,8 @@ class Phm:
     def __init__(self, folder: Path, config: dict[str, Any], domain: int) -> None:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
-        config = {"run_dir": str(folder / "run"), "log": {"directory": str(folder / "log")}, **config}
+        places = {"run_dir": str(folder / "run"), "state_dir": str(folder / "state")}
+        config = {**places, "log": {"directory": str(folder / "log")}, **config}
         (folder / "phm.yaml").write_text(yaml.safe_dump(config))
         self.config = folder / "phm.yaml"
         self.environ = {**os.environ, "ROS_DOMAIN_ID": str(domain), "PHM_RUN_DIR": str(folder / "run")}
@@ -172,7 +173,8 @@ def config_for(app: Aboard, **more: Any) -> dict[str, Any]:
             }
         ],
         "ros": {"domain": app.domain, "nodes": [{"name": name} for name in names], "topics": topics},
-        "host": {"cpu": {"warn": 100, "error": 100}, "memory": {"warn": 99, "error": 100}, "disk": {"warn": 99, "error": 100}},
+        # The load of the machine that runs the tests is not what they are about.
+        "checks": {"host": {"enabled": False}},
         **more,
     }  # fmt: skip
 
