@@ -153,6 +153,8 @@ class DeviceFact:
     reason: str = ""
     description: str = ""
     """For serial ports, pyserial's words: product, maker, serial number, USB ids."""
+    inode: int = 0
+    """Of the device file: another one after the device was away; 0 when not told."""
 
 
 class DeviceProbe(Protocol):

@@ -90,7 +90,7 @@ class Container(PerContainer):
         if status == "restarting":
             words = (
                 f"{key} ends again and again; the engine waits to restart it (restart {fact.restart_count}; last exit code "
-                f"{fact.exit_code}: {code_in_words(fact.exit_code)}).{said} See `docker logs {fact.name}`"
+                f"{fact.exit_code}: {code_in_words(fact.exit_code)}).{said} PHM leaves it to the engine's restart policy; see `docker logs {fact.name}`"
             )
             return self._bad("restarting", words, "crash loop", values)
         told = {

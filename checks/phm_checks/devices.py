@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from phm import api
 from phm.api import Slot
@@ -20,6 +21,16 @@ def is_serial(fact: api.DeviceFact) -> bool:
     return fact.major in _SERIAL_MAJORS or (fact.major == 4 and fact.minor >= 64) or bool(fact.description)
 
 
+@dataclass(slots=True)
+class _Known:
+    """A device as it was first seen in this life of the container; `away` once it was missing or another since."""
+
+    life: str
+    numbers: tuple[int, int, int] | None
+    """Major, minor and inode; None when it was missing then."""
+    away: bool = False
+
+
 class Devices(PerContainer):
     """All configured devices of one container.
 
@@ -32,7 +43,7 @@ class Devices(PerContainer):
 
     def __init__(self, entry: api.ContainerSettings) -> None:
         super().__init__(entry)
-        self._numbers: dict[str, tuple[str, int, int]] = {}
+        self._known: dict[str, _Known] = {}
 
     @classmethod
     def wanted(cls, entry: api.ContainerSettings) -> bool:
@@ -77,6 +88,8 @@ class Devices(PerContainer):
                 fact = world.devices.look(path, open_it=True)
         except api.CannotTell as reason:
             return api.stale(f"device {path} cannot be judged: {clean(str(reason))}")
+        if container is not None:
+            self._remember(path, fact, container)
         if fact is None:
             return self._missing(world, path)
         if not fact.character:
@@ -117,10 +130,14 @@ class Devices(PerContainer):
             names = [one.container_path for one in mapped]
             if inside is not None and inside not in names:
                 problem = f"it appears there as {listed(names)}, expected {inside}"
-            elif self._renumbered(wanted.path, fact, container):
-                problem = "it was plugged in again and has new numbers that the container does not know: restart it"
         elif not container.privileged:
             problem = self._through_mount(wanted.path, fact, container)
+        if not problem and self._lost(wanted.path, container):
+            words = (
+                f"{wanted.path} was away and is back, but {self.key} still holds the device file that it had at its start: "
+                f"restart {self.key} to let it use the device again"
+            )
+            return self._bad(wanted.path, words, "plugged in again", "device_replugged")
         if not problem:
             return api.ok(f"{found}, mapped into {self.key}")
         words = f"{wanted.path} is there, but {self.key} cannot use it: {problem}"
@@ -138,14 +155,19 @@ class Devices(PerContainer):
             return False
         return other is not None and other.character and (other.major, other.minor) == (fact.major, fact.minor)
 
-    def _renumbered(self, path: str, fact: api.DeviceFact, container: api.ContainerFact) -> bool:
-        """Docker copies a device's numbers when the container starts; a device that comes back with others is lost to it."""
-        now = (container.life, fact.major, fact.minor)
-        before = self._numbers.get(path)
-        if before is None or before[0] != container.life:
-            self._numbers[path] = now
-            return False
-        return before != now
+    def _lost(self, path: str, container: api.ContainerFact) -> bool:
+        """Whether the container holds a device file of before; one that does not run gets a new one at its start."""
+        alive = container.status in ("running", "paused")
+        return alive and self._known[path].away and not _lives(path, container)
+
+    def _remember(self, path: str, fact: api.DeviceFact | None, container: api.ContainerFact) -> None:
+        """Docker copies a device file when the container starts; one that goes and comes back is lost to it."""
+        numbers = (fact.major, fact.minor, fact.inode) if fact is not None else None
+        known = self._known.get(path)
+        if known is None or known.life != container.life:
+            self._known[path] = _Known(container.life, numbers)
+        elif numbers is None or numbers != known.numbers:
+            known.away = True
 
     @staticmethod
     def _through_mount(path: str, fact: api.DeviceFact, container: api.ContainerFact) -> str:
@@ -166,6 +188,12 @@ class Devices(PerContainer):
 
     def _bad(self, path: str, words: str, short: str, condition: str) -> api.Result:
         return api.error(words, brief=brief(last(path), short), condition=condition, target=self.key)
+
+
+def _lives(path: str, container: api.ContainerFact) -> bool:
+    """Whether the container sees the device through a bound folder, such as all of /dev, so that it changes with the host's."""
+    folders = (one.source.rstrip("/") for one in container.mounts if one.kind == "bind")
+    return any(path.startswith(f"{folder}/") for folder in folders)
 
 
 def _because(text: str) -> str:

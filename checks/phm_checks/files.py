@@ -31,7 +31,9 @@ class Files(PerContainer):
 
     def run(self, world: api.World) -> api.Result:
         """All problems at once, the first in the brief; ERROR wins over what could not be seen."""
-        findings = [self._judge(world, wanted) for wanted in self.entry.files]
+        # What recovery can put back is named first: the condition of the first decides what is done.
+        ordered = sorted(self.entry.files, key=lambda wanted: wanted.restore is None)
+        findings = [self._judge(world, wanted) for wanted in ordered]
         first = api.worst(findings)
         values: dict[str, api.Value] = {
             "files": len(findings),
@@ -41,7 +43,7 @@ class Files(PerContainer):
             paths = listed(wanted.path for wanted in self.entry.files)
             return api.ok(f"File check passed: {paths}", **values)
         summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
-        return api.Result(first.level, summary, first.brief, first.condition, first.target, values)
+        return api.Result(first.level, summary, first.brief, first.condition, first.target, {**values, **first.values})
 
     def _judge(self, world: api.World, wanted: api.FileSettings) -> api.Result:
         where = f"{wanted.path} in {self.key}"
@@ -85,4 +87,6 @@ class Files(PerContainer):
         return api.ok(f"{where} is there and unaltered")
 
     def _bad(self, wanted: api.FileSettings, words: str, short: str, condition: str) -> api.Result:
-        return api.error(words, brief=brief(last(wanted.path), short), condition=condition, target=self.key)
+        return api.error(
+            words, brief=brief(last(wanted.path), short), condition=condition, target=self.key, path=wanted.path
+        )

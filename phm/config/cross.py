@@ -6,7 +6,7 @@ One function per rule; each looks at the raw tree through `View`, so it works be
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from phm.config.problems import shown, unknown
 from phm.config.view import View
@@ -73,6 +73,57 @@ def container_parts_stand_once(root: View) -> None:
         no_twins("network", ((entry.text, entry) for entry in container.get("networks").texts))
 
 
+def containers_start_in_order(root: View) -> None:
+    """`after` names other configured containers, and does not run in a circle."""
+    containers = [entry for entry in root.get("containers").records() if container_key(entry)]
+    known = {container_key(entry): entry for entry in containers}
+    graph: dict[str, set[str]] = {}
+    for key, entry in known.items():
+        no_twins("container", ((place.text, place) for place in entry.get("after").texts))
+        for place in entry.get("after").texts:
+            if place.text == key:
+                place.complain(f"container {shown(key)} cannot start after itself: remove it")
+            elif _configured(place, known):
+                way = _way(graph, place.text, key)
+                if way is not None:
+                    circle = " after ".join([key, *way])
+                    place.complain(f"containers wait for each other in a circle: {circle} (remove one of these)")
+                else:
+                    graph.setdefault(key, set()).add(place.text)
+
+
+def absent_files_have_no_copy(root: View) -> None:
+    for container in root.get("containers").records():
+        for file in container.get("files").records():
+            if file.get("present").value is False and file.get("restore").given:
+                file.get("restore").complain(
+                    "stands beside 'present: false': a file that must not be there is never restored"
+                )
+
+
+def relaunch_has_a_container(root: View) -> None:
+    """Where the command is to run must be known: the node's container, or the only one."""
+    if len(list(root.get("containers").entries())) == 1:
+        return
+    for node in root.get("ros", "nodes").records():
+        if node.get("relaunch").value and not node.get("container").given:
+            node.get("relaunch").complain("has no container to run in: add 'container' to this node")
+
+
+def _configured(place: View, known: Mapping[str, View]) -> bool:
+    """Whether the text is the key of a container in `known`; complains when not."""
+    real = {entry.get("name").text: key for key, entry in known.items()}
+    if place.text in known:
+        return True
+    if place.text in real:
+        place.complain(f"container {shown(place.text)} has the alias {shown(real[place.text])}: write that")
+    elif known:
+        place.complain(unknown("container", place.text, known))
+    else:
+        place.complain(f"unknown container {shown(place.text)}, none is configured: add it to 'containers'")
+    return False
+
+
 def ros_names_stand_once(root: View) -> None:
     for key, what in (("nodes", "node"), ("topics", "topic")):
         entries = (entry.get("name") for entry in root.get("ros", key).records())
@@ -85,18 +136,11 @@ def ros_names_stand_once(root: View) -> None:
 def ros_containers_exist(root: View) -> None:
     known = {container_key(container): container for container in root.get("containers").records()}
     known.pop("", None)
-    real = {container.get("name").text: key for key, container in known.items()}
     for key in ("nodes", "topics"):
         for entry in root.get("ros", key).records():
             place = entry.get("container")
-            if not place.text or place.text in known:
-                continue
-            if place.text in real:
-                place.complain(f"container {shown(place.text)} has the alias {shown(real[place.text])}: write that")
-            elif known:
-                place.complain(unknown("container", place.text, known))
-            else:
-                place.complain(f"unknown container {shown(place.text)}, none is configured: add it to 'containers'")
+            if place.text:
+                _configured(place, known)
 
 
 def topic_nodes_exist(root: View) -> None:
@@ -213,6 +257,7 @@ def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
 
 
 RULES: tuple[Callable[[View], None], ...] = (
-    containers_have_one_identity, containers_are_told_apart, container_parts_stand_once, ros_names_stand_once,
-    ros_containers_exist, topic_nodes_exist, endpoints_are_told_apart, limits_are_in_order, disks_stand_once,
+    containers_have_one_identity, containers_are_told_apart, container_parts_stand_once, containers_start_in_order,
+    absent_files_have_no_copy, ros_names_stand_once, ros_containers_exist, relaunch_has_a_container, topic_nodes_exist,
+    endpoints_are_told_apart, limits_are_in_order, disks_stand_once,
 )  # fmt: skip

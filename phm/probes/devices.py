@@ -80,7 +80,7 @@ class Devices:
         if reason == _GONE:
             return None
         major, minor = os.major(seen.st_rdev), os.minor(seen.st_rdev)
-        return DeviceFact(str(real), True, major, minor, openable, reason, self._describe(real.name))
+        return DeviceFact(str(real), True, major, minor, openable, reason, self._describe(real.name), seen.st_ino)
 
     def _place(self, path: PurePosixPath) -> Path:
         """Where PHM finds a path of the host: below `dev_root` for /dev, else at the same place."""

@@ -133,13 +133,37 @@ def test_another_name_inside_the_container_must_be_the_configured_one() -> None:
     assert judge(build(in_container="/dev/fmu"), there(), devices=mapped).level is api.Level.OK
 
 
-def test_new_numbers_within_one_life_of_the_container_are_unmapped() -> None:
-    """Docker copies the numbers at start: what is plugged in again with others is lost until a restart."""
-    check, devices = build(), there(minor=0)
+@pytest.mark.parametrize("back", [{"minor": 1}, {"inode": 8}, {}])
+def test_a_device_that_was_away_is_lost_to_the_container(back: dict[str, int]) -> None:
+    """Docker copies device files at start: what is plugged in again is there on the host only, until a restart."""
+    check, devices = build(), there(inode=7)
     assert judge(check, devices).level is api.Level.OK
-    devices.put(PATH, major=166, minor=1)
-    assert judge(check, devices).condition == "device_unmapped"
+    if not back:
+        del devices.devices[PATH]
+        assert judge(check, devices).condition == "device_missing"
+    devices.put(PATH, **{"major": 166, "inode": 7, **back})
+    result = judge(check, devices)
+    assert (result.condition, result.target) == ("device_replugged", "ros_app")
+    assert "restart ros_app" in result.summary
     assert judge(check, devices, started_at="later").level is api.Level.OK
+
+
+@pytest.mark.parametrize(
+    "container",
+    [
+        {"mounts": (api.Mount("bind", "/dev", "/dev"),), "device_rules": ("c 166:* rmw",), "devices": ()},
+        {"mounts": (api.Mount("bind", "/dev", "/dev"),), "privileged": True},
+        {"status": "exited"},
+    ],
+)
+def test_a_device_that_was_away_is_found_again_where_dev_is_bound(container: dict[str, Any]) -> None:
+    """A bind of /dev shows what the host has now, and a stopped container gets new device files at its start."""
+    check, devices = build(), there()
+    assert judge(check, devices, **container).level is api.Level.OK
+    del devices.devices[PATH]
+    judge(check, devices, **container)
+    devices.put(PATH, major=166, minor=1)
+    assert judge(check, devices, **container).level is api.Level.OK
 
 
 def test_a_device_that_need_not_be_mapped_is_judged_by_itself() -> None:

@@ -38,6 +38,29 @@ def refused(text: str, **environ: str) -> tuple[Problem, ...]:
 ONE = "containers:\n  - name: app\n"
 
 BROKEN = [
+    # what recovery needs
+    Broken("after nobody", ONE + "    after: [ap]\n", 3, "containers[0].after[0]", ("unknown container 'ap'", "did you mean 'app'?")),
+    Broken("after itself", ONE + "    after: [app]\n", 3, "containers[0].after[0]", ("cannot start after itself",)),
+    Broken(
+        "after an alias", ONE + "    after: [two]\n  - {name: two, alias: second}\n", 3, "containers[0].after[0]",
+        ("container 'two' has the alias 'second'",),
+    ),
+    Broken(
+        "after in a circle", ONE + "    after: [two]\n  - {name: two, after: [three]}\n  - {name: three, after: [app]}\n",
+        5, "containers[2].after[0]", ("circle", "three after app after two after three"),
+    ),
+    Broken(
+        "copy of an absent file", ONE + "    files: [{path: /a, present: false, restore: image}]\n",
+        3, "containers[0].files[0].restore", ("'present: false'", "never restored"),
+    ),
+    Broken(
+        "relaunch nowhere", ONE + "  - name: two\nros: {nodes: [{name: /a, relaunch: [run]}]}\n",
+        4, "ros.nodes[0].relaunch", ("no container to run in", "'container'"),
+    ),
+    Broken(
+        "relaunch without containers", "ros: {nodes: [{name: /a, relaunch: [run]}]}\n", 1, "ros.nodes[0].relaunch",
+        ("no container to run in",),
+    ),
     # the file as YAML
     Broken("empty", "", 0, "", ("is empty",)),
     Broken("only comments", "# nothing\n", 0, "", ("is empty",)),
