@@ -17,7 +17,6 @@ from phm.api import Check
 from phm.assembly import Parts, assemble
 from phm.bus import Bus
 from phm.clock import Clock, SystemClock
-from phm.control import Control
 from phm.engine import WATCH_S, Batch, Engine
 from phm.facts import CannotTell
 from phm.model import ActionEvent, Event, Fault, Phase, UnitState
@@ -26,10 +25,7 @@ from phm.plan import Plan, make
 from phm.probes.docker_watch import DockerEvent
 from phm.recovery.actions import join
 from phm.recovery.base import Action, ActionContext
-from phm.recovery.executor import Executor
-from phm.recovery.shop import Shop
-from phm.recovery.state import State
-from phm.recovery.state_file import Keeper, StateFile
+from phm.recovery.executor import Executor, Shop
 from phm.reporters.base import Reporter, ReporterContext
 from phm.settings import Settings
 from phm.tracker import Tracker
@@ -72,20 +68,14 @@ class Daemon:
         self.pipeline.attach(self.engine.wake_units)
         self.reporters: list[Reporter] = []
         self.executor: Executor | None = None
-        self.control: Control | None = None
-        self.keeper: Keeper | None = None
         self._stop = threading.Event()
         self._heart = threading.Thread(target=self._beat_on, name="phm-heart", daemon=True)
 
     # ------------------------------------------------------------ life
 
     def start(self) -> None:
-        file = StateFile(self.settings.state_dir, self.clock)
-        state, problem = file.load(self.settings.recovery.window)
-        gone = self.pipeline.restore(state.faults, state.given_up)
         self._start_reporters()
-        self._start_recovery(state, file)
-        self._tell_what_was_restored(state, problem, gone)
+        self._start_recovery()
         self._tell_what_could_not_load()
         self.parts.start()
         threading.Thread(target=self._join_networks, name="phm-join", daemon=True).start()
@@ -111,14 +101,10 @@ class Daemon:
     def stop(self) -> None:
         self._stop.set()
         self.pipeline.note("PHM", "PHM is stopping")
-        if self.control is not None:
-            self.control.close()
         if self.executor is not None:
             self.executor.stop()
         self.engine.stop()
         self.bus.close()
-        if self.keeper is not None:
-            self.keeper.tick()
         for reporter in self.reporters:
             try:
                 reporter.close()
@@ -161,16 +147,13 @@ class Daemon:
 
     def _problems(self) -> tuple[float, tuple[str, ...], dict[str, int], tuple[str, ...]]:
         problems = [problem for reporter in self.reporters if (problem := reporter.problem())]
-        parts = (self.keeper, self.control)
-        problems += [problem for part in parts if part is not None and (problem := part.problem())]
         uptime_s = self.clock.mono() - self._started.mono
         return uptime_s, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems())
 
     def _start_reporters(self) -> None:
         context = ReporterContext(
-            self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink,
-            restored=self.pipeline.open_faults(),
-        )  # fmt: skip
+            self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink
+        )
         for found in registry.find(registry.REPORTERS, Reporter):
             if found.loaded is None:
                 continue
@@ -187,7 +170,7 @@ class Daemon:
                     tick=reporter.tick, period_s=reporter.period_s,
                 )  # fmt: skip
 
-    def _start_recovery(self, state: State, file: StateFile) -> None:
+    def _start_recovery(self) -> None:
         actions = registry.usable(registry.find(registry.ACTIONS, Action))
         graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
         shop = Shop(
@@ -195,29 +178,7 @@ class Daemon:
             self._armed, lambda unit: graces.get(unit, 0.0),
         )  # fmt: skip
         self.executor = Executor(shop)
-        for cut_short in self.executor.restore(state):
-            self.pipeline.note("PHM", cut_short)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
-        self.keeper = Keeper(file, self.pipeline, self.executor.kept, self.clock)
-        self.bus.subscribe(
-            "state", self.keeper.handle, kinds=Keeper.kinds, key=Keeper.key, tick=self.keeper.tick,
-            period_s=Keeper.period_s,
-        )  # fmt: skip
-        self.control = Control(self.settings.run_dir, self.executor.approve, self.pipeline.note)
-        self.control.start()
-
-    def _tell_what_was_restored(self, state: State, problem: str, gone: tuple[Event, ...]) -> None:
-        if problem:
-            self.pipeline.note("PHM", f"warning: {problem}")
-        for event in gone:
-            self.bus.publish(event)
-        for fault in self.pipeline.open_faults():
-            self.pipeline.note("PHM", f"{fault.unit}: fault {fault.id} is still open after a restart of PHM")
-        for fault in self.pipeline.given_up():
-            self.pipeline.note("PHM", f"{fault.unit}: fault {fault.id} was given up before the restart of PHM")
-        attempts = sum(len(made) for made in state.recovery.attempts.values())
-        if attempts:
-            self.pipeline.note("PHM", f"{attempts} recovery attempts of before the restart of PHM are remembered")
 
     def _action_context(self) -> ActionContext:
         docker = self.parts.world.docker
