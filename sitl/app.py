@@ -4,7 +4,8 @@
 
 Node i publishes topic_i and subscribes to the topic of the node before it, in the namespace of the agent.
 A dead node is left dead, so that PHM has something to find. Each node's process id is in
-`/tmp/nodes/<node>.pid`, so that a fault can be injected into that node alone.
+`/tmp/nodes/<node>.pid`, so that a fault can be injected into that node alone. SIGUSR1 makes this process take
+memory until it is killed; a file `/tmp/broken_start` that is not empty makes the next start fail.
 """
 
 from __future__ import annotations
@@ -17,8 +18,12 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD)
+_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD, signal.SIGUSR1)
 _FAREWELL_S = 3.0
+_BITE = 8 * 2**20
+"""Bytes taken at once by a process that leaks."""
+_APPETITE = 2**30
+"""Bytes after which it stops leaking, should nothing limit it."""
 
 
 class App:
@@ -39,7 +44,10 @@ class App:
     def serve(self) -> None:
         """Until SIGTERM or SIGINT; dead nodes are reaped, and their pid files removed."""
         while True:
-            if signal.sigwait(_SIGNALS) != signal.SIGCHLD:
+            number = signal.sigwait(_SIGNALS)
+            if number == signal.SIGUSR1:
+                _leak()
+            elif number != signal.SIGCHLD:
                 return
             self._reap()
 
@@ -68,6 +76,14 @@ class App:
                 _say(f"{name} ended with {os.waitstatus_to_exitcode(status)}")
 
 
+def _leak() -> None:
+    """Take memory that is really written, as a leak does, until the kernel has had enough of this process."""
+    _say("leaking")
+    taken = [bytearray(_BITE)]
+    while len(taken) * _BITE < _APPETITE:
+        taken.append(bytearray(b"x" * _BITE))
+
+
 def node_argv(agent: str, number: int, nodes: int, rate_hz: float) -> list[str]:
     """The command of node `number` of 1 to `nodes`; each listens to the one before it, the first to the last."""
     before = (number - 2) % nodes + 1
@@ -82,6 +98,9 @@ def main(argv: list[str] | None = None) -> int:
     options = _options(argv)
     # Blocked and waited for: the first process of a container has no default signal handling at all.
     signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    if options.broken.exists() and options.broken.stat().st_size:
+        _say(f"{options.broken} says that this start fails")
+        return 1
     options.marker.unlink(missing_ok=True)  # a restart is the cure for what this marker stands for
     options.pids.mkdir(parents=True, exist_ok=True)
     app = App(options.pids)
@@ -99,6 +118,7 @@ def _options(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--rate", type=float, default=10.0, help="Hz of every topic")
     parser.add_argument("--pids", type=Path, default=Path("/tmp/nodes"), help="folder of the pid files")
     parser.add_argument("--marker", type=Path, default=Path("/tmp/unhealthy"), help="file that breaks the healthcheck")
+    parser.add_argument("--broken", type=Path, default=Path("/tmp/broken_start"), help="file that breaks the start")
     return parser.parse_args(argv)
 
 

@@ -11,20 +11,19 @@ import json
 import platform
 import statistics
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import psutil
 from rich.console import Console
 from rich.table import Table
 
+from sitl.derived import derived, write
 from sitl.faults.base import Agent, mono_of
 from sitl.faults.node_killed import Injection as NodeKilled
 from sitl.record import Event, Record
-from sitl.stack import ROOT, Stack
+from sitl.stack import Stack
 
 WELL_LIMIT_S = 90.0
 SEEN_LIMIT_S = 30.0
@@ -144,20 +143,6 @@ def print_figures(figures: list[Figure], console: Console) -> None:
     console.print(table)
 
 
-def observing_config() -> str:
-    """The shipped configuration with recovery switched off, in a file of its own."""
-    text = (ROOT / "config" / "phm.yaml").read_text()
-    changed = text.replace("\n  mode: act", "\n  mode: off")
-    if changed == text:
-        raise RuntimeError("config/phm.yaml no longer says `mode: act`: correct sitl/bench.py")
-    folder = Path(tempfile.mkdtemp(prefix="phm-bench-"))
-    folder.chmod(0o755)
-    file = folder / "phm.yaml"
-    file.write_text(changed)
-    file.chmod(0o644)
-    return str(file)
-
-
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="scripts/bench", description=__doc__, epilog="Example: scripts/bench --runs 5"
@@ -167,7 +152,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     chosen = parser.parse_args(arguments)
     console = Console(stderr=chosen.json)
-    stack = Stack(project="phm-bench", interval_s=3.0, ground_port=0, extra={"PHM_CONFIG": observing_config()})
+    observing = write(derived({"\n  mode: act": "\n  mode: off"}))
+    stack = Stack(project="phm-bench", interval_s=3.0, ground_port=0, extra={"PHM_CONFIG": str(observing)})
     try:
         with console.status("starting the agent"):
             stack.up()

@@ -2,12 +2,16 @@
 
     python -m sitl.node --name node_1 --namespace /agent_1 --publish topic_1:10 --subscribe topic_3
 
+SIGUSR1 silences its topics and lets them speak again, SIGUSR2 halves their rate and gives it back: the process
+and its place in the graph stay as they are.
+
 Imports rclpy, std_msgs and the standard library alone, so that it runs in any ROS image.
 """
 
 from __future__ import annotations
 
 import argparse
+import signal
 from collections.abc import Callable
 from typing import Any
 
@@ -17,15 +21,32 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 
+class Voice:
+    """What the node does with its topics' ticks; changed by signals."""
+
+    def __init__(self) -> None:
+        self.silent = self.halved = False
+
+    def listen(self) -> None:
+        """Take the two signals. rclpy's own handlers are for SIGINT and SIGTERM alone."""
+        signal.signal(signal.SIGUSR1, lambda *_: setattr(self, "silent", not self.silent))
+        signal.signal(signal.SIGUSR2, lambda *_: setattr(self, "halved", not self.halved))
+
+    def speaks(self, tick: int) -> bool:
+        return not self.silent and not (self.halved and tick % 2)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run until SIGTERM or SIGINT, then leave the graph properly."""
     options = _options(argv)
     # rclpy's own handlers end `spin` on SIGTERM, so that the node says good-bye to the graph.
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.ALL)
     node = rclpy.create_node(options.name, namespace=options.namespace)
+    voice = Voice()
+    voice.listen()
     for topic, rate_hz in options.publish:
         publisher = node.create_publisher(String, topic, 10)
-        node.create_timer(1.0 / rate_hz, _publishing(publisher, options.name))
+        node.create_timer(1.0 / rate_hz, _publishing(publisher, options.name, voice))
     for topic in options.subscribe:
         node.create_subscription(String, topic, _ignore, 10)
     try:
@@ -59,13 +80,14 @@ def topic_rate(text: str) -> tuple[str, float]:
     return topic, rate_hz
 
 
-def _publishing(publisher: Any, name: str) -> Callable[[], None]:
+def _publishing(publisher: Any, name: str, voice: Voice) -> Callable[[], None]:
     count = 0
 
     def publish() -> None:
         nonlocal count
         count += 1
-        publisher.publish(String(data=f"{name} {count}"))
+        if voice.speaks(count):
+            publisher.publish(String(data=f"{name} {count}"))
 
     return publish
 

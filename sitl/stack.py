@@ -5,7 +5,6 @@ from __future__ import annotations
 import grp
 import os
 import shutil
-import stat
 import subprocess
 import tempfile
 from dataclasses import dataclass, field
@@ -37,9 +36,8 @@ class Stack:
 
     @property
     def device(self) -> Path:
-        """A character device of the host made for this project alone, so that the device check has something
-        that may vanish. It is a copy of /dev/null under another name."""
-        return Path("/dev") / f"{self.project.replace('-', '_')}_radio"
+        """The device of the host that is this project's alone."""
+        return self.agent.device
 
     @property
     def record(self) -> Path:
@@ -65,19 +63,15 @@ class Stack:
         """Start everything; returns when Compose has started the containers, healthy or not."""
         self.logs.mkdir(parents=True, exist_ok=True)
         self.logs.chmod(0o777)  # PHM is an ordinary user in its container, with a number this host need not know
-        self._make_device()
+        self.agent.make_device()
         self._compose("up", "--detach", "--no-build", "--remove-orphans")
 
-    def down(self) -> None:
+    def down(self, *, keep_logs: bool = False) -> None:
         """Remove containers, networks and volumes of the project, the device and the log folder."""
         self._compose("down", "--volumes", "--remove-orphans", "--timeout", "3")
         self.device.unlink(missing_ok=True)
-        shutil.rmtree(self.logs, ignore_errors=True)
-
-    def _make_device(self) -> None:
-        if not self.device.exists():
-            os.mknod(self.device, 0o666 | stat.S_IFCHR, os.stat("/dev/null").st_rdev)
-            self.device.chmod(0o666)
+        if not keep_logs:
+            shutil.rmtree(self.logs, ignore_errors=True)
 
     def _compose(self, *words: str) -> None:
         files = [word for name in FILES for word in ("--file", str(ROOT / name))]

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import os
+import stat
+import tarfile
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from datetime import datetime
+from pathlib import Path
 from typing import ClassVar
 
 from docker import DockerClient
 from docker.models.containers import Container
+
+NULL, ZERO = "/dev/null", "/dev/zero"
+STOP_S = 3
 
 
 @dataclass
@@ -31,6 +39,47 @@ class Agent:
     @property
     def app(self) -> Container:
         return self.container("ros_app")
+
+    @property
+    def device(self) -> Path:
+        """A character device of the host made for this project alone, so that the device check has something
+        that may vanish. It is a copy of /dev/null under another name."""
+        return Path("/dev") / f"{self.project.replace('-', '_')}_radio"
+
+    def make_device(self, like: str = NULL) -> None:
+        """Make the device with the numbers of `like` unless it is there. Needs root."""
+        if not self.device.exists():
+            os.mknod(self.device, 0o666 | stat.S_IFCHR, os.stat(like).st_rdev)
+            self.device.chmod(0o666)
+
+    @property
+    def life(self) -> str:
+        """Changes exactly when the application container is recreated or started again."""
+        app = self.app
+        return f"{app.id}@{app.attrs['State']['StartedAt']}"
+
+    def renew_app(self, life: str) -> None:
+        """Restart the application container if it still is in that life: then nobody has healed it."""
+        if self.life == life:
+            self.app.restart(timeout=STOP_S)
+
+    def signal_node(self, node: str, signal_name: str) -> float:
+        """Send a signal (``KILL``) to one node of the application; the moment before it was sent."""
+        pid = self.run_in_app("cat", f"/tmp/nodes/{node}.pid")
+        moment = time.monotonic()
+        self.run_in_app("kill", f"-{signal_name}", str(int(pid)))
+        return moment
+
+    def write_in_app(self, path: str, content: bytes, mode: int = 0o644) -> None:
+        """Put a file into the application container, whether it runs or not."""
+        folder, _, name = path.rpartition("/")
+        packed = io.BytesIO()
+        with tarfile.open(fileobj=packed, mode="w") as archive:
+            entry = tarfile.TarInfo(name)
+            entry.size, entry.mode, entry.mtime = len(content), mode, int(time.time())
+            archive.addfile(entry, io.BytesIO(content))
+        if not self.app.put_archive(folder, packed.getvalue()):
+            raise RuntimeError(f"the engine did not take {path} for {self.app.name}")
 
     def run_in_app(self, *argv: str) -> str:
         """Run a command inside the application container and return what it printed."""
@@ -60,6 +109,21 @@ class Fault(ABC):
 
     def clear(self, agent: Agent) -> None:
         """Undo what healing by PHM does not undo. Doing it twice is harmless."""
+
+
+def died(app: Container, before: str) -> float:
+    """The moment at which the container ended, by the engine's own stamp. `before`: the stamp of the end before.
+
+    Raises TimeoutError when it has not ended within 10 s.
+    """
+    until_s = time.monotonic() + 10.0
+    while time.monotonic() < until_s:
+        app.reload()
+        ended = str(app.attrs["State"]["FinishedAt"])
+        if ended != before:
+            return mono_of(ended)
+        time.sleep(0.01)
+    raise TimeoutError(f"{app.name} has not ended within 10 s")
 
 
 def mono_of(engine_time: str) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sitl.faults.base import Agent, Fault, mono_of
+from sitl.faults.base import STOP_S, Agent, Fault, died
 
 
 class Injection(Fault):
@@ -13,9 +13,8 @@ class Injection(Fault):
     def inject(self, agent: Agent) -> float:
         app = agent.app
         before = app.attrs["State"]["FinishedAt"]
-        app.stop(timeout=3)
-        for _ in range(50):
-            app.reload()
-            if app.attrs["State"]["FinishedAt"] != before:
-                break
-        return mono_of(app.attrs["State"]["FinishedAt"])
+        app.stop(timeout=STOP_S)
+        return died(app, before)
+
+    def clear(self, agent: Agent) -> None:
+        agent.app.start()

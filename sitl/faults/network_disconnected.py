@@ -12,9 +12,16 @@ class Injection(Fault):
 
     name, title, unit = "network_disconnected", "network disconnected", "network/ros_app"
 
+    _network = ""
+
     def inject(self, agent: Agent) -> float:
         app = agent.app
-        network = next(iter(app.attrs["NetworkSettings"]["Networks"]))
+        self._network = next(iter(app.attrs["NetworkSettings"]["Networks"]))
         moment = time.monotonic()
-        agent.docker.networks.get(network).disconnect(app, force=True)
+        agent.docker.networks.get(self._network).disconnect(app, force=True)
         return moment
+
+    def clear(self, agent: Agent) -> None:
+        app = agent.app
+        if self._network and self._network not in app.attrs["NetworkSettings"]["Networks"]:
+            agent.docker.networks.get(self._network).connect(app, aliases=["ros_app"])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from sitl.faults.base import Agent, Fault
 
 
@@ -12,8 +10,11 @@ class Injection(Fault):
 
     name, title, unit = "node_killed", "node killed (SIGKILL)", "nodes/{agent}/node_1"
 
+    _life = ""
+
     def inject(self, agent: Agent) -> float:
-        pid = int(agent.run_in_app("cat", "/tmp/nodes/node_1.pid"))
-        moment = time.monotonic()
-        agent.run_in_app("kill", "-KILL", str(pid))
-        return moment
+        self._life = agent.life
+        return agent.signal_node("node_1", "KILL")
+
+    def clear(self, agent: Agent) -> None:
+        agent.renew_app(self._life)

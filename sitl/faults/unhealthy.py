@@ -6,6 +6,8 @@ import time
 
 from sitl.faults.base import Agent, Fault
 
+MARKER = "/tmp/unhealthy"
+
 
 class Injection(Fault):
     """Creates the marker that the application's HEALTHCHECK looks for; its next start removes it."""
@@ -14,5 +16,8 @@ class Injection(Fault):
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
-        agent.run_in_app("touch", "/tmp/unhealthy")
+        agent.run_in_app("touch", MARKER)
         return moment
+
+    def clear(self, agent: Agent) -> None:
+        agent.run_in_app("rm", "-f", MARKER)

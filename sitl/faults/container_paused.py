@@ -1,0 +1,23 @@
+"""Somebody freezes the application container."""
+
+from __future__ import annotations
+
+import time
+
+from sitl.faults.base import Agent, Fault
+
+
+class Injection(Fault):
+    """`docker pause`."""
+
+    name, title, unit = "container_paused", "container paused", "container/ros_app"
+
+    def inject(self, agent: Agent) -> float:
+        moment = time.monotonic()
+        agent.app.pause()
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        app = agent.app
+        if app.status == "paused":
+            app.unpause()

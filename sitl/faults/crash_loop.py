@@ -1,0 +1,26 @@
+"""The application ends at every start."""
+
+from __future__ import annotations
+
+from sitl.faults.base import Agent, Fault, died
+
+MARKER = "/tmp/broken_start"
+"""Not empty: the application's launcher ends with 1. It lives in the container's own layer, so it stays over restarts."""
+
+
+class Injection(Fault):
+    """Makes every start fail, then kills the container. PHM must stop restarting and say so; a human mends the cause."""
+
+    name, title, unit = "crash_loop", "container ends at every start", "container/ros_app"
+    healable = False
+
+    def inject(self, agent: Agent) -> float:
+        app = agent.app
+        before = app.attrs["State"]["FinishedAt"]
+        agent.write_in_app(MARKER, b"1\n")
+        app.kill()
+        return died(app, before)
+
+    def clear(self, agent: Agent) -> None:
+        agent.write_in_app(MARKER, b"")
+        agent.app.start()

@@ -1,0 +1,29 @@
+"""A device is unplugged and comes back with other numbers."""
+
+from __future__ import annotations
+
+import os
+import time
+
+from sitl.faults.base import NULL, ZERO, Agent, Fault
+
+GONE_S = 2.0
+NULL_NUMBERS = os.stat(NULL).st_rdev
+
+
+class Injection(Fault):
+    """Replaces the device's node on the host; the container was started with the old numbers and cannot open the new one."""
+
+    name, title, unit = "device_back", f"device replugged, gone for {GONE_S:g} s", "devices/ros_app"
+
+    def inject(self, agent: Agent) -> float:
+        numbers = agent.device.stat().st_rdev
+        like = ZERO if numbers == NULL_NUMBERS else NULL
+        moment = time.monotonic()
+        agent.device.unlink()
+        time.sleep(GONE_S)
+        agent.make_device(like)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        agent.make_device()

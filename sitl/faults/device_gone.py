@@ -1,0 +1,22 @@
+"""A device that the application uses is unplugged."""
+
+from __future__ import annotations
+
+import time
+
+from sitl.faults.base import Agent, Fault
+
+
+class Injection(Fault):
+    """Removes the device's node from the host. No software brings it back: PHM tells it and waits."""
+
+    name, title, unit = "device_gone", "device unplugged", "devices/ros_app"
+    healable = False
+
+    def inject(self, agent: Agent) -> float:
+        moment = time.monotonic()
+        agent.device.unlink(missing_ok=True)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        agent.make_device()

@@ -1,0 +1,22 @@
+"""A file that the application needs has another content."""
+
+from __future__ import annotations
+
+import time
+
+from sitl.faults.base import Agent, Fault
+from sitl.faults.file_deleted import CONTENT, CRITICAL, put_back
+
+
+class Injection(Fault):
+    """Writes another content into the critical file; its SHA-256 must be configured for PHM to see it."""
+
+    name, title, unit = "file_altered", "file altered", "files/ros_app"
+
+    def inject(self, agent: Agent) -> float:
+        moment = time.monotonic()
+        agent.write_in_app(CRITICAL, CONTENT.replace(b"exit 0", b"exit 7"), 0o755)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        put_back(agent)

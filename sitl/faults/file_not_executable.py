@@ -1,0 +1,22 @@
+"""A file that must be executable loses its execute bits."""
+
+from __future__ import annotations
+
+import time
+
+from sitl.faults.base import Agent, Fault
+from sitl.faults.file_deleted import CRITICAL, put_back
+
+
+class Injection(Fault):
+    """`chmod a-x` on the critical file."""
+
+    name, title, unit = "file_not_executable", "file not executable", "files/ros_app"
+
+    def inject(self, agent: Agent) -> float:
+        moment = time.monotonic()
+        agent.run_in_app("chmod", "a-x", CRITICAL)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        put_back(agent)

@@ -1,0 +1,20 @@
+"""A ROS node hangs (SIGSTOP): its process is there and does nothing."""
+
+from __future__ import annotations
+
+from sitl.faults.base import Agent, Fault
+
+
+class Injection(Fault):
+    """Stops node_1. With the short leases of config/fastdds.xml it leaves the graph as a dead one does, after a second."""
+
+    name, title, unit = "node_stopped", "node hung (SIGSTOP)", "nodes/{agent}/node_1"
+
+    _life = ""
+
+    def inject(self, agent: Agent) -> float:
+        self._life = agent.life
+        return agent.signal_node("node_1", "STOP")
+
+    def clear(self, agent: Agent) -> None:
+        agent.renew_app(self._life)

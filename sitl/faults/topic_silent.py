@@ -1,0 +1,20 @@
+"""A node is well, but its topic has fallen silent."""
+
+from __future__ import annotations
+
+from sitl.faults.base import Agent, Fault
+
+
+class Injection(Fault):
+    """Tells node_1 to publish no more; it stays in the graph."""
+
+    name, title, unit = "topic_silent", "topic silent, its node alive", "rates/{agent}/topic_1"
+
+    _life = ""
+
+    def inject(self, agent: Agent) -> float:
+        self._life = agent.life
+        return agent.signal_node("node_1", "USR1")
+
+    def clear(self, agent: Agent) -> None:
+        agent.renew_app(self._life)

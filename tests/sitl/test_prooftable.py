@@ -1,0 +1,66 @@
+"""What a row of the proof must be to hold, and how rows are written."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from sitl.prooftable import BEGIN, END, Row, as_json, between_marks, grouped, judged_words, markdown
+
+
+def row(**changes: object) -> Row:
+    made = Row("act", "node_killed", "node killed", "nodes/a/n", alarms=["nodes/a/n"], actions=["restart"])
+    made.detected_s, made.healed_s = 1.25, 4.5
+    for name, value in changes.items():
+        setattr(made, name, value)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("changes", "healable", "good", "outcome"),
+    [
+        ({}, True, True, "healed"),
+        ({"alarms": []}, True, False, "healed"),
+        ({"alarms": ["nodes/a/n", "nodes/a/n"]}, True, False, "healed"),
+        ({"alarms": ["topics/a/t"]}, True, False, "healed"),
+        ({"healed_s": None}, True, False, "not healed"),
+        ({"healed_s": None, "actions": []}, False, True, "told, left to the operator"),
+        ({"healed_s": None, "given_up_s": 31.4}, False, True, "given up and told after 31 s"),
+        ({"healed_s": None}, False, False, "told, left to the operator"),
+        ({}, False, False, "healed"),
+    ],
+)
+def test_when_a_row_holds(changes: dict[str, object], healable: bool, good: bool, outcome: str) -> None:
+    """One alarm at the right unit, and healed exactly when it can be; else left alone or given up in words."""
+    made = row(**changes)
+    judged_words(made, healable=healable)
+    assert (made.good, made.outcome) == (good, outcome)
+
+
+def test_repeated_actions_are_counted() -> None:
+    """The same action several times in a row is one word with its count."""
+    assert grouped(["start", "restart", "restart"]) == "start, restart x2"
+    assert grouped([]) == ""
+
+
+def test_the_markdown_table_shows_what_does_not_hold() -> None:
+    """A row that does not hold is not hidden, and a bar in a title does not break the table."""
+    made = row(title="a|b", problems=["was not healed"])
+    text = markdown([made], "x86_64", "2026-01-01")
+    assert "2026-01-01 (x86_64)" in text
+    assert "does not hold: was not healed" in text
+    assert "a/b" in text
+
+
+def test_the_table_replaces_the_one_before() -> None:
+    """Only what stands between the marks changes; a page without marks is refused."""
+    page = f"head\n{BEGIN}\nold\n{END}\ntail\n"
+    assert between_marks(page, "new") == f"head\n{BEGIN}\nnew\n{END}\ntail\n"
+    with pytest.raises(ValueError, match="no marks"):
+        between_marks("head\n", "new")
+
+
+def test_rows_as_json() -> None:
+    """The JSON has every row with its verdict."""
+    assert [entry["good"] for entry in json.loads(as_json([row()]))["rows"]] == [True]

@@ -1,0 +1,67 @@
+"""Following a record while it grows, and the names a stack gives."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+
+from sitl.record import Record
+from sitl.stack import Stack
+
+
+def line(number: int) -> str:
+    return json.dumps({"event": "report", "number": number}) + "\n"
+
+
+def test_a_record_that_is_not_there_yet_is_empty(tmp_path: Path) -> None:
+    """Before PHM has written anything there are no events, and no error."""
+    record = Record(tmp_path / "phm.jsonl")
+    record.update()
+    assert record.events == []
+
+
+def test_an_unfinished_line_waits_for_its_end(tmp_path: Path) -> None:
+    """Half a line is read when its other half is there, once."""
+    file = tmp_path / "phm.jsonl"
+    record = Record(file)
+    whole = line(1) + line(2)
+    file.write_text(whole[:-5])
+    record.update()
+    assert [event["number"] for event in record.events] == [1]
+    file.write_text(whole)
+    record.update()
+    record.update()
+    assert [event["number"] for event in record.events] == [1, 2]
+
+
+def test_a_torn_line_is_skipped(tmp_path: Path) -> None:
+    """What a killed daemon left half written does not stop the reading of what follows."""
+    file = tmp_path / "phm.jsonl"
+    file.write_text(line(1) + '{"event": "rep\n' + line(2))
+    record = Record(file)
+    record.update()
+    assert [event["number"] for event in record.events] == [1, 2]
+
+
+def test_waiting_looks_only_at_what_came_since(tmp_path: Path) -> None:
+    """An event before the mark is no answer; one that is written while waiting is."""
+    file = tmp_path / "phm.jsonl"
+    file.write_text(line(1))
+    record = Record(file)
+    record.update()
+    assert record.wait(lambda event: event["number"] == 1, 0.0, since=1) is None
+    writer = threading.Thread(target=lambda: file.write_text(line(1) + line(7)), daemon=True)
+    writer.start()
+    found = record.wait(lambda event: event["number"] == 7, 10.0, since=1)
+    writer.join()
+    assert found is not None
+
+
+def test_two_stacks_share_nothing(tmp_path: Path) -> None:
+    """Container, network and device carry the project's name, so that two agents on one machine do not meet."""
+    one, two = (Stack(project=name, logs=tmp_path) for name in ("phm-one", "phm-two"))
+    assert one.device != two.device
+    ours, theirs = (stack.environment() for stack in (one, two))
+    assert all(ours[name] != theirs[name] for name in ("PHM_APP", "PHM_NETWORK", "PHM_DEVICE"))
+    assert one.record == tmp_path / "phm.jsonl"
