@@ -10,11 +10,14 @@ The rules, in the order in which `_judge` applies them to a unit's newest result
    If it had been told as a fault of its own, that fault is closed as reattributed.
 5. A bad result during grace (after start, after a need recovered) is `not known yet`. Grace ends early when
    the unit has been OK for SURE_S.
-6. Otherwise all its needs are run again; it is told only when each has answered since, when it was bad
-   `failures` times in a row, and when it has lasted `settle_s`. Needs that are STALE get UNKNOWN_S to be known.
+   What was seen before the grace began never counts again: the unit is run anew.
+6. Otherwise all its needs are run again. It is told only when it was bad `failures` times in a row, has lasted
+   `settle_s`, and each need, and with `settle_s` the unit too, has answered in a run that began after that.
+   Needs that are STALE get UNKNOWN_S to be known.
+7. OK after ERROR, told or not, gives grace to all that need the unit: what looked bad meanwhile may follow from it.
 
-So one cause raises one alarm, whatever order the evidence arrives in, as long as the evidence of the
-cause arrives within the dependent's `settle_s`.
+So one cause raises one alarm, whatever order the evidence arrives in and whichever wake-up is lost, as long as
+the evidence of the cause can be seen within the dependent's `settle_s`.
 """
 
 from __future__ import annotations
@@ -93,6 +96,12 @@ class _Unit:
     started: float = _NEVER
     bad_in_a_row: int = 0
     pending_since: float | None = None
+    harmed: bool = False
+    """It has been ERROR, told or not, since it was last OK (rule 7)."""
+    asked: bool = False
+    """Its witnesses have been called for the last time before it is told (rule 6)."""
+    counts_from: float = _NEVER
+    """Runs that began earlier prove nothing bad any more (rule 5)."""
     quiet_until: float = 0.0
     well_since: float | None = None
     fault: Fault | None = None
@@ -104,9 +113,10 @@ class _Unit:
     def id(self) -> str:
         return self.spec.unit.id
 
-    def grant(self, until: float) -> None:
-        """Grace until then; what was seen before no longer counts."""
+    def grant(self, now: float, until: float) -> None:
+        """Grace until then; what was seen before `now` no longer counts."""
         self.pending_since = self.well_since = None
+        self.bad_in_a_row, self.counts_from = 0, now
         self.quiet_until = max(self.quiet_until, until)
 
     @property
@@ -208,6 +218,7 @@ class Tracker:
         if started < entry.started:
             return step  # an overdue run came back after a newer one: it knows less
         entry.raw, entry.started = result, started
+        entry.harmed = entry.harmed or entry.failing
         entry.bad_in_a_row = entry.bad_in_a_row + 1 if result.level.bad else 0
         entry.told = replace(entry.told, duration_s=duration_s)
         self._judge(entry, now, step)
@@ -254,7 +265,7 @@ class Tracker:
         for entry in self._units.values():
             above = (self._units[need].spec.unit.target for need in self.needs.upstream(entry.id))
             if entry.spec.unit.target == target and target in above:
-                entry.grant(now.mono + at_most_s)
+                entry.grant(now.mono, now.mono + at_most_s)
         return Step()
 
     def escalate(self, fault_id: str, now: Stamp) -> Step:
@@ -289,7 +300,7 @@ class Tracker:
         elif result.level is Level.STALE:
             entry.pending_since = None
             self._tell(entry, Level.STALE, result, now, step)
-        elif now.mono < entry.quiet_until and entry.fault is None and not entry.told_given_up:
+        elif self._too_early(entry, now):
             entry.pending_since = None
             waiting = replace(
                 result, level=Level.STALE, summary=f"not known yet: {result.summary}", brief="", condition=""
@@ -298,8 +309,14 @@ class Tracker:
         else:
             self._bad(entry, result, now, step)
 
+    def _too_early(self, entry: _Unit, now: Stamp) -> bool:
+        """Rule 5. An open or given-up fault goes on meanwhile."""
+        known = entry.fault is not None or entry.told_given_up
+        return not known and (now.mono < entry.quiet_until or entry.started < entry.counts_from)
+
     def _well(self, entry: _Unit, result: Result, now: Stamp, step: Step) -> None:
-        recovered = entry.told.level is Level.ERROR or bool(entry.told.blocked_by)
+        recovered = entry.harmed or entry.told.level is Level.ERROR or bool(entry.told.blocked_by)
+        entry.harmed = False
         entry.pending_since, entry.escalated, entry.given_up = None, False, None
         entry.well_since = now.mono if entry.well_since is None else entry.well_since
         if now.mono - entry.well_since >= SURE_S:
@@ -316,13 +333,19 @@ class Tracker:
             return
         upstream = self.needs.upstream(entry.id)
         if entry.pending_since is None:
-            entry.pending_since = now.mono
+            entry.pending_since, entry.asked = now.mono, False
             step.rerun.update(upstream)
-        asked = all(self._units[need].started >= entry.pending_since for need in upstream)
+        settled = entry.pending_since + entry.spec.unit.settle_s
+        if now.mono < settled:
+            return
+        witnesses = (entry.id, *upstream) if settled > entry.pending_since else upstream
+        silent = [name for name in witnesses if self._units[name].started < settled]
+        if not entry.asked:
+            entry.asked = True
+            step.rerun.update(silent)
         # What it needs may be the cause and is not known at the moment: it gets time to become known, not for ever.
         unknown = any(self._unknown(need) for need in upstream) and now.mono - entry.pending_since < UNKNOWN_S
-        settled = now.mono - entry.pending_since >= entry.spec.unit.settle_s
-        if asked and settled and not unknown and entry.bad_in_a_row >= entry.spec.failures:
+        if not silent and not unknown and entry.bad_in_a_row >= entry.spec.failures:
             entry.pending_since = None
             self._tell(entry, result.level, result, now, step)
 
@@ -368,7 +391,7 @@ class Tracker:
         """What was seen before no longer counts: look again, and give it time to come back."""
         for name in units:
             entry = self._units[name]
-            entry.grant(now.mono + entry.spec.unit.grace_s)
+            entry.grant(now.mono, now.mono + entry.spec.unit.grace_s)
             if entry.raw is not None and entry.raw.level is not Level.OK:
                 step.rerun.add(name)
 
