@@ -82,15 +82,19 @@ class Proof:
         self.mode = mode
         self.bench.wait_well()
 
-    def nominal(self) -> Row:
-        """Nothing is injected: no alarm, no action."""
+    def nominal(self) -> list[Row]:
+        """Nothing is injected: no alarm and no action while everything starts, and none after."""
+        starting = Row(self.mode, "start", "nothing, while all starts", "-")
         self.bench.wait_well()
         mark = self._mark()
+        self._fill(starting, self.record.events)
+        well = Row(self.mode, "nominal", f"nothing, for {NOMINAL_S:g} s", "-")
         self._watch(NOMINAL_S, mark)
-        row = Row(self.mode, "nominal", f"nothing, for {NOMINAL_S:g} s", "-")
-        self._fill(row, self.record.events[mark:])
-        row.problems += [] if not row.alarms and not row.actions else ["something was told or done"]
-        return row
+        self._fill(well, self.record.events[mark:])
+        for row in (starting, well):
+            if row.alarms or row.actions:
+                row.problems.append(f"told or done: {', '.join([*row.alarms, *row.actions])}")
+        return [starting, well]
 
     def heal(self, fault: Fault, title: str = "") -> Row:
         """Inject, watch until it is healed and verified (or given up), then whether everything is well again."""
@@ -206,7 +210,7 @@ def run(stack: Stack, console: Console, config: Path, only: tuple[str, ...] = ()
     """All rows, or those of the faults in `only`, on a stack that is up."""
     proof, faults = Proof(stack, console, config), all_faults()
     wanted = [name for name in ORDER if not only or name in only]
-    rows = [proof.nominal()]
+    rows = [_told(row, console) for row in proof.nominal()]
     for name in wanted:
         rows += [_told(proof.heal(faults[name]), console)]
     if "node_killed" in wanted:

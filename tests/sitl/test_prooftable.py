@@ -7,6 +7,7 @@ import json
 import pytest
 
 from sitl.prooftable import BEGIN, END, Row, as_json, between_marks, grouped, judged_words, markdown
+from sitl.stack import ROOT
 
 
 def row(**changes: object) -> Row:
@@ -59,6 +60,13 @@ def test_the_table_replaces_the_one_before() -> None:
     assert between_marks(page, "new") == f"head\n{BEGIN}\nnew\n{END}\ntail\n"
     with pytest.raises(ValueError, match="no marks"):
         between_marks("head\n", "new")
+
+
+def test_the_page_has_room_for_the_table() -> None:
+    """docs/recovery.md has the marks, in their order, once."""
+    page = (ROOT / "docs" / "recovery.md").read_text("utf-8")
+    assert page.count(BEGIN) == page.count(END) == 1
+    assert "a row" in between_marks(page, "a row")
 
 
 def test_rows_as_json() -> None:
