@@ -17,6 +17,7 @@ from phm.api import Check
 from phm.assembly import Parts, assemble
 from phm.bus import Bus
 from phm.clock import Clock, SystemClock
+from phm.control import Control
 from phm.engine import WATCH_S, Batch, Engine
 from phm.facts import CannotTell
 from phm.model import ActionEvent, Event, Fault, Phase, UnitState
@@ -25,7 +26,9 @@ from phm.plan import Plan, make
 from phm.probes.docker_watch import DockerEvent
 from phm.recovery.actions import join
 from phm.recovery.base import Action, ActionContext
-from phm.recovery.executor import Executor, Shop
+from phm.recovery.executor import Executor
+from phm.recovery.memory import Memory
+from phm.recovery.shop import Shop
 from phm.reporters.base import Reporter, ReporterContext
 from phm.settings import Settings
 from phm.tracker import Tracker
@@ -68,12 +71,15 @@ class Daemon:
         self.pipeline.attach(self.engine.wake_units)
         self.reporters: list[Reporter] = []
         self.executor: Executor | None = None
+        self.control: Control | None = None
+        self.memory = Memory(settings, self.pipeline, self.bus, self.clock)
         self._stop = threading.Event()
         self._heart = threading.Thread(target=self._beat_on, name="phm-heart", daemon=True)
 
     # ------------------------------------------------------------ life
 
     def start(self) -> None:
+        self.memory.restore()
         self._start_reporters()
         self._start_recovery()
         self._tell_what_could_not_load()
@@ -101,10 +107,13 @@ class Daemon:
     def stop(self) -> None:
         self._stop.set()
         self.pipeline.note("PHM", "PHM is stopping")
+        if self.control is not None:
+            self.control.close()
         if self.executor is not None:
             self.executor.stop()
         self.engine.stop()
         self.bus.close()
+        self.memory.close()
         for reporter in self.reporters:
             try:
                 reporter.close()
@@ -147,13 +156,15 @@ class Daemon:
 
     def _problems(self) -> tuple[float, tuple[str, ...], dict[str, int], tuple[str, ...]]:
         problems = [problem for reporter in self.reporters if (problem := reporter.problem())]
+        problems += [part.problem() for part in (self.memory, self.control) if part is not None and part.problem()]
         uptime_s = self.clock.mono() - self._started.mono
         return uptime_s, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems())
 
     def _start_reporters(self) -> None:
         context = ReporterContext(
-            self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink
-        )
+            self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink,
+            restored=self.pipeline.open_faults(),
+        )  # fmt: skip
         for found in registry.find(registry.REPORTERS, Reporter):
             if found.loaded is None:
                 continue
@@ -178,7 +189,10 @@ class Daemon:
             self._armed, lambda unit: graces.get(unit, 0.0),
         )  # fmt: skip
         self.executor = Executor(shop)
+        self.memory.resume(self.executor)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
+        self.control = Control(self.settings.run_dir, self.executor.approve, self.pipeline.note)
+        self.control.start()
 
     def _action_context(self) -> ActionContext:
         docker = self.parts.world.docker

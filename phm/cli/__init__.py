@@ -25,6 +25,9 @@ VERBS = {
     "validate": "Check a configuration file and name every problem.",
     "checks": "List the checks that are installed.",
     "status": "Show how the running daemon and its agent do.",
+    "faults": "List open and recent faults, or one with its timeline.",
+    "approve": "Say yes to the action that PHM advises for an open fault.",
+    "note": "Write a line into the running daemon's log.",
 }
 VERB_GROUP = "phm.verbs"
 

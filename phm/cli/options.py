@@ -31,6 +31,18 @@ def config_option(function: F) -> F:
     )(function)
 
 
+def run_dir_option(function: F) -> F:
+    """Adds `--run-dir PATH`."""
+    return click.option(
+        "--run-dir",
+        envvar="PHM_RUN_DIR",
+        show_envvar=True,
+        default="/run/phm",
+        show_default=True,
+        help="The daemon's `run_dir`, where its status is.",
+    )(function)
+
+
 def json_option(function: F) -> F:
     """Adds `--json`."""
     return click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")(function)

@@ -57,6 +57,51 @@ def checks(rows: Sequence[Json]) -> None:
     console().print(table)
 
 
+def faults(episodes: Sequence[Json], running: bool) -> None:
+    """What `phm faults` prints: one line for each fault, open ones last, where the eye is."""
+    target = console()
+    if not episodes:
+        target.print(Text("No faults.", "green"))
+    else:
+        table = _table("fault", "unit", "since", "outcome", "what")
+        for episode in sorted(episodes, key=lambda episode: episode["outcome"] == "open"):
+            what = _plain(episode["summary"] or "")
+            if episode["blocks"]:
+                what.append("\n" + one_line(f"blocks {', '.join(episode['blocks'])}"))
+            steps = [step for step in episode["timeline"] if step["what"].endswith((" advised", " approved"))]
+            if steps and episode["outcome"] == "open":
+                what.append("\n" + one_line(steps[-1]["text"]))
+            name, unit, since = (_plain(episode[key] or "-") for key in ("fault", "unit", "opened"))
+            table.add_row(name, unit, since, _outcome(episode), what)
+        target.print(table)
+    _warn_unless(running, target)
+
+
+def timeline(episode: Json, running: bool) -> None:
+    """What `phm faults FAULT` prints: how it went, step by step."""
+    target = console()
+    head = _plain(f"{episode['fault']}  {episode['unit']}  ", "bold")
+    target.print(head.append_text(_outcome(episode)))
+    table = _table("utc", "step", "what")
+    for step in episode["timeline"]:
+        table.add_row(_plain(step["utc"] or "-"), _plain(step["what"]), _plain(step["text"]))
+    target.print(table)
+    _warn_unless(running, target)
+
+
+def _warn_unless(running: bool, target: Console) -> None:
+    if not running:
+        target.print(Text("PHM is not running: this is what its log knows.", "yellow"))
+
+
+def _outcome(episode: Json) -> Text:
+    outcome = str(episode["outcome"])
+    style = {"open": "bold red", "escalated": "red", "resolved": "green"}.get(outcome, "magenta")
+    by = f" by {episode['by']}" if episode["by"] and outcome == "resolved" else ""
+    took = f" in {episode['duration_s']} s" if isinstance(episode["duration_s"], (int, float)) else ""
+    return _plain(f"{outcome}{by}{took}", style)
+
+
 def console() -> Console:
     """Standard output as it is; never wider than the terminal."""
     plain = Console(highlight=False, markup=False, emoji=False)

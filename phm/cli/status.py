@@ -7,19 +7,12 @@ from typing import Any
 
 import click
 
-from phm.cli.options import json_option
+from phm.cli.options import json_option, run_dir_option
 from phm.wire import status_file
 
 
 @click.command(epilog="Example, as a container's HEALTHCHECK: phm status --healthy")
-@click.option(
-    "--run-dir",
-    envvar="PHM_RUN_DIR",
-    show_envvar=True,
-    default="/run/phm",
-    show_default=True,
-    help="The daemon's `run_dir`, where its status is.",
-)
+@run_dir_option
 @json_option
 @click.option("--healthy", is_flag=True, help="Print one sentence; exit code 0 when the daemon is well, else 1.")
 @click.option("--watch", is_flag=True, help="Show it anew every second until Ctrl-C.")

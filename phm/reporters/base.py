@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Protocol
 
 from phm.clock import Clock
 from phm.facts import LinkFact
-from phm.model import Event, UnitState
+from phm.model import Event, Fault, UnitState
 from phm.settings import Settings
 
 
@@ -36,6 +36,7 @@ class ReporterContext:
     states: what the tracker publishes now, in configuration order.
     alive:  False when the engine has stalled; a dead man's switch for heartbeats.
     health: a snapshot of PHM's own condition for `phm status` (JSON-able).
+    restored: faults that were open before PHM was started again, and were told then.
     """
 
     settings: Settings
@@ -45,6 +46,7 @@ class ReporterContext:
     alive: Callable[[], bool]
     health: Callable[[], dict[str, Any]]
     mavlink: MavlinkPort | None = None
+    restored: tuple[Fault, ...] = ()
 
 
 class Reporter(ABC):

@@ -36,6 +36,8 @@ class Mavlink(Reporter):
         self._refresh_s = self._settings.refresh or context.settings.interval
         now = context.clock.mono()
         self._teller, self._pacer = Teller(self._agent), Pacer(now)
+        open_before = {fault.unit for fault in context.restored}
+        self._teller.knows([state for state in context.states() if state.unit in open_before])
         self._heartbeat_at = now
         self._refresh_at: float | None = None
         self._full_at: float | None = None

@@ -38,6 +38,12 @@ class Teller:
         self._told: dict[str, tuple[UnitState, str]] = {}
         self._open: set[str] = set()
 
+    def knows(self, states: Sequence[UnitState]) -> None:
+        """The ground has heard of these bad units from an earlier run of PHM."""
+        for state in states:
+            self._open.add(state.unit)
+            self._bad(state)
+
     def transition(self, event: Transition) -> list[Line]:
         state = event.state
         if state.level.bad:
@@ -63,6 +69,9 @@ class Teller:
         if event.phase is Phase.ADVISED:
             text = status_line.advise(self._agent, state.slot, event.action, event.target)
             return [Line(key, Severity.WARNING, text)]
+        if event.phase is Phase.APPROVED:
+            text = status_line.approved(self._agent, state.slot, event.action, event.target)
+            return [Line(key, Severity.NOTICE, text)]
         if event.phase is Phase.ESCALATED:
             text = status_line.gave_up(self._agent, state.slot, event.target, status_line.brief_of(state))
             return [Line(key, status_line.severity(Level.ERROR, state.slot), text)]

@@ -37,7 +37,7 @@ class Status(Reporter):
         self._context = context
         self._path = os.path.join(context.settings.run_dir, NAME)
         self._place = place()
-        self._open: dict[str, Fault] = {}
+        self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
         self._closed: deque[Fault] = deque(maxlen=CLOSED_FAULTS)
         self._written_at = float("-inf")
         self._problem = ""

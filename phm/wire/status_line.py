@@ -80,6 +80,10 @@ def advise(agent: int, slot: Slot, action: str, target: str) -> str:
     return _line(f"{agent_name(agent)} ADVISE {slot:d} {_short(action, 16)}", target)
 
 
+def approved(agent: int, slot: Slot, action: str, target: str) -> str:
+    return _line(f"{agent_name(agent)} APPROVED {slot:d} {_short(action, 16)}", target)
+
+
 def gave_up(agent: int, slot: Slot, target: str, brief: str) -> str:
     said = brief if target in brief else f"{_short(target, 16)}: {brief}"
     return _line(f"{agent_name(agent)} GAVE UP {slot:d}", said)

@@ -90,7 +90,7 @@ def test_the_application_can_be_made_unhealthy() -> None:
 
 
 def test_compose_gives_the_sidecar_least_privilege() -> None:
-    """compose.yaml: no root, nothing writable but log and memory, no capabilities, limits, restarted when it ends."""
+    """compose.yaml: no root, nothing writable but log, state and memory, no capabilities, limits, restarted when it ends."""
     service = compose("compose.yaml")["services"]["phm"]
     assert service["user"] == "10001:10001"
     assert service["read_only"] is True
@@ -102,7 +102,7 @@ def test_compose_gives_the_sidecar_least_privilege() -> None:
     assert int(service["mem_limit"]) > 0
     assert int(service["pids_limit"]) > 0
     writable = {mount["target"] for mount in service["volumes"] if not mount.get("read_only")}
-    assert writable == {"/var/run/docker.sock", "/var/log/phm"}
+    assert writable == {"/var/run/docker.sock", "/var/log/phm", "/var/lib/phm"}
 
 
 def test_every_setting_of_the_agent_is_in_the_example() -> None:

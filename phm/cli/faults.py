@@ -1,0 +1,67 @@
+"""`phm faults`: open and recent faults with their timelines, from the log and the running daemon's status."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Any
+
+import click
+
+from phm.cli.options import config_option, json_option, load_settings, run_dir_option
+from phm.wire import episodes, journal, status_file
+
+RECENT = 20
+
+
+@click.command(epilog="Example: phm faults ab12-1")
+@click.argument("fault", required=False)
+@config_option
+@click.option("--log-dir", help="Folder of phm.jsonl.  [default: `log.directory` of the configuration]")
+@run_dir_option
+@json_option
+@click.option(
+    "--all", "everything", is_flag=True, help=f"All faults of the log, not only the last {RECENT} closed ones."
+)
+@click.pass_context
+def command(
+    ctx: click.Context, fault: str | None, config: str | None, log_dir: str | None, run_dir: str, as_json: bool,
+    everything: bool,
+) -> None:  # fmt: skip
+    """List open and recent faults, or one with its timeline.
+
+    Works without the daemon, from the log alone. Exit code 0; 1 when the named fault is not known or there is no log.
+    """
+    directory = log_dir or load_settings(config).log.directory
+    opened, running = _open_now(run_dir)
+    if not journal.files(directory) and not running:
+        click.echo(f"there is no phm.jsonl in {directory}: PHM has not run here, or see --log-dir", err=True)
+        ctx.exit(1)
+    found = episodes.gather(journal.read(directory), opened if running else None)
+    if fault is not None:
+        found = [episode for episode in found if episode["fault"] == fault]
+        if not found:
+            click.echo(f"fault {fault} is not in the log in {directory}: `phm faults --all` lists all", err=True)
+            ctx.exit(1)
+    elif not everything:
+        recent = [episode for episode in found if episode["outcome"] != "open"][-RECENT:]
+        found = [episode for episode in found if episode["outcome"] == "open" or episode in recent]
+    if as_json:
+        click.echo(json.dumps({"running": running, "faults": found}, indent=2))
+        return
+    from phm.cli import render
+
+    if fault is not None:
+        render.timeline(found[0], running)
+    else:
+        render.faults(found, running)
+
+
+def _open_now(run_dir: str) -> tuple[list[dict[str, Any]], bool]:
+    """The open faults of the running daemon, and whether one runs that can be believed."""
+    try:
+        document = status_file.read(os.fspath(run_dir))
+    except status_file.NoStatus:
+        return [], False
+    opened = document.get("faults", {}).get("open", [])
+    return (opened, True) if not status_file.unhealthy(document) else ([], False)

@@ -1,0 +1,60 @@
+"""Gives the parts of a new PHM what an earlier one knew, and keeps what this one knows (`phm.recovery.state_file`)."""
+
+from __future__ import annotations
+
+from phm.bus import Bus
+from phm.clock import Clock
+from phm.model import Event
+from phm.pipeline import Pipeline
+from phm.recovery.executor import Executor
+from phm.recovery.state import State
+from phm.recovery.state_file import Keeper, StateFile
+from phm.settings import Settings
+
+
+class Memory:
+    """`restore` goes before the reporters start, `resume` after them and before the first result."""
+
+    def __init__(self, settings: Settings, pipeline: Pipeline, bus: Bus, clock: Clock) -> None:
+        self._pipeline, self._bus, self._clock = pipeline, bus, clock
+        self._window_s = settings.recovery.window
+        self._file = StateFile(settings.state_dir, clock)
+        self._state, self._warning = State(), ""
+        self._events: tuple[Event, ...] = ()
+        self._keeper: Keeper | None = None
+
+    def restore(self) -> None:
+        """Read the file and put open faults back; nothing is told yet, since nobody hears it."""
+        self._state, self._warning = self._file.load(self._window_s)
+        self._events = self._pipeline.restore(self._state.faults, self._state.given_up)
+
+    def resume(self, executor: Executor) -> None:
+        """Tell what was restored, hand recovery its part, and begin to keep."""
+        if self._warning:
+            self._note(f"warning: {self._warning}")
+        for event in self._events:
+            self._bus.publish(event)
+        for fault in self._pipeline.open_faults():
+            self._note(f"{fault.unit}: fault {fault.id} was open when PHM ended, and is taken up again")
+        for fault in self._pipeline.given_up():
+            self._note(f"{fault.unit}: fault {fault.id} was given up before PHM ended, and is left alone")
+        attempts = sum(len(made) for made in self._state.recovery.attempts.values())
+        if attempts:
+            self._note(f"{attempts} recovery attempts from before PHM ended are remembered")
+        for cut_short in executor.restore(self._state):
+            self._note(cut_short)
+        keeper = self._keeper = Keeper(self._file, self._pipeline, executor.kept, self._clock)
+        self._bus.subscribe(
+            "state", keeper.handle, kinds=keeper.kinds, key=keeper.key, tick=keeper.tick, period_s=keeper.period_s
+        )
+
+    def problem(self) -> str:
+        return self._keeper.problem() if self._keeper is not None else ""
+
+    def close(self) -> None:
+        """A last writing, after the bus has ended."""
+        if self._keeper is not None:
+            self._keeper.tick()
+
+    def _note(self, text: str) -> None:
+        self._pipeline.note("PHM", text)

@@ -1,0 +1,193 @@
+"""What survives PHM itself, as data: open faults, attempts, what was told, an action that was under way.
+
+Pure: `encode` makes the document of `state.json` and `decode` reads it back. Times are kept on both clocks with the
+boot of the machine that they belong to: on the same boot the monotonic clock goes on; on another, ages are
+differences of UTC, never negative. On the disk it is `phm.recovery.state_file`'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.recovery.policy import CLEAN_S, KEPT, Attempt
+
+VERSION = 1
+MAX_FAULTS = 256
+MAX_TARGETS = 64
+MAX_TEXT = 2000
+MAX_TOLD = 32
+FAULT_AGE_S = 7 * 86400.0
+"""A fault is never taken to be older than this: a clock that was set explains more."""
+
+
+class Unbelievable(Exception):
+    """The state file is not what PHM writes; the message says in what way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What recovery knows of one open fault. `told` is what was said of it, so as not to say it twice."""
+
+    refused: bool = False
+    told: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class UnderWay:
+    """An action that had started and not ended."""
+
+    fault: str
+    attempt: Attempt
+
+
+@dataclass(frozen=True, slots=True)
+class RecoveryState:
+    """Recovery's own part: attempts by target, cases by fault id, actions under way by target."""
+
+    attempts: Mapping[str, tuple[Attempt, ...]] = field(default_factory=dict)
+    cases: Mapping[str, Case] = field(default_factory=dict)
+    under_way: Mapping[str, UnderWay] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """All that is kept."""
+
+    faults: tuple[Fault, ...] = ()
+    given_up: tuple[Fault, ...] = ()
+    recovery: RecoveryState = field(default_factory=RecoveryState)
+
+
+# ---------------------------------------------------------------- to and from JSON
+
+
+def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
+    """The document; everything in it is capped. `boot` is the machine's boot id."""
+    recovery = state.recovery
+    newest = sorted(recovery.attempts.items(), key=lambda item: item[1][-1].at if item[1] else 0.0)[-MAX_TARGETS:]
+    return {
+        "v": VERSION,
+        "boot": boot,
+        "written": _stamp(now),
+        "faults": [_fault(fault) for fault in state.faults[:MAX_FAULTS]],
+        "given_up": [_fault(fault) for fault in state.given_up[:MAX_FAULTS]],
+        "attempts": {target: [_attempt(each, now) for each in made[-KEPT:]] for target, made in newest if made},
+        "cases": {
+            name: {"refused": case.refused, "told": [text[:MAX_TEXT] for text in case.told[:MAX_TOLD]]}
+            for name, case in list(recovery.cases.items())[:MAX_FAULTS]
+        },
+        "under_way": {
+            target: {"fault": action.fault, "attempt": _attempt(action.attempt, now)}
+            for target, action in list(recovery.under_way.items())[:MAX_TARGETS]
+        },
+    }
+
+
+def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
+    """The state of `document` with its times on the clocks of now. Raises Unbelievable.
+
+    window_s: attempts are never taken to be older than this (their budget and back-off are over by then).
+    """
+    if not isinstance(document, dict):
+        raise Unbelievable("it holds no JSON object")
+    if document.get("v") != VERSION:
+        raise Unbelievable(f"its version is {str(document.get('v'))[:20]!r}, this PHM writes {VERSION}")
+    try:
+        same = bool(boot) and document["boot"] == boot
+
+        def carried(stamp: Stamp, most_s: float) -> Stamp:
+            return carry(stamp, now, same_boot=same, most_s=most_s)
+
+        def attempt(body: Any) -> Attempt:
+            when = carried(_read_stamp(body["at"]), max(window_s, CLEAN_S))
+            worked = body["worked"] is True
+            return Attempt(when.mono, str(body["unit"]), str(body["condition"]), str(body["action"]), worked)
+
+        def fault(body: Any) -> Fault:
+            return _read_fault(body, carried(_read_stamp(body["opened"]), FAULT_AGE_S))
+
+        recovery = RecoveryState(
+            {
+                str(target): tuple(sorted((attempt(each) for each in made[-KEPT:]), key=lambda made: made.at))
+                for target, made in list(document["attempts"].items())[:MAX_TARGETS]
+            },
+            {
+                str(name): Case(case["refused"] is True, tuple(str(text) for text in case["told"][:MAX_TOLD]))
+                for name, case in list(document["cases"].items())[:MAX_FAULTS]
+            },
+            {
+                str(target): UnderWay(str(action["fault"]), attempt(action["attempt"]))
+                for target, action in list(document["under_way"].items())[:MAX_TARGETS]
+            },
+        )
+        faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
+        return State(faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise Unbelievable(f"a part of it is wrong: {type(error).__name__}: {str(error)[:80]}") from None
+
+
+def carry(then: Stamp, now: Stamp, *, same_boot: bool, most_s: float) -> Stamp:
+    """A moment of an earlier run of PHM on the monotonic clock of now: never in the future, at most `most_s` ago."""
+    age_s = now.mono - then.mono if same_boot else now.utc - then.utc
+    return Stamp(then.utc, now.mono - min(max(age_s, 0.0), most_s))
+
+
+def _stamp(stamp: Stamp) -> dict[str, float]:
+    return {"utc": stamp.utc, "mono": stamp.mono}
+
+
+def _read_stamp(body: Any) -> Stamp:
+    utc, mono = float(body["utc"]), float(body["mono"])
+    if not (abs(utc) < 1e12 and abs(mono) < 1e12):
+        raise ValueError("a time is no time")
+    return Stamp(utc, mono)
+
+
+def _attempt(attempt: Attempt, now: Stamp) -> dict[str, Any]:
+    at = Stamp(now.utc - (now.mono - attempt.at), attempt.at)
+    return {
+        "at": {"utc": round(at.utc, 2), "mono": at.mono},
+        "unit": attempt.unit,
+        "condition": attempt.condition,
+        "action": attempt.action,
+        "worked": attempt.worked,
+    }
+
+
+def _fault(fault: Fault) -> dict[str, Any]:
+    result = fault.result
+    return {
+        "id": fault.id,
+        "unit": fault.unit,
+        "slot": int(fault.slot),
+        "layer": fault.layer.value,
+        "opened": _stamp(fault.opened),
+        "by": fault.by,
+        "blocks": list(fault.blocks[:MAX_FAULTS]),
+        "consequences": list(fault.consequences[:MAX_FAULTS]),
+        "result": {
+            "summary": result.summary[:MAX_TEXT],
+            "brief": result.brief[:MAX_TEXT],
+            "condition": result.condition[:MAX_TEXT],
+            "target": result.target[:MAX_TEXT],
+        },
+    }
+
+
+def _read_fault(body: Any, opened: Stamp) -> Fault:
+    return Fault(
+        str(body["id"])[:MAX_TEXT], str(body["unit"]), Slot(body["slot"]), Layer(body["layer"]),
+        _read_result(body["result"]), opened, by=str(body["by"]),
+        blocks=tuple(str(unit) for unit in body["blocks"]),
+        consequences=tuple(str(name) for name in body["consequences"]),
+    )  # fmt: skip
+
+
+def _read_result(body: Any) -> Result:
+    summary, brief, condition, target = (
+        str(body[key])[:MAX_TEXT] for key in ("summary", "brief", "condition", "target")
+    )
+    return Result(Level.ERROR, summary, brief, condition, target)

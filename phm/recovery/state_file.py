@@ -1,0 +1,139 @@
+"""The state on the disk: `state_dir/state.json`, replaced atomically whenever something has changed.
+
+Temporary file, fsync, rename, fsync of the folder; written by a thread of the bus, so that a slow or full disk never
+holds recovery back. A file that cannot be believed is set aside and told, and PHM starts with nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from phm.clock import Clock
+from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened
+from phm.pipeline import Pipeline
+from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
+from phm.wire.status_file import place
+
+NAME = "state.json"
+MAX_BYTES = 4_000_000
+KEPT_CORRUPT = 3
+ALONG_S = 0.25
+"""Changes within this time of the last writing wait for the next tick."""
+
+
+class StateFile:
+    """`state_dir/state.json`. Its methods raise nothing but what they say."""
+
+    def __init__(self, directory: str, clock: Clock, boot: str | None = None) -> None:
+        self.path = Path(directory) / NAME
+        self._clock = clock
+        self._boot = place()["machine_boot"] if boot is None else boot
+
+    def load(self, window_s: float) -> tuple[State, str]:
+        """The state, empty when there is none, and a sentence when a file had to be set aside or cannot be read."""
+        try:
+            with self.path.open("rb") as stream:
+                data = stream.read(MAX_BYTES + 1)
+        except FileNotFoundError:
+            return State(), ""
+        except OSError as error:
+            return State(), f"cannot read {self.path}: {error.strerror or error}; PHM starts without what it knew"
+        try:
+            return self._parse(data, window_s), ""
+        except Unbelievable as error:
+            return State(), self._set_aside(str(error))
+
+    def save(self, state: State) -> None:
+        """Replace the file. Raises OSError."""
+        data = json.dumps(encode(state, self._boot, self._clock.stamp()), separators=(",", ":")).encode("ascii")
+        if len(data) > MAX_BYTES:
+            raise OSError(f"the state has grown to {len(data)} bytes")
+        directory = self.path.parent
+        directory.mkdir(parents=True, exist_ok=True)
+        temporary = directory / f"{NAME}.tmp"
+        with contextlib.suppress(FileNotFoundError):
+            temporary.unlink()  # a leftover of a power cut
+        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(self.path)
+        folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def _parse(self, data: bytes, window_s: float) -> State:
+        if len(data) > MAX_BYTES:
+            raise Unbelievable(f"it is larger than {MAX_BYTES} bytes")
+        try:
+            document = json.loads(data)
+        except (ValueError, RecursionError):
+            raise Unbelievable("it is no JSON") from None
+        return decode(document, self._boot, self._clock.stamp(), window_s)
+
+    def _set_aside(self, reason: str) -> str:
+        utc = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(max(0.0, min(self._clock.utc(), 1e11))))
+        aside = self.path.with_name(f"{NAME}.corrupt-{utc}")
+        try:
+            self.path.replace(aside)
+            for old in sorted(self.path.parent.glob(f"{NAME}.corrupt-*"))[:-KEPT_CORRUPT]:
+                old.unlink()
+        except OSError as error:
+            return f"{self.path} is not believed ({reason}) and cannot be set aside: {error.strerror or error}"
+        return f"{self.path} is not believed ({reason}): set aside as {aside.name}, PHM starts without what it knew"
+
+
+class Keeper:
+    """A subscriber of the bus that keeps the file as things are. All but `problem` runs in the bus's thread."""
+
+    kinds = (FaultOpened, FaultClosed, ActionEvent)
+    period_s = 1.0
+
+    def __init__(
+        self, file: StateFile, pipeline: Pipeline, recovery: Callable[[], RecoveryState], clock: Clock
+    ) -> None:
+        self._file, self._pipeline, self._recovery, self._clock = file, pipeline, recovery, clock
+        self._written: State | None = None
+        self._tried_at = float("-inf")
+        self._problem = ""
+
+    @staticmethod
+    def key(event: Event) -> str:
+        """One event is as good as another: each means `look`."""
+        return "changed"
+
+    def handle(self, event: Event) -> None:
+        if self._clock.mono() - self._tried_at >= ALONG_S:
+            self.tick()
+
+    def tick(self) -> None:
+        """Write when something has changed; an unwritable folder is tried again at each tick, and told."""
+        state = State(plain(self._pipeline.open_faults()), plain(self._pipeline.given_up()), self._recovery())
+        if state == self._written:
+            return
+        self._tried_at = self._clock.mono()
+        try:
+            self._file.save(state)
+        except OSError as error:
+            reason = error.strerror or error
+            self._problem = (
+                f"cannot write {self._file.path}: {reason}; faults and budgets do not survive a restart of PHM"
+            )
+        else:
+            self._written, self._problem = state, ""
+
+    def problem(self) -> str:
+        return self._problem
+
+
+def plain(faults: Iterable[Fault]) -> tuple[Fault, ...]:
+    """Faults without the numbers behind them, which change at each look and are not kept."""
+    return tuple(replace(fault, result=replace(fault.result, values={})) for fault in faults)

@@ -1,0 +1,73 @@
+"""The control socket: how a verb asks the running daemon for something. One JSON object a line, each way.
+
+Requests are ``{"do": "ping"}``, ``{"do": "approve", "fault": ID}`` and ``{"do": "note", "kind": "INJECT", "text": TEXT}``;
+answers are ``{"ok": true, "text": ...}`` or ``{"ok": false, "error": ...}``. Standard library only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+NAME = "control.sock"
+MAX_REQUEST = 4096
+"""Bytes of one request, its line's end included."""
+MAX_ANSWER = 65536
+DEADLINE_S = 5.0
+
+
+class NoAnswer(Exception):
+    """The daemon did not answer; the message is one sentence that says why and what to do."""
+
+
+class Refused(Exception):
+    """The daemon answered that it will not; the message is its reason."""
+
+
+@contextlib.contextmanager
+def address(directory: str, name: str = NAME) -> Iterator[str]:
+    """The socket's address, short whatever the folder is called (the kernel takes 107 bytes). Raises OSError."""
+    folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        yield f"/proc/self/fd/{folder}/{name}"
+    finally:
+        os.close(folder)
+
+
+def ask(run_dir: str, request: dict[str, Any], timeout_s: float = DEADLINE_S) -> str:
+    """The daemon's answer in words. Raises NoAnswer and Refused."""
+    where = os.path.join(run_dir, NAME)
+    try:
+        with address(run_dir) as path, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stream:
+            stream.settimeout(timeout_s)
+            stream.connect(path)
+            stream.sendall(json.dumps(request).encode("ascii") + b"\n")
+            answer = _line(stream)
+    except FileNotFoundError:
+        raise NoAnswer(f"there is no {where}: PHM is not running, or its run_dir is another (see --run-dir)") from None
+    except PermissionError:
+        raise NoAnswer(f"{where} may not be opened: ask as root or as PHM's own user") from None
+    except OSError as error:
+        raise NoAnswer(f"PHM does not answer at {where}: {error.strerror or error}") from None
+    if not isinstance(answer, dict) or not isinstance(answer.get("ok"), bool):
+        raise NoAnswer(f"what answers at {where} is not PHM")
+    if not answer["ok"]:
+        raise Refused(str(answer.get("error")))
+    return str(answer.get("text"))
+
+
+def _line(stream: socket.socket) -> Any:
+    data = b""
+    while b"\n" not in data and len(data) <= MAX_ANSWER:
+        chunk = stream.recv(4096)
+        if not chunk:
+            break
+        data += chunk
+    try:
+        return json.loads(data.partition(b"\n")[0])
+    except (ValueError, RecursionError):
+        return None

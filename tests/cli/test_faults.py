@@ -1,0 +1,130 @@
+"""`phm faults`: what the log and the running daemon know of each fault, also without the daemon."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from phm.cli import group
+from phm.clock import SystemClock
+from phm.model import ActionEvent, Event, Level, Outcome, Phase, Slot, Transition
+from phm.reporters.log import Log
+from phm.reporters.status import Status
+from phm.settings import Settings
+from phm.wire.episodes import MAX_STEPS, gather
+from tests.fakes.records import at, closed, context, opened, unit
+
+DEAD = unit("nodes/n1", Slot.NODES, Level.ERROR, "Node n1 is not running", brief="n1 dead", target="app")
+BLOCKED = unit("topics/t1", Slot.TOPICS, Level.STALE, blocked_by=DEAD.unit)
+
+
+def step(phase: Phase, fault: str, detail: str) -> ActionEvent:
+    return ActionEvent(at(1.0), fault, DEAD.unit, "restart", "app", phase, detail)
+
+
+HEALED: list[Event] = [
+    opened(DEAD, "ab12-1"),
+    Transition(at(0.5), Level.OK, BLOCKED),
+    step(Phase.ADVISED, "ab12-1", "advised: restart app"),
+    step(Phase.APPROVED, "ab12-1", "approved: restart app"),
+    step(Phase.STARTED, "ab12-1", "restart app"),
+    step(Phase.VERIFIED, "ab12-1", "nodes/n1 is OK again"),
+    closed(DEAD, Outcome.RESOLVED, "restart", 4.5, "ab12-1"),
+]
+OPEN: list[Event] = [opened(DEAD, "ab12-2"), step(Phase.ADVISED, "ab12-2", "advised: restart app")]
+
+
+def record(folder: Path, *events: Event) -> None:
+    log = Log.build(context(Settings.model_validate({"log": {"directory": str(folder / "log")}})))
+    for event in events:
+        log.handle(event)
+    log.close()
+
+
+def invoke(folder: Path, *words: str) -> Result:
+    places = ["--log-dir", str(folder / "log"), "--run-dir", str(folder / "run")]
+    return CliRunner().invoke(group, ["faults", *words, *places], env={"COLUMNS": "200"})
+
+
+def as_json(folder: Path, *words: str) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads(invoke(folder, "--json", *words).output)
+    return document
+
+
+def test_without_the_daemon_the_log_is_shown(tmp_path: Path) -> None:
+    """Open faults with what is advised, healed ones with who did it, and a word that PHM is not running."""
+    record(tmp_path, *HEALED, *OPEN)
+    shown = invoke(tmp_path)
+    assert shown.exit_code == 0
+    for words in ("resolved by restart in 4.5 s", "blocks topics/t1", "advised: restart app", "PHM is not running"):
+        assert words in shown.output
+    assert shown.output.index("ab12-1") < shown.output.index("ab12-2")
+
+
+def test_one_fault_is_shown_step_by_step(tmp_path: Path) -> None:
+    """Opened, blocks, each phase, closed: in that order."""
+    record(tmp_path, *HEALED)
+    lines = invoke(tmp_path, "ab12-1").output.splitlines()
+    steps = ["opened", "blocks", "restart advised", "restart approved", "restart started", "restart verified"]
+    found = [next(index for index, line in enumerate(lines) if f"Z  {word}" in line) for word in steps]
+    assert found == sorted(found)
+    assert "by restart after 4.5 s" in lines[found[-1] + 1]
+
+
+def test_the_running_daemon_says_what_is_open(tmp_path: Path) -> None:
+    """What the log leaves open and the daemon does not know is `unknown`; what only the daemon knows is listed."""
+    record(tmp_path, *OPEN)
+    parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
+    status = Status.build(parts)
+    status.handle(opened(DEAD, "ab12-3"))
+    status.tick()
+    document = as_json(tmp_path)
+    assert document["running"] is True
+    assert {fault["fault"]: fault["outcome"] for fault in document["faults"]} == {"ab12-2": "unknown", "ab12-3": "open"}
+
+
+def test_a_restored_fault_is_open_in_the_status(tmp_path: Path) -> None:
+    """The daemon was started again: the fault that it took up is among the open ones, with no new event."""
+    parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
+    Status.build(replace(parts, restored=(opened(DEAD, "ab12-2").fault,))).tick()
+    assert [entry["fault"] for entry in as_json(tmp_path)["faults"]] == ["ab12-2"]
+
+
+def test_only_recent_ones_unless_all(tmp_path: Path) -> None:
+    """The last 20 closed faults; `--all` gives every one of the log."""
+    events: list[Event] = []
+    for number in range(30):
+        events += [opened(DEAD, f"f-{number}"), closed(DEAD, Outcome.RESOLVED, "itself", 1.0, f"f-{number}")]
+    record(tmp_path, *events)
+    assert [fault["fault"] for fault in as_json(tmp_path)["faults"]] == [f"f-{number}" for number in range(10, 30)]
+    assert len(as_json(tmp_path, "--all")["faults"]) == 30
+
+
+@pytest.mark.parametrize(("words", "said"), [((), "no phm.jsonl"), (("zz",), "no phm.jsonl")])
+def test_without_a_log_it_says_so(tmp_path: Path, words: tuple[str, ...], said: str) -> None:
+    """One sentence, exit code 1."""
+    result = invoke(tmp_path, *words)
+    assert (result.exit_code, said in result.output) == (1, True)
+
+
+def test_an_unknown_fault_is_a_sentence(tmp_path: Path) -> None:
+    """Exit code 1, with what to ask instead."""
+    record(tmp_path, *OPEN)
+    result = invoke(tmp_path, "zz")
+    assert (result.exit_code, "`phm faults --all`" in result.output) == (1, True)
+
+
+def test_lines_of_others_do_no_harm() -> None:
+    """Events with parts missing or of another type, and an endless timeline: nothing is raised, everything is capped."""
+    strange: list[dict[str, Any]] = [
+        {}, {"event": "action"}, {"event": "action", "fault": "x"}, {"event": "fault_closed", "fault": "y", "blocks": 3},
+        {"event": "transition", "blocked_by": 7, "unit": None}, {"event": "fault_opened", "fault": ["z"]},
+    ]  # fmt: skip
+    found = gather([*strange, *[{"event": "action", "fault": "x"}] * 1000], None)
+    assert [episode["fault"] for episode in found] == ["x", "y"]
+    assert len(found[0]["timeline"]) == MAX_STEPS

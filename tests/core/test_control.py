@@ -1,0 +1,190 @@
+"""The control socket: three requests, for two users, and nothing else gets anywhere."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import socket
+import stat
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from phm.cli import group
+from phm.control import MAX_CONNECTIONS, Control
+from phm.wire import control as wire
+
+
+class Daemon:
+    """A control socket with what it was asked for."""
+
+    def __init__(self, run_dir: Path) -> None:
+        self.run_dir = run_dir
+        self.notes: list[tuple[str, str]] = []
+        self.control = Control(str(run_dir), self.approve, lambda kind, text: self.notes.append((kind, text)))
+        self.control.start()
+        self.until(lambda: (run_dir / wire.NAME).exists())
+
+    def approve(self, fault: str) -> str:
+        if fault == "ab12-1":
+            return "approved: restart app"
+        raise LookupError(f"there is no open fault {fault}; open: ab12-1 (health/app)")
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        end = time.monotonic() + 10
+        while not condition():
+            assert time.monotonic() < end
+            time.sleep(0.01)
+
+    def connect(self) -> socket.socket:
+        stream = socket.socket(socket.AF_UNIX)  # blocking: with a full backlog it waits for its turn
+        with wire.address(str(self.run_dir)) as path:
+            stream.connect(path)
+        stream.settimeout(10)
+        return stream
+
+    def ping(self) -> str:
+        return wire.ask(str(self.run_dir), {"do": "ping"})
+
+    def serves(self) -> bool:
+        try:
+            return self.ping() == "PHM is here"
+        except (wire.NoAnswer, wire.Refused):
+            return False
+
+    def phm(self, *words: str) -> tuple[int, str]:
+        result = CliRunner().invoke(group, [*words, "--run-dir", str(self.run_dir)])
+        return result.exit_code, result.output
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Daemon]:
+    made = Daemon(tmp_path / ("a-long-name-" * 10))
+    yield made
+    made.control.close()
+
+
+def test_it_is_for_its_owner_and_goes_away(daemon: Daemon) -> None:
+    """Mode 0600, no other name beside it, removed at the end; a leftover is replaced."""
+    path = daemon.run_dir / wire.NAME
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert [entry.name for entry in daemon.run_dir.iterdir()] == [wire.NAME]
+    second = Daemon(daemon.run_dir)
+    daemon.until(second.serves)
+    daemon.control.close()
+    assert path.exists(), "the socket of another daemon was removed"
+    second.control.close()
+    assert not path.exists()
+
+
+def test_the_verbs_ask_and_tell(daemon: Daemon) -> None:
+    """`phm approve` and `phm note`: 0 with what will be done, 1 with a sentence."""
+    assert daemon.phm("approve", "ab12-1") == (0, "approved: restart app\n")
+    code, said = daemon.phm("approve", "zz")
+    assert (code, "open: ab12-1" in said) == (1, True)
+    assert daemon.phm("note", "node\x1b[2J killed") == (0, "noted: node\\x1b[2J killed\n")
+    assert daemon.notes == [("INJECT", "node\\x1b[2J killed")]
+
+
+def test_without_a_daemon_the_verbs_say_so(tmp_path: Path, daemon: Daemon) -> None:
+    """No folder, no socket, and a socket that nobody serves any more: one sentence, exit code 1."""
+    for run_dir in (tmp_path / "none", tmp_path):
+        result = CliRunner().invoke(group, ["approve", "x", "--run-dir", str(run_dir)])
+        assert (result.exit_code, "PHM is not running" in result.output) == (1, True)
+    dead = socket.socket(socket.AF_UNIX)
+    with wire.address(str(tmp_path)) as path:
+        dead.bind(path)
+    dead.close()
+    result = CliRunner().invoke(group, ["approve", "x", "--run-dir", str(tmp_path)])
+    assert (result.exit_code, "PHM does not answer" in result.output) == (1, True)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"",
+        b"\xff\xfe",
+        b"[]",
+        b"3",
+        b"[" * 4000,
+        b'{"do": "run"}',
+        b'{"do": "ping", "more": 1}',
+        b'{"do": "approve"}',
+        b'{"do": "approve", "fault": 3}',
+        b'{"do": "approve", "fault": {"a": 1}}',
+        b'{"do": "note", "kind": "DOCKER", "text": "forged"}',
+        b'{"do": "note", "kind": "INJECT", "text": null}',
+        b"x" * 10_000,
+    ],
+)
+def test_nonsense_is_answered_with_an_error_and_let_go(daemon: Daemon, line: bytes) -> None:
+    """One error, the connection closed, and the next one is served."""
+    with daemon.connect() as stream:
+        data = b""
+        try:
+            stream.sendall(line + b"\n")
+            while chunk := stream.recv(4096):
+                data += chunk
+        except ConnectionError:
+            pass  # closed with more than it wanted to read
+    assert not data or json.loads(data)["ok"] is False
+    assert daemon.notes == []
+    daemon.until(daemon.serves)
+
+
+def test_random_bytes_never_end_it(daemon: Daemon) -> None:
+    """Torn, mixed and endless requests: it goes on answering."""
+    chance = random.Random(3)
+    for _ in range(100):
+        with daemon.connect() as stream:
+            pieces = [
+                b'{"do":',
+                b'"ping"}',
+                b"\n",
+                b"\x00",
+                chance.randbytes(chance.randrange(2000)),
+                b'{"do":"ping"}\n',
+            ]
+            try:
+                for piece in chance.choices(pieces, k=chance.randrange(8)):
+                    stream.sendall(piece)
+            except OSError:
+                continue  # it had enough
+    daemon.until(daemon.serves)
+
+
+def test_few_connections_at_a_time(daemon: Daemon) -> None:
+    """Whoever comes when all are taken is told so; once one is free, the next is served."""
+    held = [daemon.connect() for _ in range(MAX_CONNECTIONS)]
+    for stream in held:
+        stream.sendall(b'{"do": "ping"}\n')
+        assert json.loads(stream.recv(4096))["ok"] is True
+    with daemon.connect() as more:
+        assert "at most" in json.loads(more.recv(4096))["error"]
+    for stream in held:
+        stream.close()
+    daemon.until(daemon.serves)
+
+
+def test_only_root_and_its_own_user_may_ask(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel says who is at the other end."""
+    monkeypatch.setattr("phm.control._user", lambda peer: os.geteuid() + 12345)
+    with pytest.raises(wire.Refused, match="only root"):
+        daemon.ping()
+
+
+def test_a_run_dir_that_cannot_be_made_is_a_problem(tmp_path: Path) -> None:
+    """Told in `phm status`; nothing else is hurt."""
+    (tmp_path / "file").write_text("")
+    control = Control(str(tmp_path / "file" / "run"), str, lambda kind, text: None)
+    control.start()
+    end = time.monotonic() + 10
+    while not control.problem():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    assert "`phm approve` does not work" in control.problem()
+    control.close()

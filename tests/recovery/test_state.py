@@ -1,0 +1,159 @@
+"""What survives PHM: written whole or not at all, believed only when sound, with its times on the clocks of now."""
+
+from __future__ import annotations
+
+import json
+import stat
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm import testing
+from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.recovery.policy import Attempt
+from phm.recovery.state import Case, RecoveryState, State, Unbelievable, UnderWay, carry, decode, encode
+from phm.recovery.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
+
+BOOT, OTHER = "boot-a", "boot-b"
+WINDOW_S = 600.0
+
+
+def fault(name: str = "ab12-1", opened: Stamp | None = None) -> Fault:
+    result = Result(Level.ERROR, "app has exited", "app exited", "exited", "app")
+    when = opened or Stamp(1000.0, 90.0)
+    return Fault(name, "container/app", Slot.CONTAINER, Layer.DOCKER, result, when, blocks=("files/app",))
+
+
+def attempt(at: float = 95.0) -> Attempt:
+    return Attempt(at, "container/app", "exited", "start", worked=False)
+
+
+FULL = State(
+    (fault(),),
+    (fault("ab12-2"),),
+    RecoveryState(
+        {"app": (attempt(),)}, {"ab12-1": Case(True, ("advised start",))}, {"app": UnderWay("ab12-1", attempt(99.0))}
+    ),
+)
+
+
+def through_json(state: State, now: Stamp) -> Any:
+    return json.loads(json.dumps(encode(state, BOOT, now)))
+
+
+def test_on_the_same_boot_everything_comes_back_as_it_was() -> None:
+    """The monotonic clock goes on, so no time changes."""
+    document = through_json(FULL, Stamp(1010.0, 100.0))
+    assert decode(document, BOOT, Stamp(5.0, 130.0), WINDOW_S) == FULL
+
+
+def test_on_another_boot_times_are_converted_through_utc() -> None:
+    """An attempt 5 s before the writing is 65 s old a minute later, whatever the new monotonic clock shows."""
+    document = through_json(FULL, Stamp(1010.0, 100.0))
+    state = decode(document, OTHER, Stamp(1070.0, 20.0), WINDOW_S)
+    assert state.recovery.attempts["app"][0].at == pytest.approx(20.0 - 65.0)
+    assert state.recovery.under_way["app"].attempt.at == pytest.approx(20.0 - 61.0)
+    assert state.faults[0].opened == Stamp(1000.0, 20.0 - 70.0)
+
+
+@pytest.mark.parametrize("boot", ["", OTHER])
+@pytest.mark.parametrize(("utc", "age_s"), [(0.0, 0.0), (1e9, WINDOW_S)])
+def test_a_clock_that_was_set_gives_no_impossible_age(boot: str, utc: float, age_s: float) -> None:
+    """Never negative, and at most the window; an unknown boot is another boot."""
+    document = through_json(FULL, Stamp(1010.0, 100.0))
+    state = decode(document, boot, Stamp(utc, 20.0), WINDOW_S)
+    assert state.recovery.attempts["app"][0].at == pytest.approx(20.0 - age_s)
+
+
+def test_a_moment_from_the_future_is_now() -> None:
+    """Also on the same boot: a file may be older or newer than its clock says, never ahead of it."""
+    assert carry(Stamp(0.0, 500.0), Stamp(0.0, 100.0), same_boot=True, most_s=60.0).mono == 100.0
+
+
+def test_everything_is_capped() -> None:
+    """Many faults, targets, attempts and long texts stay far below what is read back."""
+    long = Result(Level.ERROR, "x" * 100_000, "y" * 100_000, "c", "app")
+    faults = tuple(Fault(f"f{n}", f"u{n}", Slot.HOST, Layer.COMPANION, long, Stamp(0, 0)) for n in range(1000))
+    attempts = {f"t{n}": tuple(attempt(float(m)) for m in range(300)) for n in range(300)}
+    data = json.dumps(encode(State(faults, (), RecoveryState(attempts)), BOOT, Stamp(0, 0)))
+    assert len(data) < MAX_BYTES
+    state = decode(json.loads(data), BOOT, Stamp(0, 0), WINDOW_S)
+    assert (len(state.faults), len(state.recovery.attempts), len(state.recovery.attempts["t299"])) == (256, 64, 100)
+
+
+def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
+    return lambda document: {**document, key: value}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda document: [document],
+        spoil("v", 2),
+        spoil("v", None),
+        spoil("faults", 3),
+        spoil("faults", [{}]),
+        spoil("faults", [{"opened": {"utc": "nan", "mono": 0}}]),
+        spoil("attempts", []),
+        spoil("attempts", {"app": [{"at": {"utc": 1e300, "mono": 0}}]}),
+        spoil("cases", {"x": 1}),
+        spoil("under_way", {"app": {"fault": "x"}}),
+        lambda document: {key: value for key, value in document.items() if key != "boot"},
+    ],
+)
+def test_a_document_that_is_not_ours_is_not_believed(change: Callable[[dict[str, Any]], Any]) -> None:
+    """A wrong version or a wrong part anywhere makes the whole unbelievable; nothing else is raised."""
+    document = through_json(FULL, Stamp(1010.0, 100.0))
+    with pytest.raises(Unbelievable):
+        decode(change(document), BOOT, Stamp(1010.0, 100.0), WINDOW_S)
+
+
+# ---------------------------------------------------------------- on the disk
+
+
+def test_it_is_written_whole_for_phm_alone_and_read_back(tmp_path: Path) -> None:
+    """The folder is made, the file is 0600, no temporary file stays, and a leftover of a power cut is no obstacle."""
+    file = StateFile(str(tmp_path / "a" / "b"), testing.FakeClock(), BOOT)
+    assert file.load(WINDOW_S) == (State(), "")
+    file.save(State())
+    (file.path.parent / "state.json.tmp").write_text("torn")
+    file.save(FULL)
+    assert [entry.name for entry in file.path.parent.iterdir()] == ["state.json"]
+    assert stat.S_IMODE(file.path.stat().st_mode) == 0o600
+    state, warning = file.load(WINDOW_S)
+    assert (warning, [each.id for each in state.faults]) == ("", ["ab12-1"])
+
+
+@pytest.mark.parametrize("data", [b"", b"\x00" * 512, b'{"v": 1, "fau', b"[" * 100_000, b" " * (MAX_BYTES + 1), b"{}"])
+def test_a_broken_file_is_set_aside_with_a_warning(tmp_path: Path, data: bytes) -> None:
+    """PHM starts with nothing, says so, and keeps the file for whoever wants to look."""
+    file = StateFile(str(tmp_path), testing.FakeClock(), BOOT)
+    file.path.write_bytes(data)
+    state, warning = file.load(WINDOW_S)
+    assert state == State()
+    assert "set aside as state.json.corrupt-" in warning
+    assert not file.path.exists()
+    assert next(tmp_path.glob("state.json.corrupt-*")).read_bytes() == data
+
+
+def test_few_broken_files_are_kept(tmp_path: Path) -> None:
+    """The newest three: a disk that spoils files must not be filled with them."""
+    clock = testing.FakeClock()
+    file = StateFile(str(tmp_path), clock, BOOT)
+    for number in range(6):
+        file.path.write_text(f"broken {number}")
+        file.load(WINDOW_S)
+        clock.advance(60.0)
+    texts = sorted(entry.read_text() for entry in tmp_path.glob("state.json.corrupt-*"))
+    assert texts == [f"broken {number}" for number in range(6)][-KEPT_CORRUPT:]
+
+
+def test_an_unreadable_state_is_a_sentence(tmp_path: Path) -> None:
+    """A folder in the file's place: told, and PHM starts with nothing."""
+    file = StateFile(str(tmp_path), testing.FakeClock(), BOOT)
+    file.path.mkdir()
+    state, warning = file.load(WINDOW_S)
+    assert state == State()
+    assert "cannot read" in warning
