@@ -167,7 +167,7 @@ class Proof:
         """Read off the record what happened; alarms at other units count as well."""
         for event in events:
             if event["event"] == "fault_opened":
-                row.alarms.append(event["unit"])
+                row.alarm(event["unit"])
                 if event["unit"] == row.unit and row.detected_s is None:
                     row.detected_s, row.summary = event["mono"] - moment, event["summary"]
             elif event["event"] == "action":
@@ -187,7 +187,10 @@ class Proof:
         except RuntimeError as error:
             row.problems.append(str(error))
         self.record.update()
-        row.alarms = [event["unit"] for event in self.record.events[mark:] if event["event"] == "fault_opened"]
+        row.alarms, row.beside = [], []
+        for event in self.record.events[mark:]:
+            if event["event"] == "fault_opened":
+                row.alarm(event["unit"])
 
 
 def world(agent: Agent) -> Mapping[str, Any]:

@@ -34,6 +34,11 @@ class Row:
     summary: str = ""
     outcome: str = "quiet"
     problems: list[str] = field(default_factory=list)
+    beside: list[str] = field(default_factory=list)
+    """Alarms about the machine on which all this runs: true, and no consequence of what was injected."""
+
+    def alarm(self, unit: str) -> None:
+        (self.beside if unit.startswith("host/") else self.alarms).append(unit)
 
     @property
     def good(self) -> bool:
@@ -44,7 +49,7 @@ class Row:
         acts = grouped(self.actions) or (f"advised: {grouped(self.advised)}" if self.advised else "none")
         return (
             self.mode, self.title, str(len(self.alarms)), named, seconds(self.detected_s), acts,
-            seconds(self.healed_s), self.outcome,
+            seconds(self.healed_s), f"{self.outcome}; beside it {', '.join(self.beside)}" if self.beside else self.outcome,
         )  # fmt: skip
 
 

@@ -39,6 +39,15 @@ def test_when_a_row_holds(changes: dict[str, object], healable: bool, good: bool
     assert (made.good, made.outcome) == (good, outcome)
 
 
+def test_a_busy_machine_is_told_and_not_counted() -> None:
+    """An alarm about the machine's own processor is true and follows from no injected fault: it stands beside."""
+    made = row()
+    made.alarm("host/cpu")
+    judged_words(made, healable=True)
+    assert made.good
+    assert "beside it host/cpu" in made.cells()[-1]
+
+
 def test_repeated_actions_are_counted() -> None:
     """The same action several times in a row is one word with its count."""
     assert grouped(["start", "restart", "restart"]) == "start, restart x2"
