@@ -1,24 +1,35 @@
-"""`phm checks`: what is installed."""
+"""`phm checks`: what is installed, and what a configuration makes of it: the graph of needs."""
 
 from __future__ import annotations
 
 import json
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from phm.cli.options import json_option
+from phm.cli.options import config_option, json_option, load_settings, loops_are_configuration_errors
+
+if TYPE_CHECKING:
+    from phm.plan import Plan
 
 
-@click.command(epilog="Example: phm checks --json")
+@click.command(epilog="Example: phm checks --graph -c config/phm.yaml")
+@click.option("--graph", "as_graph", is_flag=True, help="Print who needs whom in a configuration, as a tree.")
+@config_option
 @json_option
 @click.pass_context
-def command(ctx: click.Context, as_json: bool) -> None:
+def command(ctx: click.Context, as_graph: bool, config: str | None, as_json: bool) -> None:
     """List the checks that are installed.
 
     With slot, layer and the package each comes from. A check that cannot be loaded is listed with the
-    reason, and the exit code is 1; so it is when there are none at all.
+    reason, and the exit code is 1; so it is when there are none at all. With --graph: the units of a
+    configuration, each below what it needs; exit code 78 when the configuration is bad.
     """
+    if as_graph:
+        plan = _plan(config)
+        click.echo(json.dumps(_graph_json(plan), indent=2) if as_json else "\n".join(_tree(plan)))
+        ctx.exit(0)
     rows = _rows()
     if as_json:
         click.echo(json.dumps(rows, indent=2))
@@ -29,6 +40,60 @@ def command(ctx: click.Context, as_json: bool) -> None:
     if not rows:
         click.echo("No checks are installed: install the package that brings them, phm-sidecar.", err=True)
     ctx.exit(0 if rows and not any(row["problem"] for row in rows) else 1)
+
+
+def _plan(config: str | None) -> Plan:
+    settings = load_settings(config)
+    from phm import registry
+    from phm.plan import make
+
+    with loops_are_configuration_errors():
+        return make(settings, registry.checks())
+
+
+def _graph_json(plan: Plan) -> list[dict[str, Any]]:
+    """One per unit, in slot order. `needs` is direct; `blocks` is everything that follows, with all between."""
+    from phm.needs import Needs
+
+    needs = Needs({entry.unit.id: entry.needs for entry in plan.tracked})
+    known = {entry.unit.id for entry in plan.tracked}
+    return [
+        {
+            "unit": entry.unit.id,
+            "check": entry.check,
+            "slot": int(entry.slot),
+            "needs": [need for need in entry.needs if need in known],
+            "blocks": list(needs.downstream(entry.unit.id)),
+            "target": entry.unit.target,
+            "settle_s": entry.unit.settle_s,
+            "grace_s": entry.unit.grace_s,
+            "failures": entry.failures,
+            "suspect": entry.unit.suspect,
+        }
+        for entry in plan.tracked
+    ]
+
+
+def _tree(plan: Plan) -> Iterator[str]:
+    """Each unit once, indented below the last of its direct needs; further needs that are not above it are named."""
+    from phm.needs import Needs
+
+    needs = Needs({entry.unit.id: entry.needs for entry in plan.tracked})
+    entries = {entry.unit.id: entry for entry in plan.tracked}
+    below: dict[str, list[str]] = {}
+    for unit, entry in entries.items():
+        direct = [need for need in entry.needs if need in entries]
+        below.setdefault(max(direct, key=lambda need: len(needs.upstream(need)), default=""), []).append(unit)
+
+    def lines(parent: str, above: tuple[str, ...]) -> Iterator[str]:
+        for unit in below.get(parent, ()):
+            also = [need for need in entries[unit].needs if need in entries and need not in above]
+            said = f" (also needs {', '.join(also)})" if also else ""
+            said += " (possible cause of anything, blocks nobody)" if entries[unit].unit.suspect else ""
+            yield f"{'  ' * len(above)}{unit}{said}"
+            yield from lines(unit, (*above, unit))
+
+    return lines("", ())
 
 
 def _rows() -> list[dict[str, Any]]:

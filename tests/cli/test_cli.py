@@ -196,6 +196,21 @@ def test_checks_lists_what_is_installed_and_what_is_broken(plugin: Path) -> None
     assert "not usable: module 'acme_missing' cannot be imported" in table
 
 
+def test_the_graph_of_needs_is_a_tree() -> None:
+    """Each unit stands once, below what it needs; as JSON with direct needs and everything that follows."""
+    shipped = ("checks", "--graph", "-c", str(ROOT / "config" / "phm.yaml"))
+    lines = invoke(*shipped).stdout.splitlines()
+    rows = json.loads(invoke(*shipped, "--json").stdout)
+    assert sorted(line.split()[0] for line in lines) == sorted(row["unit"] for row in rows)
+    start = lines.index("  container/ros_app")
+    assert lines[start - 1] == "engine"
+    assert "        topics/agent_1/topic_1 (also needs nodes/agent_1/node_2)" in lines
+    assert "host/disk (possible cause of anything, blocks nobody)" in lines
+    [network] = [row for row in rows if row["unit"] == "network/ros_app"]
+    assert network["needs"] == ["container/ros_app"]
+    assert {unit.partition("/")[0] for unit in network["blocks"]} == {"nodes", "topics", "rates"}
+
+
 def test_no_checks_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """An installation that judges nothing must not look well."""
     monkeypatch.setattr("phm.registry.find", lambda group, base: [])

@@ -60,7 +60,7 @@ def test_one_fault_is_one_alarm_at_its_cause(kind: str, seed: int, events_are_lo
     sim.run(10.0)
     unit = CAUSES[kind][0]
     sim.ask(unit)  # the next pass: nobody may have needed it, its event was lost and its period is long
-    sim.run(1.0)
+    sim.run(2.0)
     assert sim.opened == [unit]
     assert_attributed(sim, {unit})
     sim.world.repair(kind, sim.now)
@@ -80,7 +80,7 @@ def test_independent_faults_are_each_told_once(pair: tuple[str, str], seed: int,
     units = {CAUSES[kind][0] for kind in pair}
     for unit in units - set(sim.opened):
         sim.ask(unit)
-    sim.run(1.0)
+    sim.run(2.0)
     assert sorted(sim.opened) == sorted(units)
     assert_attributed(sim, units)
     for kind in pair:

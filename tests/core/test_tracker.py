@@ -461,6 +461,27 @@ def test_a_fault_names_its_consequences_when_it_opens() -> None:
     assert event.fault.blocks == ()
 
 
+def test_events_come_in_the_order_in_which_they_are_told() -> None:
+    """An alarm opens before its transition; an end follows its own, and precedes that of who is reattributed."""
+    bench = chain()
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    bench.now += 1
+    bench.see("container", BAD)
+    bench.see("container", OK)
+    seen = [
+        (type(event).__name__, event.unit if isinstance(event, Transition) else event.fault.unit)
+        for event in bench.events
+        if isinstance(event, FaultOpened | FaultClosed | Transition)
+    ]
+    assert seen[:2] == [("FaultOpened", "nodes"), ("Transition", "nodes")]
+    assert seen[2:4] == [("FaultOpened", "container"), ("Transition", "container")]
+    assert seen[4:6] == [("FaultClosed", "nodes"), ("Transition", "nodes")]
+    assert seen[6:8] == [("Transition", "container"), ("FaultClosed", "container")]
+
+
 def test_a_suspect_is_named_and_blocks_nobody() -> None:
     """A full disk can be behind a dead node but need not be: the fault is told, with the disk as a hint."""
     disk = Tracked(Unit("host/disk", suspect=True), "host", Slot.HOST, Layer.COMPANION)
