@@ -45,7 +45,8 @@ def ask(run_dir: str, request: dict[str, Any], timeout_s: float = DEADLINE_S) ->
         with address(run_dir) as path, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stream:
             stream.settimeout(timeout_s)
             stream.connect(path)
-            stream.sendall(json.dumps(request).encode("ascii") + b"\n")
+            with contextlib.suppress(ConnectionError):  # turned away unheard: the reason is there to be read
+                stream.sendall(json.dumps(request).encode("ascii") + b"\n")
             answer = _line(stream)
     except FileNotFoundError:
         raise NoAnswer(f"there is no {where}: PHM is not running, or its run_dir is another (see --run-dir)") from None

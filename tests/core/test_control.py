@@ -73,7 +73,9 @@ def test_it_is_for_its_owner_and_goes_away(daemon: Daemon) -> None:
     path = daemon.run_dir / wire.NAME
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert [entry.name for entry in daemon.run_dir.iterdir()] == [wire.NAME]
+    first = path.stat().st_ino
     second = Daemon(daemon.run_dir)
+    daemon.until(lambda: path.stat().st_ino != first)
     daemon.until(second.serves)
     daemon.control.close()
     assert path.exists(), "the socket of another daemon was removed"
