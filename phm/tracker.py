@@ -175,7 +175,7 @@ class Tracker:
             for unit in self._units.values()
             if unit.raw is None
             or unit.pending_since is not None
-            or (now.mono < unit.quiet_until and unit.raw.level is not Level.OK and not unit.told.blocked_by)
+            or (self._too_early(unit, now) and unit.raw.level is not Level.OK and not unit.told.blocked_by)
         )
 
     # ------------------------------------------------------------ what was, before PHM was started again
