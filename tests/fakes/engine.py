@@ -126,7 +126,9 @@ def container(
             }
         },
         "Mounts": [dict(mount) for mount in mounts],
+        "Image": f"image-of-{name}",
         "_files": dict(files or {}),
+        "_modes": {},
     }  # fmt: skip
     if health:
         inspect["State"]["Health"] = {"Status": health, "FailingStreak": 0, "Log": []}
@@ -154,6 +156,10 @@ class FakeEngine:
         self.api, self.minimum = api, minimum
         self.containers: dict[str, dict[str, Any]] = {}
         self.networks: dict[str, dict[str, Any]] = {}
+        self.images: dict[str, dict[str, bytes]] = {}
+        """Files by image, for containers that are made of it."""
+        self.programs: collections.deque[dict[str, Any]] = collections.deque(maxlen=100)
+        """What exec was asked to run, as created; `Started` once it was."""
         self.calls: collections.deque[str] = collections.deque(maxlen=1000)
         self.events: collections.deque[dict[str, Any]] = collections.deque(maxlen=256)
         self.errors: collections.deque[BaseException] = collections.deque(maxlen=100)
@@ -295,7 +301,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         self._serve()
 
-    do_HEAD = do_POST = do_DELETE = do_GET
+    do_HEAD = do_POST = do_PUT = do_DELETE = do_GET
 
     def _serve(self) -> None:
         fake = self.fake
@@ -303,7 +309,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.route = re.sub(r"^/v[0-9.]+", "", unquote(url.path))
         self.query = {key: values[0] for key, values in parse_qs(url.query).items()}
         length = int(self.headers.get("Content-Length") or 0)
-        self.body = json.loads(self.rfile.read(length) or b"{}") if length else {}
+        self.raw = self.rfile.read(length) if length else b""
+        self.body = json.loads(self.raw or b"{}") if self.command != "PUT" else {}
         with fake.changed:
             fake.calls.append(f"{self.command} {self.route}")
             fake.changed.notify_all()
@@ -423,22 +430,62 @@ class _Handler(BaseHTTPRequestHandler):
     def top(self, ref: str) -> None:
         if self._container(ref)["State"]["Status"] != "running":
             raise _Refusal(409, f"Container {ref} is not running")
-        self._json({"Titles": ["PID", "CMD"], "Processes": [["4242", "sleep"]]})
+        running = [["1", " ".join(one["Cmd"])] for one in self.fake.programs if one["Container"] == ref]
+        self._json({"Titles": ["PID", "CMD"], "Processes": [["4242", "sleep"], *running]})
 
     def archive(self, ref: str) -> None:
         path, content = self.query.get("path", ""), b""
-        files = self._container(ref)["_files"]
+        entry = self._container(ref)
+        files = entry["_files"]
+        if self.command == "PUT":
+            self._put(entry, path)
+            return
+        if self.command == "HEAD" and any(known.startswith(f"{path}/") for known in files):
+            self._send(200, b"", {"X-Docker-Container-Path-Stat": _stat(Path(path).name, 0, 1 << 31 | 0o755)})
+            return
         if path not in files:
             raise _Refusal(404, f"Could not find the file {path} in container {ref}")
-        content, name = files[path], Path(path).name
-        stat = {"name": name, "size": len(content), "mode": 0o644, "mtime": "2026-01-01T00:00:00Z", "linkTarget": ""}
+        content, name, mode = files[path], Path(path).name, entry["_modes"].get(path, 0o644)
         tar = io.BytesIO()
         with tarfile.open(fileobj=tar, mode="w") as archive:
             member = tarfile.TarInfo(name)
-            member.size = len(content)
+            member.size, member.mode = len(content), mode
             archive.addfile(member, io.BytesIO(content))
-        header = base64.b64encode(json.dumps(stat).encode()).decode()
+        header = _stat(name, len(content), mode)
         self._send(200, tar.getvalue(), {"X-Docker-Container-Path-Stat": header, "Content-Type": "application/x-tar"})
+
+    def _put(self, entry: dict[str, Any], folder: str) -> None:
+        with tarfile.open(fileobj=io.BytesIO(self.raw)) as archive:
+            for member in archive.getmembers():
+                content = archive.extractfile(member)
+                assert content is not None
+                path = f"{folder.rstrip('/')}/{member.name}"
+                entry["_files"][path], entry["_modes"][path] = content.read(), member.mode
+        self._send(200, b"")
+
+    def create(self) -> None:
+        name, image = self.query.get("name", "nameless"), self.body["Image"]
+        if image not in self.fake.images:
+            raise _Refusal(404, f"No such image: {image}")
+        if self.fake.find(name) is not None:
+            raise _Refusal(409, f"The container name {name} is already in use")
+        made = container(name, status="created", labels=self.body.get("Labels"), files=self.fake.images[image])
+        self.fake.containers[name] = made
+        self._json({"Id": made["Id"], "Warnings": []}, 201)
+
+    def remove(self, ref: str) -> None:
+        del self.fake.containers[self._container(ref)["Name"].lstrip("/")]
+        self._send(204, b"")
+
+    def exec_create(self, ref: str) -> None:
+        if self._container(ref)["State"]["Status"] != "running":
+            raise _Refusal(409, f"Container {ref} is not running")
+        self.fake.programs.append({"Container": ref, "Started": False, **self.body})
+        self._json({"Id": str(len(self.fake.programs) - 1)}, 201)
+
+    def exec_start(self, number: str) -> None:
+        self.fake.programs[int(number)].update(Started=True, Detach=self.body["Detach"])
+        self._send(200, b"")
 
     def events(self) -> None:
         since = self.query.get("since")
@@ -496,6 +543,12 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(200, b"")
 
 
+def _stat(name: str, size: int, mode: int) -> str:
+    """The header that describes a path."""
+    stat = {"name": name, "size": size, "mode": mode, "mtime": "2026-01-01T00:00:00Z", "linkTarget": ""}
+    return base64.b64encode(json.dumps(stat).encode()).decode()
+
+
 _REF = r"([^/]+)"
 _ROUTES: list[tuple[str, str, Callable[..., None]]] = [
     ("*", "/_ping", _Handler.ping),
@@ -506,6 +559,10 @@ _ROUTES: list[tuple[str, str, Callable[..., None]]] = [
     ("GET", f"/containers/{_REF}/top", _Handler.top),
     ("*", f"/containers/{_REF}/archive", _Handler.archive),
     ("POST", f"/containers/{_REF}/(start|stop|restart|kill|pause|unpause)", _Handler.act),
+    ("POST", "/containers/create", _Handler.create),
+    ("DELETE", f"/containers/{_REF}", _Handler.remove),
+    ("POST", f"/containers/{_REF}/exec", _Handler.exec_create),
+    ("POST", f"/exec/{_REF}/start", _Handler.exec_start),
     ("GET", f"/networks/{_REF}", _Handler.network),
     ("POST", f"/networks/{_REF}/(connect|disconnect)", _Handler.connect),
 ]

@@ -1,0 +1,59 @@
+"""What an action needs, around any engine: containers as they are now, a graph that the test holds."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from phm.clock import SystemClock
+from phm.facts import ContainerFact
+from phm.model import Fault, Layer, Level, Result, Slot, Stamp, Value
+from phm.probes.docker import Docker
+from phm.recovery.base import Action, ActionContext
+from phm.settings import ContainerSettings, Settings
+from phm.testing import settings
+from phm.transport.docker import Engine
+
+
+def fault(unit: str, condition: str, **values: Value) -> Fault:
+    result = Result(Level.ERROR, "it is broken", "broken", condition, "app", values)
+    return Fault("F1", unit, Slot.CONTAINER, Layer.DOCKER, result, Stamp(0.0, 0.0))
+
+
+@dataclass
+class Bench:
+    """Runs actions. `nodes` are listed in the graph; `held` notes which other containers were held for whose fault."""
+
+    engine: Engine
+    settings: Settings
+    armed: bool = False
+    nodes: dict[str, int] = field(default_factory=dict)
+    held: list[tuple[str, str]] = field(default_factory=list)
+
+    def fact(self, key: str) -> ContainerFact | None:
+        docker = Docker(self.engine, self.settings, SystemClock())
+        return docker.container(key)
+
+    def target(self, key: str) -> ContainerSettings:
+        found = self.settings.container(key)
+        assert found is not None
+        return found
+
+    def context(self) -> ActionContext:
+        return ActionContext(
+            self.engine, self.settings, self.fact, lambda: None, lambda key, network: None,
+            listed_nodes=lambda: self.nodes, armed=lambda: self.armed, holding=self._holding,
+        )  # fmt: skip
+
+    def run(self, action: type[Action], key: str, of: Fault) -> str:
+        return action().run(self.target(key), of, self.context())
+
+    @contextlib.contextmanager
+    def _holding(self, key: str, of: Fault, action: str, at_most_s: float) -> Iterator[None]:
+        self.held.append((key, of.unit))
+        yield
+
+
+def bench(engine: Engine, **yaml_like: object) -> Bench:
+    return Bench(engine, settings(**yaml_like))

@@ -1,0 +1,270 @@
+"""The actions on a fake engine: what they do, what they refuse, and that doing it twice is harmless."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.facts import NotPermitted
+from phm.recovery.actions import Relaunch, Restart, Restore, Start
+from phm.recovery.base import ActionFailed
+from phm.transport.docker import Engine, EngineBroken, EngineTimeout
+from tests.fakes.engine import FakeEngine, Hang, Status, container
+from tests.recovery.bench import Bench, bench, fault
+
+PATH = "/ws/src/critical_file"
+GOOD = b"#!/bin/sh\nexit 0\n"
+SUM = hashlib.sha256(GOOD).hexdigest()
+RUN = ["ros2", "run", "package", "one"]
+EXITED = fault("container/app", "exited")
+
+
+def acted(fake: FakeEngine, *verbs: str) -> list[str]:
+    """Containers acted on, in order."""
+    ids = {entry["Id"]: name for name, entry in fake.containers.items()}
+    calls = [call.split("/") for call in fake.calls if call.startswith("POST /containers/")]
+    return [ids.get(parts[2], parts[2]) for parts in calls if parts[-1] in verbs]
+
+
+# ---------------------------------------------------------------- who depends on it
+
+
+def stack(fake: FakeEngine, ask: Engine, **more: Any) -> Bench:
+    """`app`, whose network `side` shares by id; `late` starts after `side`, `apart` has nothing to do with them."""
+    for name in ("late", "apart", "side", "app"):
+        fake.containers[name] = container(name)
+    fake.containers["side"]["HostConfig"]["NetworkMode"] = f"container:{fake.containers['app']['Id']}"
+    late = {"name": "late", "recover": True, "after": ["side", "app"], **more.pop("late", {})}
+    side = {"name": "side", "recover": True, **more.pop("side", {})}
+    return bench(ask, containers=[late, {"name": "apart", "recover": True}, side, {"name": "app", "recover": True}])
+
+
+def test_dependants_are_restarted_after_it_in_order(fake: FakeEngine, ask: Engine) -> None:
+    """Whoever shares its network namespace, then whoever names one of them in `after`; nobody else."""
+    made = stack(fake, ask)
+    words = made.run(Restart, "app", EXITED)
+    assert acted(fake, "restart") == ["app", "side", "late"]
+    assert words == "restarted app; restarted side, which depends on it; restarted late, which depends on it"
+    assert made.held == [("side", "container/app"), ("late", "container/app")]
+
+
+def test_a_namespace_shared_by_name_counts_too(fake: FakeEngine, ask: Engine) -> None:
+    """The engine keeps what the user wrote."""
+    made = stack(fake, ask)
+    fake.containers["side"]["HostConfig"]["NetworkMode"] = "container:app"
+    fake.set("app", status="exited", exit_code=1)
+    made.run(Start, "app", EXITED)
+    assert acted(fake, "start", "restart") == ["app", "side", "late"]
+
+
+def test_a_start_that_was_not_needed_moves_nobody(fake: FakeEngine, ask: Engine) -> None:
+    """Started twice: the second time nothing happens to dependants."""
+    made = stack(fake, ask)
+    assert made.run(Start, "app", EXITED) == "app runs already"
+    assert acted(fake, "start", "restart") == []
+
+
+def test_a_dependant_that_has_not_opted_in_is_named_and_left_alone(fake: FakeEngine, ask: Engine) -> None:
+    """Opt-in holds for consequences as well."""
+    words = stack(fake, ask, side={"recover": False}).run(Restart, "app", EXITED)
+    assert acted(fake, "restart") == ["app", "late"]
+    assert "side depends on it and has not opted in" in words
+
+
+def test_a_flight_critical_dependant_is_left_alone_while_armed(fake: FakeEngine, ask: Engine) -> None:
+    """What may not be restarted for its own fault is not restarted for another's."""
+    made = stack(fake, ask, late={"flight_critical": True})
+    made.armed = True
+    words = made.run(Restart, "app", EXITED)
+    assert acted(fake, "restart") == ["app", "side"]
+    assert "late depends on it, and is flight-critical while armed" in words
+
+
+def test_a_dependant_that_cannot_be_restarted_is_told(fake: FakeEngine, ask: Engine) -> None:
+    """The target is mended all the same, and the others follow."""
+    made = stack(fake, ask)
+    fake.fault = Status(500, "no", route=f"{fake.containers['side']['Id']}/restart")
+    words = made.run(Restart, "app", EXITED)
+    assert "side depends on it and could not be restarted" in words
+    assert acted(fake, "restart")[-1] == "late"
+
+
+# ---------------------------------------------------------------- relaunch
+
+
+def ros(fake: FakeEngine, ask: Engine, relaunch: list[str] | None = None, status: str = "running") -> Bench:
+    fake.containers["app"] = container("app", status=status)
+    nodes = [{"name": "/a/one", "container": "app", "relaunch": RUN if relaunch is None else relaunch}]
+    topics = [{"name": "/a/topic", "publishers": ["/a/one"], "rate": 10}]
+    return bench(ask, containers=[{"name": "app", "recover": True}], ros={"nodes": nodes, "topics": topics})
+
+
+def test_relaunch_runs_the_words_inside_the_container(fake: FakeEngine, ask: Engine) -> None:
+    """Word by word, detached, as the container's own user."""
+    ros(fake, ask, ["run", "a b", "$(reboot)"]).run(Relaunch, "app", fault("nodes/a/one", "node_missing"))
+    (program,) = fake.programs
+    assert program["Cmd"] == ["run", "a b", "$(reboot)"]
+    assert (program["Started"], program["Detach"], program["User"]) == (True, True, "")
+
+
+def test_a_relaunch_done_twice_starts_one_copy(fake: FakeEngine, ask: Engine) -> None:
+    """PHM may be killed between doing it and noting it."""
+    made = ros(fake, ask)
+    made.run(Relaunch, "app", fault("nodes/a/one", "node_missing"))
+    with pytest.raises(ActionFailed, match="a second copy is not started"):
+        made.run(Relaunch, "app", fault("nodes/a/one", "node_missing"))
+    made.nodes = {"/a/one": 1}
+    assert made.run(Relaunch, "app", fault("nodes/a/one", "node_missing")) == "/a/one is listed again"
+    assert len(fake.programs) == 1
+
+
+@pytest.mark.parametrize("condition", ["silent", "rate_low"])
+def test_a_hung_node_gets_no_second_copy(fake: FakeEngine, ask: Engine, condition: str) -> None:
+    """Two nodes of one name disturb each other: the next rung restarts the container."""
+    made = ros(fake, ask)
+    made.nodes = {"/a/one": 1}
+    with pytest.raises(ActionFailed, match="still running"):
+        made.run(Relaunch, "app", fault("rates/a/topic", condition))
+    made.nodes = {}
+    made.run(Relaunch, "app", fault("rates/a/topic", condition))
+    assert len(fake.programs) == 1
+
+
+def test_relaunch_applies_to_nodes_with_a_command_in_this_container(fake: FakeEngine, ask: Engine) -> None:
+    """Of a topic, its first publisher; without a command the ladder goes on without this rung."""
+    made = ros(fake, ask)
+    app = made.target("app")
+    assert Relaunch.applies(app, fault("nodes/a/one", "node_missing"), made.settings)
+    assert Relaunch.applies(app, fault("rates/a/topic", "silent"), made.settings)
+    assert not Relaunch.applies(app, fault("nodes/a/two", "node_missing"), made.settings)
+    other = ros(fake, ask, relaunch=[])
+    assert not Relaunch.applies(app, fault("nodes/a/one", "node_missing"), other.settings)
+
+
+# ---------------------------------------------------------------- restore
+
+
+def files(fake: FakeEngine, ask: Engine, content: bytes | None, **wanted: Any) -> Bench:
+    """`app` with the file as given, made of an image that has the good one."""
+    others = {"/ws/src/other": b""}
+    fake.containers["app"] = container("app", files=others | ({PATH: content} if content is not None else {}))
+    fake.images["image-of-app"] = {PATH: GOOD}
+    entry = {"path": PATH, "restore": "image", **wanted}
+    return bench(ask, containers=[{"name": "app", "recover": True, "files": [entry]}])
+
+
+@pytest.mark.parametrize(
+    ("content", "wanted"), [(None, {}), (GOOD, {"executable": True}), (b"bad", {"sha256": SUM.upper()})]
+)
+@pytest.mark.parametrize("source", ["image", "golden"])
+def test_a_file_is_put_back(
+    fake: FakeEngine, ask: Engine, tmp_path: Path, content: bytes | None, wanted: dict[str, Any], source: str
+) -> None:
+    """Missing, not executable or altered; from the image or from a path that PHM sees; no container is left over."""
+    golden = tmp_path / "golden"
+    golden.write_bytes(GOOD)
+    golden.chmod(0o640)
+    made = files(fake, ask, content, restore="image" if source == "image" else str(golden), **wanted)
+    made.run(Restore, "app", fault("files/app", "file_missing", path=PATH))
+    app = fake.containers["app"]
+    assert app["_files"][PATH] == GOOD
+    plain = 0o644 if source == "image" else 0o640
+    assert app["_modes"][PATH] == (plain | 0o111 if wanted.get("executable") else plain)
+    assert list(fake.containers) == ["app"]
+    calls = len([call for call in fake.calls if call.startswith(("PUT", "POST"))])
+    assert "as they must be" in made.run(Restore, "app", fault("files/app", "file_missing"))
+    assert len([call for call in fake.calls if call.startswith(("PUT", "POST"))]) == calls
+
+
+@pytest.mark.parametrize("source", ["image", "golden"])
+def test_a_copy_that_is_not_good_itself_is_refused(fake: FakeEngine, ask: Engine, tmp_path: Path, source: str) -> None:
+    """A bad file is not replaced by another."""
+    golden = tmp_path / "golden"
+    golden.write_bytes(b"worse")
+    made = files(fake, ask, b"bad", sha256=SUM, restore="image" if source == "image" else str(golden))
+    fake.images["image-of-app"] = {PATH: b"worse"}
+    with pytest.raises(ActionFailed, match="not the configured SHA-256"):
+        made.run(Restore, "app", fault("files/app", "file_altered", path=PATH))
+    assert fake.containers["app"]["_files"][PATH] == b"bad"
+    assert list(fake.containers) == ["app"]
+
+
+@pytest.mark.parametrize("bad", ["missing", "folder", "big"])
+def test_a_golden_copy_must_be_a_regular_file_of_fair_size(
+    fake: FakeEngine, ask: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: str
+) -> None:
+    """What cannot be read is told with its path."""
+    golden = tmp_path / "golden"
+    if bad == "folder":
+        golden.mkdir()
+    elif bad == "big":
+        golden.write_bytes(b"x" * 11)
+        monkeypatch.setattr("phm.recovery.actions.restore.LIMIT", 10)
+    with pytest.raises(ActionFailed, match=str(golden)):
+        files(fake, ask, None, restore=str(golden)).run(Restore, "app", fault("files/app", "file_missing"))
+
+
+def test_a_folder_in_place_of_the_file_is_not_replaced(fake: FakeEngine, ask: Engine) -> None:
+    """PHM deletes nothing that it does not know."""
+    made = files(fake, ask, None)
+    fake.containers["app"]["_files"][f"{PATH}/inside"] = b""
+    with pytest.raises(ActionFailed, match="no regular file"):
+        made.run(Restore, "app", fault("files/app", "file_missing"))
+
+
+def test_what_an_interrupted_restore_left_is_removed(fake: FakeEngine, ask: Engine) -> None:
+    """The throw-away container of a PHM that was killed does not stand in the way of the next one."""
+    made = files(fake, ask, None)
+    left = f"phm-restore-{fake.containers['app']['Id'][:12]}"
+    fake.containers[left] = container(left, status="created")
+    made.run(Restore, "app", fault("files/app", "file_missing"))
+    assert list(fake.containers) == ["app"]
+
+
+def test_a_failure_while_reading_the_image_leaves_no_container(fake: FakeEngine, ask: Engine) -> None:
+    """Removed always, whatever happens in between."""
+    made = files(fake, ask, None)
+    left = f"phm-restore-{fake.containers['app']['Id'][:12]}"
+    fake.fault = Status(500, "no", route=f"{container(left)['Id']}/archive")
+    with pytest.raises(EngineBroken):
+        made.run(Restore, "app", fault("files/app", "file_missing"))
+    assert list(fake.containers) == ["app"]
+
+
+def test_an_engine_that_forbids_it_is_not_permitted(fake: FakeEngine, ask: Engine) -> None:
+    """A socket proxy that refuses to make containers: report only."""
+    made = files(fake, ask, None)
+    fake.fault = Status(403, "not on the list", route="/containers/create")
+    with pytest.raises(NotPermitted):
+        made.run(Restore, "app", fault("files/app", "file_missing"))
+
+
+def test_restore_applies_to_the_file_at_fault(fake: FakeEngine, ask: Engine) -> None:
+    """Another file that could be put back does not help this one."""
+    made = files(fake, ask, None)
+    app = made.target("app")
+    assert Restore.applies(app, fault("files/app", "file_missing", path=PATH), made.settings)
+    assert not Restore.applies(app, fault("files/app", "file_missing", path="/other"), made.settings)
+    plain = bench(ask, containers=[{"name": "app", "files": [{"path": PATH}]}])
+    assert not Restore.applies(plain.target("app"), fault("files/app", "file_missing", path=PATH), plain.settings)
+
+
+@pytest.mark.parametrize("call", ["exec", "put", "create", "remove"])
+def test_each_new_call_has_a_deadline(
+    fake: FakeEngine, ask: Engine, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    """An engine that takes the request and never answers costs the action's time and no more."""
+    monkeypatch.setattr("phm.transport.docker.ACT_MARGIN_S", 0.0)
+    fake.containers["app"] = container("app")
+    ask.version()
+    fake.fault = Hang()
+    calls: dict[str, Callable[[], object]] = {
+        "exec": lambda: ask.exec_detached("app", ["x"]), "put": lambda: ask.put_file("app", "/a", b"", 0o644),
+        "create": lambda: ask.create_from_image("i", {}), "remove": lambda: ask.remove("app"),
+    }  # fmt: skip
+    with pytest.raises(EngineTimeout, match=r"within 0\.5 s"):
+        calls[call]()

@@ -1,0 +1,149 @@
+"""The actions on the real engine: files come back, programs start, dependants follow, and twice is harmless."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.recovery.actions import Relaunch, Restart, Restore, Start
+from phm.recovery.base import ActionFailed
+from phm.transport.docker import Engine
+from tests.recovery.bench import Bench, bench, fault
+
+pytestmark = pytest.mark.engine
+
+Until = Callable[[Callable[[], object], str], None]
+PROGRAM = "/bin/printenv"
+"""An executable that every base image has, behind a linked folder on most."""
+DAMAGE = {
+    "rm": f"rm {PROGRAM}",
+    "chmod -x": f"chmod a-x {PROGRAM}",
+    "overwrite": f"echo x > {PROGRAM}",
+}
+EXITED = fault("container/app", "exited")
+MISSING = fault("files/app", "file_missing")
+
+
+def inside(made: Any, command: str) -> str:
+    """The output of a command that must succeed."""
+    code, output = made.exec_run(["sh", "-c", command])
+    assert code == 0, output
+    return str(output.decode()).strip()
+
+
+def only(engine: Engine, made: Any, **more: Any) -> Bench:
+    return bench(engine, containers=[{"name": made.name, "alias": "app", "recover": True, **more}])
+
+
+def left_over(real: Any, made: Any) -> list[str]:
+    found = real.client.containers.list(all=True, filters={"label": "phm.restore=1"})
+    return [entry.name for entry in found if entry.name.endswith(made.id[:12])]
+
+
+@pytest.mark.parametrize("source", ["image", "golden"])
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_program_runs_again(real: Any, engine: Engine, tmp_path: Path, damage: str, source: str) -> None:
+    """After rm, chmod -x and overwriting; with content, mode and owner as before, and doing it twice is harmless."""
+    made = real.container()
+    before = inside(made, f"stat -L -c '%a %u %g' {PROGRAM}; sha256sum < {PROGRAM}")
+    golden = tmp_path / "golden"
+    golden.write_bytes(engine.read_file(made.id, inside(made, f"readlink -f {PROGRAM}")))
+    golden.chmod(0o755)
+    digest = hashlib.sha256(golden.read_bytes()).hexdigest()
+    restore = "image" if source == "image" else str(golden)
+    file = {"path": PROGRAM, "executable": True, "sha256": digest, "restore": restore}
+    bench_ = only(engine, made, files=[file])
+    inside(made, DAMAGE[damage])
+    assert "restored in app" in bench_.run(Restore, "app", MISSING)
+    assert inside(made, f"stat -L -c '%a %u %g' {PROGRAM}; sha256sum < {PROGRAM}") == before
+    assert inside(made, f"{PROGRAM} PATH")
+    assert "as they must be" in bench_.run(Restore, "app", MISSING)
+    assert left_over(real, made) == []
+
+
+def test_a_file_comes_back_into_a_volume_of_a_stopped_container(real: Any, engine: Engine, tmp_path: Path) -> None:
+    """Folders that are gone are made again, and the container need not run."""
+    volume = real.volume()
+    made = real.container("exit 0", volumes={volume.name: {"bind": "/data", "mode": "rw"}})
+    golden = tmp_path / "golden"
+    golden.write_bytes(b"good")
+    made.wait(timeout=20)
+    path = "/data/deep/er/file"
+    bench_ = only(engine, made, files=[{"path": path, "restore": str(golden)}])
+    bench_.run(Restore, "app", MISSING)
+    assert engine.read_file(made.id, path) == b"good"
+    other = real.container(volumes={volume.name: {"bind": "/seen", "mode": "ro"}})
+    assert inside(other, "cat /seen/deep/er/file") == "good"
+
+
+def test_a_file_that_the_image_lacks_is_told(real: Any, engine: Engine) -> None:
+    """And nothing is left over."""
+    made = real.container()
+    with pytest.raises(ActionFailed, match="not in the image"):
+        only(engine, made, files=[{"path": "/nowhere/file", "restore": "image"}]).run(Restore, "app", MISSING)
+    assert left_over(real, made) == []
+
+
+def test_relaunch_starts_a_program_with_the_containers_user_and_environment(
+    real: Any, engine: Engine, until: Until
+) -> None:
+    """Detached, no shell, one copy however often it is done."""
+    made = real.container(user="1234", environment={"WHO": "me"})
+    run = ["sh", "-c", 'echo "$WHO $(id -u) $0" > /tmp/said; exec sleep 4321', "a b;reboot"]
+    node = {"name": "/one", "container": "app", "relaunch": run}
+    bench_ = bench(engine, containers=[{"name": made.name, "alias": "app", "recover": True}], ros={"nodes": [node]})
+    gone = fault("nodes/one", "node_missing")
+    bench_.run(Relaunch, "app", gone)
+    until(lambda: any("4321" in row[-1] for row in engine.top(made.id)["Processes"]), "the program to run")
+    assert inside(made, "cat /tmp/said") == "me 1234 a b;reboot"
+
+
+def test_relaunch_done_twice_starts_one_copy(real: Any, engine: Engine, until: Until) -> None:
+    """The command that still runs is seen among the container's processes."""
+    made = real.container()
+    node = {"name": "/one", "container": "app", "relaunch": ["sleep", "4322"]}
+    bench_ = bench(engine, containers=[{"name": made.name, "alias": "app", "recover": True}], ros={"nodes": [node]})
+    gone = fault("nodes/one", "node_missing")
+    bench_.run(Relaunch, "app", gone)
+
+    def copies() -> int:
+        return sum("sleep 4322" in row[-1] for row in engine.top(made.id)["Processes"])
+
+    until(lambda: copies() == 1, "the program to run")
+    with pytest.raises(ActionFailed, match="second copy"):
+        bench_.run(Relaunch, "app", gone)
+    assert copies() == 1
+
+
+def test_dependants_follow_in_order_and_share_the_new_namespace(real: Any, engine: Engine) -> None:
+    """`side` lives in the network of `app`, `late` starts after `side`; all are restarted, one after the other."""
+    app = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done")
+    side = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done", network_mode=f"container:{app.id}")
+    late = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done")
+    apart = real.container()
+    entries = [
+        {"name": late.name, "alias": "late", "recover": True, "after": ["side"]},
+        {"name": apart.name, "alias": "apart", "recover": True},
+        {"name": side.name, "alias": "side", "recover": True},
+        {"name": app.name, "alias": "app", "recover": True},
+    ]
+    made = bench(engine, containers=entries)
+
+    def started() -> dict[str, str]:
+        return {one["alias"]: engine.inspect(str(one["name"]))["State"]["StartedAt"] for one in entries}
+
+    for action in (Restart, Start, Restart):
+        before = started()
+        if action is Start:
+            engine.kill(app.id)
+        made.run(action, "app", EXITED)
+        after = started()
+        assert before["app"] < after["app"] < after["side"] < after["late"]
+        assert before["apart"] == after["apart"]
+    assert inside(side, "readlink /proc/1/ns/net") == inside(app, "readlink /proc/1/ns/net")
+    assert made.run(Start, "app", EXITED) == "app runs already"
+    assert started() == after
