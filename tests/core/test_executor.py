@@ -38,7 +38,7 @@ class World:
         self.pipeline = Pipeline(tracker, self.bus, self.clock)
         self.pipeline.attach(lambda units, reason: self.look())
         context = ActionContext(cast(Any, None), self.settings, lambda key: None, lambda: None, lambda a, b: None)
-        actions = {name: self._action(name) for name in ("restart", "start")}
+        actions = self.actions = {name: self._action(name) for name in ("restart", "start")}
         shop = Shop(self.pipeline, self.publish, self.clock, actions, context, lambda: armed, lambda unit: 0.0)
         self.executor = Executor(shop)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
@@ -225,3 +225,13 @@ def test_what_heals_by_itself_is_not_acted_on_again(worlds: list[World]) -> None
         world.look()
     assert world.runs == ["restart"]
     assert world.closed()[0].fault.by == "itself"
+
+
+def test_a_rung_that_does_not_apply_is_no_failed_attempt(worlds: list[World]) -> None:
+    """What the configuration has nothing for is passed over: the first attempt is the first rung that can help."""
+    world = make(worlds, ladders={"unhealthy": ["start", "restart"]})
+    cast(Any, world.actions["start"]).applies = classmethod(lambda cls, target, fault, settings: False)
+    world.fail()
+    world.until(lambda: Phase.VERIFIED in world.phases())
+    assert world.runs == ["restart"]
+    assert Phase.FAILED not in world.phases()
