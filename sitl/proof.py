@@ -131,7 +131,7 @@ class Proof:
         self._fill(row, events, moment)
         if before != after:
             row.problems.append(f"the container changed: {before} became {after}")
-        if row.actions or any(event["event"] == "fault_closed" for event in events):
+        if row.actions or any(_closed(event, row.unit) for event in events):
             row.problems.append("something was done")
         if bool(row.advised) != (self.mode == "advise"):
             row.problems.append(f"advised: {row.advised or 'nothing'}")
@@ -203,6 +203,10 @@ def world(agent: Agent) -> Mapping[str, Any]:
         "status": attrs["State"]["Status"],
         "networks": {name: network["NetworkID"][:12] for name, network in networks.items()},
     }
+
+
+def _closed(event: Event, unit: str) -> bool:
+    return bool(event["event"] == "fault_closed" and event["unit"] == unit)
 
 
 def _phase(event: Event, phase: str, unit: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from sitl.faults.base import Agent, Fault
+from sitl.faults.base import STOP_S, Agent, Fault
 
 
 class Injection(Fault):
@@ -25,3 +25,5 @@ class Injection(Fault):
         app = agent.app
         if self._network and self._network not in app.attrs["NetworkSettings"]["Networks"]:
             agent.docker.networks.get(self._network).connect(app, aliases=["ros_app"])
+            # Nodes that were cut off for longer than their lease do not find each other again (seen: not in 90 s).
+            app.restart(timeout=STOP_S)
