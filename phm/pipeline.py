@@ -81,8 +81,8 @@ class Pipeline:
 
     # ------------------------------------------------------------ from recovery
 
-    def hold(self, target: str, owner: str, action: str, at_most_s: float) -> None:
-        self._apply(lambda now: self._tracker.hold(target, owner, action, now, at_most_s))
+    def hold(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
+        self._apply(lambda now: self._tracker.hold(target, owner, action, now, at_most_s, proving=proving))
 
     def release(self, target: str, *, worked: bool) -> None:
         self._apply(lambda now: self._tracker.release(target, now, worked=worked))
@@ -94,14 +94,19 @@ class Pipeline:
     def escalate(self, fault_id: str) -> None:
         self._apply(lambda now: self._tracker.escalate(fault_id, now))
 
-    def look_again(self, unit: str) -> None:
-        """Run a unit's check now, e.g. to verify an action."""
-        self._wake_units((unit,), "verify")
+    def look_again(self, *units: str) -> None:
+        """Run these units' checks now, e.g. to verify an action."""
+        self._wake_units(units, "verify")
 
     def well_since(self, unit: str, mono: float) -> bool:
         """Whether a run that began after `mono` found the unit OK."""
         with self._lock:
-            return self._tracker.state(unit).level is Level.OK and self._tracker.last_started(unit) >= mono
+            return self._tracker.found_well(unit, mono)
+
+    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+        """Units that need `unit` and have not been found free of ERROR since `mono`: see `Tracker.suffering`."""
+        with self._lock:
+            return self._tracker.suffering(unit, mono)
 
     def bad_since(self, unit: str, mono: float) -> bool:
         """Whether a run that began after `mono` still found the unit in ERROR."""

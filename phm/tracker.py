@@ -14,6 +14,8 @@ The rules, in the order in which `_judge` applies them to a unit's newest result
 6. Otherwise all its needs are run again. It is told only when it was bad `failures` times in a row, has lasted
    `settle_s`, and each need, and with `settle_s` the unit too, has answered in a run that began after that.
    Needs that are STALE get UNKNOWN_S to be known.
+   While its own fault is under repair, OK is kept back: it counts when the repair is proven, dependents included, or
+   after UNPROVEN_S when it is not.
 7. OK after ERROR, told or not, gives grace to all that need the unit: what looked bad meanwhile may follow from it.
 
 So one cause raises one alarm, whatever order the evidence arrives in and whichever wake-up is lost, as long as
@@ -48,6 +50,8 @@ CONFIGURATION = "configuration"
 RESTORED = "restored after a restart of PHM"
 ASK_AGAIN_S = 1.0
 """While a bad result waits to be confirmed, it and its needs are run again this often."""
+UNPROVEN_S = 30.0
+"""How long a unit that is OK again stays ERROR because what needs it has not come back: time for the next action."""
 UNKNOWN_S = 10.0
 """How long a bad result waits for a need that is STALE at the moment."""
 SURE_S = 2.5
@@ -84,6 +88,8 @@ class _Hold:
     owner: str
     action: str
     until: float
+    proving: bool = False
+    """The owner's OK is kept back until the action is proven to have helped all that need it."""
 
 
 @dataclass(slots=True)
@@ -104,6 +110,8 @@ class _Unit:
     """Runs that began earlier prove nothing bad any more (rule 5)."""
     quiet_until: float = 0.0
     well_since: float | None = None
+    unproven_until: float = _NEVER
+    """Its repair did not bring back what needs it; until then it is not believed to be well."""
     fault: Fault | None = None
     escalated: bool = False
     given_up: Fault | None = None
@@ -160,6 +168,27 @@ class Tracker:
     def last_started(self, unit: str) -> float:
         """When the run that gave the newest result began (monotonic seconds)."""
         return self._units[unit].started
+
+    def found_well(self, unit: str, mono: float) -> bool:
+        """Whether a run that began after `mono` found the unit OK, told or kept back."""
+        entry = self._units[unit]
+        return entry.raw is not None and entry.raw.level is Level.OK and entry.started >= mono
+
+    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+        """Units of the same target that need `unit` and have not been found free of ERROR in a run since `mono`.
+
+        Those with a fault of their own are not counted: it is not this repair that they wait for.
+        """
+        target = self._units[unit].spec.unit.target
+        below = (self._units[name] for name in self.needs.downstream(unit))
+        return tuple(
+            entry.id
+            for entry in below
+            if entry.spec.unit.target == target
+            and entry.fault is None
+            and not entry.told_given_up
+            and (entry.failing or entry.started < mono)
+        )
 
     def open_faults(self) -> tuple[Fault, ...]:
         return tuple(unit.fault for unit in self._units.values() if unit.fault is not None)
@@ -231,16 +260,21 @@ class Tracker:
         for target in [target for target, hold in self._holds.items() if now.mono >= hold.until]:
             self._release(target, now, step)
         for entry in self._units.values():
-            if entry.raw is not None and entry.raw.level.bad and entry.told.level is not entry.raw.level:
+            kept_back = entry.fault is not None and entry.raw is not None and entry.raw.level is Level.OK
+            untold = entry.raw is not None and entry.raw.level.bad and entry.told.level is not entry.raw.level
+            if kept_back or untold:
                 self._judge(entry, now, step)
             if entry.pending_since is not None:
                 waiting = (entry.id, *self.needs.upstream(entry.id))
                 step.rerun.update(name for name in waiting if now.mono - self._units[name].started >= ASK_AGAIN_S)
         return step
 
-    def hold(self, target: str, owner: str, action: str, now: Stamp, at_most_s: float) -> Step:
-        """An action begins on `target`, for the fault of unit `owner`."""
-        self._holds[target] = _Hold(owner, action, now.mono + at_most_s)
+    def hold(
+        self, target: str, owner: str, action: str, now: Stamp, at_most_s: float, *, proving: bool = False
+    ) -> Step:
+        """An action begins on `target`, for the fault of unit `owner`. With `proving`, `release` says whether the owner
+        may be believed to be well."""
+        self._holds[target] = _Hold(owner, action, now.mono + at_most_s, proving)
         for entry in self._units.values():
             if entry.fault is not None and (entry.id == owner or entry.spec.unit.target == target):
                 entry.fault = replace(entry.fault, by=action)
@@ -250,12 +284,20 @@ class Tracker:
         """The action on `target` is over; `worked` False takes back its credit for what heals later."""
         step = Step()
         hold = self._holds.get(target)
+        self._release(target, now, step)
+        if hold is not None and hold.proving:
+            self._settle_owner(self._units[hold.owner], worked, now, step)
         if hold is not None and not worked:
             for entry in self._units.values():
                 if entry.fault is not None and entry.fault.by == hold.action:
                     entry.fault = replace(entry.fault, by="")
-        self._release(target, now, step)
         return step
+
+    def _settle_owner(self, owner: _Unit, worked: bool, now: Stamp, step: Step) -> None:
+        """The repair of `owner` is over: what it said meanwhile counts now, or not yet."""
+        owner.unproven_until = _NEVER if worked else now.mono + UNPROVEN_S
+        if worked:
+            self._judge(owner, now, step)
 
     def expect_end(self, target: str, now: Stamp, at_most_s: float) -> Step:
         """Somebody has told the container to end: its parts go first, and are not to be told before it.
@@ -293,7 +335,7 @@ class Tracker:
             if entry.fault is None and entry.id != entry_hold.owner:
                 self._blocked(entry, entry_hold.owner, now, step)
             return
-        cause = self._cause(entry)
+        cause = self._cause(entry, now)
         if cause:
             entry.pending_since = None
             self._blocked(entry, cause, now, step)
@@ -315,6 +357,8 @@ class Tracker:
         return not known and (now.mono < entry.quiet_until or entry.started < entry.counts_from)
 
     def _well(self, entry: _Unit, result: Result, now: Stamp, step: Step) -> None:
+        if entry.fault is not None and (self._under_repair(entry) or now.mono < entry.unproven_until):
+            return
         recovered = entry.harmed or entry.told.level is Level.ERROR or bool(entry.told.blocked_by)
         entry.harmed = False
         entry.pending_since, entry.escalated, entry.given_up = None, False, None
@@ -326,6 +370,10 @@ class Tracker:
             self._close(entry, Outcome.RESOLVED, entry.fault.by or ITSELF, now, step)
         if recovered:
             self._give_grace(self.needs.downstream(entry.id), now, step)
+
+    def _under_repair(self, entry: _Unit) -> bool:
+        hold = self._holds.get(entry.spec.unit.target)
+        return hold is not None and hold.proving and hold.owner == entry.id
 
     def _bad(self, entry: _Unit, result: Result, now: Stamp, step: Step) -> None:
         if entry.told.level is result.level and not entry.told.blocked_by:
@@ -353,11 +401,14 @@ class Tracker:
         raw = self._units[name].raw
         return raw is None or raw.level is Level.STALE
 
-    def _cause(self, entry: _Unit) -> str:
-        """The first unit upstream that is failing; if that one is under repair, the fault being repaired."""
+    def _cause(self, entry: _Unit, now: Stamp) -> str:
+        """The first unit upstream that is failing, or whose repair did not bring back what needs it.
+
+        If that one is under repair, the fault being repaired.
+        """
         for need in self.needs.upstream(entry.id):
             other = self._units[need]
-            if other.failing:
+            if other.failing or (other.fault is not None and now.mono < other.unproven_until):
                 hold = self._holds.get(other.spec.unit.target)
                 return hold.owner if hold is not None and other.fault is None else need
         return ""

@@ -11,6 +11,8 @@ from phm_checks._words import brief, clean, joined, listed
 
 _NO_ORDER = ("network_missing", "no_network", "disconnected", "sidecar_apart", "address_silent")
 """Causes before consequences: the first of these that was found is the condition of the unit."""
+GRACE_S = 3.0
+"""After its start PHM joins the networks by itself; until then it is apart from them, and that is no fault."""
 
 
 class Network(PerContainer):
@@ -25,7 +27,7 @@ class Network(PerContainer):
 
     @property
     def units(self) -> Sequence[api.Unit]:
-        return (api.Unit(self.unit_id, needs=(f"container/{self.key}",), target=self.key),)
+        return (api.Unit(self.unit_id, needs=(f"container/{self.key}",), target=self.key, grace_s=GRACE_S),)
 
     @property
     def wakes(self) -> frozenset[str]:

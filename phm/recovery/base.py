@@ -57,6 +57,9 @@ class Action(ABC):
     name: ClassVar[str]
     deadline_s: ClassVar[float] = 20.0
     on_myself: ClassVar[bool] = False
+    proof_s: ClassVar[float] = 0.0
+    """The unit and all that needs it must be found well by runs that began this long after the action: for actions after
+    which all looks well for a moment (a container that starts and ends again, a node that is listed but cut off)."""
 
     @classmethod
     def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:

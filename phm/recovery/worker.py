@@ -22,11 +22,13 @@ from phm.settings import ContainerSettings
 logger = logging.getLogger(__name__)
 
 POLL_S = 0.05
-LOOK_AGAIN_S = 1.0
+LOOK_AGAIN_S = 0.5
 CUT_SHORT_S = 20.0
 """A target whose action was cut short is held this long, beyond the unit's grace, unless it is healed before."""
 PROOF_S = 0.5
 """A restored fault that has not been judged yet is looked at again this often."""
+PROOF_MARGIN_S = 20.0
+"""Beyond an action's deadline and `verify`, its hold lasts this long: what needs the target may come back last."""
 STILL_BAD_S = 2.0
 """A run that began this long after the action (beyond the unit's grace) and is still ERROR ends the wait."""
 
@@ -229,7 +231,8 @@ class TargetWorker:
         case.approved = case.cut_short = False
         attempt = Attempt(began, fault.unit, fault.result.condition, act.action, worked=False)
         self._under_way = UnderWay(fault.id, attempt)
-        shop.pipeline.hold(self._target, fault.unit, act.action, action_class.deadline_s + verify_s + 5.0)
+        at_most_s = action_class.deadline_s + verify_s + PROOF_MARGIN_S
+        shop.pipeline.hold(self._target, fault.unit, act.action, at_most_s, proving=True)
         worked = False
         try:
             what = f"{act.action} {self._target} for: {fault.result.summary}"
@@ -238,9 +241,11 @@ class TargetWorker:
             if worked:
                 done = shop.clock.mono()
                 self._publish(fault, act.action, Phase.DONE, detail, act.attempt)
-                worked = self._verify(fault, done, verify_s)
+                missing = self._verify(fault, done, verify_s, action_class.proof_s)
                 took = shop.clock.mono() - began
-                detail = f"{act.action} of {self._target} did not bring {fault.unit} back"
+                # On the last rung nothing more can be done for what has not come back: it is told as faults of its own.
+                worked = not missing or (missing != fault.unit and not self._has_next_rung(fault, act.action))
+                detail = f"{act.action} of {self._target} did not bring {missing} back"
                 if worked:
                     detail = f"{fault.unit} is OK again {took:.1f} s after the action began"
             if self._stopping and not worked:
@@ -282,22 +287,38 @@ class TargetWorker:
             return f"{act.action} has not come back within {action.deadline_s:g} s", False
         return outcome[0]
 
-    def _verify(self, fault: Fault, done: float, verify_s: float) -> bool:
-        """True as soon as a run that began after `done` says OK; False after `verify_s` or when still bad."""
+    def _verify(self, fault: Fault, done: float, verify_s: float, proof_s: float) -> str:
+        """What has not come back: empty as soon as runs that began after `done` find the unit and all that needs it well.
+
+        The unit itself gets `verify_s`, less when it is surely still bad; what needs it gets its grace. Then the name
+        of the first that is missing.
+        """
         shop = self._shop
         late = done + shop.grace_s(fault.unit) + STILL_BAD_S
         asked = float("-inf")
+        waiting: tuple[str, ...] = (fault.unit,)
         while not self._stopping:
             now = shop.clock.mono()
             if shop.pipeline.well_since(fault.unit, done):
-                return True
-            if now - done > verify_s or shop.pipeline.bad_since(fault.unit, late):
-                return False
+                waiting = shop.pipeline.suffering(fault.unit, done + proof_s)
+                if not waiting and shop.pipeline.well_since(fault.unit, done + proof_s):
+                    return ""
+                waiting = waiting or (fault.unit,)
+                if now - done > max(shop.grace_s(name) for name in waiting) + STILL_BAD_S + proof_s:
+                    return waiting[0]
+            elif now - done > verify_s or shop.pipeline.bad_since(fault.unit, late):
+                return fault.unit
             if now - asked >= LOOK_AGAIN_S:
                 asked = now
-                shop.pipeline.look_again(fault.unit)
+                shop.pipeline.look_again(fault.unit, *waiting)
             shop.clock.wait(threading.Event(), POLL_S)
-        return False
+        return fault.unit
+
+    def _has_next_rung(self, fault: Fault, action: str) -> bool:
+        ladder = ladder_of(fault.result.condition, self._shop.context.settings.recovery)
+        usable = self._usable(fault)
+        rungs = [rung for rung in ladder if usable is None or rung in usable]
+        return action in rungs[:-1]
 
     def _publish(self, fault: Fault, action: str, phase: Phase, detail: str, attempt: int = 1) -> None:
         stamp = self._shop.clock.stamp()

@@ -33,7 +33,13 @@ class World:
         app = container or ContainerSettings(name="app", recover=True)
         self.settings = Settings.model_validate({"containers": [app], "recovery": recovery})
         unit = Unit("health/app", target="app")
-        tracker = Tracker([Tracked(unit, "health", Slot.CONTAINER, Layer.DOCKER)], self.clock.stamp())
+        self.nodes_well = True
+        nodes = Unit("nodes/app", ("health/app",), target="app")
+        tracked = [
+            Tracked(unit, "health", Slot.CONTAINER, Layer.DOCKER),
+            Tracked(nodes, "nodes", Slot.NODES, Layer.ROS, 1, nodes.needs),
+        ]
+        tracker = Tracker(tracked, self.clock.stamp())
         self.bus = Bus(self.clock)
         self.pipeline = Pipeline(tracker, self.bus, self.clock)
         self.pipeline.attach(lambda units, reason: self.look())
@@ -66,7 +72,12 @@ class World:
 
     def look(self) -> None:
         bad = error("unhealthy", brief="unhealthy", condition="unhealthy", target="app")
-        self.pipeline.observe({"health/app": ok("healthy") if self.well else bad}, self.clock.mono(), 0.0)
+        lost = error("no nodes", brief="no nodes", condition="node_missing", target="app")
+        results = {
+            "health/app": ok("healthy") if self.well else bad,
+            "nodes/app": ok("there") if self.nodes_well else lost,
+        }
+        self.pipeline.observe(results, self.clock.mono(), 0.0)
 
     def fail(self) -> None:
         self.well = False
@@ -235,3 +246,32 @@ def test_a_rung_that_does_not_apply_is_no_failed_attempt(worlds: list[World]) ->
     world.until(lambda: Phase.VERIFIED in world.phases())
     assert world.runs == ["restart"]
     assert Phase.FAILED not in world.phases()
+
+
+def test_a_repair_that_leaves_its_dependents_down_is_followed_by_the_next_rung(worlds: list[World]) -> None:
+    """Healed means that what needs the target is back, too; it stays one fault, and the next action heals it."""
+    world = make(worlds, ladders={"unhealthy": ["start", "restart"]})
+    world.nodes_well = False
+
+    def mend_in_part(name: str) -> None:
+        world.mend()
+        world.nodes_well = name == "restart"
+
+    world.behave = mend_in_part
+    world.fail()
+    world.until(lambda: Phase.VERIFIED in world.phases())
+    assert world.runs == ["start", "restart"]
+    assert world.phases() == [Phase.STARTED, Phase.DONE, Phase.FAILED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+    assert sum(isinstance(event, FaultOpened) for event in world.events) == 1
+    assert [event.fault.by for event in world.closed()] == ["restart"]
+
+
+def test_on_the_last_rung_what_does_not_come_back_is_a_fault_of_its_own(worlds: list[World]) -> None:
+    """Nothing more can be done for this fault, which is healed; the rest is told as what it is."""
+    world = make(worlds)
+    world.nodes_well = False
+    world.fail()
+    world.until(
+        lambda: any(isinstance(event, FaultOpened) and event.fault.unit == "nodes/app" for event in world.events)
+    )
+    assert world.closed()[0].fault.unit == "health/app"

@@ -552,3 +552,59 @@ def test_a_need_that_stays_unknown_does_not_hide_a_fault_for_ever() -> None:
         bench.see("container", OK)
         bench.see("nodes", stale("the graph is young"))
     assert bench.opened == ["topics"]
+
+
+def repairing() -> Bench:
+    """The container's network was lost; a repair that must be proven is under way."""
+    bench = Bench([unit("network", target="app"), unit("nodes", "network", target="app", grace_s=8.0)])
+    bench.later(10)
+    bench.all_well()
+    bench.now += 1
+    bench.see("network", BAD)
+    bench.take(bench.tracker.hold("app", "network", "reconnect", bench.stamp(), 60.0, proving=True))
+    bench.now += 1
+    return bench
+
+
+def test_a_repair_is_not_believed_before_it_is_proven() -> None:
+    """The network is back, its nodes are not: the fault stays open until the repair is said to have worked."""
+    bench = repairing()
+    done = bench.now
+    bench.see("network", OK)
+    bench.see("nodes", BAD)
+    bench.later(1.0)
+    assert bench.closed == []
+    assert bench.tracker.found_well("network", done)
+    assert bench.tracker.suffering("network", done) == ("nodes",)
+    bench.see("nodes", OK)
+    assert bench.tracker.suffering("network", done) == ()
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=True))
+    assert bench.closed == [("network", Outcome.RESOLVED, "reconnect")]
+    assert bench.opened == ["network"]
+
+
+def test_a_repair_that_did_not_bring_all_back_leaves_the_fault_to_the_next_action() -> None:
+    """One cause, one fault: the restart that follows the reconnection heals the same fault."""
+    bench = repairing()
+    bench.see("network", OK)
+    bench.see("nodes", BAD)
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.later(1.0)
+    assert bench.closed == []
+    bench.take(bench.tracker.hold("app", "network", "restart", bench.stamp(), 60.0, proving=True))
+    bench.see("network", OK)
+    bench.see("nodes", OK)
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=True))
+    assert bench.closed == [("network", Outcome.RESOLVED, "restart")]
+    assert bench.opened == ["network"]
+
+
+def test_an_unproven_repair_is_believed_in_the_end() -> None:
+    """When nothing more is done, a unit that is well does not stay ERROR for ever."""
+    bench = repairing()
+    bench.see("network", OK)
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    for _ in range(31):
+        bench.later(1.0)
+        bench.see("network", OK)
+    assert [outcome for _, outcome, _ in bench.closed] == [Outcome.RESOLVED]

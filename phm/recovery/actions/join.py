@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from phm.facts import NotPermitted
 from phm.model import Fault
 from phm.recovery.base import Action, ActionContext
 from phm.settings import ContainerSettings
@@ -30,6 +31,12 @@ def join(target: ContainerSettings, context: ActionContext) -> str:
             continue
         if mine is not None:
             context.engine.disconnect(name, me.name, force=True)
-        context.engine.connect(network, me.id, aliases=(), address="")
+        try:
+            context.engine.connect(network, me.id, aliases=(), address="")
+        except NotPermitted:
+            # The engine's answer, 403, also stands for `is on it already`: somebody was quicker, perhaps PHM itself.
+            if me.id not in context.engine.inspect_network(network).get("Containers", {}):
+                raise
+            continue
         joined.append(name)
     return f"PHM joined network {', '.join(joined)}" if joined else ""

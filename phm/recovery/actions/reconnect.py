@@ -17,6 +17,8 @@ class Reconnect(Action):
     """
 
     name = "reconnect"
+    # A node that has lost its network for good stays listed until its lease ends (1 s with config/fastdds.xml).
+    proof_s = 2.0
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)

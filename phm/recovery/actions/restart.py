@@ -12,6 +12,8 @@ class Restart(Action):
     """Stop gracefully (SIGTERM, stop time-out), start, then restart whoever depends on it."""
 
     name = "restart"
+    # An application that cannot start runs for a moment, too: seen 0.1 to 0.4 s.
+    proof_s = 2.0
     deadline_s = 180.0
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:

@@ -1,0 +1,39 @@
+"""PHM joins networks: what the engine's 403 means."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from phm import testing
+from phm.facts import NotPermitted
+from phm.recovery.actions.join import join
+from phm.recovery.base import ActionContext
+from phm.settings import ContainerSettings, Settings
+
+APP = ContainerSettings(name="app", networks=["net"])
+
+
+def context(attached: list[str]) -> ActionContext:
+    """An engine that refuses to connect, with these containers on the network."""
+
+    def refuse(*arguments: Any, **more: Any) -> None:
+        raise NotPermitted("the engine answered 403")
+
+    network = {"Id": "n1", "Containers": {name: {} for name in attached}}
+    engine = cast(Any, SimpleNamespace(inspect_network=lambda name: network, connect=refuse, disconnect=refuse))
+    me = testing.container("phm")
+    return ActionContext(engine, Settings(), lambda key: None, lambda: me, lambda key, name: None)
+
+
+def test_a_network_that_was_joined_meanwhile_is_no_refusal() -> None:
+    """The engine says 403 both for `not allowed` and for `is on it already`; the network itself tells which."""
+    assert join(APP, context([testing.container("phm").id])) == ""
+
+
+def test_a_real_refusal_is_told() -> None:
+    """A socket proxy that allows reading alone: healing not permitted."""
+    with pytest.raises(NotPermitted):
+        join(APP, context([]))
