@@ -143,7 +143,10 @@ class TargetWorker:
 
     def _next(self) -> float | None:
         """Do the most upstream thing there is to do; seconds to wait (0: look again now, None: until woken)."""
+        # The tracker knows first what is over; its event may still be on its way through the bus.
+        still_open = {fault.id for fault in self._shop.pipeline.open_faults()}
         with self._lock:
+            self._cases = {unit: case for unit, case in self._cases.items() if case.fault.id in still_open}
             cases = sorted(self._cases.values(), key=lambda case: case.fault.slot)
         waits: list[float] = []
         for case in cases:

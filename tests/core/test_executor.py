@@ -56,6 +56,7 @@ class World:
         class Scripted(Action):
             name = action
             deadline_s = 5.0
+            proof_s = 2.0
 
             def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
                 world.runs.append(action)
@@ -119,6 +120,10 @@ def test_a_fault_is_acted_on_and_the_result_is_proven(worlds: list[World]) -> No
     world = make(worlds)
     world.fail()
     world.until(lambda: Phase.VERIFIED in world.phases())
+    for _ in range(100):
+        world.clock.advance(0.05)
+        world.look()
+        time.sleep(0.001)  # the worker's own thread must get its chance to do too much
     assert world.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
     assert world.runs == ["restart"]
     assert world.closed()[0].fault.by == "restart"

@@ -167,7 +167,7 @@ def test_a_tcp_server_that_restarts_is_found_again(make_hub: MakeHub) -> None:
         with socket.create_server(("127.0.0.1", tcp)) as server:
             server.settimeout(10.0)
             client, _ = server.accept()
-            until(lambda: hub.links()[0].open)
+            until(lambda: bool(hub.links()) and hub.links()[0].open)
             client.close()
         fact = until(lambda: [link for link in hub.links() if not link.open])[0]
         assert (fact.name, bool(fact.error)) == (f"tcp:127.0.0.1:{tcp}", True)
