@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import dataclass
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -98,9 +99,10 @@ class Demo:
         return outcome
 
     def table(self, outcomes: list[Outcome]) -> Table:
-        table = Table(title="Faults of this run")
-        for name in ("fault", "seen at", "alarms", "detected after", "told after", "healed after", "by", ""):
-            table.add_column(name, justify="right" if name.endswith("after") or name == "alarms" else "left")
+        table = Table(title="Faults of this run, seconds after each was there", box=box.SIMPLE_HEAD)
+        for name in ("fault", "seen at", "alarms", "detected", "told", "healed", "by", ""):
+            number = name in ("alarms", "detected", "told", "healed")
+            table.add_column(name, justify="right" if number else "left", overflow="fold", no_wrap=number)
         for entry in outcomes:
             verdict = "[green]ok[/]" if entry.good else "[red]NOT OK[/]"
             times = (_seconds(entry.detected_s), _seconds(entry.told_s), _seconds(entry.healed_s))
@@ -122,7 +124,7 @@ def _verified(event: Event, unit: str) -> bool:
 
 
 def _seconds(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f} s"
+    return "-" if value is None else f"{value:.2f}"
 
 
 def run(stack: Stack, console: Console) -> int:
