@@ -16,9 +16,12 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
+
+LOOK_S = 0.5
+"""How often an idle node looks whether it has been told to end."""
 
 
 class Voice:
@@ -50,7 +53,11 @@ def main(argv: list[str] | None = None) -> int:
     for topic in options.subscribe:
         node.create_subscription(String, topic, _ignore, 10)
     try:
-        rclpy.spin(node)
+        # Not `spin`: a SIGTERM that comes just before it waits is lost on a node without timers, which then never ends.
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=LOOK_S)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
