@@ -12,6 +12,30 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from phm.clock import Clock
+from phm.ros_facts import (
+    BeaconFact as BeaconFact,
+)
+from phm.ros_facts import (
+    DiagnosticFact as DiagnosticFact,
+)
+from phm.ros_facts import (
+    EndpointFact as EndpointFact,
+)
+from phm.ros_facts import (
+    NeighbourFact as NeighbourFact,
+)
+from phm.ros_facts import (
+    RateFact as RateFact,
+)
+from phm.ros_facts import (
+    RosFact as RosFact,
+)
+from phm.ros_facts import (
+    RosProbe as RosProbe,
+)
+from phm.ros_facts import (
+    TopicFact as TopicFact,
+)
 
 
 class CannotTell(Exception):
@@ -200,63 +224,6 @@ class HostFact:
 
 class HostProbe(Protocol):
     def read(self) -> HostFact: ...
-
-
-# ---------------------------------------------------------------- ROS
-
-
-@dataclass(frozen=True, slots=True)
-class EndpointFact:
-    """One publisher or subscription of a topic, as discovery reports it."""
-
-    node: str
-    """Full name, e.g. /agent_1/node_1."""
-    type: str
-    reliability: str = ""
-    durability: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class RateFact:
-    """What the sampler measured on one topic over its last window.
-
-    hz:       None until two samples far enough apart have been seen.
-    silent_s: seconds since the sampler last saw the publisher advance; None before the first sample.
-    problem:  a reason why there is no rate (`type unknown`, `ambiguous`), or empty.
-    """
-
-    hz: float | None
-    silent_s: float | None
-    window_s: float = 0.0
-    samples: int = 0
-    problem: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class TopicFact:
-    publishers: tuple[EndpointFact, ...] = ()
-    subscribers: tuple[EndpointFact, ...] = ()
-    rate: RateFact | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class RosFact:
-    """The newest picture of the ROS graph from the child process.
-
-    age_s: since the child sent it. up_s: how long this child has been looking; a graph that is only a
-    second old does not prove absence. nodes: full name -> how often it is listed. topics: those that
-    the configuration names, by full name.
-    """
-
-    age_s: float
-    up_s: float
-    nodes: Mapping[str, int] = field(default_factory=dict)
-    topics: Mapping[str, TopicFact] = field(default_factory=dict)
-
-
-class RosProbe(Protocol):
-    def look(self) -> RosFact:
-        """Raises CannotTell when rclpy is missing, or the child is being replaced or is silent."""
 
 
 # ---------------------------------------------------------------- links and PHM itself

@@ -30,7 +30,7 @@ def main(behaviour: str, folder: str = "") -> int:
     while True:
         _picture(wanted, time.monotonic() - began_s)
         if behaviour == "garbage":
-            _write(b'[WARN] stray library output\n\xff\xfe\n{"kind":"picture"}\n[1,2]\n{"kind":"tick","up_s":NaN}\n\n')
+            _write(b'[WARN] stray library output\n\xff\xfe\n["picture"]\n[1,2]\n["tick",[NaN,{}]]\n\n')
         elif behaviour == "exit":
             sys.stderr.write("it went wrong\n")
             return 3
@@ -46,8 +46,8 @@ def main(behaviour: str, folder: str = "") -> int:
 def _picture(wanted: dict[str, object], up_s: float) -> None:
     topics = wanted["topics"]
     assert isinstance(topics, list)
-    empty: dict[str, object] = {"pub": [], "sub": [], "rate": None}
-    picture = {"kind": "picture", "up_s": up_s, "nodes": {"/a/n": 1}, "topics": {t["name"]: empty for t in topics}}
+    empty: list[object] = [[], [], None]
+    picture = ["picture", [up_s, {"/a/n": 1}, {t["name"]: empty for t in topics}]]
     _write(json.dumps(picture).encode() + b"\n")
 
 

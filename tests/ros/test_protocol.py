@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from phm.facts import EndpointFact, RateFact, TopicFact
+from phm.facts import BeaconFact, DiagnosticFact, EndpointFact, NeighbourFact, RateFact, TopicFact
 from phm.probes.ros.protocol import (
+    Heard,
     Message,
     Missing,
     Picture,
@@ -28,6 +29,8 @@ END = EndpointFact("/a/n", "std_msgs/msg/String", "reliable", "volatile")
         Picture(1.5, {"/a/n": 2}, {"/t": TopicFact((END,), (END, END), RateFact(9.9, 0.1, 3.0, 7, "x"))}),
         Picture(0.0, {}, {"/t": TopicFact()}),
         Tick(2.0, {"/t": 0.5, "/u": None}),
+        Heard({"/a/n": BeaconFact(0.1, 0.2, 0.0, "x", 7, {"/a/m": NeighbourFact(True, 0.3)})}),
+        Heard({}, {"radio": DiagnosticFact(0.1, 2, "no link", "sik", {"rssi": "0"})}),
         Missing("rclpy", "No module named 'rclpy'"),
     ],
 )
@@ -47,10 +50,10 @@ def test_the_configuration_comes_through() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        b"", b"[INFO] hello", b"\xff\xfe", b"[]", b"{}", b'{"kind":"other"}', b'{"kind":"picture"}',
-        b'{"kind":"tick","up_s":"x","silent_s":{}}', b'{"kind":"tick","up_s":1,"silent_s":[1]}',
-        b'{"kind":"tick","up_s":NaN,"silent_s":{}}', b'{"kind":"picture","up_s":1,"nodes":{"/a":1},"topi',
-        b'{"kind":"picture","up_s":1,"nodes":{},"topics":{"/t":{"pub":[["/n"]],"sub":[],"rate":null}}}',
+        b"", b"[INFO] hello", b"\xff\xfe", b"[]", b"{}", b"7", b'["other",[]]', b'["picture"]', b'["picture",[]]', b'[["picture"],[]]',
+        b'["tick",["x",{}]]', b'["tick",[1,[1]]]', b'["tick",[NaN,{}]]', b'["tick",[true,{}]]', b'["tick",[1,{}],3]',
+        b'["picture",[1,{"/a":1.5},{}]]', b'["picture",[1,{"/a":1},{"/t',
+        b'["picture",[1,{},{"/t":[[["/n"]],[],null]}]]', b'["tick",[1' + b"0" * 400 + b',{}]]',
         b"[" * 100_000,
     ],
 )  # fmt: skip

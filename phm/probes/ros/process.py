@@ -18,9 +18,11 @@ from pathlib import Path
 import phm
 from phm.clock import Clock
 from phm.facts import CannotTell, RosFact, TopicFact
+from phm.probes.ros.hearsay import Hearsay
 from phm.probes.ros.life import Life
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
+    Heard,
     Missing,
     Picture,
     ProtocolError,
@@ -98,6 +100,7 @@ class RosProcess:
         self._lock = threading.Lock()
         self._picture: Picture | None = None
         self._heard_s = 0.0
+        self._hearsay = Hearsay()
         self._why = "the ROS child has not been started yet"
         self._renew = ""
         self._closing = False
@@ -125,14 +128,15 @@ class RosProcess:
     def look(self) -> RosFact:
         """The newest picture. Raises CannotTell while there is none that is fresh."""
         with self._lock:
-            picture, heard_s, why = self._picture, self._heard_s, self._why
+            picture, heard_s, why, hearsay = self._picture, self._heard_s, self._why, self._hearsay
         if picture is None:
             raise CannotTell(why)
-        age_s = max(0.0, self._clock.mono() - heard_s)
+        now_s = self._clock.mono()
+        age_s = max(0.0, now_s - heard_s)
         if age_s > self._limits.silent_s:
             raise CannotTell(f"the ROS child has been silent for {age_s:.1f} s and will be replaced")
         topics = {name: _older(topic, age_s) for name, topic in picture.topics.items()}
-        return RosFact(age_s, picture.up_s + age_s, picture.nodes, topics)
+        return RosFact(age_s, picture.up_s + age_s, picture.nodes, topics, *hearsay.since(now_s))
 
     def renew(self, reason: str) -> None:
         """Replace the child on purpose: the network changed under it. Returns at once."""
@@ -227,10 +231,12 @@ class RosProcess:
                     return f"used {rss / 1e6:.0f} MB, allowed are {self._max_memory / 1e6:.0f} MB, and was killed"
         return ""
 
-    def _take(self, message: Picture | Tick, now_s: float) -> None:
+    def _take(self, message: Picture | Tick | Heard, now_s: float) -> None:
         with self._lock:
             before = self._picture
-            if isinstance(message, Picture):
+            if isinstance(message, Heard):
+                self._hearsay = self._hearsay.with_news(message, now_s)
+            elif isinstance(message, Picture):
                 self._picture = message
             elif before is not None:
                 topics = {name: _silent(topic, message.silent_s.get(name)) for name, topic in before.topics.items()}
@@ -243,6 +249,7 @@ class RosProcess:
         with self._lock:
             had_one = self._picture is not None
             self._picture = None
+            self._hearsay = Hearsay()
             self._why = sentence
         if had_one and not self._closing:
             self._on_change()

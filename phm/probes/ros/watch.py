@@ -1,0 +1,71 @@
+"""What the child looks with: one participant, the graph that it sees, and a gauge for each topic with a rate.
+
+Importing this module raises ImportError where there is no rclpy.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from phm.probes.ros.gauge import Gauge
+from phm.probes.ros.graph import Graph
+from phm.probes.ros.protocol import Message, Picture, Tick, Wanted
+from phm.ros_facts import RateFact, TopicFact
+
+
+class Watch:
+    """One look a tick; nothing in it waits."""
+
+    def __init__(self, wanted: Wanted) -> None:
+        self._context: Any = Context()
+        # Without logging set up rcl creates no log directory: the sidecar's file system is read-only.
+        self._context.init(args=[], initialize_logging=False, domain_id=wanted.domain)
+        self._node: Any = Node(
+            "_phm_" + re.sub(r"\W", "_", wanted.agent, flags=re.ASCII),
+            context=self._context,
+            start_parameter_services=False,
+            enable_rosout=False,
+            use_global_arguments=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        self._began_s = time.monotonic()
+        self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s)
+        self._gauges = {topic.name: Gauge(self._node, topic) for topic in wanted.topics if topic.rate_hz}
+        self._full_s = wanted.full_s
+        self._next_full_s = 0.0
+        self._states: dict[str, tuple[bool, str]] = {}
+
+    def look(self) -> list[Message]:
+        """Called once a tick: what there is to tell the daemon."""
+        return [self._picture()]
+
+    def _picture(self) -> Picture | Tick:
+        """The whole picture when something changed or it is time, else only that nothing did."""
+        now_s = time.monotonic()
+        changed = self._graph.look(now_s)
+        rates: dict[str, RateFact] = {}
+        for name, gauge in self._gauges.items():
+            rates[name] = gauge.look(now_s, self._graph.publishers[name])
+        states = {name: (rate.hz == 0.0, rate.problem) for name, rate in rates.items()}
+        up_s = round(now_s - self._began_s, 3)
+        if not changed and states == self._states and now_s < self._next_full_s:
+            return Tick(up_s, {name: rate.silent_s for name, rate in rates.items()})
+        self._states = states
+        self._next_full_s = now_s + self._full_s
+        graph = self._graph
+        topics = {
+            name: TopicFact(publishers, graph.subscribers[name], rates.get(name))
+            for name, publishers in graph.publishers.items()
+        }
+        return Picture(up_s, graph.nodes, topics)
+
+    def close(self) -> None:
+        """Leave the graph politely, so that others forget this participant now and not after its lease."""
+        self._node.destroy_node()
+        self._context.try_shutdown()
