@@ -11,7 +11,7 @@ import math
 import types
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
 
@@ -19,7 +19,7 @@ T = TypeVar("T")
 def pack(fact: Any) -> Any:
     """JSON-able form of a fact: dataclasses and tuples as lists, mappings as objects."""
     if is_dataclass(fact):
-        return [pack(getattr(fact, name)) for name in _names(type(fact))]
+        return [pack(getattr(fact, name)) for name in _names(cast(Any, type(fact)))]
     if isinstance(fact, (list, tuple)):
         return [pack(item) for item in fact]
     if isinstance(fact, Mapping):
@@ -27,7 +27,7 @@ def pack(fact: Any) -> Any:
     return fact
 
 
-def unpack(kind: type[T], data: Any) -> T:
+def unpack(kind: Any, data: Any) -> Any:
     """The fact that `pack` wrote. Raises TypeError or ValueError for anything else."""
     hints = _hints(kind)
     if not isinstance(data, list) or len(data) != len(hints):
@@ -38,7 +38,7 @@ def unpack(kind: type[T], data: Any) -> T:
 def value(hint: Any, data: Any) -> Any:
     """`data` as the type that `hint` names. Raises TypeError or ValueError."""
     if is_dataclass(hint):
-        return unpack(hint, data)  # type: ignore[arg-type]
+        return unpack(hint, data)
     origin = get_origin(hint)
     if origin in (types.UnionType, Union):
         return None if data is None else value(next(arg for arg in get_args(hint) if arg is not type(None)), data)
