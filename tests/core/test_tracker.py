@@ -215,6 +215,22 @@ def test_settling_starts_anew_after_a_good_result() -> None:
     assert bench.opened == []
 
 
+def test_settling_starts_anew_when_it_is_no_worse_than_what_is_told() -> None:
+    """A unit that is told as WARN and was ERROR for a moment only is not told as ERROR at its next moment."""
+    bench = chain(settle_s=2.0)
+    bench.all_well()
+    nearly = warn("nearly", brief="nearly")
+    for result in (nearly, nearly, BAD, nearly):
+        bench.later(3.0)
+        bench.see("nodes", result)
+        bench.see("container", OK)
+    bench.later(3.0)
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    assert bench.level("nodes") is Level.WARN
+    assert bench.opened == []
+
+
 def test_while_waiting_the_question_is_asked_again() -> None:
     """A need without a period of its own would otherwise answer only at the next pass."""
     bench = chain(settle_s=5.0)

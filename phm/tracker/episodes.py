@@ -1,0 +1,65 @@
+"""Faults as episodes: each is opened once, numbered, and closed once with its outcome."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from phm.model import Fault, FaultClosed, FaultOpened, Level, Outcome, Result, Stamp
+from phm.tracker.units import Entry, Scene, Step
+
+
+class Episodes:
+    """Opens and closes the faults of all units. Invariant: a unit has at most one open fault."""
+
+    def __init__(self, scene: Scene, prefix: str) -> None:
+        self._scene, self._prefix = scene, prefix
+        self._count = 0
+        self._taken: frozenset[str] = frozenset()
+
+    def take_ids(self, *ids: str) -> None:
+        """These were given by an earlier run of PHM and are not given again."""
+        self._taken |= frozenset(ids)
+
+    def open(self, entry: Entry, result: Result, now: Stamp, step: Step) -> None:
+        """An alarm, unless recovery has given up on this unit and it has not been well since."""
+        if entry.fault is not None or entry.escalated:
+            return
+        spec = entry.spec
+        entry.fault = Fault(
+            self._next_id(),
+            entry.id,
+            spec.slot,
+            spec.layer,
+            result,
+            now,
+            consequences=self._consequences(entry),
+            suspects=self._suspects(entry),
+        )
+        step.events.append(FaultOpened(now, entry.fault))
+
+    def close(self, entry: Entry, outcome: Outcome, by: str, now: Stamp, step: Step) -> None:
+        if entry.fault is None:
+            return
+        closed = replace(entry.fault, closed=now, outcome=outcome, by=by)
+        entry.fault = None
+        entry.told = replace(entry.told, fault="")
+        step.events.append(FaultClosed(now, closed))
+
+    def _next_id(self) -> str:
+        self._count += 1
+        while f"{self._prefix}{self._count}" in self._taken:
+            self._count += 1
+        return f"{self._prefix}{self._count}"
+
+    def _consequences(self, entry: Entry) -> tuple[str, ...]:
+        """Names of the checks that cannot be well while the unit is not, in slot order."""
+        below = sorted((other.spec for other in self._scene.downstream(entry.id)), key=lambda spec: spec.slot)
+        return tuple(dict.fromkeys(spec.check for spec in below))
+
+    def _suspects(self, entry: Entry) -> tuple[str, ...]:
+        """Units told as ERROR that can be behind anything (`Unit.suspect`), such as a full disk."""
+        return tuple(
+            other.id
+            for other in self._scene.units.values()
+            if other.spec.unit.suspect and other.told.level is Level.ERROR and other is not entry
+        )

@@ -1,0 +1,172 @@
+"""The rules by which a unit's newest result becomes what is told: pure judgement, nothing is changed here.
+
+`judge` applies them in the order in which they stand; the first that has a verdict decides.
+
+So one cause raises one alarm, whatever order the evidence arrives in and whichever wake-up is lost, as long as
+the evidence of the cause can be seen within the dependent's `settle_s`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from phm.model import Level, Result
+from phm.tracker.units import Entry, Pending, Scene
+
+UNKNOWN_S = 10.0
+"""How long a bad result waits for a need that is STALE at the moment."""
+SURE_S = 2.5
+"""Grace ends early once a unit has been OK for this long: shorter could be the memory of what was there before (a killed
+node stays listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What follows for one unit.
+
+    tell:       the result to publish; None: what is published stays.
+    blocked_by: the unit whose fault `tell` follows from. An open fault of its own is then reattributed.
+    pending:    what waits to be told; None: nothing does.
+    ask:        units whose checks are to run again, now.
+    """
+
+    tell: Result | None = None
+    blocked_by: str = ""
+    pending: Pending | None = None
+    ask: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One unit's newest result at one moment (monotonic seconds), with all that the rules may look at."""
+
+    entry: Entry
+    result: Result
+    scene: Scene
+    now: float
+
+
+KEEP = Verdict()
+
+
+def judge(entry: Entry, scene: Scene, now: float) -> Verdict | None:
+    """The verdict on the unit's newest result; None when there has been none."""
+    if entry.raw is None:
+        return None
+    look = Look(entry, entry.raw, scene, now)
+    verdicts = (rule(look) for rule in RULES)
+    return next((verdict for verdict in verdicts if verdict is not None), KEEP)
+
+
+def well(look: Look) -> Verdict | None:
+    """1. OK is told at once, and closes the unit's fault.
+
+    Except while its own fault is under repair: it counts when the repair is proven, dependents included, or when
+    `Entry.unproven_until` is over.
+    """
+    if look.result.level is not Level.OK:
+        return None
+    if look.entry.fault is not None and (_under_repair(look) or look.now < look.entry.unproven_until):
+        return KEEP
+    return Verdict(look.result)
+
+
+def repair_at_work(look: Look) -> Verdict | None:
+    """2. A bad result while an action is at work on the unit's target follows from that action.
+
+    The unit is STALE `blocked_by` the fault under repair; a unit whose own fault is open stays as it is.
+    """
+    hold = look.scene.holds.get(look.entry.target)
+    if hold is None or not look.result.level.bad:
+        return None
+    if look.entry.fault is None and look.entry.id != hold.owner:
+        return _blocked(look, hold.owner)
+    return KEEP
+
+
+def consequence(look: Look) -> Verdict | None:
+    """3. A result that is not OK while something the unit needs is bad is a consequence: STALE `blocked_by` the first cause.
+
+    If it had been told as a fault of its own, that fault is closed as reattributed.
+    """
+    cause = _cause(look)
+    if not cause:
+        return None
+    return KEEP if cause == look.entry.id else _blocked(look, cause)
+
+
+def not_known(look: Look) -> Verdict | None:
+    """4. STALE is told at once and closes nothing: not knowing is no cure."""
+    return Verdict(look.result) if look.result.level is Level.STALE else None
+
+
+def grace(look: Look) -> Verdict | None:
+    """5. A bad result during grace is `not known yet`. Grace ends early when the unit has been OK for SURE_S.
+
+    What was seen before the grace began never counts again: the unit is run anew. It begins with PHM itself; after a
+    repair, for the target and all that needs it; after an ERROR, told or not, for all that need the unit: what looked
+    bad meanwhile may follow from it; and when a container is told to end, for its parts.
+    """
+    if not too_early(look.entry, look.now):
+        return None
+    summary = f"not known yet: {look.result.summary}"
+    return Verdict(replace(look.result, level=Level.STALE, summary=summary, brief="", condition=""))
+
+
+def settled(look: Look) -> Verdict:
+    """6. Otherwise everything that the unit needs is run again.
+
+    A bad result is told only when it was bad `failures` times in a row, has lasted `settle_s`, and each need, and
+    with `settle_s` the unit too, has answered in a run that began after that. Needs that are STALE may be the cause:
+    they get UNKNOWN_S to be known, not for ever.
+    """
+    entry, unit = look.entry, look.entry.spec.unit
+    if entry.told.level is look.result.level and not entry.told.blocked_by:
+        return Verdict(look.result)
+    upstream = look.scene.upstream(entry.id)
+    pending, ask = entry.pending, frozenset[str]()
+    if pending is None:
+        pending, ask = Pending(look.now), frozenset(other.id for other in upstream)
+    lasted = pending.since + unit.settle_s
+    if look.now < lasted:
+        return Verdict(pending=pending, ask=ask)
+    witnesses = (entry, *upstream) if unit.settle_s > 0 else upstream
+    silent = frozenset(other.id for other in witnesses if other.started < lasted)
+    if not pending.asked:
+        pending, ask = replace(pending, asked=True), ask | silent
+    unknown = look.now - pending.since < UNKNOWN_S and any(other.unknown for other in upstream)
+    if silent or unknown or entry.bad_in_a_row < entry.spec.failures:
+        return Verdict(pending=pending, ask=ask)
+    return Verdict(look.result, ask=ask)
+
+
+RULES: tuple[Callable[[Look], Verdict | None], ...] = (well, repair_at_work, consequence, not_known, grace, settled)
+
+
+def too_early(entry: Entry, now: float) -> bool:
+    """Whether the unit has grace. An open or given-up fault goes on meanwhile."""
+    known = entry.fault is not None or entry.told_given_up
+    return not known and (now < entry.quiet_until or entry.started < entry.counts_from)
+
+
+def _under_repair(look: Look) -> bool:
+    hold = look.scene.holds.get(look.entry.target)
+    return hold is not None and hold.proving and hold.owner == look.entry.id
+
+
+def _cause(look: Look) -> str:
+    """The first unit upstream that is failing, or whose repair did not bring back what needs it.
+
+    If that one is under repair, the fault being repaired.
+    """
+    for other in look.scene.upstream(look.entry.id):
+        if other.failing or (other.fault is not None and look.now < other.unproven_until):
+            hold = look.scene.holds.get(other.target)
+            return hold.owner if hold is not None and other.fault is None else other.id
+    return ""
+
+
+def _blocked(look: Look, cause: str) -> Verdict:
+    summary = f"blocked by {cause}: {look.result.summary}"
+    return Verdict(replace(look.result, level=Level.STALE, summary=summary), blocked_by=cause)

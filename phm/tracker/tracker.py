@@ -1,0 +1,280 @@
+"""Keeps what is known about every unit, and lets follow what the rules (`phm.tracker.rules`) say about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from phm.model import Fault, FaultClosed, Level, Outcome, Result, Stamp, Transition, UnitState
+from phm.needs import Needs
+from phm.tracker.episodes import Episodes
+from phm.tracker.rules import SURE_S, judge, too_early
+from phm.tracker.units import NEVER, Entry, Hold, Scene, Step, Tracked
+
+ITSELF = "itself"
+CONFIGURATION = "configuration"
+"""What ended a fault whose unit is no longer configured."""
+RESTORED = "restored after a restart of PHM"
+ASK_AGAIN_S = 1.0
+"""While a bad result waits to be confirmed, it and its needs are run again this often."""
+UNPROVEN_S = 30.0
+"""How long a unit that is OK again stays ERROR because what needs it has not come back: time for the next action."""
+
+
+class Tracker:
+    """See the package. Not thread-safe: the pipeline calls it under one lock.
+
+    Invariants: a unit has at most one open fault; a fault is opened by ERROR only and closed exactly once;
+    `told.level` is ERROR whenever a fault is open, except while the unit cannot be judged (STALE).
+    """
+
+    def __init__(self, tracked: Sequence[Tracked], now: Stamp, fault_prefix: str = "F") -> None:
+        self.needs = Needs({entry.unit.id: entry.needs for entry in tracked})
+        self._holds: dict[str, Hold] = {}
+        self._units: dict[str, Entry] = {}
+        self._scene = Scene(self._units, self.needs, self._holds)
+        self._episodes = Episodes(self._scene, fault_prefix)
+        for entry in tracked:
+            nothing = Result(Level.STALE, "no result yet")
+            told = UnitState(entry.unit.id, entry.check, entry.slot, entry.layer, Level.STALE, nothing, now)
+            self._units[entry.unit.id] = Entry(entry, told, quiet_until=now.mono + entry.unit.grace_s)
+
+    # ------------------------------------------------------------ what is
+
+    def states(self) -> tuple[UnitState, ...]:
+        return tuple(entry.told for entry in self._units.values())
+
+    def state(self, unit: str) -> UnitState:
+        return self._units[unit].told
+
+    def last_started(self, unit: str) -> float:
+        """When the run that gave the newest result began (monotonic seconds)."""
+        return self._units[unit].started
+
+    def found_well(self, unit: str, mono: float) -> bool:
+        """Whether a run that began after `mono` found the unit OK, told or kept back."""
+        entry = self._units[unit]
+        return entry.raw is not None and entry.raw.level is Level.OK and entry.started >= mono
+
+    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+        """Units of the same target that need `unit` and have not been found free of ERROR in a run since `mono`.
+
+        Those with a fault of their own are not counted: it is not this repair that they wait for.
+        """
+        target = self._units[unit].target
+        return tuple(
+            entry.id
+            for entry in self._scene.downstream(unit)
+            if entry.target == target
+            and entry.fault is None
+            and not entry.told_given_up
+            and (entry.failing or entry.started < mono)
+        )
+
+    def open_faults(self) -> tuple[Fault, ...]:
+        return tuple(entry.fault for entry in self._units.values() if entry.fault is not None)
+
+    def given_up(self) -> tuple[Fault, ...]:
+        """The escalated faults of units that have not been well since."""
+        return tuple(entry.given_up for entry in self._units.values() if entry.escalated and entry.given_up is not None)
+
+    def undecided(self, now: Stamp) -> tuple[str, ...]:
+        """Units that need more time or more results before they can be told."""
+        return tuple(
+            entry.id
+            for entry in self._units.values()
+            if entry.raw is None
+            or entry.pending is not None
+            or (too_early(entry, now.mono) and entry.raw.level is not Level.OK and not entry.told.blocked_by)
+        )
+
+    # ------------------------------------------------------------ what was, before PHM was started again
+
+    def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault], now: Stamp) -> Step:
+        """Put back what an earlier run of PHM left open or had given up, before the first result.
+
+        No FaultOpened is sent: it was told once. Faults of units that the configuration no longer names are
+        closed in the returned step, as resolved by ``configuration``.
+        """
+        step = Step()
+        faults, given_up = tuple(faults), tuple(given_up)
+        self._episodes.take_ids(*(fault.id for fault in (*faults, *given_up)))
+        for fault in faults:
+            entry = self._units.get(fault.unit)
+            if entry is None:
+                closed = replace(fault, closed=now, outcome=Outcome.RESOLVED, by=CONFIGURATION)
+                step.events.append(FaultClosed(now, closed))
+            elif entry.fault is None:
+                entry.fault = replace(fault, slot=entry.spec.slot, layer=entry.spec.layer)
+                self._restored(entry, fault, fault.id)
+        for fault in given_up:
+            entry = self._units.get(fault.unit)
+            if entry is not None and entry.fault is None:
+                entry.escalated, entry.given_up = True, fault
+                self._restored(entry, fault, "")
+        return step
+
+    def _restored(self, entry: Entry, fault: Fault, name: str) -> None:
+        summary = f"{RESTORED}: {fault.result.summary}"
+        result = replace(fault.result, level=Level.ERROR, summary=summary)
+        entry.told = replace(entry.told, level=Level.ERROR, result=result, since=fault.opened, fault=name)
+
+    # ------------------------------------------------------------ what happens
+
+    def observe(self, unit: str, result: Result, started: float, now: Stamp, duration_s: float = 0.0) -> Step:
+        """Take one result of a run that began at `started` (monotonic seconds)."""
+        step = Step()
+        entry = self._units[unit]
+        if started < entry.started:
+            return step  # an overdue run came back after a newer one: it knows less
+        entry.raw, entry.started = result, started
+        entry.harmed = entry.harmed or entry.failing
+        entry.bad_in_a_row = entry.bad_in_a_row + 1 if result.level.bad else 0
+        entry.told = replace(entry.told, duration_s=duration_s)
+        self._judge(entry, now, step)
+        self._judge_dependents(entry, now, step)
+        return step
+
+    def tick(self, now: Stamp) -> Step:
+        """Let time pass: ends holds that outlived their action, grace and settling."""
+        step = Step()
+        for target in [target for target, hold in self._holds.items() if now.mono >= hold.until]:
+            self._release(target, now, step)
+        for entry in self._units.values():
+            kept_back = entry.fault is not None and entry.raw is not None and entry.raw.level is Level.OK
+            untold = entry.raw is not None and entry.raw.level.bad and entry.told.level is not entry.raw.level
+            if kept_back or untold:
+                self._judge(entry, now, step)
+            if entry.pending is not None:
+                waiting = (entry, *self._scene.upstream(entry.id))
+                step.rerun.update(other.id for other in waiting if now.mono - other.started >= ASK_AGAIN_S)
+        return step
+
+    # ------------------------------------------------------------ what recovery and the world do
+
+    def hold(
+        self, target: str, owner: str, action: str, now: Stamp, at_most_s: float, *, proving: bool = False
+    ) -> Step:
+        """An action begins on `target`, for the fault of unit `owner`. With `proving`, `release` says whether the owner
+        may be believed to be well."""
+        self._holds[target] = Hold(owner, action, now.mono + at_most_s, proving)
+        for entry in self._units.values():
+            if entry.fault is not None and (entry.id == owner or entry.target == target):
+                entry.fault = replace(entry.fault, by=action)
+        return Step()
+
+    def release(self, target: str, now: Stamp, *, worked: bool) -> Step:
+        """The action on `target` is over; `worked` False takes back its credit for what heals later."""
+        step = Step()
+        hold = self._holds.get(target)
+        self._release(target, now, step)
+        if hold is None:
+            return step
+        if hold.proving:
+            # What the owner said meanwhile counts now, or not yet.
+            owner = self._units[hold.owner]
+            owner.unproven_until = NEVER if worked else now.mono + UNPROVEN_S
+            if worked:
+                self._judge(owner, now, step)
+        if not worked:
+            for entry in self._units.values():
+                if entry.fault is not None and entry.fault.by == hold.action:
+                    entry.fault = replace(entry.fault, by="")
+        return step
+
+    def expect_end(self, target: str, now: Stamp, at_most_s: float) -> Step:
+        """Somebody has told the container to end: its parts go first, and are not to be told before it.
+
+        Units of the target that need another unit of it get grace; the container's own unit does not.
+        """
+        for entry in self._units.values():
+            above = (other.target for other in self._scene.upstream(entry.id))
+            if entry.target == target and target in above:
+                entry.grant(now.mono, now.mono + at_most_s)
+        return Step()
+
+    def escalate(self, fault_id: str, now: Stamp) -> Step:
+        """Recovery has given up on this fault: close it as escalated. The unit stays ERROR until it is well."""
+        step = Step()
+        for entry in self._units.values():
+            if entry.fault is not None and entry.fault.id == fault_id:
+                entry.given_up, entry.escalated = entry.fault, True
+                self._episodes.close(entry, Outcome.ESCALATED, "", now, step)
+        return step
+
+    # ------------------------------------------------------------ what follows
+
+    def _judge(self, entry: Entry, now: Stamp, step: Step) -> None:
+        verdict = judge(entry, self._scene, now.mono)
+        if verdict is None or entry.raw is None:
+            return
+        entry.pending = verdict.pending
+        step.rerun |= verdict.ask
+        if entry.raw.level is not Level.OK:
+            entry.well_since = None
+        if verdict.tell is None:
+            return
+        if verdict.blocked_by:
+            self._blame(entry, verdict.tell, verdict.blocked_by, now, step)
+        elif verdict.tell.level is Level.OK:
+            self._came_well(entry, verdict.tell, now, step)
+        else:
+            self._tell(entry, verdict.tell, now, step)
+
+    def _judge_dependents(self, entry: Entry, now: Stamp, step: Step) -> None:
+        for other in self._scene.downstream(entry.id):
+            if other.raw is not None and other.raw.level is not Level.OK:
+                self._judge(other, now, step)
+
+    def _came_well(self, entry: Entry, result: Result, now: Stamp, step: Step) -> None:
+        recovered = entry.harmed or entry.told.level is Level.ERROR or bool(entry.told.blocked_by)
+        entry.harmed, entry.escalated, entry.given_up = False, False, None
+        entry.well_since = now.mono if entry.well_since is None else entry.well_since
+        if now.mono - entry.well_since >= SURE_S:
+            entry.quiet_until = min(entry.quiet_until, now.mono)
+        self._tell(entry, result, now, step)
+        if entry.fault is not None:
+            self._episodes.close(entry, Outcome.RESOLVED, entry.fault.by or ITSELF, now, step)
+        if recovered:
+            # What looked bad below it meanwhile, told or not, may follow from it.
+            self._give_grace(self.needs.downstream(entry.id), now, step)
+
+    def _blame(self, entry: Entry, result: Result, cause: str, now: Stamp, step: Step) -> None:
+        self._episodes.close(entry, Outcome.REATTRIBUTED, cause, now, step)
+        self._tell(entry, result, now, step, blocked_by=cause)
+        causing = self._units[cause]
+        if causing.fault is not None and entry.id not in causing.fault.blocks:
+            causing.fault = replace(causing.fault, blocks=(*causing.fault.blocks, entry.id))
+
+    def _release(self, target: str, now: Stamp, step: Step) -> None:
+        if self._holds.pop(target, None) is None:
+            return
+        touched = [entry.id for entry in self._units.values() if entry.target == target]
+        below = {name for unit in touched for name in self.needs.downstream(unit)}
+        self._give_grace([*touched, *sorted(below.difference(touched))], now, step)
+
+    def _give_grace(self, units: Iterable[str], now: Stamp, step: Step) -> None:
+        """What was seen before no longer counts: look again, and give it time to come back."""
+        for name in units:
+            entry = self._units[name]
+            entry.grant(now.mono, now.mono + entry.spec.unit.grace_s)
+            if entry.raw is not None and entry.raw.level is not Level.OK:
+                step.rerun.add(name)
+
+    def _tell(self, entry: Entry, result: Result, now: Stamp, step: Step, blocked_by: str = "") -> None:
+        old, level = entry.told, result.level
+        changed = old.level is not level
+        reworded = (
+            not changed and level.bad and (old.result.condition, old.result.brief) != (result.condition, result.brief)
+        )
+        since = now if changed else old.since
+        if level is Level.ERROR:
+            self._episodes.open(entry, result, now, step)
+        if reworded and entry.fault is not None:
+            entry.fault = replace(entry.fault, result=result)
+        fault = entry.fault.id if entry.fault is not None else ""
+        entry.told = replace(old, level=level, result=result, since=since, blocked_by=blocked_by, fault=fault)
+        if changed or reworded:
+            step.events.append(Transition(now, old.level, entry.told, changed_text=reworded))
+        if changed and level is Level.ERROR:
+            self._judge_dependents(entry, now, step)

@@ -1,0 +1,130 @@
+"""What is kept about each unit, and what one call to the tracker yields."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from phm.api import Unit
+from phm.model import Event, Fault, Layer, Level, Result, Slot, UnitState
+from phm.needs import Needs
+
+NEVER = float("-inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """A unit with what its check says about it."""
+
+    unit: Unit
+    check: str
+    slot: Slot
+    layer: Layer
+    failures: int = 1
+    needs: tuple[str, ...] = ()
+    """All needs: the unit's own and those that the configuration adds."""
+
+
+@dataclass(slots=True)
+class Step:
+    """What follows from one call: events for the bus, in order, and units whose checks must run again."""
+
+    events: list[Event] = field(default_factory=list)
+    rerun: set[str] = field(default_factory=set)
+
+
+@dataclass(slots=True)
+class Hold:
+    """An action is at work on a target; `until` ends the hold even if its owner has died."""
+
+    owner: str
+    action: str
+    until: float
+    proving: bool = False
+    """The owner's OK is kept back until the action is proven to have helped all that need it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pending:
+    """A bad result that waits to be told, since a moment (monotonic seconds)."""
+
+    since: float
+    asked: bool = False
+    """Its witnesses have been called for the last time before it is told."""
+
+
+@dataclass(slots=True)
+class Entry:
+    """Everything known about one unit. `raw` is its newest result, `told` what is published."""
+
+    spec: Tracked
+    told: UnitState
+    raw: Result | None = None
+    started: float = NEVER
+    bad_in_a_row: int = 0
+    pending: Pending | None = None
+    harmed: bool = False
+    """It has been ERROR, told or not, since it was last OK: what needs it may have suffered."""
+    counts_from: float = NEVER
+    """Runs that began earlier prove nothing bad any more."""
+    quiet_until: float = 0.0
+    """Grace: until then a bad result is `not known yet`."""
+    well_since: float | None = None
+    unproven_until: float = NEVER
+    """Its repair did not bring back what needs it; until then it is not believed to be well."""
+    fault: Fault | None = None
+    escalated: bool = False
+    given_up: Fault | None = None
+    """The fault that recovery gave up on, while `escalated`."""
+
+    @property
+    def id(self) -> str:
+        return self.spec.unit.id
+
+    @property
+    def target(self) -> str:
+        return self.spec.unit.target
+
+    def grant(self, now: float, until: float) -> None:
+        """Grace until then; what was seen before `now` no longer counts."""
+        self.pending = self.well_since = None
+        self.bad_in_a_row, self.counts_from = 0, now
+        self.quiet_until = max(self.quiet_until, until)
+
+    @property
+    def told_given_up(self) -> bool:
+        """Known as a fault that PHM has given up on: grace after a restart of PHM does not make it unknown again."""
+        return self.escalated and self.told.level is Level.ERROR
+
+    @property
+    def failing(self) -> bool:
+        """Its newest result is an ERROR, whether told or not: enough to be somebody else's cause."""
+        return self.raw is not None and self.raw.level is Level.ERROR
+
+    @property
+    def unknown(self) -> bool:
+        return self.raw is None or self.raw.level is Level.STALE
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """All units, who needs whom, and by target the actions at work. The tracker fills it, the rules only look."""
+
+    units: Mapping[str, Entry]
+    needs: Needs
+    holds: Mapping[str, Hold]
+
+    def upstream(self, unit: str) -> list[Entry]:
+        """What the unit depends on, causes first."""
+        return [self.units[name] for name in self.needs.upstream(unit)]
+
+    def downstream(self, unit: str) -> list[Entry]:
+        return [self.units[name] for name in self.needs.downstream(unit)]
+
+
+def all_needs(unit: Unit, added: Iterable[str], units_by_check: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """A unit's own needs and the configuration's, where the name of a check stands for all its units."""
+    wanted = list(unit.needs)
+    for name in added:
+        wanted.extend(units_by_check.get(name, (name,)))
+    return tuple(dict.fromkeys(need for need in wanted if need != unit.id))
