@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from phm.probes.ros.message_types import UnknownType
 from phm.probes.ros.protocol import WantedTopic
-from phm.probes.ros.rates import Meter, Reader, UnknownType
+from phm.probes.ros.rates import Meter, Reader
 from phm.ros_facts import RateFact
 
 

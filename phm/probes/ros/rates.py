@@ -8,12 +8,12 @@ however few samples are looked at, and what Python spends does not grow with the
 
 from __future__ import annotations
 
-import importlib
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
 from phm.facts import RateFact
+from phm.probes.ros.message_types import UnknownType, load_type
 
 WINDOW_S = 3.0
 """A rate is measured over this time, or three expected periods where that is longer."""
@@ -25,10 +25,6 @@ FALLS, FALLS_S = 3, 10.0
 """A number that falls is a restarted publisher; this many falls within this time are two publishers."""
 DEEP = 1000
 """Queue for middleware without sequence numbers: 4 kHz at four looks a second."""
-
-
-class UnknownType(Exception):
-    """The package of a message type is not installed beside PHM."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,16 +146,6 @@ class Meter:
         for writer, track in list(self._tracks.items()):
             if len(self._tracks) > 1 and track.last_s is not None and now_s - track.last_s > self._limit_s:
                 del self._tracks[writer]
-
-
-def load_type(name: str) -> Any:
-    """The message class of `package/msg/Type`. Raises UnknownType."""
-    package, _, rest = name.partition("/")
-    kind, _, short = rest.partition("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.{kind}"), short)
-    except (ImportError, AttributeError, ValueError, TypeError) as error:
-        raise UnknownType(f"type unknown: {name} is not installed beside PHM") from error
 
 
 class Reader:
