@@ -110,6 +110,21 @@ def relaunch_has_a_container(root: View) -> None:
             node.get("relaunch").complain("has no container to run in: add 'container' to this node")
 
 
+def repairs_are_opted_in(root: View) -> None:
+    """What only recovery uses is refused where recovery may do nothing: it would never be used, without a word."""
+    containers = {container_key(container): container for container in root.get("containers").records()}
+    closed = {key for key, container in containers.items() if container.get("recover").value in (None, False)}
+    advice = "is never used, because container {} has not opted in: add 'recover: true' to it or remove this"
+    for key in closed:
+        for file in containers[key].get("files").records():
+            if file.get("restore").given:
+                file.get("restore").complain(advice.format(shown(key)))
+    for node in root.get("ros", "nodes").records():
+        key = node.get("container").text or (next(iter(containers)) if len(containers) == 1 else "")
+        if node.get("relaunch").value and key in closed:
+            node.get("relaunch").complain(advice.format(shown(key)))
+
+
 def _configured(place: View, known: Mapping[str, View]) -> bool:
     """Whether the text is the key of a container in `known`; complains when not."""
     real = {entry.get("name").text: key for key, entry in known.items()}
@@ -258,6 +273,6 @@ def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
 
 RULES: tuple[Callable[[View], None], ...] = (
     containers_have_one_identity, containers_are_told_apart, container_parts_stand_once, containers_start_in_order,
-    absent_files_have_no_copy, ros_names_stand_once, ros_containers_exist, relaunch_has_a_container, topic_nodes_exist,
-    endpoints_are_told_apart, limits_are_in_order, disks_stand_once,
+    absent_files_have_no_copy, repairs_are_opted_in, ros_names_stand_once, ros_containers_exist, relaunch_has_a_container,
+    topic_nodes_exist, endpoints_are_told_apart, limits_are_in_order, disks_stand_once,
 )  # fmt: skip

@@ -50,8 +50,8 @@ BROKEN = [
         5, "containers[2].after[0]", ("circle", "three after app after two after three"),
     ),
     Broken(
-        "copy of an absent file", ONE + "    files: [{path: /a, present: false, restore: image}]\n",
-        3, "containers[0].files[0].restore", ("'present: false'", "never restored"),
+        "copy of an absent file", ONE + "    recover: true\n    files: [{path: /a, present: false, restore: image}]\n",
+        4, "containers[0].files[0].restore", ("'present: false'", "never restored"),
     ),
     Broken(
         "relaunch nowhere", ONE + "  - name: two\nros: {nodes: [{name: /a, relaunch: [run]}]}\n",
@@ -60,6 +60,19 @@ BROKEN = [
     Broken(
         "relaunch without containers", "ros: {nodes: [{name: /a, relaunch: [run]}]}\n", 1, "ros.nodes[0].relaunch",
         ("no container to run in",),
+    ),
+    Broken(
+        "relaunch where nothing may be done", ONE + "ros: {nodes: [{name: /a, relaunch: [run]}]}\n", 3,
+        "ros.nodes[0].relaunch", ("never used", "'app' has not opted in", "'recover: true'"),
+    ),
+    Broken(
+        "relaunch in another that may not", "containers: [{name: app, recover: true}, {name: two, recover: false}]\n"
+        "ros: {nodes: [{name: /a, container: two, relaunch: [run]}, {name: /b, container: app, relaunch: [run]}]}\n",
+        2, "ros.nodes[0].relaunch", ("'two' has not opted in",),
+    ),
+    Broken(
+        "copy where nothing may be done", ONE + "    files: [{path: /a, restore: image}]\n",
+        3, "containers[0].files[0].restore", ("never used", "'app' has not opted in"),
     ),
     # the file as YAML
     Broken("empty", "", 0, "", ("is empty",)),
