@@ -149,7 +149,8 @@ class Fault:
     `by` is ``itself`` or the name of the action that ended it; `blocks` lists the units that are
     STALE because of it, in the order in which they were found; `consequences` names the checks that
     cannot be well while it lasts, by the graph of needs (known at once, when the alarm is raised);
-    `suspects` names units that were ERROR then and can be behind anything, a full disk: a hint, not a verdict.
+    `suspects` names units that were ERROR then and can be behind anything, a full disk: a hint, not a verdict;
+    `well_s` is for how many seconds the unit had been told as OK, without a break, when it broke.
     """
 
     id: str
@@ -164,6 +165,7 @@ class Fault:
     blocks: tuple[str, ...] = ()
     consequences: tuple[str, ...] = ()
     suspects: tuple[str, ...] = ()
+    well_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -169,13 +169,16 @@ def critical_now(container: ContainerSettings, armed: bool) -> bool:
 def _same_failures(history: History, fault: Fault, now: float, lasting_s: float) -> list[Attempt]:
     """Attempts for the same unit and condition that did not help, since the last one that did or a clean time.
 
-    Help that did not last `lasting_s` was none: a container that starts and dies again counts as failing.
+    Help that did not last `lasting_s` was none: a container that starts and dies again counts as failing. Whatever has
+    made the unit well for longer, an operator after PHM gave up, starts the count anew.
     """
     failures: list[Attempt] = []
     broke_again = fault.opened.mono
     for attempt in reversed(history.within(now - CLEAN_S)):
         if (attempt.unit, attempt.condition) != (fault.unit, fault.result.condition):
             continue
+        if fault.well_s > lasting_s and attempt.at < fault.opened.mono:
+            break
         if attempt.worked and broke_again - attempt.at > lasting_s:
             break
         failures.append(attempt)

@@ -168,6 +168,7 @@ def _fault(fault: Fault) -> dict[str, Any]:
         "by": fault.by,
         "blocks": list(fault.blocks[:MAX_FAULTS]),
         "consequences": list(fault.consequences[:MAX_FAULTS]),
+        "well_s": fault.well_s,
         "result": {
             "summary": result.summary[:MAX_TEXT],
             "brief": result.brief[:MAX_TEXT],
@@ -183,6 +184,7 @@ def _read_fault(body: Any, opened: Stamp) -> Fault:
         _read_result(body["result"]), opened, by=str(body["by"]),
         blocks=tuple(str(unit) for unit in body["blocks"]),
         consequences=tuple(str(name) for name in body["consequences"]),
+        well_s=float(body.get("well_s", 0.0)),
     )  # fmt: skip
 
 

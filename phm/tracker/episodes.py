@@ -34,6 +34,7 @@ class Episodes:
             now,
             consequences=self._consequences(entry),
             suspects=self._suspects(entry),
+            well_s=now.mono - entry.told.since.mono if entry.told.level is Level.OK else 0.0,
         )
         step.events.append(FaultOpened(now, entry.fault))
 

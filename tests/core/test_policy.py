@@ -12,9 +12,9 @@ APP = ContainerSettings(name="app", recover=True)
 RULES = RecoverySettings()
 
 
-def fault(condition: str = "unhealthy", opened: float = 1000.0) -> Fault:
+def fault(condition: str = "unhealthy", opened: float = 1000.0, well_s: float = 0.0) -> Fault:
     result = Result(Level.ERROR, "it is broken", "broken", condition, "app")
-    return Fault("F1", "health/app", Slot.CONTAINER, Layer.DOCKER, result, Stamp(0.0, opened))
+    return Fault("F1", "health/app", Slot.CONTAINER, Layer.DOCKER, result, Stamp(0.0, opened), well_s=well_s)
 
 
 def attempts(*at: float, worked: bool = False, condition: str = "unhealthy") -> History:
@@ -110,6 +110,19 @@ def test_help_that_does_not_last_counts_as_failure() -> None:
     """A container that starts and dies again is a crash loop, not three successes."""
     history = attempts(980.0, 985.0, 992.0, worked=True)
     assert isinstance(say(history, fault=fault(opened=999.0), now=1010.0), GiveUp)
+
+
+def test_given_up_and_mended_for_good_it_is_tried_again() -> None:
+    """An operator mended what PHM gave up on: when it breaks minutes later, earlier attempts say nothing about it."""
+    history = attempts(900.0, 910.0, 920.0)
+    assert say(history, fault=fault(well_s=RULES.verify + 1)) == Act("restart", 1)
+    assert isinstance(say(history, fault=fault(well_s=RULES.verify - 1)), GiveUp), "it was well for a moment only"
+
+
+def test_attempts_on_the_fault_itself_count_however_well_it_was_before() -> None:
+    """Three attempts that did not help are three, also on what had never broken before."""
+    history = attempts(1001.0, 1003.0, 1006.0)
+    assert isinstance(say(history, fault=fault(well_s=3600.0), now=1020.0), GiveUp)
 
 
 def test_the_budget_counts_all_actions_on_the_target() -> None:

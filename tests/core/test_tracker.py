@@ -429,6 +429,21 @@ def test_a_hold_ends_even_if_its_owner_has_died() -> None:
     assert [fault.unit for fault in bench.tracker.open_faults()] == ["container"]
 
 
+def test_a_fault_says_for_how_long_its_unit_was_well() -> None:
+    """Without a break, and nothing when it was not known to be well just before."""
+    bench = Bench([unit("container")])
+    bench.see("container", BAD)
+    bench.see("container", OK)
+    bench.now += 40
+    bench.see("container", OK)
+    bench.see("container", BAD)
+    bench.see("container", OK)
+    bench.see("container", stale("not known"))
+    bench.see("container", BAD)
+    opened = [event.fault.well_s for event in bench.events if isinstance(event, FaultOpened)]
+    assert opened == [0.0, 40.0, 0.0]
+
+
 def test_an_escalated_fault_is_closed_once_and_not_opened_again() -> None:
     """Giving up is said aloud, once; the unit stays ERROR until it is well."""
     bench = Bench([unit("container")])
