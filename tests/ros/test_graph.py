@@ -124,7 +124,7 @@ def test_two_publishers_are_ambiguous(bench: Bench) -> None:
 def test_without_sequence_numbers_samples_are_counted(bench: Bench, tmp_path: Path) -> None:
     """Humble and Cyclone give no numbers: a deep queue is counted instead, with the same result."""
     hide = (
-        "import phm.probes.ros.rates as r; plain = r._sample\n"
+        "import phm.probes.ros.reader as r; plain = r._sample\n"
         "r._sample = lambda info, now: plain({**info, 'publication_sequence_number': None}, now)\n"
         "from phm.probes.ros.child import main; raise SystemExit(main())"
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from phm.probes.ros.rates import Meter, Sample
+from phm.probes.ros.meter import Meter
+from phm.probes.ros.track import Sample
 
 TICK_S = 0.25
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from phm.probes.ros.message_types import UnknownType
+from phm.probes.ros.meter import Meter
 from phm.probes.ros.protocol import WantedTopic
-from phm.probes.ros.rates import Meter, Reader
+from phm.probes.ros.reader import Reader
 from phm.ros_facts import RateFact
 
 
