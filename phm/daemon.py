@@ -151,6 +151,8 @@ class Daemon:
         self.pipeline.note("DOCKER", str(event))
         if event.action == "kill" and event.detail in DEADLY:
             self.pipeline.expect_end(event.key, STOPPING_S)
+        if event.begins_life:
+            self.pipeline.started(event.key)
         for subject in event.subjects:
             self._wake(subject)
 

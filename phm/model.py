@@ -12,6 +12,8 @@ from enum import Enum, IntEnum
 
 Value = str | int | float | bool | None
 """What a result's `values` may hold: exactly what JSON can carry without loss."""
+LIFE = "life"
+"""The value by which a unit with a target says which life of that container it saw (`ContainerFact.life`)."""
 
 
 class Level(IntEnum):

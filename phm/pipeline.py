@@ -79,7 +79,7 @@ class Pipeline:
             self._finish_pass(now)
         self._wake_units(units, "pass")
 
-    # ------------------------------------------------------------ from recovery
+    # ------------------------------------------------------------ from recovery and from events
 
     def hold(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
         self._apply(lambda now: self._tracker.hold(target, owner, action, now, at_most_s, proving=proving))
@@ -91,8 +91,16 @@ class Pipeline:
         """The container has been told to end (`docker stop`): see `Tracker.expect_end`."""
         self._apply(lambda now: self._tracker.expect_end(target, now, at_most_s))
 
+    def started(self, target: str) -> None:
+        """An event says that the container has been started: see `Tracker.started`."""
+        self._apply(lambda now: self._tracker.started(target, now))
+
     def escalate(self, fault_id: str) -> None:
         self._apply(lambda now: self._tracker.escalate(fault_id, now))
+
+    def judge_afresh(self, *units: str) -> None:
+        """Recovery has a reason to try again on what it had given up: see `Tracker.judge_afresh`."""
+        self._apply(lambda now: self._tracker.judge_afresh(units, now))
 
     def look_again(self, *units: str) -> None:
         """Run these units' checks now, e.g. to verify an action."""

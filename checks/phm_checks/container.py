@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import signal
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Slot
+from phm_checks._lives import BY_HAND, STEADY_S, Lives
 from phm_checks._per_container import PerContainer
-from phm_checks._words import brief, clean
-
-LOOP_RESTARTS = 3
-LOOP_WINDOW_S = 60.0
-"""So many restarts by the engine within so long are told even while the container happens to run."""
+from phm_checks._words import brief, clean, span
 
 _CODES = {
     0: "ended by itself without an error",
@@ -41,14 +37,22 @@ def code_in_words(code: int) -> str:
 
 
 class Container(PerContainer):
-    """The container's process exists and is not frozen."""
+    """The container's process exists, is not frozen, and is not started again and again."""
 
     name, slot = "container", Slot.CONTAINER
+    period_s = 5.0
+    """No event tells that a restarted container has run for long enough."""
 
-    def __init__(self, entry: api.ContainerSettings) -> None:
+    def __init__(self, entry: api.ContainerSettings, steady_s: float = STEADY_S, by_hand: int = BY_HAND) -> None:
         super().__init__(entry)
-        self._restarts: int | None = None
-        self._restarted_at: deque[float] = deque(maxlen=LOOP_RESTARTS)
+        self._lives = Lives(steady_s, by_hand)
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        """Grace follows each start, so a life shorter than that of what runs in it proves nothing."""
+        steady_s = max(STEADY_S, settings.ros.grace)
+        by_hand = max(BY_HAND, settings.recovery.budget + 1)
+        return [cls(entry, steady_s, by_hand) for entry in settings.containers]
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -63,36 +67,40 @@ class Container(PerContainer):
                 "the configuration",
                 "missing",
             )
-        self._count_restarts(fact, world.clock.mono())
+        self._lives.look(fact, world.clock.mono())
+        values: dict[str, api.Value] = {"restart_count": fact.restart_count, "life": fact.life}
         if fact.running:
-            return self._running(fact, world.clock.mono())
-        return self._stopped(fact)
+            return self._running(fact, {"pid": fact.pid, **values})
+        return self._stopped(fact, {"exit_code": fact.exit_code, **values})
 
-    def _running(self, fact: api.ContainerFact, now: float) -> api.Result:
-        times = self._restarted_at
-        if len(times) == LOOP_RESTARTS and now - times[0] <= LOOP_WINDOW_S:
-            return api.warn(
-                f"{self.key} runs, but the engine restarted it {LOOP_RESTARTS} times or more within {LOOP_WINDOW_S:.0f} s, "
-                f"expected none: see `docker logs {fact.name}`",
-                brief=brief(self.key, "keeps restarting"),
-                condition="crash_loop",
-                target=self.key,
-                restart_count=fact.restart_count,
+    def _running(self, fact: api.ContainerFact, values: dict[str, api.Value]) -> api.Result:
+        lives = self._lives
+        if lives.looping:
+            who = f"{lives.by_hand} times" if not lives.by_engine else f"by the engine (restart {fact.restart_count})"
+            words = (
+                f"{self.key} runs at this moment, but is started again and again, {who}, and has not run for "
+                f"{span(lives.steady_s)} in between, expected to stay. PHM leaves it to whoever starts it; see "
+                f"`docker logs {fact.name}`"
             )
-        return api.ok(f"Container {self.key} is running", pid=fact.pid, restart_count=fact.restart_count)
+            return self._bad("restarting", words, "crash loop", values)
+        if lives.by_engine and not lives.steady:
+            return api.warn(
+                f"{self.key} ended, and the engine restarted it by its restart policy (restart {fact.restart_count}); it has "
+                f"not run for {span(lives.steady_s)} yet: see `docker logs {fact.name}` for why",
+                brief=brief(self.key, "was restarted"),
+                condition="restarted",
+                target=self.key,
+                **values,
+            )
+        return api.ok(f"Container {self.key} is running", **values)
 
-    def _stopped(self, fact: api.ContainerFact) -> api.Result:
+    def _stopped(self, fact: api.ContainerFact, values: dict[str, api.Value]) -> api.Result:
         key, status = self.key, fact.status
-        values: dict[str, api.Value] = {"exit_code": fact.exit_code, "restart_count": fact.restart_count}
         said = f" The engine says: {clean(fact.error)}." if fact.error else ""
         if status == "exited":
             return self._exited(fact, said, values)
         if status == "restarting":
-            words = (
-                f"{key} ends again and again; the engine waits to restart it (restart {fact.restart_count}; last exit code "
-                f"{fact.exit_code}: {code_in_words(fact.exit_code)}).{said} PHM leaves it to the engine's restart policy; see `docker logs {fact.name}`"
-            )
-            return self._bad("restarting", words, "crash loop", values)
+            return self._restarting(fact, said, values)
         told = {
             "created": ("never started", f"was created but never started: `docker start {fact.name}`"),
             "paused": ("paused", f"is paused, its processes are frozen: `docker unpause {fact.name}`"),
@@ -107,6 +115,17 @@ class Container(PerContainer):
             status if status in told and status != "removing" else "missing" if status == "removing" else "not_running"
         )
         return self._bad(condition, f"{key} {words}, expected running.{said}", short, values)
+
+    def _restarting(self, fact: api.ContainerFact, said: str, values: dict[str, api.Value]) -> api.Result:
+        ended = f"exit code {fact.exit_code}: {code_in_words(fact.exit_code)}"
+        if not self._lives.looping:
+            # Mostly over in a tenth of a second, and seen by chance: it is judged by what comes of it.
+            return api.stale(f"{self.key} has ended ({ended}); the engine is about to restart it", brief="", **values)
+        words = (
+            f"{self.key} ends again and again; the engine waits to restart it (restart {fact.restart_count}; last {ended})."
+            f"{said} PHM leaves it to the engine's restart policy; see `docker logs {fact.name}`"
+        )
+        return self._bad("restarting", words, "crash loop", values)
 
     def _exited(self, fact: api.ContainerFact, said: str, values: dict[str, api.Value]) -> api.Result:
         if fact.oom_killed:
@@ -123,12 +142,3 @@ class Container(PerContainer):
 
     def _bad(self, condition: str, words: str, short: str, values: dict[str, api.Value] | None = None) -> api.Result:
         return api.error(words, brief=brief(self.key, short), condition=condition, target=self.key, **(values or {}))
-
-    def _count_restarts(self, fact: api.ContainerFact, now: float) -> None:
-        """Remember when the engine's counter rose; it starts again at 0 when somebody else starts the container."""
-        risen = fact.restart_count - (fact.restart_count if self._restarts is None else self._restarts)
-        self._restarts = fact.restart_count
-        if risen < 0:
-            self._restarted_at.clear()
-        if risen > 0:
-            self._restarted_at.extend([now] * min(risen, LOOP_RESTARTS))

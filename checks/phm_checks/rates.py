@@ -13,6 +13,8 @@ CONFIRM_S = 0.9
 """A rate must be off in two measurements, which the sampler makes once a second, before it is told."""
 STAY = 0.9
 """A level is left only when the deviation is below this share of its limit, so that a rate at the limit does not flap."""
+MEASURED_S = 1.0
+"""A silence is seen this much after its limit at the latest: the sampler looks, and the check runs, once a second."""
 
 
 @dataclass(slots=True)
@@ -63,6 +65,7 @@ class Rates(api.Check):
                 target=settings.container_of_topic(topic),
                 settle_s=2.0,
                 grace_s=settings.ros.grace,
+                memory_s=_limit_s(topic.rate or 0.0, settings.ros.silence) + MEASURED_S,
             )
             for topic in topics
         ]
@@ -114,7 +117,7 @@ class Rates(api.Check):
         case = _Case(topic, topic.rate, self._targets[_unit(topic)], values)
         if silent_s is None:
             return self._never(case, fact)
-        limit_s = max(3 / topic.rate, self._silence_s)
+        limit_s = _limit_s(topic.rate, self._silence_s)
         if silent_s > limit_s:
             memory.off_since = None
             return self._bad(
@@ -187,6 +190,11 @@ class Rates(api.Check):
     @staticmethod
     def _bad(level: Level, condition: str, short: str, words: str, case: _Case) -> api.Result:
         return api.Result(level, words, brief(last(case.name), short), condition, case.target, case.values)
+
+
+def _limit_s(rate_hz: float, silence_s: float) -> float:
+    """From when on a topic counts as silent. A latched one (rate 0) never does."""
+    return max(3 / rate_hz, silence_s) if rate_hz else silence_s
 
 
 def _unit(topic: api.TopicSettings) -> str:

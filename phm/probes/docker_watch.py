@@ -61,6 +61,11 @@ class DockerEvent:
         """What it wakes: see `phm.api.Check.wakes`."""
         return frozenset({f"container:{self.key}" if self.kind == "container" else "network"})
 
+    @property
+    def begins_life(self) -> bool:
+        """A container was started. The engine's own `restart` only follows its `start`; a lost one stands for both."""
+        return self.kind == "container" and (self.action == "start" or (self.action == "restart" and self.lost))
+
     def __str__(self) -> str:
         of = f" of {self.container}" if self.container else ""
         return f"{self.kind} {self.key}{of}: {self.action}" + (f" ({self.detail})" if self.detail else "")

@@ -7,6 +7,10 @@ from dataclasses import replace
 from phm.model import Fault, FaultClosed, FaultOpened, Level, Outcome, Result, Stamp
 from phm.tracker.units import Entry, Scene, Step
 
+CONFIGURATION = "configuration"
+"""What ended a fault whose unit is no longer configured."""
+RESTORED = "restored after a restart of PHM"
+
 
 class Episodes:
     """Opens and closes the faults of all units. Invariant: a unit has at most one open fault."""
@@ -16,9 +20,24 @@ class Episodes:
         self._count = 0
         self._taken: frozenset[str] = frozenset()
 
-    def take_ids(self, *ids: str) -> None:
-        """These were given by an earlier run of PHM and are not given again."""
-        self._taken |= frozenset(ids)
+    def restore(self, faults: tuple[Fault, ...], given_up: tuple[Fault, ...], now: Stamp) -> Step:
+        """See `Tracker.restore`. Ids that an earlier run of PHM gave are not given again."""
+        step = Step()
+        self._taken = frozenset(fault.id for fault in (*faults, *given_up))
+        for fault in faults:
+            entry = self._scene.units.get(fault.unit)
+            if entry is None:
+                closed = replace(fault, closed=now, outcome=Outcome.RESOLVED, by=CONFIGURATION)
+                step.events.append(FaultClosed(now, closed))
+            elif entry.fault is None:
+                entry.fault = replace(fault, slot=entry.spec.slot, layer=entry.spec.layer)
+                _restored(entry, fault, fault.id)
+        for fault in given_up:
+            entry = self._scene.units.get(fault.unit)
+            if entry is not None and entry.fault is None:
+                entry.escalated, entry.given_up = True, fault
+                _restored(entry, fault, "")
+        return step
 
     def open(self, entry: Entry, result: Result, now: Stamp, step: Step) -> None:
         """An alarm, unless recovery has given up on this unit and it has not been well since."""
@@ -64,3 +83,8 @@ class Episodes:
             for other in self._scene.units.values()
             if other.spec.unit.suspect and other.told.level is Level.ERROR and other is not entry
         )
+
+
+def _restored(entry: Entry, fault: Fault, name: str) -> None:
+    result = replace(fault.result, level=Level.ERROR, summary=f"{RESTORED}: {fault.result.summary}")
+    entry.told = replace(entry.told, level=Level.ERROR, result=result, since=fault.opened, fault=name)

@@ -102,11 +102,13 @@ def not_known(look: Look) -> Verdict | None:
 
 
 def grace(look: Look) -> Verdict | None:
-    """5. A bad result during grace is `not known yet`. Grace ends early when the unit has been OK for SURE_S.
+    """5. A bad result during grace is `not known yet`.
 
+    Grace ends early when the unit has been OK for SURE_S, or its `memory_s` where that is longer.
     What was seen before the grace began never counts again: the unit is run anew. It begins with PHM itself; after a
     repair, for the target and all that needs it; after an ERROR, told or not, for all that need the unit: what looked
-    bad meanwhile may follow from it; and when a container is told to end, for its parts.
+    bad meanwhile may follow from it; when a container is told to end, for its parts; and once for each new life of a
+    container (`phm.tracker.lives`), for all that need it. A container that never comes well is told by its own check.
     """
     if not too_early(look.entry, look.now):
         return None

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from phm.model import Fault, FaultClosed, Level, Outcome, Result, Stamp, Transition, UnitState
+from phm.model import LIFE, Fault, Level, Outcome, Result, Stamp, Transition, UnitState
 from phm.needs import Needs
 from phm.tracker.episodes import Episodes
+from phm.tracker.lives import Lives
 from phm.tracker.rules import SURE_S, judge, too_early
 from phm.tracker.units import NEVER, Entry, Hold, Scene, Step, Tracked
 
 ITSELF = "itself"
-CONFIGURATION = "configuration"
-"""What ended a fault whose unit is no longer configured."""
-RESTORED = "restored after a restart of PHM"
 ASK_AGAIN_S = 1.0
 """While a bad result waits to be confirmed, it and its needs are run again this often."""
 UNPROVEN_S = 30.0
@@ -34,6 +32,7 @@ class Tracker:
         self._units: dict[str, Entry] = {}
         self._scene = Scene(self._units, self.needs, self._holds)
         self._episodes = Episodes(self._scene, fault_prefix)
+        self._lives = Lives()
         for entry in tracked:
             nothing = Result(Level.STALE, "no result yet")
             told = UnitState(entry.unit.id, entry.check, entry.slot, entry.layer, Level.STALE, nothing, now)
@@ -96,28 +95,7 @@ class Tracker:
         No FaultOpened is sent: it was told once. Faults of units that the configuration no longer names are
         closed in the returned step, as resolved by ``configuration``.
         """
-        step = Step()
-        faults, given_up = tuple(faults), tuple(given_up)
-        self._episodes.take_ids(*(fault.id for fault in (*faults, *given_up)))
-        for fault in faults:
-            entry = self._units.get(fault.unit)
-            if entry is None:
-                closed = replace(fault, closed=now, outcome=Outcome.RESOLVED, by=CONFIGURATION)
-                step.events.append(FaultClosed(now, closed))
-            elif entry.fault is None:
-                entry.fault = replace(fault, slot=entry.spec.slot, layer=entry.spec.layer)
-                self._restored(entry, fault, fault.id)
-        for fault in given_up:
-            entry = self._units.get(fault.unit)
-            if entry is not None and entry.fault is None:
-                entry.escalated, entry.given_up = True, fault
-                self._restored(entry, fault, "")
-        return step
-
-    def _restored(self, entry: Entry, fault: Fault, name: str) -> None:
-        summary = f"{RESTORED}: {fault.result.summary}"
-        result = replace(fault.result, level=Level.ERROR, summary=summary)
-        entry.told = replace(entry.told, level=Level.ERROR, result=result, since=fault.opened, fault=name)
+        return self._episodes.restore(tuple(faults), tuple(given_up), now)
 
     # ------------------------------------------------------------ what happens
 
@@ -131,6 +109,9 @@ class Tracker:
         entry.harmed = entry.harmed or entry.failing
         entry.bad_in_a_row = entry.bad_in_a_row + 1 if result.level.bad else 0
         entry.told = replace(entry.told, duration_s=duration_s)
+        life = result.values.get(LIFE)
+        if entry.target and isinstance(life, str) and life and self._lives.saw(entry.target, unit, life, started):
+            self._begin_anew(entry.target, now, step)
         self._judge(entry, now, step)
         self._judge_dependents(entry, now, step)
         return step
@@ -193,6 +174,13 @@ class Tracker:
                 entry.grant(now.mono, now.mono + at_most_s)
         return Step()
 
+    def started(self, target: str, now: Stamp) -> Step:
+        """The container has been started, says an event: what needs it starts fresh, with grace, once for each life."""
+        step = Step()
+        if self._lives.heard(target, now.mono):
+            self._begin_anew(target, now, step)
+        return step
+
     def escalate(self, fault_id: str, now: Stamp) -> Step:
         """Recovery has given up on this fault: close it as escalated. The unit stays ERROR until it is well."""
         step = Step()
@@ -200,6 +188,15 @@ class Tracker:
             if entry.fault is not None and entry.fault.id == fault_id:
                 entry.given_up, entry.escalated = entry.fault, True
                 self._episodes.close(entry, Outcome.ESCALATED, "", now, step)
+        return step
+
+    def judge_afresh(self, units: Iterable[str], now: Stamp) -> Step:
+        """What recovery had given up on may be a fault again, after its grace: there is a reason to try anew."""
+        step = Step()
+        given_up = [self._units[name] for name in units if name in self._units and self._units[name].escalated]
+        for entry in given_up:
+            entry.escalated, entry.given_up = False, None
+        self._give_grace([entry.id for entry in given_up], now, step)
         return step
 
     # ------------------------------------------------------------ what follows
@@ -230,7 +227,7 @@ class Tracker:
         recovered = entry.harmed or entry.told.level is Level.ERROR or bool(entry.told.blocked_by)
         entry.harmed, entry.escalated, entry.given_up = False, False, None
         entry.well_since = now.mono if entry.well_since is None else entry.well_since
-        if now.mono - entry.well_since >= SURE_S:
+        if now.mono - entry.well_since >= max(SURE_S, entry.spec.unit.memory_s):
             entry.quiet_until = min(entry.quiet_until, now.mono)
         self._tell(entry, result, now, step)
         if entry.fault is not None:
@@ -252,6 +249,11 @@ class Tracker:
         touched = [entry.id for entry in self._units.values() if entry.target == target]
         below = {name for unit in touched for name in self.needs.downstream(unit)}
         self._give_grace([*touched, *sorted(below.difference(touched))], now, step)
+
+    def _begin_anew(self, target: str, now: Stamp, step: Step) -> None:
+        own = [entry.id for entry in self._units.values() if entry.target == target]
+        below = dict.fromkeys(name for unit in own for name in self.needs.downstream(unit))
+        self._give_grace(below, now, step)
 
     def _give_grace(self, units: Iterable[str], now: Stamp, step: Step) -> None:
         """What was seen before no longer counts: look again, and give it time to come back."""

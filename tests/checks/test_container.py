@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks.container import LOOP_WINDOW_S, Container, code_in_words
+from phm_checks._lives import BY_HAND, STEADY_S, WAIT_S
+from phm_checks.container import Container, code_in_words
 from phm_checks.engine import Engine
 from phm_checks.health import Health
 
@@ -87,7 +88,6 @@ def test_no_such_container_is_missing() -> None:
         ("created", "created"),
         ("exited", "exited"),
         ("paused", "paused"),
-        ("restarting", "restarting"),
         ("dead", "dead"),
         ("removing", "missing"),
         ("strange", "not_running"),
@@ -129,21 +129,145 @@ def test_exit_codes_are_told_in_words(code: int, words: str) -> None:
     assert result.brief == f"ros_app exited {code}"
 
 
-def test_a_container_that_the_engine_keeps_restarting_is_a_warning_while_it_runs() -> None:
-    """Three restarts within a minute are told although each look finds it running; later they are forgotten."""
-    (check,) = build(Container)
-    clock, docker = testing.FakeClock(), testing.FakeDocker(testing.container("ros_app", restart_count=7))
-    world, levels = testing.world(clock=clock, docker=docker), []
-    for count in (7, 8, 9, 10):
-        docker.change("ros_app", restart_count=count)
-        result = check.run(world)
+class Loop:
+    """One container check, and a container that a test lets live and end."""
+
+    def __init__(self, **more: Any) -> None:
+        (self.check,) = Container.build(testing.settings(containers=[{"name": "ros_app"}], **more))
+        self.clock, self.docker = testing.FakeClock(), testing.FakeDocker(testing.container("ros_app"))
+        self.world = testing.world(clock=self.clock, docker=self.docker)
+        self.count, self.life = 0, 1
+
+    def look(self, **fields: Any) -> api.Result:
+        if fields:
+            self.docker.change("ros_app", **fields)
+        result = self.check.run(self.world)
         assert isinstance(result, api.Result)
-        levels.append(result.level)
-        clock.advance(5)
-    clock.advance(LOOP_WINDOW_S)
-    after = check.run(world)
-    assert isinstance(after, api.Result)
-    assert [*levels, after.level] == [api.Level.OK] * 3 + [api.Level.WARN, api.Level.OK]
+        return result
+
+    def waits(self) -> api.Result:
+        """Its process ended and the engine waits to restart it."""
+        self.count += 1
+        return self.look(status="restarting", restart_count=self.count, exit_code=139)
+
+    def runs(self, *, by_hand: bool = False) -> api.Result:
+        """It has been started again."""
+        self.life += 1
+        self.count = 0 if by_hand else self.count
+        return self.look(status="running", started_at=f"t{self.life}", restart_count=self.count)
+
+    def stays(self, seconds: float) -> api.Result:
+        self.clock.advance(seconds)
+        return self.look()
+
+
+def told(*results: api.Result) -> list[tuple[str, str]]:
+    return [(result.level.name, result.condition) for result in results]
+
+
+def test_every_result_names_the_life_that_was_seen() -> None:
+    """By it the tracker knows that a container was started again between two looks."""
+    loop = Loop()
+    first, second = loop.look(), loop.runs(by_hand=True)
+    assert first.level is second.level is api.Level.OK
+    assert first.values["life"] == "id-of-ros_app@2026-01-01T00:00:00.000000001Z"
+    assert second.values["life"] == "id-of-ros_app@t2"
+    assert loop.look(status="exited").values["life"] == "id-of-ros_app@t2"
+
+
+def test_one_restart_by_the_engine_is_a_warning_until_it_has_stayed() -> None:
+    """The process did end: that is told whether or not a look fell between its lives, and it is no fault."""
+    seen, unseen = Loop(), Loop()
+    seen.look()
+    unseen.look()
+    waiting = seen.waits()
+    unseen.count += 1
+    assert waiting.level is api.Level.STALE and "exit code 139: segmentation fault" in waiting.summary
+    for loop in (seen, unseen):
+        after = [loop.runs(), loop.stays(STEADY_S - 1), loop.stays(1)]
+        assert told(*after) == [("WARN", "restarted"), ("WARN", "restarted"), ("OK", "")]
+
+
+def test_a_container_that_ends_again_and_again_is_one_error_that_lasts() -> None:
+    """From the third short life on, whether it runs or waits at a look, in the same words for the operator."""
+    loop = Loop()
+    loop.look()
+    early = [result for _ in range(2) for result in (loop.stays(2.0), loop.waits(), loop.runs())]
+    assert api.Level.ERROR not in {result.level for result in early}
+    for _ in range(6):
+        loop.clock.advance(2.0)
+        results = [loop.waits(), loop.stays(1.0), loop.runs(), loop.stays(1.0)]
+        assert told(*results) == [("ERROR", "restarting")] * 4
+        assert {result.brief for result in results} == {"ros_app crash loop"}
+    assert told(loop.stays(STEADY_S)) == [("OK", "")]
+
+
+def test_restarts_between_two_looks_are_all_counted() -> None:
+    """The engine's counter tells of lives that nobody saw."""
+    loop = Loop()
+    loop.look()
+    loop.count = 4
+    assert told(loop.runs()) == [("ERROR", "restarting")]
+
+
+def test_a_loop_that_was_there_before_phm_is_told_at_the_first_look() -> None:
+    """After a restart of PHM the engine may be in the middle of a wait of a minute."""
+    loop = Loop()
+    loop.count = 8
+    assert told(loop.waits(), loop.stays(59.0), loop.runs(), loop.stays(2.0)) == [("ERROR", "restarting")] * 4
+
+
+def test_not_knowing_does_not_last_while_the_engine_waits() -> None:
+    """The engine waits long only after several restarts, and a STALE that lasts would hide a container that is down."""
+    loop = Loop()
+    loop.look()
+    loop.waits()
+    assert told(loop.stays(WAIT_S)) == [("ERROR", "restarting")]
+
+
+def test_lives_that_are_not_short_are_no_loop() -> None:
+    """A process that ends once an hour is restarted by the engine, with a warning each time."""
+    loop = Loop()
+    loop.look()
+    for _ in range(10):
+        loop.stays(3600.0)
+        loop.waits()
+        assert told(loop.runs(), loop.stays(STEADY_S)) == [("WARN", "restarted"), ("OK", "")]
+
+
+def test_starts_by_hand_are_no_loop_until_there_are_more_than_phm_itself_may_make() -> None:
+    """Each start gives grace to what runs inside: a tool that restarts all the time would hide for ever what is broken."""
+    loop = Loop()
+    loop.look()
+    results = []
+    for _ in range(BY_HAND):
+        loop.clock.advance(4.0)
+        results.append(loop.runs(by_hand=True))
+    assert told(*results) == [("OK", "")] * (BY_HAND - 1) + [("ERROR", "restarting")]
+    assert "6 times" in results[-1].summary
+    generous = Loop(recovery={"budget": 8})
+    generous.look()
+    results = [generous.runs(by_hand=True) for _ in range(9)]
+    assert told(*results) == [("OK", "")] * 8 + [("ERROR", "restarting")]
+
+
+def test_a_start_by_hand_ends_the_engines_loop() -> None:
+    """Somebody has done something about it: it is judged anew."""
+    loop = Loop()
+    loop.look()
+    loop.count = 5
+    assert told(loop.runs()) == [("ERROR", "restarting")]
+    assert told(loop.runs(by_hand=True)) == [("OK", "")]
+
+
+def test_a_life_shorter_than_the_grace_of_what_runs_inside_is_short() -> None:
+    """With a long `ros.grace` a slow loop would otherwise hide behind grace that is given again and again."""
+    loop = Loop(ros={"grace": "60s"})
+    loop.look()
+    for _ in range(3):
+        loop.stays(50.0)
+        loop.waits()
+    assert told(loop.runs(), loop.stays(59.0), loop.stays(1.0)) == [("ERROR", "restarting")] * 2 + [("OK", "")]
 
 
 def test_an_engine_error_text_is_told_without_control_characters() -> None:

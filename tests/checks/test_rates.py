@@ -54,6 +54,16 @@ def test_the_expected_rate_is_ok() -> None:
     assert bench.judge(0.9).level is api.Level.OK
 
 
+@pytest.mark.parametrize(("rate", "limit_s"), [(10.0, 3.0), (0.1, 30.0)])
+def test_the_memory_of_a_topic_is_longer_than_its_silence(rate: float, limit_s: float) -> None:
+    """A topic that fell silent at a restart is found OK until then, which must not end its grace."""
+    bench = Bench(rate)
+    assert bench.judge(rate, silent_s=limit_s).level is api.Level.OK
+    assert bench.judge(rate, silent_s=limit_s + 0.1).condition == "silent"
+    (unit,) = bench.check.units
+    assert unit.memory_s > limit_s + 0.5
+
+
 @pytest.mark.parametrize(
     ("hz", "level", "condition"),
     [

@@ -17,12 +17,12 @@ BAD = error("broken", brief="broken", condition="broken")
 class Rig:
     """A pipeline of two units on a fake clock; collects events and wake-ups."""
 
-    def __init__(self) -> None:
+    def __init__(self, target: str = "") -> None:
         self.clock = testing.FakeClock()
         self.events: list[Event] = []
         self.wakes: list[tuple[frozenset[str], str]] = []
         tracked = [
-            Tracked(Unit("container"), "container", Slot.CONTAINER, Layer.DOCKER),
+            Tracked(Unit("container", target=target), "container", Slot.CONTAINER, Layer.DOCKER),
             Tracked(Unit("nodes", ("container",)), "nodes", Slot.NODES, Layer.ROS, 1, ("container",)),
         ]
         bus = Bus(self.clock)
@@ -80,6 +80,19 @@ def test_what_the_tracker_wants_to_know_wakes_the_checks() -> None:
     rig.clock.advance(1)
     rig.pipeline.observe({"nodes": BAD}, rig.clock.mono(), 0.0)
     assert rig.wakes == [(frozenset({"container"}), "confirm")]
+
+
+def test_a_start_has_what_needs_the_container_looked_at_anew() -> None:
+    """What was bad in the old life is run again, and does not count before that."""
+    rig = Rig(target="app")
+    rig.pipeline.observe({"container": ok("well"), "nodes": ok("well")}, rig.clock.mono(), 0.0)
+    rig.clock.advance(1)
+    rig.pipeline.observe({"nodes": BAD}, rig.clock.mono(), 0.0)
+    rig.clock.advance(1)
+    rig.pipeline.started("app")
+    rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+    assert rig.wakes[-1] == (frozenset({"nodes"}), "confirm")
+    assert rig.pipeline.open_faults() == ()
 
 
 def test_verification_counts_only_runs_that_began_after_the_action() -> None:

@@ -230,6 +230,27 @@ def test_stop_ends_both_threads(fake: FakeEngine, watch: Callable[..., tuple[Wat
     assert not names & {"phm-docker-events", "phm-docker-compare"}
 
 
+def test_a_start_begins_a_life_once(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until) -> None:
+    """`docker restart` tells `start` and then `restart`, which are one life; a restart that was lost is one, too."""
+    fake.containers["app"] = container("app")
+    made, heard = watch({"name": "app"}, compare=0.5)
+    until(made.healthy, "the first comparison")
+    fake.set("app", status="exited")
+    fake.set("app", status="running")
+    fake.emit_for("app", "restart")
+    until(lambda: len(heard) == 3, "three events")
+    looks = list(fake.calls).count("GET /containers/app/json")
+    until(lambda: list(fake.calls).count("GET /containers/app/json") >= looks + 2, "a comparison that knows this life")
+    fake.containers["app"]["State"]["StartedAt"] = "2030-01-01T00:00:00.0Z"
+    until(lambda: len(heard) == 4, "the lost restart")
+    assert [(event.action, event.lost, event.begins_life) for event in heard] == [
+        ("die", False, False),
+        ("start", False, True),
+        ("restart", False, False),
+        ("restart", True, True),
+    ]
+
+
 RUNNING = Expected("a", "running", "t1", "healthy", 0, frozenset({("swarm", "n1")}))
 
 

@@ -1,0 +1,52 @@
+"""The lives of containers: a new one is told once, whoever notices it first, the engine's event or a check.
+
+Events are quick and get lost; a check says in each result which life it saw, and is asked before anything that needs
+the container is told, so that it cannot miss the life in which that happens.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(slots=True)
+class _Life:
+    """`seen` is the life that a check saw last. At most one of the last two is set: who alone told of the newest life."""
+
+    teller: str = ""
+    """The unit that tells the lives of this container: two that name them differently would tell of new ones for ever."""
+    seen: str = ""
+    heard_at: float | None = None
+    """An event told of it then (monotonic seconds); no run that began since has come back."""
+    unheard: bool = False
+    """A check saw it; its event has not come, or never will."""
+
+
+class Lives:
+    """By target. An event that never came swallows at most the next one, whose life the check then tells."""
+
+    def __init__(self) -> None:
+        self._of: dict[str, _Life] = {}
+
+    def heard(self, target: str, now: float) -> bool:
+        """An event says that the container has been started; whether that is news."""
+        life = self._of.setdefault(target, _Life())
+        if life.unheard:
+            life.unheard = False
+            return False
+        life.heard_at = now
+        return True
+
+    def saw(self, target: str, unit: str, seen: str, started: float) -> bool:
+        """A run that began at `started` saw this life; whether that is news. The first one ever seen is none."""
+        life = self._of.setdefault(target, _Life())
+        life.teller = life.teller or unit
+        if unit != life.teller:
+            return False
+        changed, heard = life.seen not in ("", seen), life.heard_at is not None
+        life.seen = seen
+        if life.heard_at is not None and (changed or started >= life.heard_at):
+            life.heard_at = None
+        if changed and not heard:
+            life.unheard = True
+        return changed and not heard

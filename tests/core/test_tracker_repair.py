@@ -1,0 +1,156 @@
+"""Holds and proofs: what breaks because of a repair is no fault, and a repair is believed when it is proven."""
+
+from __future__ import annotations
+
+from phm.api import Level, stale
+from phm.model import FaultOpened, Outcome
+from tests.fakes.tracker_bench import BAD, OK, Bench, unit
+
+
+def holding() -> Bench:
+    """A node is dead and its container is about to be restarted."""
+    bench = Bench(
+        [
+            unit("container", target="app"),
+            unit("nodes", "container", target="app", grace_s=5.0),
+            unit("topics", "nodes", target="app", grace_s=5.0),
+        ]
+    )
+    bench.later(10)
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    bench.take(bench.tracker.hold("app", "nodes", "restart", bench.stamp(), 60.0))
+    bench.now += 1
+    return bench
+
+
+def test_what_breaks_because_of_the_repair_is_no_fault() -> None:
+    """Restarting the container stops it for a moment: the fault under repair is the cause."""
+    bench = holding()
+    bench.see("container", BAD)
+    bench.see("topics", BAD)
+    bench.later(3)
+    assert bench.opened == ["nodes"]
+    assert bench.blocked_by("container") == "nodes"
+    assert bench.blocked_by("topics") == "nodes"
+
+
+def test_a_verified_repair_is_credited_to_the_action() -> None:
+    """The fault that the action healed is resolved by it, and nothing else is told."""
+    bench = holding()
+    bench.see("container", BAD)
+    bench.now += 1
+    bench.see("container", OK)
+    bench.see("nodes", OK)
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=True))
+    bench.now += 1
+    bench.see("topics", BAD)
+    bench.later(2)
+    bench.see("topics", OK)
+    assert bench.closed == [("nodes", Outcome.RESOLVED, "restart")]
+    assert bench.opened == ["nodes"]
+
+
+def test_a_repair_that_did_not_help_gets_no_credit() -> None:
+    """What comes back later has healed by itself."""
+    bench = holding()
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.later(60)
+    bench.see("nodes", OK)
+    assert bench.closed == [("nodes", Outcome.RESOLVED, "itself")]
+
+
+def test_a_hold_ends_even_if_its_owner_has_died() -> None:
+    """An executor that vanished must not mute the target for ever."""
+    bench = holding()
+    bench.later(61)
+    bench.see("container", BAD)
+    assert [fault.unit for fault in bench.tracker.open_faults()] == ["container"]
+
+
+def test_a_fault_says_for_how_long_its_unit_was_well() -> None:
+    """Without a break, and nothing when it was not known to be well just before."""
+    bench = Bench([unit("container")])
+    bench.see("container", BAD)
+    bench.see("container", OK)
+    bench.now += 40
+    bench.see("container", OK)
+    bench.see("container", BAD)
+    bench.see("container", OK)
+    bench.see("container", stale("not known"))
+    bench.see("container", BAD)
+    opened = [event.fault.well_s for event in bench.events if isinstance(event, FaultOpened)]
+    assert opened == [0.0, 40.0, 0.0]
+
+
+def test_an_escalated_fault_is_closed_once_and_not_opened_again() -> None:
+    """Giving up is said aloud, once; the unit stays ERROR until it is well."""
+    bench = Bench([unit("container")])
+    bench.see("container", BAD)
+    fault = bench.tracker.open_faults()[0]
+    bench.take(bench.tracker.escalate(fault.id, bench.stamp()))
+    bench.now += 1
+    bench.see("container", BAD)
+    assert bench.closed == [("container", Outcome.ESCALATED, "")]
+    assert bench.level("container") is Level.ERROR
+    bench.see("container", OK)
+    bench.see("container", BAD)
+    assert bench.opened == ["container", "container"]
+
+
+def repairing() -> Bench:
+    """The container's network was lost; a repair that must be proven is under way."""
+    bench = Bench([unit("network", target="app"), unit("nodes", "network", target="app", grace_s=8.0)])
+    bench.later(10)
+    bench.all_well()
+    bench.now += 1
+    bench.see("network", BAD)
+    bench.take(bench.tracker.hold("app", "network", "reconnect", bench.stamp(), 60.0, proving=True))
+    bench.now += 1
+    return bench
+
+
+def test_a_repair_is_not_believed_before_it_is_proven() -> None:
+    """The network is back, its nodes are not: the fault stays open until the repair is said to have worked."""
+    bench = repairing()
+    done = bench.now
+    bench.see("network", OK)
+    bench.see("nodes", BAD)
+    bench.later(1.0)
+    assert bench.closed == []
+    assert bench.tracker.found_well("network", done)
+    assert bench.tracker.suffering("network", done) == ("nodes",)
+    bench.see("nodes", OK)
+    assert bench.tracker.suffering("network", done) == ()
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=True))
+    assert bench.closed == [("network", Outcome.RESOLVED, "reconnect")]
+    assert bench.opened == ["network"]
+
+
+def test_a_repair_that_did_not_bring_all_back_leaves_the_fault_to_the_next_action() -> None:
+    """One cause, one fault: the restart that follows the reconnection heals the same fault."""
+    bench = repairing()
+    bench.see("network", OK)
+    bench.see("nodes", BAD)
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.later(1.0)
+    assert bench.closed == []
+    bench.take(bench.tracker.hold("app", "network", "restart", bench.stamp(), 60.0, proving=True))
+    bench.see("network", OK)
+    bench.see("nodes", OK)
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=True))
+    assert bench.closed == [("network", Outcome.RESOLVED, "restart")]
+    assert bench.opened == ["network"]
+
+
+def test_an_unproven_repair_is_believed_in_the_end() -> None:
+    """When nothing more is done, a unit that is well does not stay ERROR for ever."""
+    bench = repairing()
+    bench.see("network", OK)
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    for _ in range(31):
+        bench.later(1.0)
+        bench.see("network", OK)
+    assert [outcome for _, outcome, _ in bench.closed] == [Outcome.RESOLVED]
