@@ -22,6 +22,9 @@ from phm.ros_facts import (
     EndpointFact as EndpointFact,
 )
 from phm.ros_facts import (
+    NameFact as NameFact,
+)
+from phm.ros_facts import (
     NeighbourFact as NeighbourFact,
 )
 from phm.ros_facts import (

@@ -19,22 +19,45 @@ class EndpointFact:
     type: str
     reliability: str = ""
     durability: str = ""
+    deadline_s: float | None = None
+    """None: it has no deadline."""
+    liveliness: str = ""
+    lease_s: float | None = None
+    """Of its liveliness; None: without end."""
+    type_hash: str = ""
+    """Of the definition of the type (REP 2016), shortened; empty where the other side does not tell it (Humble)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RateFact:
-    """What the sampler measured on one topic over its last window.
-
-    hz:       None until two samples far enough apart have been seen.
-    silent_s: seconds since the sampler last saw the publisher advance; None before the first sample.
-    problem:  a reason why there is no rate (`type unknown`, `ambiguous`), or empty.
-    """
+    """What the sampler measured on one topic over its last window. See docs/ros.md for how."""
 
     hz: float | None
+    """Of all publishers together. 0.0: silent. None until two samples far enough apart have been seen."""
     silent_s: float | None
+    """Since the sampler last saw a publisher advance; None before the first sample."""
     window_s: float = 0.0
+    """Publication time that `hz` was measured over."""
     samples: int = 0
+    """Looked at so far; not those published."""
     problem: str = ""
+    """Why there is no rate: begins with `type unknown`, `ambiguous` or `QoS mismatch`; or empty."""
+    limit_s: float | None = None
+    """Silent from here on: adapts to the pauses that were seen. None for a latched topic."""
+    jitter_s: float | None = None
+    """Standard deviation of the period, estimated; see `phm.probes.ros.track.Beat`. None with several publishers."""
+    age_s: float | None = None
+    """Since the newest sample was published, against the quickest delivery of late, so that a clock of another host
+    that is off does not matter; how late the quickest one was is not known. Of a latched topic against the clock of
+    this host, and None where that clock is behind."""
+    publishers: int = 0
+    """How many discovery lists now; one that died is listed until its lease ends."""
+    matched: int | None = None
+    """To how many of them the middleware connected the sampler; None where it does not tell, or while not listening."""
+    restarts: int = 0
+    """Publishers seen to begin anew, by their sequence numbers or by one that took another's place."""
+    sample_bytes: float | None = None
+    """Size of a sample, serialized, averaged over those looked at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +65,14 @@ class TopicFact:
     publishers: tuple[EndpointFact, ...] = ()
     subscribers: tuple[EndpointFact, ...] = ()
     rate: RateFact | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NameFact:
+    """Who uses a topic that the configuration does not name: full names of nodes, each once."""
+
+    publishers: tuple[str, ...] = ()
+    subscribers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +102,10 @@ class BeaconFact:
 
 @dataclass(frozen=True, slots=True)
 class DiagnosticFact:
-    """One status that the application published on /diagnostics. level: 0 OK, 1 WARN, 2 ERROR, 3 STALE."""
+    """One status of diagnostic_msgs/DiagnosticStatus: what the application published, or what PHM publishes itself.
+
+    level: 0 OK, 1 WARN, 2 ERROR, 3 STALE; others are possible, as it comes from outside.
+    """
 
     age_s: float
     level: int
@@ -87,7 +121,8 @@ class RosFact:
     age_s: since the child sent it. up_s: how long this child has been looking; a graph that is only a
     second old does not prove absence. nodes: full name -> how often it is listed. topics: those that
     the configuration names, by full name. beacons: by full node name, those heard since this child began.
-    diagnostics: by the name of the status, likewise.
+    diagnostics: by the name of the status, likewise. others: topics that the configuration does not name, by full
+    name, as of a few seconds ago; not all of them where there are very many.
     """
 
     age_s: float
@@ -96,6 +131,7 @@ class RosFact:
     topics: Mapping[str, TopicFact] = field(default_factory=dict)
     beacons: Mapping[str, BeaconFact] = field(default_factory=dict)
     diagnostics: Mapping[str, DiagnosticFact] = field(default_factory=dict)
+    others: Mapping[str, NameFact] = field(default_factory=dict)
 
 
 class RosProbe(Protocol):

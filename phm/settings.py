@@ -176,6 +176,32 @@ class TopicSettings(Section):
     """The container it comes from; default: that of its first publisher, else the only configured one."""
 
 
+class WatchedDiagnosticSettings(Section):
+    """Statuses of the application on /diagnostics that are judged together."""
+
+    name: Annotated[str, Field(min_length=1, max_length=255)]
+    """Name of the status, e.g. `camera: Frequency`, or a pattern with `*` and `?`; the worst of those that match counts."""
+    container: Name | None = None
+    """The container it comes from; default: that of its node, else the only configured one."""
+    node: RosName | None = None
+    """The node that publishes it; default: the configured node whose name stands before the colon, if there is one."""
+    timeout: Annotated[Seconds, Field(ge=0.5, le=600)] = 5.0
+    """A status not heard for this long is stale."""
+    when_stale: Literal["error", "warn", "stale"] = "error"
+    """What a stale status is; also one that was never heard, or that says STALE of itself. `stale` opens no fault."""
+
+
+class DiagnosticsSettings(Section):
+    """ROS diagnostics: PHM's own state out, the application's in."""
+
+    publish: bool | None = None
+    """True: PHM publishes its state on /diagnostics. Default: when anything else of `ros` is configured."""
+    listen: Annotated[list[RosName], Field(max_length=4)] = Field(default_factory=lambda: ["/diagnostics"])
+    """Topics of diagnostic_msgs/DiagnosticArray that are read."""
+    watch: list[WatchedDiagnosticSettings] = Field(default_factory=list)
+    """Statuses that must be there and OK."""
+
+
 class RosSettings(Section):
     """The ROS graph of this agent."""
 
@@ -185,6 +211,8 @@ class RosSettings(Section):
     """Nodes that must run."""
     topics: list[TopicSettings] = Field(default_factory=list)
     """Topics that must flow."""
+    diagnostics: DiagnosticsSettings = DiagnosticsSettings()
+    """ROS diagnostics, out and in."""
     grace: Annotated[Seconds, Field(ge=0, le=120)] = 8.0
     """Seconds after a start or restart in which an incomplete graph is not yet a fault."""
     silence: Annotated[Seconds, Field(gt=0, le=60)] = 3.0
@@ -194,7 +222,12 @@ class RosSettings(Section):
 
     @property
     def used(self) -> bool:
-        return bool(self.nodes or self.topics)
+        return bool(self.nodes or self.topics or self.diagnostics.watch or self.diagnostics.publish)
+
+    @property
+    def publishes(self) -> bool:
+        """Whether PHM's own state goes out on /diagnostics."""
+        return self.used if self.diagnostics.publish is None else self.diagnostics.publish
 
 
 class EndpointSettings(Section):

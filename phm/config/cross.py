@@ -169,6 +169,21 @@ def topic_nodes_exist(root: View) -> None:
                     place.complain(unknown("node", place.text, known.values()) + " (or add it to 'ros.nodes')")
 
 
+def diagnostics_are_known(root: View) -> None:
+    """Each watched pattern stands once, and its container and node are configured."""
+    known = {container_key(container): container for container in root.get("containers").records()}
+    known.pop("", None)
+    nodes = {bare(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
+    watched = list(root.get("ros", "diagnostics", "watch").records())
+    no_twins("status", ((entry.get("name").text, entry.get("name")) for entry in watched))
+    for entry in watched:
+        container, node = entry.get("container"), entry.get("node")
+        if container.text:
+            _configured(container, known)
+        if node.text and bare(node.text) not in nodes:
+            node.complain(unknown("node", node.text, nodes.values()) + " (or add it to 'ros.nodes')")
+
+
 def endpoints_are_told_apart(root: View) -> None:
     endpoints = list(root.get("mavlink", "endpoints").records())
     no_twins("endpoint", ((entry.get("url").text, entry.get("url")) for entry in endpoints))
@@ -274,5 +289,5 @@ def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
 RULES: tuple[Callable[[View], None], ...] = (
     containers_have_one_identity, containers_are_told_apart, container_parts_stand_once, containers_start_in_order,
     absent_files_have_no_copy, repairs_are_opted_in, ros_names_stand_once, ros_containers_exist, relaunch_has_a_container,
-    topic_nodes_exist, endpoints_are_told_apart, limits_are_in_order, disks_stand_once,
+    topic_nodes_exist, diagnostics_are_known, endpoints_are_told_apart, limits_are_in_order, disks_stand_once,
 )  # fmt: skip

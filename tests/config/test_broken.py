@@ -38,6 +38,23 @@ def refused(text: str, **environ: str) -> tuple[Problem, ...]:
 ONE = "containers:\n  - name: app\n"
 
 BROKEN = [
+    # diagnostics of the application
+    Broken(
+        "diagnostics of no container", ONE + "ros: {diagnostics: {watch: [{name: x, container: ap}]}}\n", 3,
+        "ros.diagnostics.watch[0].container", ("unknown container 'ap'", "did you mean 'app'?"),
+    ),
+    Broken(
+        "diagnostics of no node", "ros: {nodes: [{name: /a/one}], diagnostics: {watch: [{name: x, node: /a/on}]}}\n", 1,
+        "ros.diagnostics.watch[0].node", ("unknown node '/a/on'", "did you mean '/a/one'?"),
+    ),
+    Broken(
+        "diagnostics twice", "ros:\n  diagnostics:\n    watch:\n      - name: x\n      - name: x\n", 5,
+        "ros.diagnostics.watch[1].name", ("'x'", "line 4"),
+    ),
+    Broken(
+        "diagnostics too impatient", "ros: {diagnostics: {watch: [{name: x, timeout: 0.1}]}}\n", 1,
+        "ros.diagnostics.watch[0].timeout", ("0.5",),
+    ),
     # what recovery needs
     Broken("after nobody", ONE + "    after: [ap]\n", 3, "containers[0].after[0]", ("unknown container 'ap'", "did you mean 'app'?")),
     Broken("after itself", ONE + "    after: [app]\n", 3, "containers[0].after[0]", ("cannot start after itself",)),

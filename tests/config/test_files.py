@@ -26,7 +26,7 @@ from phm.settings import Settings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SHIPPED = sorted([CONFIG / "phm.yaml", *(CONFIG / "examples").glob("*.yaml")])
-KEY = re.compile(r"^(?P<indent> *(?:- )?)(?P<off>#?)(?P<key>[a-z_0-9]+):(?: |$)")
+KEY = re.compile(r"^(?P<indent> *)#?(?P<dash>(?:- )?)#?(?P<key>[a-z_0-9]+):(?: |$)")
 PROSE = re.compile(r"^ *# (?P<text>.*)$")
 QUOTED = re.compile(r"`([^`]*)`")
 
@@ -48,7 +48,7 @@ def entries(text: str) -> list[Entry]:
         if comment := PROSE.match(line):
             prose.append(comment["text"])
         elif key := KEY.match(line):
-            indent = len(key["indent"])
+            indent = len(key["indent"] + key["dash"])
             while stack and stack[-1][0] >= indent:
                 stack.pop()
             stack.append((indent, key["key"]))
@@ -153,8 +153,8 @@ def test_a_choice_is_documented_with_all_it_allows(path: tuple[str, ...]) -> Non
 
 
 def test_every_commented_key_may_be_uncommented() -> None:
-    """With all `#key:` set, the file still fits the models."""
-    text = re.sub(r"^( *)#(?=[a-z_0-9]+:)", r"\1", (CONFIG / "phm.yaml").read_text(), flags=re.MULTILINE)
+    """With all `#key:` and `#- key:` set, the file still fits the models."""
+    text = re.sub(r"^( *)#(?=(?:- )?[a-z_0-9]+:)", r"\1", (CONFIG / "phm.yaml").read_text(), flags=re.MULTILINE)
     tree = parse(text, "phm.yaml", Expander({}))
     assert not tree.problems
     assert isinstance(Settings.model_validate(tree.data, strict=True), Settings)

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -71,8 +72,12 @@ def test_endpoints_are_told_by_node_type_and_quality(bench: Bench) -> None:
         and fact,
         "both ends and a rate",
     )  # fmt: skip
-    assert fact.topics[TOPIC].publishers == (EndpointFact("/agent_1/node_1", STRING, "reliable", "volatile"),)
-    assert fact.topics[TOPIC].subscribers == (EndpointFact("/agent_1/node_2", STRING, "reliable", "volatile"),)
+    (publisher,), (subscriber,) = fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers
+    plain = EndpointFact(
+        "/agent_1/node_1", STRING, "reliable", "volatile", None, "automatic", None, publisher.type_hash
+    )
+    assert (publisher, subscriber) == (plain, replace(plain, node="/agent_1/node_2"))
+    assert publisher.type_hash.startswith("RIHS01_")
     assert fact.topics["/agent_1/other"].publishers == ()
     assert fact.topics["/agent_1/other"].rate is None
     assert set(fact.nodes) == {"/agent_1/node_1", "/agent_1/node_2"}

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import pytest
 
-from phm.facts import BeaconFact, DiagnosticFact, EndpointFact, NeighbourFact, RateFact, TopicFact
+from phm.facts import BeaconFact, DiagnosticFact, EndpointFact, NameFact, NeighbourFact, RateFact, TopicFact
 from phm.probes.ros.protocol import (
     Heard,
     Message,
     Missing,
+    Others,
     Picture,
     ProtocolError,
+    Publish,
+    Remark,
     Tick,
     Wanted,
     WantedTopic,
     decode,
+    decode_order,
     decode_wanted,
     encode,
+    encode_order,
     encode_wanted,
 )
 
@@ -31,6 +36,8 @@ END = EndpointFact("/a/n", "std_msgs/msg/String", "reliable", "volatile")
         Tick(2.0, {"/t": 0.5, "/u": None}),
         Heard({"/a/n": BeaconFact(0.1, 0.2, 0.0, "x", 7, {"/a/m": NeighbourFact(True, 0.3)})}),
         Heard({}, {"radio": DiagnosticFact(0.1, 2, "no link", "sik", {"rssi": "0"})}),
+        Others({"/u": NameFact(("/a/n",), ("/a/m", "/a/o"))}),
+        Remark("diagnostic_msgs is not installed"),
         Missing("rclpy", "No module named 'rclpy'"),
     ],
 )
@@ -43,7 +50,7 @@ def test_what_is_written_is_what_is_read(message: Message) -> None:
 
 def test_the_configuration_comes_through() -> None:
     """The child gets exactly what the daemon wants."""
-    wanted = Wanted("agent_1", 3, (WantedTopic("/t", 10.0, 2.0), WantedTopic("/u")), 0.1, 2.0)
+    wanted = Wanted("agent_1", 3, (WantedTopic("/t", 10.0, 2.0), WantedTopic("/u")), 0.1, 2.0, ("/diagnostics",))
     assert decode_wanted(encode_wanted(wanted)) == wanted
 
 
@@ -67,3 +74,20 @@ def test_a_wrong_configuration_is_refused() -> None:
     """Unknown keys are a mistake between versions, not something to guess about."""
     with pytest.raises(ProtocolError):
         decode_wanted(b'{"agent":"a","topics":[],"colour":1}')
+
+
+def test_what_is_to_be_published_comes_through() -> None:
+    """An order of the daemon comes back equal, on one line."""
+    order = Publish(1.5, {"phm/a: summary": DiagnosticFact(0.0, 1, "two\nlines", "a", {"slot": "6"})})
+    line = encode_order(order)
+    assert line.count(b"\n") == 1
+    assert decode_order(line) == order
+
+
+@pytest.mark.parametrize(
+    "line", [b"", b"[]", b"[1]", b'[1,{"a":[]}]', b'[1,{"a":[0,"x","","",{}]}]', b"[NaN,{}]", b"x" * 99]
+)
+def test_an_order_that_is_none_is_refused(line: bytes) -> None:
+    """Whatever else stands in the pipe raises ProtocolError and nothing else."""
+    with pytest.raises(ProtocolError):
+        decode_order(line)

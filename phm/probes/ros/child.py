@@ -11,9 +11,20 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from phm.probes.ros.protocol import EXIT_MISSING, Message, Missing, ProtocolError, decode_wanted, encode
+from phm.probes.ros.lines import Lines
+from phm.probes.ros.protocol import (
+    EXIT_MISSING,
+    Message,
+    Missing,
+    ProtocolError,
+    Publish,
+    decode_order,
+    decode_wanted,
+    encode,
+)
 
 if TYPE_CHECKING:
     from phm.probes.ros.watch import Watch
@@ -60,24 +71,33 @@ def main() -> int:
 def _report(watch: Watch, out: int, tick_s: float) -> None:
     leak = _Leak(os.environ.get("PHM_DEBUG_ROS_LEAK_MB", ""))
     next_s = time.monotonic()
+    orders = Lines()
     while True:
         for message in watch.look():
             _send(out, message)
         leak.grow()
         next_s = max(next_s + tick_s, time.monotonic())
-        if not _wait(next_s):
+        if not _wait(next_s, orders, watch.obey):
             return
 
 
-def _wait(until_s: float) -> bool:
-    """Sleep; False as soon as the daemon has closed the pipe. What it writes is read and ignored."""
+def _wait(until_s: float, orders: Lines, obey: Callable[[Publish], None]) -> bool:
+    """Sleep, and carry out what the daemon writes meanwhile; False as soon as it has closed the pipe."""
     while True:
         left_s = until_s - time.monotonic()
         if left_s <= 0:
             return True
         readable, _, _ = select.select([0], [], [], left_s)
-        if readable and not os.read(0, 4096):
+        if not readable:
+            continue
+        piece = os.read(0, 65536)
+        if not piece:
             return False
+        for line in orders.add(piece):
+            try:
+                obey(decode_order(line))
+            except ProtocolError as error:
+                sys.stderr.write(f"phm ros child: {error}\n")
 
 
 def _first_line() -> bytes:

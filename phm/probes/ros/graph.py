@@ -14,6 +14,10 @@ from phm.facts import EndpointFact
 
 OWN = "_phm_"
 """Hidden nodes of this prefix are PHM's own, those of a child that was just replaced included."""
+_ENDLESS_NS = 2**63 - 1
+"""What the middleware says for `no deadline`; 0 is `not specified`, which has none either."""
+_HASH_SHOWN = 15
+"""`RIHS01_` and 8 digits: enough to tell two definitions of a type apart."""
 _UNKNOWN = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
 
 
@@ -72,17 +76,28 @@ class Graph:
 
 def endpoints(infos: Iterable[Any]) -> tuple[EndpointFact, ...]:
     """rclpy's TopicEndpointInfo as facts, PHM's own left out, in a stable order."""
-    facts = (
-        EndpointFact(
-            node="" if info.node_name in _UNKNOWN else full_name(info.node_name, info.node_namespace),
-            type=info.topic_type,
-            reliability=info.qos_profile.reliability.name.lower(),
-            durability=info.qos_profile.durability.name.lower(),
-        )
-        for info in infos
-        if not info.node_name.startswith(OWN)
-    )
+    facts = (_endpoint(info) for info in infos if not info.node_name.startswith(OWN))
     return tuple(sorted(facts, key=lambda fact: (fact.node, fact.type)))
+
+
+def _endpoint(info: Any) -> EndpointFact:
+    qos = info.qos_profile
+    type_hash = str(getattr(info, "topic_type_hash", ""))  # not in Humble
+    return EndpointFact(
+        node="" if info.node_name in _UNKNOWN else full_name(info.node_name, info.node_namespace),
+        type=info.topic_type,
+        reliability=qos.reliability.name.lower(),
+        durability=qos.durability.name.lower(),
+        deadline_s=_seconds(qos.deadline),
+        liveliness=qos.liveliness.name.lower(),
+        lease_s=_seconds(qos.liveliness_lease_duration),
+        type_hash=type_hash[:_HASH_SHOWN] if type_hash.startswith("RIHS") else "",
+    )
+
+
+def _seconds(duration: Any) -> float | None:
+    nanoseconds = duration.nanoseconds
+    return None if nanoseconds <= 0 or nanoseconds >= _ENDLESS_NS else nanoseconds / 1e9
 
 
 def full_name(name: str, namespace: str) -> str:

@@ -27,6 +27,13 @@ class Hearsay:
         diagnostics = {**self.diagnostics, **{name: (now_s, fact) for name, fact in news.diagnostics.items()}}
         return Hearsay(_newest(beacons), _newest(diagnostics))
 
+    def differs(self, news: Heard) -> bool:
+        """Whether a status in `news` has another level than before, or is new and not OK: worth a look at once."""
+        return any(
+            fact.level != (self.diagnostics[name][1].level if name in self.diagnostics else 0)
+            for name, fact in news.diagnostics.items()
+        )
+
     def since(self, now_s: float) -> tuple[dict[str, BeaconFact], dict[str, DiagnosticFact]]:
         """All of it, with ages as of `now_s`."""
         return (

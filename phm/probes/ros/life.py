@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import IO
 
-from phm.probes.ros.protocol import LINE_LIMIT
+from phm.probes.ros.lines import Lines
 
 _PIECE = 65536
 _REAP_S = 2.0
@@ -38,8 +38,9 @@ class Life:
             bufsize=0,
         )
         self._stderr: deque[bytes] = deque(maxlen=20)
-        self._out = _Lines()
-        self._err = _Lines()
+        self._out = Lines()
+        self._err = Lines()
+        self._outgoing = b""
         self._selector = selectors.DefaultSelector()
         for pipe, lines in ((self._process.stdout, self._out), (self._process.stderr, self._err)):
             assert pipe is not None
@@ -56,15 +57,32 @@ class Life:
         """It exited and nothing is left to read, or it closed its output, which it does only by exiting."""
         return not any(key.data is self._out for key in self._selector.get_map().values())
 
+    @property
+    def writing(self) -> bool:
+        """Whether the line that was handed over last is not yet with the child."""
+        return bool(self._outgoing)
+
+    def hand(self, line: bytes) -> None:
+        """Give the child one more line; `read` writes it as the pipe has room. Not while `writing`."""
+        assert not self._outgoing
+        self._outgoing = line
+
     def read(self, timeout_s: float, wake_fd: int) -> list[bytes]:
-        """Lines that arrive within `timeout_s`; returns early when `wake_fd` is readable."""
+        """Lines that arrive within `timeout_s`; returns early when `wake_fd` is readable. Writes what was handed over."""
+        assert self._process.stdin is not None
         self._selector.register(wake_fd, selectors.EVENT_READ)
+        if self._outgoing:
+            self._selector.register(self._process.stdin, selectors.EVENT_WRITE)
         try:
             ready = self._selector.select(timeout_s)
         finally:
             self._selector.unregister(wake_fd)
+            if self._outgoing:
+                self._selector.unregister(self._process.stdin)
         lines: list[bytes] = []
-        for key, _ in ready:
+        for key, events in ready:
+            if events & selectors.EVENT_WRITE:
+                self._write_some()
             if key.data is None:
                 continue
             try:
@@ -78,6 +96,15 @@ class Life:
             else:
                 self._stderr.extend(line[:_TAIL] for line in self._err.add(piece))
         return lines
+
+    def _write_some(self) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._outgoing = self._outgoing[os.write(self._process.stdin.fileno(), self._outgoing) :]
+        except BlockingIOError:
+            return
+        except OSError:
+            self._outgoing = b""  # it is gone: reading will find out
 
     def rss_bytes(self) -> int:
         """Resident memory, shared pages included; 0 when the process is gone."""
@@ -137,23 +164,6 @@ class Life:
         if pipe is not None:
             with contextlib.suppress(OSError):
                 pipe.close()
-
-
-class _Lines:
-    """Cuts a stream into lines; one that is longer than the limit is dropped, and memory stays bounded."""
-
-    def __init__(self) -> None:
-        self._rest = b""
-        self._dropping = False
-
-    def add(self, piece: bytes) -> list[bytes]:
-        *lines, rest = (self._rest + piece).split(b"\n")
-        if lines and self._dropping:
-            lines, self._dropping = lines[1:], False
-        if self._dropping or len(rest) > LINE_LIMIT:
-            rest, self._dropping = b"", True
-        self._rest = rest
-        return lines
 
 
 def _signal_name(number: int) -> str:

@@ -12,26 +12,28 @@ import select
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import phm
 from phm.clock import Clock
-from phm.facts import CannotTell, RosFact, TopicFact
-from phm.probes.ros.hearsay import Hearsay
+from phm.facts import CannotTell, RosFact
 from phm.probes.ros.life import Life
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
-    Heard,
+    Message,
     Missing,
-    Picture,
     ProtocolError,
-    Tick,
+    Publish,
+    Remark,
     Wanted,
     WantedTopic,
     decode,
+    encode_order,
     encode_wanted,
 )
+from phm.probes.ros.view import View
+from phm.ros_facts import DiagnosticFact
 from phm.settings import Settings
 
 NOT_INSTALLED = (
@@ -39,6 +41,8 @@ NOT_INSTALLED = (
     "on x86-64 install phm-sidecar[ros], elsewhere use an image FROM a ROS base"
 )
 COMMAND = (sys.executable, "-m", "phm.probes.ros.child")
+_REMARKS = 20
+"""Different remarks of the child that are written to the log; each is written once."""
 
 # Defaults that the environment may override.
 _ENVIRONMENT = {
@@ -98,9 +102,10 @@ class RosProcess:
         self._command = tuple(command)
         self._limits = limits
         self._lock = threading.Lock()
-        self._picture: Picture | None = None
-        self._heard_s = 0.0
-        self._hearsay = Hearsay()
+        self._view = View()
+        self._post = b""
+        self._unsent = 0
+        self._remarks: set[str] = set()
         self._why = "the ROS child has not been started yet"
         self._renew = ""
         self._closing = False
@@ -128,15 +133,27 @@ class RosProcess:
     def look(self) -> RosFact:
         """The newest picture. Raises CannotTell while there is none that is fresh."""
         with self._lock:
-            picture, heard_s, why, hearsay = self._picture, self._heard_s, self._why, self._hearsay
-        if picture is None:
+            view, why = self._view, self._why
+        if view.picture is None:
             raise CannotTell(why)
-        now_s = self._clock.mono()
-        age_s = max(0.0, now_s - heard_s)
-        if age_s > self._limits.silent_s:
-            raise CannotTell(f"the ROS child has been silent for {age_s:.1f} s and will be replaced")
-        topics = {name: _older(topic, age_s) for name, topic in picture.topics.items()}
-        return RosFact(age_s, picture.up_s + age_s, picture.nodes, topics, *hearsay.since(now_s))
+        fact = view.fact(view.picture, self._clock.mono())
+        if fact.age_s > self._limits.silent_s:
+            raise CannotTell(f"the ROS child has been silent for {fact.age_s:.1f} s and will be replaced")
+        return fact
+
+    def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
+        """Have the child publish these on /diagnostics, by name; never blocks. Nothing while there is no child that answers.
+
+        Returns how many in a row it has not taken: what waits is replaced by what is newer.
+        """
+        line = encode_order(Publish(self._clock.utc(), statuses))
+        with self._lock:
+            if self._view.picture is None or self._closing:
+                return 0
+            self._unsent = self._unsent + 1 if self._post else 0
+            self._post = line
+            self._poke()
+            return self._unsent
 
     def renew(self, reason: str) -> None:
         """Replace the child on purpose: the network changed under it. Returns at once."""
@@ -209,6 +226,7 @@ class RosProcess:
         heard_s = weighed_s = self._clock.mono()
         limit_s = self._limits.start_s
         while not life.over and not self._closing and not self._renew:
+            self._hand_post(life)
             lines = life.read(min(0.5, limit_s / 2), self._wake)
             self._drain()
             now_s = self._clock.mono()
@@ -231,25 +249,26 @@ class RosProcess:
                     return f"used {rss / 1e6:.0f} MB, allowed are {self._max_memory / 1e6:.0f} MB, and was killed"
         return ""
 
-    def _take(self, message: Picture | Tick | Heard, now_s: float) -> None:
+    def _hand_post(self, life: Life) -> None:
         with self._lock:
-            before = self._picture
-            if isinstance(message, Heard):
-                self._hearsay = self._hearsay.with_news(message, now_s)
-            elif isinstance(message, Picture):
-                self._picture = message
-            elif before is not None:
-                topics = {name: _silent(topic, message.silent_s.get(name)) for name, topic in before.topics.items()}
-                self._picture = Picture(message.up_s, before.nodes, topics)
-            self._heard_s = now_s
-        if isinstance(message, Picture) and (before is None or _shape(before) != _shape(message)):
+            if self._post and not life.writing:
+                life.hand(self._post)
+                self._post = b""
+
+    def _take(self, message: Message, now_s: float) -> None:
+        with self._lock:
+            changed = self._view.changed_by(message)
+            self._view = self._view.with_message(message, now_s)
+        if isinstance(message, Remark) and message.text not in self._remarks and len(self._remarks) < _REMARKS:
+            self._remarks.add(message.text)
+            self._on_note(message.text)
+        if changed:
             self._on_change()
 
     def _lose(self, sentence: str) -> None:
         with self._lock:
-            had_one = self._picture is not None
-            self._picture = None
-            self._hearsay = Hearsay()
+            had_one = self._view.picture is not None
+            self._view, self._post = View(), b""
             self._why = sentence
         if had_one and not self._closing:
             self._on_change()
@@ -281,7 +300,11 @@ def wanted(settings: Settings) -> Wanted:
     """What the child is asked for: full names of topics, and which of them have a rate to be measured."""
     ros = settings.ros
     topics = tuple(WantedTopic(f"/{topic.name.lstrip('/')}", topic.rate, ros.silence) for topic in ros.topics)
-    return Wanted(agent=settings.agent.name, domain=ros.domain, topics=topics)
+    return Wanted(agent=settings.agent.name, domain=ros.domain, topics=topics, listen=_listen(settings))
+
+
+def _listen(settings: Settings) -> tuple[str, ...]:
+    return tuple(f"/{name.lstrip('/')}" for name in settings.ros.diagnostics.listen)
 
 
 def child_environ(settings: Settings, environ: Mapping[str, str]) -> dict[str, str]:
@@ -299,23 +322,3 @@ def _missing_sentence(missing: Missing) -> str:
     if missing.module.partition(".")[0] == "rclpy" and "." not in missing.module:
         return NOT_INSTALLED
     return f"rclpy cannot be loaded here: ROS checks are off; {missing.detail}"
-
-
-def _older(topic: TopicFact, age_s: float) -> TopicFact:
-    rate = topic.rate
-    if rate is None or rate.silent_s is None:
-        return topic
-    return replace(topic, rate=replace(rate, silent_s=rate.silent_s + age_s))
-
-
-def _silent(topic: TopicFact, silent_s: float | None) -> TopicFact:
-    return topic if topic.rate is None else replace(topic, rate=replace(topic.rate, silent_s=silent_s))
-
-
-def _shape(picture: Picture) -> object:
-    """What must not change without `on_change`: nodes, endpoints, and whether topics flow."""
-    flows = {
-        name: (topic.publishers, topic.subscribers, topic.rate and (topic.rate.hz == 0.0, topic.rate.problem))
-        for name, topic in picture.topics.items()
-    }
-    return dict(picture.nodes), flows

@@ -1,8 +1,9 @@
 """What the daemon and its ROS child say to each other: one JSON object a line, over pipes.
 
-The daemon writes one line, what it wants to know (`Wanted`), and then only closes the pipe. The child
-writes `Picture` when something changed and at least once a second, `Tick` in between, `Heard` when beacons or
-diagnostics came, and `Missing` once when there is no ROS to look at. This module is imported by the child: standard library and facts only.
+The daemon writes one line, what it wants to know (`Wanted`), then `Publish` as often as it likes, and in the end closes
+the pipe. The child writes `Picture` when something changed and at least once a second, `Tick` in between, `Heard` when
+beacons or diagnostics came, `Others` when topics that nobody configured came or went, `Remark` for the log, and
+`Missing` once when there is no ROS to look at. This module is imported by the child: standard library and facts only.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, NoReturn
 
 from phm.probes.ros.records import pack, value
-from phm.ros_facts import BeaconFact, DiagnosticFact, TopicFact
+from phm.ros_facts import BeaconFact, DiagnosticFact, NameFact, TopicFact
 
 LINE_LIMIT = 1_000_000
 """Longest line in bytes; a picture of 200 topics with 10 endpoints each is about 200 kB."""
@@ -37,13 +38,17 @@ class WantedTopic:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What the child is to look at. domain: None leaves it to ROS_DOMAIN_ID. tick_s: between two looks."""
+    """What the child is to look at. domain: None leaves it to ROS_DOMAIN_ID. tick_s: between two looks.
+
+    listen: topics of diagnostic_msgs/DiagnosticArray to read.
+    """
 
     agent: str
     domain: int | None = None
     topics: tuple[WantedTopic, ...] = ()
     tick_s: float = 0.25
     full_s: float = 1.0
+    listen: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +77,20 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True)
+class Others:
+    """All topics, up to a cap, that are not in `Wanted.topics`, by full name."""
+
+    names: Mapping[str, NameFact] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """A sentence for the log."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Missing:
     """There is no usable rclpy. module: what could not be imported. detail: the import's own words."""
 
@@ -79,9 +98,19 @@ class Missing:
     detail: str
 
 
-Message = Picture | Tick | Heard | Missing
+@dataclass(frozen=True, slots=True)
+class Publish:
+    """From the daemon: publish this on /diagnostics, now. utc_s: the array's stamp. statuses: by name; ages mean nothing."""
 
-_KINDS: Mapping[str, type[Message]] = {"picture": Picture, "tick": Tick, "heard": Heard, "missing": Missing}
+    utc_s: float
+    statuses: Mapping[str, DiagnosticFact] = field(default_factory=dict)
+
+
+Message = Picture | Tick | Heard | Others | Remark | Missing
+
+_KINDS: Mapping[str, type[Message]] = {
+    "picture": Picture, "tick": Tick, "heard": Heard, "others": Others, "remark": Remark, "missing": Missing
+}  # fmt: skip
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 
 
@@ -94,7 +123,8 @@ def decode_wanted(line: bytes | str) -> Wanted:
     try:
         data = _parsed(line)
         topics = tuple(WantedTopic(**topic) for topic in data.pop("topics"))
-        return Wanted(topics=topics, **data)
+        listen = tuple(data.pop("listen"))
+        return Wanted(topics=topics, listen=listen, **data)
     except (AttributeError, KeyError, TypeError) as error:
         raise ProtocolError(f"not a configuration: {error}") from error
 
@@ -112,6 +142,19 @@ def decode(line: bytes | str) -> Message:
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ProtocolError(f"not a message: {error!r}") from error
     return message
+
+
+def encode_order(order: Publish) -> bytes:
+    return _line(pack(order))
+
+
+def decode_order(line: bytes | str) -> Publish:
+    """Raises ProtocolError for anything that `encode_order` did not write."""
+    try:
+        order: Publish = value(Publish, _parsed(line))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise ProtocolError(f"not an order: {error!r}") from error
+    return order
 
 
 def _line(data: Any) -> bytes:

@@ -13,9 +13,11 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from phm.probes.ros.diagnostics import Diagnostics
 from phm.probes.ros.gauge import Gauge
 from phm.probes.ros.graph import Graph
-from phm.probes.ros.protocol import Message, Picture, Tick, Wanted
+from phm.probes.ros.names import Names
+from phm.probes.ros.protocol import Message, Others, Picture, Publish, Tick, Wanted
 from phm.ros_facts import RateFact, TopicFact
 
 
@@ -37,13 +39,22 @@ class Watch:
         self._began_s = time.monotonic()
         self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s)
         self._gauges = {topic.name: Gauge(self._node, topic) for topic in wanted.topics if topic.rate_hz}
+        self._names = Names(self._node, {topic.name for topic in wanted.topics})
+        self._diagnostics = Diagnostics(self._node, wanted.listen)
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
         self._states: dict[str, tuple[bool, str]] = {}
 
     def look(self) -> list[Message]:
         """Called once a tick: what there is to tell the daemon."""
-        return [self._picture()]
+        messages: list[Message] = [self._picture()]
+        if self._names.look(time.monotonic()):
+            messages.append(Others(self._names.names))
+        return messages + self._diagnostics.look()
+
+    def obey(self, order: Publish) -> None:
+        """Called as soon as the daemon has said so."""
+        self._diagnostics.publish(order)
 
     def _picture(self) -> Picture | Tick:
         """The whole picture when something changed or it is time, else only that nothing did."""

@@ -1,0 +1,156 @@
+"""ROS diagnostics in the child: what the application publishes is read, what PHM has to say is published.
+
+Names and texts come from outside and are data: counted, cut and passed on, never believed to be of any length.
+`docs/ros.md` states what is published as a contract.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from phm.probes.ros.protocol import Heard, Message, Publish, Remark
+from phm.ros_facts import DiagnosticFact
+
+TOPIC = "/diagnostics"
+OWN = "phm/"
+"""Statuses of this prefix are PHM's, this agent's or another's."""
+MAX_TAKES = 50
+"""Arrays read from one topic in one look; the reader's queue is as long, and what is older is overwritten."""
+MAX_BYTES = 200_000
+"""Longest array that is read: 500 statuses of a few hundred bytes. Python needs about 10 ms for one."""
+MAX_STATUSES = 500
+MAX_TEXT = 255
+MAX_VALUES = 32
+_FRAME = b"phm"
+"""`header.frame_id` of PHM's own arrays, by which they are known before anything is decoded."""
+_MISSING = (
+    "diagnostic_msgs is not installed beside PHM: /diagnostics is neither read nor published; "
+    "install it where rclpy comes from (ros-<distro>-diagnostic-msgs)"
+)
+
+
+class Diagnostics:
+    """Readers of the topics that are to be listened to, and the publisher, made when there is something to publish.
+
+    None of them is in an executor: the queue is emptied once a tick.
+    """
+
+    def __init__(self, node: Any, listen: Sequence[str]) -> None:
+        self._node = node
+        self._remarks: list[Message] = []
+        self._said: set[str] = set()
+        self._readers: dict[str, Any] = {}
+        self._publisher: Any = None
+        self._kinds: Any = None
+        self._missing = False
+        if listen and self._load():
+            self._readers = {topic: self._reader(topic) for topic in listen}
+
+    def look(self) -> list[Message]:
+        """What was heard since the last look: the newest of each status."""
+        heard: dict[str, DiagnosticFact] = {}
+        for topic, reader in self._readers.items():
+            for array in self._arrays(topic, reader):
+                for status in array.status[:MAX_STATUSES]:
+                    if status.name and not status.name.startswith(OWN):
+                        heard[status.name[:MAX_TEXT]] = _fact(status)
+        messages, self._remarks = self._remarks, []
+        if heard:
+            messages.append(Heard(diagnostics=dict(list(heard.items())[:MAX_STATUSES])))
+        return messages
+
+    def publish(self, order: Publish) -> None:
+        """Publish PHM's own state, reliable and with a queue of one as diagnostic_updater does."""
+        if not self._load():
+            return
+        if self._publisher is None:
+            self._publisher = self._node.create_publisher(self._kinds.DiagnosticArray, TOPIC, 1)
+        self._publisher.publish(self._array(order))
+
+    def _load(self) -> bool:
+        if self._kinds is None and not self._missing:
+            try:
+                import diagnostic_msgs.msg as kinds
+                from rclpy.type_support import check_for_type_support
+
+                check_for_type_support(kinds.DiagnosticArray)  # loads what its parts need, std_msgs among them
+            except ImportError:
+                self._missing = True
+                self._say(_MISSING)
+            else:
+                self._kinds = kinds
+        return self._kinds is not None
+
+    def _say(self, text: str) -> None:
+        """For the log, each text once. There are no more texts than topics."""
+        if text not in self._said:
+            self._said.add(text)
+            self._remarks.append(Remark(text))
+
+    def _reader(self, topic: str) -> Any:
+        from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+
+        # Best effort and volatile match every publisher.
+        qos = QoSProfile(
+            history=QoSHistoryPolicy.KEEP_LAST,
+            depth=MAX_TAKES,
+            reliability=QoSReliabilityPolicy.BEST_EFFORT,
+            durability=QoSDurabilityPolicy.VOLATILE,
+        )
+        return self._node.create_subscription(self._kinds.DiagnosticArray, topic, _never_called, qos, raw=True)
+
+    def _arrays(self, topic: str, reader: Any) -> Iterable[Any]:
+        """Those that wait in the queue, as far as MAX_BYTES go; the rest waits for the next look.
+
+        Taken as bytes first: what is too long, and PHM's own, is never decoded.
+        """
+        from rclpy.serialization import deserialize_message
+
+        left = MAX_BYTES
+        with reader.handle:
+            for _ in range(MAX_TAKES):
+                taken = reader.handle.take_message(reader.msg_type, True) if left > 0 else None
+                if taken is None:
+                    return
+                data = taken[0]
+                if len(data) > MAX_BYTES:
+                    self._say(f"an array of more than {MAX_BYTES // 1000} kB on {topic} is not read")
+                elif not _own(data):
+                    left -= len(data)
+                    try:
+                        yield deserialize_message(data, reader.msg_type)
+                    except Exception as error:  # rclpy's own and pybind's kinds: whatever was sent is no array
+                        self._say(f"what is on {topic} cannot be decoded: {error}")
+
+    def _array(self, order: Publish) -> Any:
+        array = self._kinds.DiagnosticArray()
+        seconds = int(order.utc_s)
+        array.header.stamp.sec = seconds
+        array.header.stamp.nanosec = int((order.utc_s - seconds) * 1e9)
+        array.header.frame_id = _FRAME.decode()
+        array.status = [self._status(name, fact) for name, fact in order.statuses.items()]
+        return array
+
+    def _status(self, name: str, fact: DiagnosticFact) -> Any:
+        values = [self._kinds.KeyValue(key=key, value=value) for key, value in fact.values.items()]
+        level = bytes((fact.level,))
+        return self._kinds.DiagnosticStatus(
+            level=level, name=name, message=fact.message, hardware_id=fact.hardware_id, values=values
+        )
+
+
+def _fact(status: Any) -> DiagnosticFact:
+    values: Mapping[str, str] = {
+        item.key[:MAX_TEXT]: item.value[:MAX_TEXT] for item in status.values[:MAX_VALUES] if item.key
+    }
+    return DiagnosticFact(0.0, status.level[0], status.message[:MAX_TEXT], status.hardware_id[:MAX_TEXT], values)
+
+
+def _own(data: bytes) -> bool:
+    """Whether a serialized array is PHM's: CDR header 4 bytes, stamp 8, length of frame_id 4 (with its final zero), text."""
+    return data[12:16] == (len(_FRAME) + 1).to_bytes(4, "little") and data[16:20] == _FRAME + b"\0"
+
+
+def _never_called(_: object) -> None:
+    """rclpy wants a callback; without an executor nobody calls it."""
