@@ -120,8 +120,10 @@ class Unit:
             target runs, all units with that target are held: they raise no fault.
     settle_s: how long a bad result must last before it is told, for evidence that arrives before that of
             its cause (a topic falls silent before discovery notices that its node is dead).
-    grace_s: how long, after PHM's start, after a need recovered and after an action on the target, a bad
-            result counts as `not known yet` (discovery needs seconds to fill the graph).
+    grace_s: how long, after PHM's start, after a need recovered, after the target was started again by anybody and
+            after an action on it, a bad result counts as `not known yet` (discovery needs seconds to fill the graph).
+    memory_s: how long its check may still find it OK after it has gone (a topic counts as silent only after a while).
+            Grace ends early for a unit that has been OK, but not before it has been for longer than this.
     suspect: while this unit is ERROR, each fault that opens names it as a possible cause. It blocks nobody:
             for what can be behind anything but need not be (a full disk, memory used up).
     """
@@ -131,6 +133,7 @@ class Unit:
     target: str = ""
     settle_s: float = 0.0
     grace_s: float = 0.0
+    memory_s: float = 0.0
     suspect: bool = False
 
 
