@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import signal
 import threading
 import uuid
-from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
@@ -20,7 +18,7 @@ from phm.clock import Clock, SystemClock
 from phm.control import Control
 from phm.engine import WATCH_S, Batch, Engine
 from phm.facts import CannotTell
-from phm.model import ActionEvent, Event, Fault, Phase, UnitState
+from phm.model import ActionEvent, Event, Phase, UnitState
 from phm.pipeline import Pipeline
 from phm.plan import Plan, make
 from phm.probes.docker_watch import DockerEvent
@@ -188,7 +186,7 @@ class Daemon:
         graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
         shop = Shop(
             self.pipeline, self._publish_action, self.clock, actions, self._action_context(),
-            self._armed, lambda unit: graces.get(unit, 0.0),
+            self._armed, lambda unit: graces.get(unit, 0.0), self.plan.below,
         )  # fmt: skip
         self.executor = Executor(shop)
         self.memory.resume(self.executor)
@@ -200,17 +198,8 @@ class Daemon:
         docker = self.parts.world.docker
         return ActionContext(
             self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
-            listed_nodes=lambda: self.parts.world.ros.look().nodes, armed=self._armed, holding=self._holding,
+            listed_nodes=lambda: self.parts.world.ros.look().nodes, armed=self._armed,
         )  # fmt: skip
-
-    @contextlib.contextmanager
-    def _holding(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
-        """A container that is restarted because of another one's fault raises none of its own meanwhile."""
-        self.pipeline.hold(key, fault.unit, action, at_most_s)
-        try:
-            yield
-        finally:
-            self.pipeline.release(key, worked=True)
 
     def _publish_action(self, event: Event) -> None:
         self.bus.publish(event)

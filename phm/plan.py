@@ -18,6 +18,16 @@ class Plan:
 
     scheduled: tuple[Scheduled, ...]
     tracked: tuple[Tracked, ...]
+    needs: Needs
+
+    def below(self, unit: str) -> Mapping[str, frozenset[str]]:
+        """Units that need `unit` and belong to other containers, by container."""
+        targets = {entry.unit.id: entry.unit.target for entry in self.tracked}
+        found: dict[str, set[str]] = {}
+        for name in self.needs.downstream(unit) if unit in targets else ():
+            if targets[name] not in ("", targets[unit]):
+                found.setdefault(targets[name], set()).add(name)
+        return {target: frozenset(units) for target, units in found.items()}
 
     @property
     def pass_limit_s(self) -> float:
@@ -37,8 +47,7 @@ def make(settings: Settings, checks: Mapping[str, type[Check]]) -> Plan:
         by_check.setdefault(check.name, []).extend(unit.id for unit in check.units)
     scheduled = tuple(_schedule(check, override, settings) for check, override in instances)
     tracked = tuple(entry for check, override in instances for entry in _track(check, override, by_check))
-    Needs({entry.unit.id: entry.needs for entry in tracked})
-    return Plan(scheduled, tracked)
+    return Plan(scheduled, tracked, Needs({entry.unit.id: entry.needs for entry in tracked}))
 
 
 def _schedule(check: Check, override: CheckSettings, settings: Settings) -> Scheduled:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 
-from phm.model import Event, Fault, FaultClosed, FaultOpened, Transition
-from phm.recovery.policy import History
+from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Outcome, Transition
+from phm.recovery.history import History
 from phm.recovery.shop import Shop
 from phm.recovery.state import Case, RecoveryState, State
 from phm.recovery.worker import NotApprovable, TargetWorker
@@ -23,6 +23,7 @@ class Executor:
         self._shop = shop
         self._workers: dict[str, TargetWorker] = {}
         self._histories: dict[str, History] = {}
+        self._given_up: dict[str, Fault] = {}
         self._lock = threading.Lock()
 
     @staticmethod
@@ -37,10 +38,25 @@ class Executor:
             worker = self._workers.get(event.fault.result.target)
             if worker is not None:
                 worker.closed(event.fault)
+            if event.fault.outcome is Outcome.ESCALATED:
+                self._given_up[event.fault.unit] = event.fault
+            elif event.fault.outcome is Outcome.RESOLVED:
+                self._recovered(event.fault)
         elif isinstance(event, FaultOpened):
             self._give(event.fault)
         elif isinstance(event, Transition) and event.changed_text and event.state.fault:
             self._reworded(event)
+        elif isinstance(event, Transition) and event.new is Level.OK:
+            fault = self._given_up.pop(event.unit, None)
+            if fault is not None:
+                self._recovered(fault)
+
+    def _recovered(self, fault: Fault) -> None:
+        """What is well again may be what others waited for, who are told so; one attempt's proof reaches that far back."""
+        down_from = fault.opened.mono - self._shop.context.settings.recovery.verify
+        for target, units in self._shop.below(fault.unit).items():
+            if target in self._histories:
+                self._worker(target).eased(units, down_from)
 
     def _reworded(self, event: Transition) -> None:
         """The same fault now stands for something else (exited, then dead): the ladder may be another."""
@@ -78,6 +94,11 @@ class Executor:
             notes.append(
                 f"{what} was cut short when PHM ended: it counts as an attempt and is taken up again if needed"
             )
+        self._shop.lives.restore(state.recovery.lives)
+        for fault in self._shop.pipeline.given_up():
+            self._given_up[fault.unit] = fault
+            if fault.result.target:
+                self._worker(fault.result.target)  # which sees whether somebody else begins anew
         for fault in self._shop.pipeline.open_faults():
             if fault.result.target:
                 target, case = fault.result.target, state.recovery.cases.get(fault.id, Case())
@@ -98,7 +119,8 @@ class Executor:
             cases.update(said)
             if action is not None:
                 under_way[target] = action
-        return RecoveryState({target: made for target, made in attempts.items() if made}, cases, under_way)
+        made = {target: tried for target, tried in attempts.items() if tried}
+        return RecoveryState(made, cases, under_way, self._shop.lives.kept())
 
     # ------------------------------------------------------------ the operator's hand
 

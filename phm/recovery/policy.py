@@ -9,15 +9,14 @@ follows the number of failed attempts. Actions on PHM's own container are bound 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from phm.model import Fault
+from phm.recovery.history import Attempt, History
 from phm.settings import ContainerSettings, RecoverySettings
 
 CLEAN_S = 600.0
 """After this long without an attempt, back-off starts anew (the issue's figure: 10 minutes)."""
-KEPT = 100
-"""Attempts remembered per target; more than any budget allows."""
 
 LADDERS: Mapping[str, tuple[str, ...]] = {
     "exited": ("start", "restart"),
@@ -41,30 +40,6 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
 own restart policy is at work and is not fought, `not_received` because a blocked transport outlives every restart."""
 PATIENT = frozenset({"silent", "rate_low"})
 """Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs."""
-
-
-@dataclass(frozen=True, slots=True)
-class Attempt:
-    """One action that was carried out: when it began (monotonic seconds), for what, and whether it was verified."""
-
-    at: float
-    unit: str
-    condition: str
-    action: str
-    worked: bool
-
-
-@dataclass(slots=True)
-class History:
-    """Attempts on one target, newest last, capped."""
-
-    attempts: list[Attempt] = field(default_factory=list)
-
-    def add(self, attempt: Attempt) -> None:
-        self.attempts = [*self.attempts, attempt][-KEPT:]
-
-    def within(self, since: float) -> list[Attempt]:
-        return [attempt for attempt in self.attempts if attempt.at >= since]
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +145,7 @@ def _same_failures(history: History, fault: Fault, now: float, lasting_s: float)
     """Attempts for the same unit and condition that did not help, since the last one that did or a clean time.
 
     Help that did not last `lasting_s` was none: a container that starts and dies again counts as failing. Whatever has
-    made the unit well for longer, an operator after PHM gave up, starts the count anew.
+    made the unit well for longer, an operator after PHM gave up, starts the count anew. Excused attempts are neither.
     """
     failures: list[Attempt] = []
     broke_again = fault.opened.mono
@@ -181,6 +156,8 @@ def _same_failures(history: History, fault: Fault, now: float, lasting_s: float)
             break
         if attempt.worked and broke_again - attempt.at > lasting_s:
             break
+        if attempt.excused:
+            continue
         failures.append(attempt)
         broke_again = attempt.at
     return failures
@@ -189,9 +166,14 @@ def _same_failures(history: History, fault: Fault, now: float, lasting_s: float)
 def _ready_at(history: History, fault: Fault, now: float, settings: RecoverySettings) -> float:
     """Back-off: the first attempt at once, then 1, 2, 4 ... seconds after the last, whether it helped or not.
 
-    What helped and broke again so soon counts too, or a flapping container would be restarted without pause.
+    What helped and broke again so soon counts too, or a flapping container would be restarted without pause; what was
+    eased since does not.
     """
-    same = [a for a in history.within(now - CLEAN_S) if (a.unit, a.condition) == (fault.unit, fault.result.condition)]
+    same = [
+        attempt
+        for attempt in history.within(now - CLEAN_S)
+        if (attempt.unit, attempt.condition) == (fault.unit, fault.result.condition) and not attempt.eased
+    ]
     if not same:
         return now
     return same[-1].at + float(min(settings.backoff * 2.0 ** (len(same) - 1), settings.backoff_max))

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from phm.clock import Clock
 from phm.model import Event
 from phm.pipeline import Pipeline
 from phm.recovery.base import Action, ActionContext
+from phm.recovery.hands import Hands
+from phm.recovery.lives import Lives
+
+
+def _nothing_below(unit: str) -> Mapping[str, frozenset[str]]:
+    return {}
 
 
 @dataclass(frozen=True)
 class Shop:
-    """What all targets share: the tools of the executor."""
+    """What all targets share: the tools of the executor.
+
+    armed:   whether the autopilot is armed, or must be taken for armed.
+    grace_s: of a unit, seconds.
+    below:   units that need a unit and are other containers', by container (`phm.plan.Plan.below`).
+    """
 
     pipeline: Pipeline
     publish: Callable[[Event], None]
@@ -22,6 +33,14 @@ class Shop:
     context: ActionContext
     armed: Callable[[], bool]
     grace_s: Callable[[str], float]
+    below: Callable[[str], Mapping[str, frozenset[str]]] = _nothing_below
+    hands: Hands = field(init=False)
+    lives: Lives = field(init=False)
+
+    def __post_init__(self) -> None:
+        verify_s = self.context.settings.recovery.verify
+        object.__setattr__(self, "hands", Hands(self.pipeline, self.clock))
+        object.__setattr__(self, "lives", Lives(self.context.container, self.clock, verify_s))
 
     @property
     def free_actions(self) -> frozenset[str]:

@@ -12,9 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.policy import CLEAN_S, KEPT, Attempt
+from phm.recovery.history import KEPT, Attempt
+from phm.recovery.lives import Life
+from phm.recovery.policy import CLEAN_S
 
-VERSION = 1
+VERSION = 2
+READ = (1, 2)
+"""Version 1 knew of no lives, and of no attempts that do not count."""
 MAX_FAULTS = 256
 MAX_TARGETS = 64
 MAX_TEXT = 2000
@@ -45,11 +49,12 @@ class UnderWay:
 
 @dataclass(frozen=True, slots=True)
 class RecoveryState:
-    """Recovery's own part: attempts by target, cases by fault id, actions under way by target."""
+    """Recovery's own part: attempts by target, cases by fault id, actions under way and lives of containers by target."""
 
     attempts: Mapping[str, tuple[Attempt, ...]] = field(default_factory=dict)
     cases: Mapping[str, Case] = field(default_factory=dict)
     under_way: Mapping[str, UnderWay] = field(default_factory=dict)
+    lives: Mapping[str, Life] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +88,7 @@ def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
             target: {"fault": action.fault, "attempt": _attempt(action.attempt, now)}
             for target, action in list(recovery.under_way.items())[:MAX_TARGETS]
         },
+        "lives": {target: _life(life, now) for target, life in list(recovery.lives.items())[:MAX_TARGETS]},
     }
 
 
@@ -93,7 +99,7 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
     """
     if not isinstance(document, dict):
         raise Unbelievable("it holds no JSON object")
-    if document.get("v") != VERSION:
+    if document.get("v") not in READ:
         raise Unbelievable(f"its version is {str(document.get('v'))[:20]!r}, this PHM writes {VERSION}")
     try:
         same = bool(boot) and document["boot"] == boot
@@ -103,11 +109,19 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
 
         def attempt(body: Any) -> Attempt:
             when = carried(_read_stamp(body["at"]), max(window_s, CLEAN_S))
-            worked = body["worked"] is True
-            return Attempt(when.mono, str(body["unit"]), str(body["condition"]), str(body["action"]), worked)
+            unit, condition, action = (str(body[key]) for key in ("unit", "condition", "action"))
+            worked, eased, excused = (body.get(key) is True for key in ("worked", "eased", "excused"))
+            return Attempt(when.mono, unit, condition, action, worked, eased, excused)
 
         def fault(body: Any) -> Fault:
             return _read_fault(body, carried(_read_stamp(body["opened"]), FAULT_AGE_S))
+
+        def moment(body: Any) -> float | None:
+            return None if body is None else carried(_read_stamp(body), max(window_s, CLEAN_S)).mono
+
+        def life(body: Any) -> Life:
+            name, started, by = (str(body[key])[:MAX_TEXT] for key in ("id", "started", "by"))
+            return Life(name, started, moment(body["since"]), moment(body["made"]), by)
 
         recovery = RecoveryState(
             {
@@ -122,6 +136,7 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
                 str(target): UnderWay(str(action["fault"]), attempt(action["attempt"]))
                 for target, action in list(document["under_way"].items())[:MAX_TARGETS]
             },
+            {str(target): life(body) for target, body in list(document.get("lives", {}).items())[:MAX_TARGETS]},
         )
         faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
         return State(faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery)
@@ -146,14 +161,30 @@ def _read_stamp(body: Any) -> Stamp:
     return Stamp(utc, mono)
 
 
-def _attempt(attempt: Attempt, now: Stamp) -> dict[str, Any]:
-    at = Stamp(now.utc - (now.mono - attempt.at), attempt.at)
+def _moment(mono: float, now: Stamp) -> dict[str, float]:
+    """A moment of the monotonic clock on both clocks."""
+    return {"utc": round(now.utc - (now.mono - mono), 2), "mono": mono}
+
+
+def _life(life: Life, now: Stamp) -> dict[str, Any]:
     return {
-        "at": {"utc": round(at.utc, 2), "mono": at.mono},
+        "id": life.id[:MAX_TEXT],
+        "started": life.started[:MAX_TEXT],
+        "since": None if life.since is None else _moment(life.since, now),
+        "made": None if life.made is None else _moment(life.made, now),
+        "by": life.by[:MAX_TEXT],
+    }
+
+
+def _attempt(attempt: Attempt, now: Stamp) -> dict[str, Any]:
+    return {
+        "at": _moment(attempt.at, now),
         "unit": attempt.unit,
         "condition": attempt.condition,
         "action": attempt.action,
         "worked": attempt.worked,
+        "eased": attempt.eased,
+        "excused": attempt.excused,
     }
 
 

@@ -9,43 +9,30 @@ from __future__ import annotations
 
 import logging
 import threading
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection
+from dataclasses import replace
+from functools import partial
 
-from phm.facts import CannotTell, NotPermitted
 from phm.model import ActionEvent, Fault, Phase
-from phm.recovery.base import Action, ActionFailed
-from phm.recovery.policy import Act, Advise, Attempt, Decision, GiveUp, History, Leave, Wait, decide, ladder_of
+from phm.recovery.cases import Case, Cases
+from phm.recovery.history import Attempt, History
+from phm.recovery.lives import Life, by_phm
+from phm.recovery.policy import CLEAN_S, Act, Advise, Decision, GiveUp, Leave, Wait, decide, ladder_of
+from phm.recovery.proof import LOOK_AGAIN_S, POLL_S
+from phm.recovery.repair import Repair, Verdict
 from phm.recovery.shop import Shop
-from phm.recovery.state import MAX_TOLD, Case, UnderWay
+from phm.recovery.state import Case as Kept
+from phm.recovery.state import UnderWay
 from phm.settings import ContainerSettings
 
 logger = logging.getLogger(__name__)
 
-POLL_S = 0.05
-LOOK_AGAIN_S = 0.5
 CUT_SHORT_S = 20.0
 """A target whose action was cut short is held this long, beyond the unit's grace, unless it is healed before."""
 PROOF_S = 0.5
-"""A restored fault that has not been judged yet is looked at again this often."""
-PROOF_MARGIN_S = 20.0
-"""Beyond an action's deadline and `verify`, its hold lasts this long: what needs the target may come back last."""
-STILL_BAD_S = 2.0
-"""A run that began this long after the action (beyond the unit's grace) and is still ERROR ends the wait."""
-
-
-@dataclass(slots=True)
-class _Case:
-    """An open fault in the hands of its target's thread. `told` remembers what was said, to say it once."""
-
-    fault: Fault
-    told: set[str] = field(default_factory=set)
-    refused: bool = False
-    approved: bool = False
-    """An operator has said yes; holds for one action, and not over a restart of PHM."""
-    proof_from: float | None = None
-    """Restored: nothing is done before a run that began after this (monotonic seconds) has found the unit in ERROR."""
-    cut_short: bool = False
-    """Restored, with an action under way: the target is held until it is healed or acted on anew."""
+"""A fault that is to be judged afresh is looked at again this often."""
+LIFE_S = 2.0
+"""While attempts on the container count, it is looked at this often to see whether somebody else has started it again."""
 
 
 class NotApprovable(Exception):
@@ -53,13 +40,18 @@ class NotApprovable(Exception):
 
 
 class TargetWorker:
-    """The thread of one container. Invariant: at most one action on the container at any time."""
+    """The thread of one container. Invariant: at most one action on the container at any time.
+
+    `_history` and `_life` are changed by the thread alone; `_eased` with `_lock` held.
+    """
 
     def __init__(self, target: str, container: ContainerSettings | None, shop: Shop, history: History) -> None:
         self._target, self._container, self._shop = target, container, shop
         self._history = history
+        self._life: Life | None = None
         self._under_way: UnderWay | None = None
-        self._cases: dict[str, _Case] = {}
+        self._cases = Cases()
+        self._eased: list[tuple[Collection[str], float]] = []
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._stopping = False
@@ -67,46 +59,42 @@ class TargetWorker:
         self._thread.start()
 
     def opened(self, fault: Fault) -> None:
-        with self._lock:
-            case = self._cases.get(fault.unit)
-            if case is not None and case.fault.id == fault.id:
-                case.fault = fault
-            else:
-                self._cases[fault.unit] = _Case(fault)
+        self._cases.opened(fault)
         self._wake.set()
 
     def closed(self, fault: Fault) -> None:
-        with self._lock:
-            case = self._cases.pop(fault.unit, None)
+        case = self._cases.closed(fault.unit)
         if case is not None and case.cut_short:
-            self._shop.pipeline.release(self._target, worked=True)
+            self._shop.hands.release(self._target, case, worked=True)
         self._wake.set()
 
-    def restored(self, fault: Fault, case: Case, cut: UnderWay | None) -> None:
+    def eased(self, units: Collection[str], down_from: float) -> None:
+        """Something that these units of the target need has come back, after it was down from then on."""
+        with self._lock:
+            self._eased.append((units, down_from))
+        self._wake.set()
+
+    def restored(self, fault: Fault, case: Kept, cut: UnderWay | None) -> None:
         """A fault of an earlier run of PHM: what was said of it is not said again, and it is judged afresh first.
 
         cut: an action for it that PHM's end cut short. What it broke is no fault of its own: the target is held.
         """
         grace_s = self._shop.grace_s(fault.unit)
         proof_from = self._shop.clock.mono() + grace_s
-        told, held = set(case.told), cut is not None
-        with self._lock:
-            self._cases[fault.unit] = _Case(fault, told, case.refused, proof_from=proof_from, cut_short=held)
+        mine = Case(fault, set(case.told), case.refused, proof_from=proof_from, cut_short=cut is not None)
+        self._cases.put(mine)
         if cut is not None:
-            self._shop.pipeline.hold(self._target, fault.unit, cut.attempt.action, grace_s + CUT_SHORT_S)
+            self._shop.lives.unfinished(self._target, CUT_SHORT_S)
+            self._shop.hands.hold(self._target, mine, fault.unit, cut.attempt.action, grace_s + CUT_SHORT_S)
         self._wake.set()
 
-    def kept(self) -> tuple[dict[str, Case], UnderWay | None]:
+    def kept(self) -> tuple[dict[str, Kept], UnderWay | None]:
         """For the state file: the cases by fault id, and the action under way."""
-        with self._lock:
-            cases = list(self._cases.values())
-        said = {case.fault.id: Case(case.refused, tuple(sorted(case.told)[:MAX_TOLD])) for case in cases}
-        return said, self._under_way
+        return self._cases.kept(), self._under_way
 
     def approve(self, fault_id: str) -> str:
         """An operator says yes: what will be done now. Raises NotApprovable."""
-        with self._lock:
-            case = next((case for case in self._cases.values() if case.fault.id == fault_id), None)
+        case = self._cases.find(fault_id)
         if case is None:
             raise NotApprovable(f"{fault_id} is not in the hands of recovery")
         unbound = self._decide(case.fault, approved=False)
@@ -144,26 +132,59 @@ class TargetWorker:
     def _next(self) -> float | None:
         """Do the most upstream thing there is to do; seconds to wait (0: look again now, None: until woken)."""
         # The tracker knows first what is over; its event may still be on its way through the bus.
-        still_open = {fault.id for fault in self._shop.pipeline.open_faults()}
-        with self._lock:
-            self._cases = {unit: case for unit, case in self._cases.items() if case.fault.id in still_open}
-            cases = sorted(self._cases.values(), key=lambda case: case.fault.slot)
-        waits: list[float] = []
+        cases = self._cases.only({fault.id for fault in self._shop.pipeline.open_faults()})
+        waits = [LIFE_S] if self._take_note(cases) else []
         for case in cases:
             if case.refused:
                 continue
             if case.proof_from is not None and not self._shop.pipeline.bad_since(case.fault.unit, case.proof_from):
-                waits.append(PROOF_S)
+                waits.append(self._wait_for_proof(case.fault.unit, case.proof_from))
                 continue
             case.proof_from = None
             decision = self._decide(case.fault, approved=case.approved)
             if isinstance(decision, Act):
-                self._perform(case, decision)
-                return 0
+                return self._perform(case, decision)
             again = self._say(case, decision)
             if again is not None:
                 waits.append(max(POLL_S, again - self._shop.clock.mono()))
         return min(waits, default=None)
+
+    def _wait_for_proof(self, unit: str, proof_from: float) -> float:
+        left_s = proof_from - self._shop.clock.mono()
+        if left_s > 0:
+            return min(left_s, PROOF_S)
+        self._shop.pipeline.look_again(unit)
+        return PROOF_S
+
+    def _take_note(self, cases: list[Case]) -> bool:
+        """What has happened around the container changes what its attempts mean; whether to look again soon."""
+        given_up = [fault.unit for fault in self._shop.pipeline.given_up() if fault.result.target == self._target]
+        with self._lock:
+            eased, self._eased = self._eased, []
+        for units, down_from in eased:
+            wronged = self._history.ease(units, down_from).intersection(given_up)
+            self._shop.pipeline.judge_afresh(*wronged)
+        if not given_up and not self._history.within(self._shop.clock.mono() - CLEAN_S):
+            return False
+        since = self._shop.lives.begun_anew(self._target)
+        if since is not None and (self._history.begin_anew(since) or given_up):
+            self._shop.pipeline.note("PHM", f"{self._target} was started again by somebody else: recovery counts anew")
+            self._shop.pipeline.judge_afresh(*given_up)
+        self._look_at_life(cases)
+        return True
+
+    def _look_at_life(self, cases: list[Case]) -> None:
+        """Others have started the container: the hold of a repair that was cut short ends, and its parts get their grace."""
+        before, self._life = self._life, self._shop.lives.look(self._target)
+        if self._life is None or before is None or self._life.same(before) or self._life.by == by_phm(self._target):
+            return
+        now = self._shop.clock.mono()
+        for case in cases:
+            if case.cut_short:
+                case.cut_short = False
+                self._shop.hands.release(self._target, case, worked=False)
+            if case.proof_from is None:
+                case.proof_from = now + self._shop.grace_s(case.fault.unit)
 
     def _usable(self, fault: Fault) -> frozenset[str] | None:
         """The rungs of the fault's ladder that apply to it. One that is not installed stays, to be told as such."""
@@ -190,7 +211,7 @@ class TargetWorker:
             approved=approved,
         )
 
-    def _say(self, case: _Case, decision: Decision) -> float | None:
+    def _say(self, case: Case, decision: Decision) -> float | None:
         """Tell a decision that is not to act, once; when to look again, or None when only an event helps."""
         if isinstance(decision, Advise):
             self._once(
@@ -209,7 +230,7 @@ class TargetWorker:
             self._shop.pipeline.escalate(case.fault.id)
         return None
 
-    def _once(self, case: _Case, action: str, phase: Phase, detail: str) -> None:
+    def _once(self, case: Case, action: str, phase: Phase, detail: str) -> None:
         said = f"{phase.value} {action}"
         if said not in case.told:
             case.told.add(said)
@@ -217,105 +238,46 @@ class TargetWorker:
 
     # ------------------------------------------------------------ acting
 
-    def _perform(self, case: _Case, act: Act) -> None:
-        fault, shop = case.fault, self._shop
-        action_class = shop.actions.get(act.action)
-        if action_class is None or self._container is None:
-            self._once(
-                case,
-                act.action,
-                Phase.FAILED,
-                f"no installed package provides the action {act.action!r}: correct recovery.ladders",
-            )
+    def _perform(self, case: Case, act: Act) -> float:
+        """Seconds to wait before the next look."""
+        fault, kind = case.fault, self._shop.actions.get(act.action)
+        if kind is None or self._container is None:
+            what = f"no installed package provides the action {act.action!r}: correct recovery.ladders"
+            self._once(case, act.action, Phase.FAILED, what)
             case.refused = True
-            return
-        verify_s = shop.context.settings.recovery.verify
-        began = shop.clock.mono()
+            return 0
+        attempt = Attempt(self._shop.clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
+        repair = Repair(self._shop, self._container, fault, kind, last=not self._has_next_rung(fault, act.action))
+        if not repair.begin():
+            return LOOK_AGAIN_S  # another container's repair restarts this one: decided afresh when that is over
         case.approved = case.cut_short = False
-        attempt = Attempt(began, fault.unit, fault.result.condition, act.action, worked=False)
         self._under_way = UnderWay(fault.id, attempt)
-        at_most_s = action_class.deadline_s + verify_s + PROOF_MARGIN_S
-        shop.pipeline.hold(self._target, fault.unit, act.action, at_most_s, proving=True)
         worked = False
         try:
-            what = f"{act.action} {self._target} for: {fault.result.summary}"
-            self._publish(fault, act.action, Phase.STARTED, what, act.attempt)
-            detail, worked = self._run(case, action_class(), act)
-            if worked:
-                done = shop.clock.mono()
-                self._publish(fault, act.action, Phase.DONE, detail, act.attempt)
-                missing = self._verify(fault, done, verify_s, action_class.proof_s)
-                took = shop.clock.mono() - began
-                # On the last rung nothing more can be done for what has not come back: it is told as faults of its own.
-                worked = not missing or (missing != fault.unit and not self._has_next_rung(fault, act.action))
-                detail = f"{act.action} of {self._target} did not bring {missing} back"
-                if worked:
-                    detail = f"{fault.unit} is OK again {took:.1f} s after the action began"
-            if self._stopping and not worked:
-                return  # cut short by the end of PHM: the state file still says that it was under way
-            self._end(replace(attempt, worked=worked))
-            self._publish(fault, act.action, Phase.VERIFIED if worked else Phase.FAILED, detail, act.attempt)
+            tell = partial(self._publish, fault, act.action, attempt=act.attempt)
+            verdict = repair.run(tell, lambda: self._stopping)
+            if self._stopping and not verdict.worked:
+                return 0  # cut short by the end of PHM: the state file still says that it was under way
+            worked = verdict.worked
+            self._learn(case, verdict)
+            self._end(replace(attempt, worked=worked, excused=verdict.excused))
+            tell(Phase.VERIFIED if worked else Phase.FAILED, verdict.detail)
         finally:
             if self._under_way is not None and not self._stopping:
                 self._end(attempt)
-            shop.pipeline.release(self._target, worked=worked)
+            repair.release(worked=worked)
+        return 0
+
+    def _learn(self, case: Case, verdict: Verdict) -> None:
+        self._life = self._shop.lives.look(self._target)
+        case.refused = verdict.refused
+        if verdict.overtaken:
+            case.proof_from = self._shop.clock.mono() + self._shop.grace_s(case.fault.unit)
 
     def _end(self, attempt: Attempt) -> None:
         """Counted before it is told: whoever kills PHM in between loses no attempt."""
         self._history.add(attempt)
         self._under_way = None
-
-    def _run(self, case: _Case, action: Action, act: Act) -> tuple[str, bool]:
-        """Run the action in a thread of its own, so that a plug-in that hangs costs its deadline and no more."""
-        outcome: list[tuple[str, bool]] = []
-        finished = threading.Event()
-
-        def work() -> None:
-            try:
-                assert self._container is not None
-                outcome.append((action.run(self._container, case.fault, self._shop.context), True))
-            except NotPermitted as error:
-                case.refused = True
-                outcome.append((f"healing not permitted: {error}; PHM only reports this fault", False))
-            except (ActionFailed, CannotTell) as error:
-                outcome.append((str(error), False))
-            except BaseException as error:  # plug-in code
-                logger.exception("action %s crashed", act.action)
-                outcome.append((f"the action crashed: {type(error).__name__}: {error}", False))
-            finally:
-                finished.set()
-
-        threading.Thread(target=work, name=f"phm-act-{act.action}-{self._target}", daemon=True).start()
-        if not self._shop.clock.wait(finished, action.deadline_s):
-            return f"{act.action} has not come back within {action.deadline_s:g} s", False
-        return outcome[0]
-
-    def _verify(self, fault: Fault, done: float, verify_s: float, proof_s: float) -> str:
-        """What has not come back: empty as soon as runs that began after `done` find the unit and all that needs it well.
-
-        The unit itself gets `verify_s`, less when it is surely still bad; what needs it gets its grace. Then the name
-        of the first that is missing.
-        """
-        shop = self._shop
-        late = done + shop.grace_s(fault.unit) + STILL_BAD_S
-        asked = float("-inf")
-        waiting: tuple[str, ...] = (fault.unit,)
-        while not self._stopping:
-            now = shop.clock.mono()
-            if shop.pipeline.well_since(fault.unit, done):
-                waiting = shop.pipeline.suffering(fault.unit, done + proof_s)
-                if not waiting and shop.pipeline.well_since(fault.unit, done + proof_s):
-                    return ""
-                waiting = waiting or (fault.unit,)
-                if now - done > max(shop.grace_s(name) for name in waiting) + STILL_BAD_S + proof_s:
-                    return waiting[0]
-            elif now - done > verify_s or shop.pipeline.bad_since(fault.unit, late):
-                return fault.unit
-            if now - asked >= LOOK_AGAIN_S:
-                asked = now
-                shop.pipeline.look_again(fault.unit, *waiting)
-            shop.clock.wait(threading.Event(), POLL_S)
-        return fault.unit
 
     def _has_next_rung(self, fault: Fault, action: str) -> bool:
         ladder = ladder_of(fault.result.condition, self._shop.context.settings.recovery)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.policy import Act, Advise, Attempt, GiveUp, History, Leave, Wait, decide
+from phm.recovery.history import Attempt, History
+from phm.recovery.policy import Act, Advise, GiveUp, Leave, Wait, decide
 from phm.settings import ContainerSettings, RecoverySettings
 
 APP = ContainerSettings(name="app", recover=True)

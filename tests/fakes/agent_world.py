@@ -27,7 +27,8 @@ from phm import plan, registry
 from phm.config import load
 from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Result, Stamp, Transition
 from phm.plan import Plan
-from phm.recovery.policy import Act, Attempt, History, decide
+from phm.recovery.history import Attempt, History
+from phm.recovery.policy import Act, decide
 from phm.settings import Settings
 from phm.tracker import SURE_S, Step, Tracker
 
@@ -171,8 +172,9 @@ class Sim:
         self.granted: dict[str, float] = {entry.unit.id: 0.0 for entry in self.plan.tracked}
         self.well_from: dict[str, float] = {}
         self.sure: dict[str, float] = {}
+        own = {entry.unit.id for entry in self.plan.tracked if entry.unit.target == TARGET}
+        self.touched = own.union(*(self.tracker.needs.downstream(unit) for unit in own))
         self._graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
-        self._touched = {entry.unit.id for entry in self.plan.tracked if entry.unit.target == TARGET}
         self._checks = [entry.units for entry in self.plan.scheduled]
         self._periods = [entry.period_s for entry in self.plan.scheduled]
         self._of_unit = {unit: index for index, units in enumerate(self._checks) for unit in units}
@@ -283,7 +285,7 @@ class Sim:
         unit, grace_s = event.fault.unit, self._graces[event.fault.unit]
         since = self.granted[unit]
         assert event.fault.result.level is Level.ERROR
-        assert not self.held or unit not in self._touched, f"{unit} told while an action is at work"
+        assert not self.held or unit not in self.touched, f"{unit} told while an action is at work"
         assert since == 0.0 or self.tracker.last_started(unit) >= since, f"{unit} told by old evidence"
         assert self.now - since >= grace_s or self.sure.get(unit, -1.0) >= since, f"{unit} told within its grace"
 
@@ -375,6 +377,5 @@ class Healer:
         self._at_work, sim.held = None, ""
         self.acted.append((began, sim.now, action, fault))
         self.history.add(Attempt(began, fault.unit, fault.result.condition, action, worked))
-        touched = {entry.unit.id for entry in sim.plan.tracked if entry.unit.target == TARGET}
-        sim.grant(touched.union(*(sim.tracker.needs.downstream(unit) for unit in touched)))
+        sim.grant(sim.touched)
         sim.take(sim.tracker.release(TARGET, sim.stamp(), worked=worked))

@@ -12,7 +12,7 @@ import pytest
 
 from phm import testing
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.policy import Attempt
+from phm.recovery.history import Attempt
 from phm.recovery.state import Case, RecoveryState, State, Unbelievable, UnderWay, carry, decode, encode
 from phm.recovery.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
 
@@ -91,7 +91,7 @@ def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
     "change",
     [
         lambda document: [document],
-        spoil("v", 2),
+        spoil("v", 3),
         spoil("v", None),
         spoil("faults", 3),
         spoil("faults", [{}]),

@@ -13,6 +13,9 @@ from phm.settings import ContainerSettings
 FOLLOW_S = 30.0
 """A dependant is held for its stop time-out and this much longer, in case the thread that restarts it dies."""
 
+ALWAYS = "~"
+"""Later than every moment: nothing was started after it."""
+
 
 def present(target: ContainerSettings, context: ActionContext) -> ContainerFact:
     """The engine's view of the target. Raises ActionFailed when there is none."""
@@ -70,23 +73,51 @@ def restart_dependants(target: ContainerSettings, fault: Fault, context: ActionC
     mended = facts.get(target.key)
     if mended is None or not mended.running:
         return f"; {', '.join(order)} not restarted, because {target.key} does not run"
-    return "".join(f"; {_follow(key, fault, facts.get(key), context)}" for key in order)
+    said, since = [], _moment(mended)
+    for key in order:
+        words, moved = _follow(key, fault, since, facts, context)
+        # What depends on a dependant must follow it, however new it is.
+        since = ALWAYS if moved else since
+        said.append(f"; {words}")
+    return "".join(said)
 
 
-def _follow(key: str, fault: Fault, fact: ContainerFact | None, context: ActionContext) -> str:
+def _follow(
+    key: str, fault: Fault, since: str, facts: Mapping[str, ContainerFact], context: ActionContext
+) -> tuple[str, bool]:
+    """In words what came of it, and whether the dependant was restarted."""
     entry = context.settings.container(key)
-    if entry is None or fact is None:
-        return f"{key}, which depends on it, is not there"
+    if entry is None or key not in facts:
+        return f"{key}, which depends on it, is not there", False
     if not entry.recover:
-        return f"{key} depends on it and has not opted in (recover: true): restart it by hand"
-    if critical_now(entry, context.armed()):
-        return f"{key} depends on it, and is flight-critical while armed: restart it by hand when that is safe"
+        return f"{key} depends on it and has not opted in (recover: true): restart it by hand", False
     try:
         with context.holding(key, fault, "restart", context.settings.recovery.stop_timeout + FOLLOW_S):
-            restart_gracefully(fact, context)
+            left_alone = _restart_dependant(entry, since, context)
     except CannotTell as error:
-        return f"{key} depends on it and could not be restarted: {error}"
-    return f"restarted {key}, which depends on it"
+        return f"{key} depends on it and could not be restarted: {error}", False
+    return left_alone or f"restarted {key}, which depends on it", not left_alone
+
+
+def _restart_dependant(entry: ContainerSettings, since: str, context: ActionContext) -> str:
+    """All is asked again: there may have been a wait until the repair of another container had it no longer in hand.
+
+    since: one that was started after this moment is left as it is. Returns why it was left alone; empty: restarted.
+    """
+    key, fact = entry.key, context.container(entry.key)
+    if fact is None:
+        return f"{key}, which depends on it, is not there"
+    if critical_now(entry, context.armed()):
+        return f"{key} depends on it, and is flight-critical while armed: restart it by hand when that is safe"
+    if fact.running and _moment(fact) > since:
+        return f"{key}, which depends on it, was started after it already"
+    restart_gracefully(fact, context)
+    return ""
+
+
+def _moment(fact: ContainerFact) -> str:
+    """StartedAt in an order that text has: the engine leaves out zeros at the end of its fractions."""
+    return fact.started_at.rstrip("Z")
 
 
 def _facts(context: ActionContext) -> dict[str, ContainerFact]:

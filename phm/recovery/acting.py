@@ -1,0 +1,87 @@
+"""Carries out one action: in a thread of its own, within its deadline, on containers that nobody else has in hand."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from phm.facts import CannotTell, NotPermitted
+from phm.model import Fault
+from phm.recovery.base import Action, ActionFailed
+from phm.recovery.hands import InOtherHands
+from phm.recovery.shop import Shop
+from phm.settings import ContainerSettings
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What came of it: a sentence for the log, whether the step was done, and whether PHM was told that it may not."""
+
+    detail: str
+    ok: bool = False
+    refused: bool = False
+
+
+class Acting:
+    """One action on `target` for `fault`. Its owner has the target in hand; dependants are taken as they are needed."""
+
+    def __init__(self, shop: Shop, target: ContainerSettings, fault: Fault, action: Action) -> None:
+        self._shop, self._target, self._fault, self._action = shop, target, fault, action
+        self._given_up = False
+
+    def begin(self) -> bool:
+        """Take the target in hand; False when another container's repair is restarting it."""
+        return self._shop.hands.take(self._target.key, self)
+
+    def run(self) -> Done:
+        """Do it, and let the target go. A plug-in that hangs costs its deadline and no more."""
+        outcome: list[Done] = []
+        finished = threading.Event()
+
+        def work() -> None:
+            try:
+                outcome.append(self._work())
+            finally:
+                finished.set()
+
+        name = f"phm-act-{self._action.name}-{self._target.key}"
+        threading.Thread(target=work, name=name, daemon=True).start()
+        try:
+            if self._shop.clock.wait(finished, self._action.deadline_s):
+                return outcome[0]
+            return Done(f"{self._action.name} has not come back within {self._action.deadline_s:g} s")
+        finally:
+            self._given_up = True
+            self._shop.hands.let_go(self._target.key, self)
+
+    def _work(self) -> Done:
+        context = replace(self._shop.context, holding=self._holding)
+        try:
+            with self._shop.lives.acting(self._target.key, self._target.key):
+                return Done(self._action.run(self._target, self._fault, context), ok=True)
+        except NotPermitted as error:
+            return Done(f"healing not permitted: {error}; PHM only reports this fault", refused=True)
+        except (ActionFailed, CannotTell) as error:
+            return Done(str(error))
+        except BaseException as error:  # plug-in code, which may also exit: its thread is ours, and the attempt failed
+            logger.exception("action %s crashed", self._action.name)
+            return Done(f"the action crashed: {type(error).__name__}: {error}")
+
+    @contextlib.contextmanager
+    def _holding(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
+        """A dependant is in this repair's hand, raises no fault of its own meanwhile, and its new life is PHM's doing."""
+        hands = self._shop.hands
+        with hands.on(key, self, at_most_s):
+            if self._given_up:
+                raise InOtherHands(f"{action} of {self._target.key} was given up meanwhile")
+            hands.hold(key, self, fault.unit, action, at_most_s)
+            try:
+                with self._shop.lives.acting(key, self._target.key):
+                    yield
+            finally:
+                hands.release(key, self, worked=True)

@@ -1,0 +1,68 @@
+"""The open faults of one container, as its thread has them in hand."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+from phm.model import Fault
+from phm.recovery.state import MAX_TOLD
+from phm.recovery.state import Case as Kept
+
+
+@dataclass(slots=True)
+class Case:
+    """One open fault. `told` remembers what was said, to say it once."""
+
+    fault: Fault
+    told: set[str] = field(default_factory=set)
+    refused: bool = False
+    approved: bool = False
+    """An operator has said yes; holds for one action, and not over a restart of PHM."""
+    proof_from: float | None = None
+    """Restored, or the container was started again by others: nothing is done before a run that began after this
+    (monotonic seconds) has found the unit in ERROR."""
+    cut_short: bool = False
+    """Restored, with an action under way: the target is held until it is healed or acted on anew."""
+
+
+class Cases:
+    """By unit. Thread-safe; what stands in a case is the thread's own."""
+
+    def __init__(self) -> None:
+        self._of: dict[str, Case] = {}
+        self._lock = threading.Lock()
+
+    def opened(self, fault: Fault) -> None:
+        """A new fault, or new words for one that is in hand."""
+        with self._lock:
+            case = self._of.get(fault.unit)
+            if case is not None and case.fault.id == fault.id:
+                case.fault = fault
+            else:
+                self._of[fault.unit] = Case(fault)
+
+    def put(self, case: Case) -> None:
+        with self._lock:
+            self._of[case.fault.unit] = case
+
+    def closed(self, unit: str) -> Case | None:
+        with self._lock:
+            return self._of.pop(unit, None)
+
+    def only(self, faults: Collection[str]) -> list[Case]:
+        """Forget all but these, by fault id; what is left, most upstream first."""
+        with self._lock:
+            self._of = {unit: case for unit, case in self._of.items() if case.fault.id in faults}
+            return sorted(self._of.values(), key=lambda case: case.fault.slot)
+
+    def find(self, fault_id: str) -> Case | None:
+        with self._lock:
+            return next((case for case in self._of.values() if case.fault.id == fault_id), None)
+
+    def kept(self) -> dict[str, Kept]:
+        """For the state file, by fault id."""
+        with self._lock:
+            cases = list(self._of.values())
+        return {case.fault.id: Kept(case.refused, tuple(sorted(case.told)[:MAX_TOLD])) for case in cases}

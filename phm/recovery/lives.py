@@ -1,0 +1,156 @@
+"""Which life of its container is at hand, and who began it: PHM, the engine's restart policy, or somebody else.
+
+A container that somebody else has recreated or started again is not what PHM has tried on: attempts count anew
+(`phm.recovery.history`), and what was given up may be acted on again. What counts as somebody's doing is decided so that a
+container that ends again and again does not make PHM begin anew for ever:
+
+- A **new id** counts at once; nobody but a person or a tool makes one, and PHM never does. Unless the container that it
+  replaces had not been there for `recovery.verify` itself: whoever recreates at that pace is a crash loop, too.
+- **Started again**, with the same id: when this life has lasted for `recovery.verify` and the container still runs.
+- **By the engine's own restart policy** (its counter is above 0; a start by hand sets it to 0): never. It has done what
+  PHM's restart would have done, and nothing was mended. It is watched: after it, units get their grace.
+- **By PHM**, for this container's sake or another's: never.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from phm.clock import Clock
+from phm.facts import CannotTell, ContainerFact
+
+FOUND, ENGINE, OTHERS, RECREATED, COUNTED = "found", "engine", "others", "recreated", "counted"
+"""Who began a life: it was there when first looked at; the restart policy; others; others, who made a new container; and
+others whose doing has been taken into account. PHM itself stands as `phm:` and the container for whose sake it acted."""
+SETTLED_S = 0.5
+"""A change seen up to this long after an action of PHM began with it: what the probe says may be 0.2 s old."""
+
+
+def by_phm(whose: str) -> str:
+    """`Life.by` of a life that PHM began for the sake of container `whose`."""
+    return f"phm:{whose}"
+
+
+@dataclass(frozen=True, slots=True)
+class Life:
+    """One life of a container, from one start to the next; `id` and `started` are the engine's and name it.
+
+    since: when it was first seen in place of another (monotonic seconds), None when it was there at the first look.
+    made:  the same for the container, which may live several times.
+    by:    who began it, in the words above.
+    """
+
+    id: str
+    started: str
+    since: float | None = None
+    made: float | None = None
+    by: str = FOUND
+
+    @property
+    def whose(self) -> str:
+        """The container for whose sake PHM began this life; empty when others did."""
+        name = self.by.removeprefix("phm:")
+        return name if name != self.by else ""
+
+    def same(self, other: Life | None) -> bool:
+        return other is not None and (self.id, self.started) == (other.id, other.started)
+
+
+def follow(old: Life | None, fact: ContainerFact, now: float, lasting_s: float, phm_for: str = "") -> Life:
+    """The life that `fact` shows, after `old`. `phm_for`: the container for whose sake PHM is acting on this one."""
+    if old is None:
+        return Life(fact.id, fact.started_at)
+    if (old.id, old.started) == (fact.id, fact.started_at):
+        return old
+    if old.id != fact.id:
+        replaced_s = float("inf") if old.made is None else now - old.made
+        return Life(fact.id, fact.started_at, now, now, RECREATED if replaced_s >= lasting_s else OTHERS)
+    by = by_phm(phm_for) if phm_for else ENGINE if fact.restart_count else OTHERS
+    return Life(fact.id, fact.started_at, now, old.made, by)
+
+
+def counts_anew(life: Life, fact: ContainerFact, now: float, lasting_s: float) -> bool:
+    """Whether attempts made before this life say nothing about it."""
+    if life.since is None or life.by == RECREATED:
+        return life.by == RECREATED
+    return life.by == OTHERS and fact.running and now - life.since >= lasting_s
+
+
+@dataclass(slots=True)
+class _Actor:
+    """PHM is acting on a container for the sake of `who`; `ended` (monotonic seconds) until a look has shown the outcome."""
+
+    who: str
+    ended: float | None = None
+
+
+class Lives:
+    """The newest known life of each container. Thread-safe.
+
+    Invariant: a container's entries are changed with its own lock held, from the question to the engine until the answer
+    is in, so that an old answer never comes after a newer one. The engine's client bounds how long that takes.
+    """
+
+    def __init__(self, look: Callable[[str], ContainerFact | None], clock: Clock, lasting_s: float) -> None:
+        self._ask, self._clock, self._lasting_s = look, clock, lasting_s
+        self._lives: dict[str, Life] = {}
+        self._actors: dict[str, _Actor] = {}
+        self._locks: dict[str, threading.Lock] = {}
+
+    def restore(self, known: Mapping[str, Life]) -> None:
+        """What an earlier run of PHM knew; before any look."""
+        self._lives.update(known)
+
+    def kept(self) -> dict[str, Life]:
+        return dict(self._lives)
+
+    def look(self, key: str) -> Life | None:
+        """The life at hand; the last known one when nobody can tell."""
+        with self._lock(key):
+            self._see(key)
+            return self._lives.get(key)
+
+    def begun_anew(self, key: str) -> float | None:
+        """When a life began that makes attempts count anew (monotonic seconds); said once for each such life."""
+        with self._lock(key):
+            fact, life = self._see(key), self._lives.get(key)
+            if life is None or fact is None or not counts_anew(life, fact, self._clock.mono(), self._lasting_s):
+                return None
+            self._lives[key] = replace(life, by=COUNTED)
+            return life.since
+
+    @contextlib.contextmanager
+    def acting(self, key: str, who: str) -> Iterator[None]:
+        """While it is entered, and until the outcome was seen, a new life of `key` is PHM's doing, for the sake of `who`."""
+        actor = _Actor(who)
+        with self._lock(key):
+            self._see(key)  # what others did until now is theirs
+            self._actors[key] = actor
+        try:
+            yield
+        finally:
+            actor.ended = self._clock.mono()
+
+    def unfinished(self, key: str, at_most_s: float) -> None:
+        """An action on `key` was cut short when PHM ended; the engine may still finish it."""
+        self._actors[key] = _Actor(key, self._clock.mono() + at_most_s)
+
+    def _lock(self, key: str) -> threading.Lock:
+        return self._locks.setdefault(key, threading.Lock())
+
+    def _see(self, key: str) -> ContainerFact | None:
+        began, actor = self._clock.mono(), self._actors.get(key)
+        try:
+            fact = self._ask(key)
+        except CannotTell:
+            return None  # the last known life stands
+        if fact is None:
+            return None
+        phm_for = actor.who if actor is not None else ""
+        self._lives[key] = follow(self._lives.get(key), fact, self._clock.mono(), self._lasting_s, phm_for)
+        if actor is not None and actor.ended is not None and began - actor.ended >= SETTLED_S:
+            del self._actors[key]
+        return fact

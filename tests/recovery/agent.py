@@ -1,0 +1,177 @@
+"""Recovery as a whole on a fake clock: containers that the test moves, units that it breaks, actions that it writes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+from phm import testing
+from phm.api import Layer, Slot, Unit, error, ok
+from phm.bus import Bus
+from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Note, Phase
+from phm.needs import Needs
+from phm.pipeline import Pipeline
+from phm.plan import Plan
+from phm.recovery.base import Action, ActionContext
+from phm.recovery.executor import Executor
+from phm.recovery.memory import Memory
+from phm.recovery.shop import Shop
+from phm.settings import ContainerSettings, Settings
+from phm.tracker import Tracked, Tracker
+
+STEP_S = 0.1
+LIMIT_S = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Of:
+    """A unit of a container, and what it needs."""
+
+    target: str
+    needs: tuple[str, ...] = ()
+    grace_s: float = 0.0
+    settle_s: float = 0.0
+
+
+class Containers:
+    """What the engine would say; it outlives PHM."""
+
+    def __init__(self, *keys: str) -> None:
+        self.facts = {key: testing.container(key) for key in keys}
+        self._starts = 0
+
+    def start(self, key: str, *, by_policy: bool = False) -> None:
+        """A new life: by hand or by PHM (the counter of the restart policy is 0 again), or by that policy."""
+        self._starts += 1
+        count = self.facts[key].restart_count + 1 if by_policy else 0
+        changed = {"status": "running", "started_at": f"start {self._starts}", "restart_count": count}
+        self.facts[key] = replace(self.facts[key], **changed)  # type: ignore[arg-type]
+
+    def recreate(self, key: str) -> None:
+        self.start(key)
+        self.facts[key] = replace(self.facts[key], id=f"{key} of start {self._starts}")
+
+    def end(self, key: str) -> None:
+        self.facts[key] = replace(self.facts[key], status="exited")
+
+
+class Agent:
+    """One life of PHM. `bad` maps units to the condition that their checks find; all others are well.
+
+    `behave` is what an action does to the container `key`; it starts it as `restart` does unless told otherwise.
+    """
+
+    def __init__(
+        self, units: Mapping[str, Of], containers: Containers, clock: testing.FakeClock, *,
+        folder: Path | None = None, opted_in: tuple[str, ...] = ("app",), **recovery: Any,
+    ) -> None:  # fmt: skip
+        self.clock, self.containers = clock, containers
+        self.events: list[Event] = []
+        self.bad: dict[str, str] = {}
+        self.runs: list[tuple[str, str]] = []
+        self.armed = False
+        self.behave: Callable[[str, ActionContext, Fault], object] = lambda key, context, fault: containers.start(key)
+        entries = [ContainerSettings(name=key, recover=key in opted_in) for key in containers.facts]
+        base: dict[str, Any] = {"containers": entries, "recovery": {"ladders": {"broken": ["restart"]}, **recovery}}
+        self.settings = Settings.model_validate({**base, **({"state_dir": str(folder)} if folder else {})})
+        tracked = tuple(
+            Tracked(
+                Unit(name, of.needs, target=of.target, grace_s=of.grace_s, settle_s=of.settle_s),
+                name, Slot.CONTAINER, Layer.DOCKER, 1, of.needs,
+            )
+            for name, of in units.items()
+        )  # fmt: skip
+        self.units = tuple(units)
+        self.bus = Bus(clock)
+        self.pipeline = Pipeline(Tracker(tracked, clock.stamp()), self.bus, clock)
+        self.memory = Memory(self.settings, self.pipeline, self.bus, clock) if folder else None
+        if self.memory is not None:
+            self.memory.restore()
+        self.bus.subscribe("test", self.events.append)
+        context = ActionContext(
+            cast(Any, None), self.settings, containers.facts.get, lambda: None, lambda a, b: None,
+            armed=lambda: self.armed,
+        )  # fmt: skip
+        plan = Plan((), tracked, Needs({entry.unit.id: entry.needs for entry in tracked}))
+        graces = {name: of.grace_s for name, of in units.items()}
+        shop = Shop(
+            self.pipeline, self.bus.publish, clock, {"restart": self._action()}, context, lambda: self.armed,
+            lambda unit: graces[unit], plan.below,
+        )  # fmt: skip
+        self.executor = Executor(shop)
+        if self.memory is not None:
+            self.memory.resume(self.executor)
+        self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
+
+    def _action(self) -> type[Action]:
+        agent = self
+
+        class Restart(Action):
+            name = "restart"
+            deadline_s = 100.0
+
+            def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+                agent.runs.append((target.key, fault.unit))
+                agent.behave(target.key, context, fault)
+                return "restarted"
+
+        return Restart
+
+    # ------------------------------------------------------------ time
+
+    def look(self) -> None:
+        for unit in self.units:
+            condition = self.bad.get(unit)
+            target = unit.partition("/")[2]
+            found = error(condition, brief=condition, condition=condition, target=target) if condition else ok("well")
+            self.pipeline.observe({unit: found}, self.clock.mono(), 0.0)
+
+    def step(self) -> None:
+        self.clock.advance(STEP_S)
+        self.look()
+        self.pipeline.tick()
+        self._settle()
+
+    def _settle(self) -> None:
+        """Wait until everybody has done what there is to do now: the bus's threads and recovery's sleep again."""
+        threads = len(self.bus._subscriptions) + len(self.executor._workers)
+        self.clock.wait_for_sleepers(threads)
+
+    def until(self, condition: Callable[[], object], what: str = "it") -> None:
+        """Let fake time run until something is seen."""
+        end = time.monotonic() + LIMIT_S
+        while not condition():
+            assert time.monotonic() < end, f"{what} did not happen; seen: {self.events}"
+            self.step()
+
+    def rest(self, seconds: float) -> None:
+        """So much fake time passes."""
+        for _ in range(round(seconds / STEP_S)):
+            self.step()
+
+    def stop(self) -> None:
+        """PHM ends, and what it knows is on the disk."""
+        if self.memory is not None:
+            self.memory.close()
+        self.executor.stop()
+        self.bus.close()
+
+    # ------------------------------------------------------------ what was seen
+
+    def of(self, kind: type) -> list[Any]:
+        return [event for event in self.events if isinstance(event, kind)]
+
+    def opened(self) -> list[str]:
+        return [event.fault.unit for event in self.of(FaultOpened)]
+
+    def closed(self) -> list[FaultClosed]:
+        return self.of(FaultClosed)
+
+    def steps(self, target: str = "app") -> list[Phase]:
+        return [event.phase for event in self.of(ActionEvent) if event.target == target]
+
+    def notes(self) -> list[str]:
+        return [event.text for event in self.of(Note)]

@@ -1,0 +1,138 @@
+"""Never two repairs on one container, whoever waits for whom."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
+import pytest
+
+from phm import testing
+from phm.recovery.hands import Hands, InOtherHands
+
+LIMIT_S = 10.0
+
+
+class Told:
+    """What the tracker is told, in order."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, ...]] = []
+
+    def hold(self, key: str, unit: str, action: str, at_most_s: float, *, proving: bool) -> None:
+        self.calls.append(("hold", key, unit))
+
+    def release(self, key: str, *, worked: bool) -> None:
+        self.calls.append(("release", key))
+
+
+@pytest.fixture
+def clock() -> Iterator[testing.FakeClock]:
+    made = testing.FakeClock()
+    yield made
+    made.advance(1000)
+
+
+@pytest.fixture
+def told() -> Told:
+    return Told()
+
+
+@pytest.fixture
+def hands(told: Told, clock: testing.FakeClock) -> Hands:
+    return Hands(cast(Any, told), clock)
+
+
+class Repair:
+    """A thread that wants one more container and, when it has it, keeps it until `go`."""
+
+    def __init__(self, hands: Hands, wanted: str, owner: object) -> None:
+        self.outcome, self.go, self.inside = "", threading.Event(), threading.Event()
+        self._hands, self._wanted, self._owner = hands, wanted, owner
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        try:
+            with self._hands.on(self._wanted, self._owner, LIMIT_S):
+                self.inside.set()
+                self.go.wait(LIMIT_S)
+            self.outcome = "done"
+        except InOtherHands as error:
+            self.outcome = str(error)
+
+
+def until(condition: Callable[[], object], clock: testing.FakeClock) -> None:
+    end = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        clock.advance(0.05)
+        time.sleep(0.001)
+
+
+def test_a_container_is_in_one_hand_at_a_time(hands: Hands) -> None:
+    """Only who has it lets it go."""
+    one, two = object(), object()
+    assert hands.take("a", one)
+    assert not hands.take("a", two)
+    hands.let_go("a", two)
+    assert not hands.take("a", two)
+    hands.let_go("a", one)
+    assert hands.take("a", two)
+
+
+def test_whoever_needs_a_dependant_waits_for_it(hands: Hands, clock: testing.FakeClock) -> None:
+    """Two repairs, one dependant: one after the other."""
+    first = Repair(hands, "side", object())
+    assert first.inside.wait(LIMIT_S)
+    second = Repair(hands, "side", object())
+    clock.wait_for_sleepers(1)
+    clock.advance(1.0)
+    clock.wait_for_sleepers(1)
+    assert not second.inside.is_set()
+    first.go.set()
+    until(second.inside.is_set, clock)
+    second.go.set()
+    until(lambda: second.outcome, clock)
+    assert (first.outcome, second.outcome) == ("done", "done")
+
+
+def test_a_wait_has_an_end(hands: Hands, clock: testing.FakeClock) -> None:
+    """A repair that hangs with the dependant in hand costs others their time and no more."""
+    assert hands.take("side", object())
+    repair = Repair(hands, "side", object())
+    until(lambda: repair.outcome, clock)
+    assert repair.outcome == "another repair had side in hand for 10 s"
+
+
+@pytest.mark.parametrize("links", [2, 3])
+def test_repairs_that_wait_for_each_other_do_not_wait_for_ever(
+    hands: Hands, clock: testing.FakeClock, links: int
+) -> None:
+    """Whoever closes the circle is refused at once; when it lets go, the others go on."""
+    owners = [object() for _ in range(links)]
+    for number, owner in enumerate(owners):
+        assert hands.take(f"c{number}", owner)
+    waiting = [Repair(hands, f"c{number + 1}", owner) for number, owner in enumerate(owners[:-1])]
+    clock.wait_for_sleepers(links - 1)
+    with pytest.raises(InOtherHands, match="waits for this one"), hands.on("c0", owners[-1], LIMIT_S):
+        pytest.fail("somebody has what is in another's hand")
+    for number in range(links - 1, 0, -1):
+        hands.let_go(f"c{number}", owners[number])
+        until(waiting[number - 1].inside.is_set, clock)
+        waiting[number - 1].go.set()
+        until(lambda repair=waiting[number - 1]: repair.outcome, clock)  # type: ignore[misc]
+    assert [repair.outcome for repair in waiting] == ["done"] * (links - 1)
+
+
+def test_a_hold_is_ended_by_who_began_it_last(hands: Hands, told: Told) -> None:
+    """A repair that proves itself while its container is restarted for another's sake does not end the other's hold."""
+    own, other = object(), object()
+    hands.hold("side", own, "health/side", "restart", 60.0, proving=True)
+    hands.hold("side", other, "container/app", "restart", 60.0)
+    hands.release("side", own, worked=True)
+    assert told.calls == [("hold", "side", "health/side"), ("hold", "side", "container/app")]
+    hands.release("side", other, worked=True)
+    hands.release("side", other, worked=True)
+    assert told.calls[2:] == [("release", "side")]

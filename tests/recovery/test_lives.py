@@ -1,0 +1,198 @@
+"""Which life of a container is at hand, who began it, and whether attempts count anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from phm import testing
+from phm.facts import CannotTell, ContainerFact
+from phm.recovery.lives import COUNTED, ENGINE, FOUND, OTHERS, RECREATED, Life, Lives, by_phm, counts_anew, follow
+
+LASTING_S = 30.0
+FIRST = testing.container("app", id="one", started_at="t1")
+
+
+class Watch:
+    """Lives of `app` on a fake clock; `fact` is what the engine would say."""
+
+    def __init__(self, fact: ContainerFact | None = FIRST) -> None:
+        self.clock, self.fact, self.silent = testing.FakeClock(), fact, False
+        self.lives = Lives(self._look, self.clock, LASTING_S)
+
+    def _look(self, key: str) -> ContainerFact | None:
+        if self.silent:
+            raise CannotTell("the engine is busy")
+        return self.fact
+
+    def change(self, **fields: object) -> None:
+        assert self.fact is not None
+        self.fact = replace(self.fact, **fields)  # type: ignore[arg-type]
+
+    @property
+    def by(self) -> str:
+        life = self.lives.look("app")
+        return life.by if life is not None else ""
+
+    def anew(self, after_s: float = 0.0) -> bool:
+        self.clock.advance(after_s)
+        return self.lives.begun_anew("app") is not None
+
+
+def test_the_life_at_the_first_look_is_nobodys_doing() -> None:
+    """However long it lasts, nothing has happened."""
+    watch = Watch()
+    assert watch.by == FOUND
+    assert not watch.anew(after_s=1000)
+
+
+def test_a_new_container_counts_at_once_and_once() -> None:
+    """`docker compose up` after a change: what was tried on the old one says nothing about the new one."""
+    watch = Watch()
+    watch.anew()
+    watch.clock.advance(5)
+    watch.change(id="two", started_at="t2")
+    now = watch.clock.mono()
+    assert watch.lives.begun_anew("app") == now
+    assert not watch.anew()
+    assert not watch.anew(after_s=LASTING_S)
+    assert watch.by == COUNTED
+
+
+def test_a_container_that_is_made_anew_again_and_again_is_a_loop() -> None:
+    """A supervisor that runs a fresh container after each crash counts once, until one stays."""
+    watch = Watch()
+    watch.anew()
+    counted = []
+    for number in range(20):
+        watch.change(id=f"id{number}", started_at=f"s{number}")
+        counted += [watch.anew(after_s=1.0) for _ in range(10)]
+    assert sum(counted) == 1
+    assert sum(watch.anew(after_s=1.0) for _ in range(60)) == 1
+
+
+def test_started_again_by_hand_counts_when_it_lasts() -> None:
+    """The same container: nothing need have been mended, so it must have shown that it runs."""
+    watch = Watch()
+    watch.anew()
+    watch.change(started_at="t2")
+    begun = watch.clock.mono()
+    assert not watch.anew()
+    assert not watch.anew(after_s=LASTING_S - 1)
+    watch.clock.advance(1)
+    assert watch.lives.begun_anew("app") == begun
+    assert not watch.anew(after_s=LASTING_S)
+
+
+def test_a_short_life_never_counts_however_long_ago_it_began() -> None:
+    """A container that has ended keeps the stamp of its last start."""
+    watch = Watch()
+    watch.anew()
+    watch.change(started_at="t2")
+    watch.anew()
+    watch.change(status="exited")
+    assert not watch.anew(after_s=10 * LASTING_S)
+
+
+def test_the_engines_restart_policy_never_counts() -> None:
+    """A crash loop with lives of a minute must not make PHM restart it for ever."""
+    watch = Watch()
+    watch.anew()
+    for number in range(1, 20):
+        watch.change(started_at=f"p{number}", restart_count=number)
+        assert watch.by == ENGINE
+        assert not watch.anew(after_s=60.0)
+    watch.change(started_at="by hand", restart_count=0)
+    assert watch.by == OTHERS
+    assert watch.anew(after_s=LASTING_S)
+
+
+def test_phms_own_doing_never_counts() -> None:
+    """Seen while it acts or after; a later life is again somebody else's."""
+    watch = Watch()
+    watch.anew()
+    with watch.lives.acting("app", "app"):
+        watch.change(started_at="t2")
+    assert watch.by == by_phm("app")
+    assert not watch.anew(after_s=LASTING_S)
+    watch.change(started_at="t3")
+    assert watch.by == OTHERS
+
+
+def test_what_the_probe_remembers_is_not_taken_for_the_outcome() -> None:
+    """Right after the action the old life is still shown for a moment: the new one is PHM's all the same."""
+    watch = Watch()
+    watch.anew()
+    with watch.lives.acting("app", "owner"):
+        pass
+    assert watch.by == FOUND
+    watch.clock.advance(0.3)
+    watch.change(started_at="t2")
+    life = watch.lives.look("app")
+    assert life is not None
+    assert life.whose == "owner"
+
+
+def test_what_happened_before_phm_acted_is_not_phms_doing() -> None:
+    """Started by an operator a moment before: seen at the latest when PHM begins."""
+    watch = Watch()
+    watch.anew()
+    watch.change(started_at="t2")
+    with watch.lives.acting("app", "app"):
+        assert watch.by == OTHERS
+
+
+def test_phm_makes_no_containers() -> None:
+    """A new id is somebody else's also while PHM acts."""
+    watch = Watch()
+    watch.anew()
+    with watch.lives.acting("app", "app"):
+        watch.change(id="two", started_at="t2")
+        assert watch.by == RECREATED
+
+
+def test_an_action_that_phms_end_cut_short_may_still_be_finished_by_the_engine() -> None:
+    """A restart goes on without PHM: what comes of it in time is PHM's, what comes later is not."""
+    watch = Watch()
+    watch.anew()
+    watch.lives.unfinished("app", 20.0)
+    watch.clock.advance(5.0)
+    watch.change(started_at="t2")
+    assert watch.by == by_phm("app")
+    watch.clock.advance(20.0)
+    assert watch.by == by_phm("app")
+    watch.change(started_at="t3")
+    assert watch.by == OTHERS
+
+
+@pytest.mark.parametrize("what", ["silent", "missing"])
+def test_nobody_can_tell_and_what_was_known_stands(what: str) -> None:
+    """An engine that does not answer, a container that is not there: no new life."""
+    watch = Watch()
+    watch.anew()
+    known = watch.lives.look("app")
+    watch.silent, watch.fact = what == "silent", None if what == "missing" else watch.fact
+    assert watch.lives.look("app") == known
+    assert not watch.anew(after_s=LASTING_S)
+
+
+def test_over_a_restart_of_phm_a_life_goes_on() -> None:
+    """What was seen before counts; a container made anew meanwhile is noticed at the first look."""
+    first = Watch()
+    first.anew()
+    first.change(started_at="t2")
+    first.anew()
+    second = Watch(first.fact)
+    second.lives.restore(first.lives.kept())
+    assert second.anew(after_s=LASTING_S)
+    third = Watch(replace(FIRST, id="two"))
+    third.lives.restore(second.lives.kept())
+    assert third.anew()
+
+
+def test_the_record_does_not_change_while_the_life_goes_on() -> None:
+    """It is written to the disk whenever it does."""
+    life = follow(None, FIRST, 5.0, LASTING_S)
+    assert follow(life, replace(FIRST, status="paused"), 50.0, LASTING_S) is life
+    assert not counts_anew(Life("one", "t1", None, None, OTHERS), FIRST, 1e9, LASTING_S)

@@ -1,0 +1,196 @@
+"""Somebody else has started or recreated the container: counts begin anew, holds end, the budget remains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm import testing
+from phm.model import ActionEvent, Phase
+from tests.recovery.agent import Agent, Containers, Of
+
+UNITS = {"health/app": Of("app", grace_s=2.0)}
+RULES: dict[str, Any] = {"same_failure": 2, "verify": 5.0, "backoff": 0.1, "budget": 50}
+
+
+class Yard:
+    """Lives of PHM around one container, on one clock and with one folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.clock, self.containers = folder, testing.FakeClock(), Containers("app")
+        self.agents: list[Agent] = []
+
+    def phm(self, **recovery: Any) -> Agent:
+        agent = Agent(UNITS, self.containers, self.clock, folder=self.folder, **{**RULES, **recovery})
+        self.agents.append(agent)
+        return agent
+
+    def given_up(self, **recovery: Any) -> Agent:
+        """PHM has tried `same_failure` times and told that it stops."""
+        agent = self.phm(**recovery)
+        agent.rest(3.0)
+        agent.bad["health/app"] = "broken"
+        agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
+        return agent
+
+
+@pytest.fixture
+def yard(tmp_path: Path) -> Iterator[Yard]:
+    made = Yard(tmp_path)
+    yield made
+    for agent in made.agents:
+        agent.stop()
+    made.clock.advance(1000)
+
+
+def test_what_was_given_up_is_acted_on_again_when_the_container_was_recreated(yard: Yard) -> None:
+    """Told once for each container: the operator who makes a new one wants to know whether that helped."""
+    agent = yard.given_up()
+    agent.rest(20.0)
+    assert (len(agent.runs), agent.opened()) == (2, ["health/app"])
+    yard.containers.recreate("app")
+    agent.until(lambda: len(agent.runs) == 4, "two more attempts")
+    agent.until(lambda: agent.steps().count(Phase.ESCALATED) == 2, "giving up again")
+    agent.rest(20.0)
+    assert (len(agent.runs), agent.opened()) == (4, ["health/app"] * 2)
+    assert any("started again by somebody else" in note for note in agent.notes())
+
+
+def test_after_a_start_by_hand_it_is_acted_on_again_once_the_container_has_stayed(yard: Yard) -> None:
+    """Not before it has run for `recovery.verify`."""
+    agent = yard.given_up()
+    agent.rest(1.0)
+    yard.containers.start("app")
+    agent.rest(4.0)
+    assert len(agent.runs) == 2
+    agent.until(lambda: len(agent.runs) == 3, "another attempt")
+
+
+Loop = Callable[[Containers], None]
+
+
+def by_policy(containers: Containers) -> None:
+    containers.start("app", by_policy=True)
+
+
+def by_a_supervisor(containers: Containers) -> None:
+    containers.start("app")
+
+
+def with_a_new_container(containers: Containers) -> None:
+    containers.recreate("app")
+
+
+@pytest.mark.parametrize(
+    ("loop", "life_s", "more"),
+    [(by_policy, 1.0, 0), (by_policy, 8.0, 0), (by_a_supervisor, 1.0, 0), (with_a_new_container, 1.0, 2)],
+)
+def test_a_crash_loop_does_not_begin_anew_for_ever(yard: Yard, loop: Loop, life_s: float, more: int) -> None:
+    """Docker's restart policy never counts, a supervisor's loop does not while lives are short; a new id counts once."""
+    agent = yard.given_up()
+    before = len(agent.runs)
+    for _ in range(round(60.0 / life_s)):
+        loop(yard.containers)
+        agent.rest(life_s - 0.5)
+        yard.containers.end("app")
+        agent.rest(0.5)
+    assert len(agent.runs) == before + more
+
+
+def test_the_budget_counts_what_was_tried_on_earlier_lives(yard: Yard) -> None:
+    """However often somebody recreates it: no more actions within the window than allowed."""
+    agent = yard.given_up(budget=3)
+    yard.containers.recreate("app")
+    agent.until(lambda: Phase.REFUSED in agent.steps(), "the end of the budget")
+    for _ in range(3):
+        agent.rest(10.0)
+        yard.containers.recreate("app")
+    agent.rest(20.0)
+    assert len(agent.runs) == 3
+
+
+def test_back_off_ends_with_the_life_that_it_was_for(yard: Yard) -> None:
+    """An open fault waits a minute for its next attempt; on a new container it is looked at afresh, after its grace."""
+    agent = yard.phm(backoff=60.0, backoff_max=60.0)
+    agent.rest(3.0)
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: Phase.FAILED in agent.steps(), "an attempt that fails")
+    agent.rest(3.0)
+    assert len(agent.runs) == 1
+    recreated = yard.clock.mono()
+    yard.containers.recreate("app")
+    agent.until(lambda: len(agent.runs) == 2, "another attempt")
+    assert 2.0 <= yard.clock.mono() - recreated < 30.0
+    assert agent.opened() == ["health/app"]
+
+
+def test_a_life_that_others_began_ends_the_proof(yard: Yard) -> None:
+    """An operator restarts the container while PHM waits: that attempt is over, and the container gets its grace."""
+    agent = yard.phm(verify=60.0)
+    agent.rest(3.0)
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: Phase.DONE in agent.steps(), "the action")
+    agent.rest(1.5)
+    yard.containers.start("app")
+    restarted = yard.clock.mono()
+    agent.until(lambda: Phase.FAILED in agent.steps(), "the end of the proof")
+    told = [event.detail for event in agent.of(ActionEvent) if event.phase is Phase.FAILED]
+    assert told == ["app was started again by somebody else before restart was proven"]
+    agent.until(lambda: len(agent.runs) == 2, "another attempt")
+    assert yard.clock.mono() - restarted >= 2.0
+
+
+def test_docker_restarting_it_does_not_end_the_proof(yard: Yard) -> None:
+    """It came up at the second try, by its restart policy: that is help as well."""
+    agent = yard.phm(verify=60.0)
+    agent.rest(3.0)
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: Phase.DONE in agent.steps(), "the action")
+    agent.rest(1.5)
+    yard.containers.start("app", by_policy=True)
+    agent.bad.clear()
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the proof")
+    assert Phase.FAILED not in agent.steps()
+
+
+def test_phms_own_restart_is_no_new_life(yard: Yard) -> None:
+    """Else every attempt would excuse the one before."""
+    agent = yard.given_up(verify=1.0)
+    agent.rest(60.0)
+    assert len(agent.runs) == 2
+
+
+def test_it_survives_phm_whether_the_container_is_recreated_before_or_after(yard: Yard) -> None:
+    """The life on which PHM gave up is kept on the disk."""
+    yard.given_up().stop()
+    second = yard.phm()
+    second.bad["health/app"] = "broken"
+    second.rest(10.0)
+    assert second.runs == []
+    second.stop()
+    yard.containers.recreate("app")
+    third = yard.phm()
+    third.bad["health/app"] = "broken"
+    third.until(lambda: len(third.runs) == 2, "two more attempts")
+    third.until(lambda: Phase.ESCALATED in third.steps(), "giving up again")
+    third.stop()
+    fourth = yard.phm()
+    fourth.bad["health/app"] = "broken"
+    fourth.rest(10.0)
+    assert fourth.runs == []
+
+
+def test_a_start_by_hand_counts_over_a_restart_of_phm(yard: Yard) -> None:
+    """The time for which the container has stayed goes on."""
+    first = yard.given_up(verify=30.0)
+    yard.containers.start("app")
+    first.rest(5.0)
+    first.stop()
+    second = yard.phm(verify=30.0)
+    second.bad["health/app"] = "broken"
+    second.rest(20.0)
+    assert second.runs == []
+    second.until(lambda: second.runs, "another attempt")
