@@ -60,6 +60,7 @@ from phm.settings import (
     NodeSettings,
     Settings,
     TopicSettings,
+    WatchedDiagnosticSettings,
 )
 
 __all__ = [
@@ -98,6 +99,7 @@ __all__ = [
     "TopicSettings",
     "Unit",
     "Value",
+    "WatchedDiagnosticSettings",
     "World",
     "bypass",
     "error",

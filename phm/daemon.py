@@ -163,7 +163,7 @@ class Daemon:
     def _start_reporters(self) -> None:
         context = ReporterContext(
             self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink,
-            restored=self.pipeline.open_faults(),
+            restored=self.pipeline.open_faults(), ros=self.parts.ros,
         )  # fmt: skip
         for found in registry.find(registry.REPORTERS, Reporter):
             if found.loaded is None:

@@ -170,12 +170,15 @@ def topic_nodes_exist(root: View) -> None:
 
 
 def diagnostics_are_known(root: View) -> None:
-    """Each watched pattern stands once, and its container and node are configured."""
+    """Each watched pattern stands once, its container and node are configured, and something is listened to."""
     known = {container_key(container): container for container in root.get("containers").records()}
     known.pop("", None)
     nodes = {bare(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
     watched = list(root.get("ros", "diagnostics", "watch").records())
     no_twins("status", ((entry.get("name").text, entry.get("name")) for entry in watched))
+    listen = root.get("ros", "diagnostics", "listen")
+    if watched and listen.given and not listen.value:
+        listen.complain("is empty, but 'watch' needs something to hear: leave it out, or name a topic")
     for entry in watched:
         container, node = entry.get("container"), entry.get("node")
         if container.text:

@@ -7,13 +7,14 @@ thread of its own, so a slow sink delays nobody; what does not fit is dropped, o
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 from phm.clock import Clock
 from phm.facts import LinkFact
 from phm.model import Event, Fault, UnitState
+from phm.ros_facts import DiagnosticFact
 from phm.settings import Settings
 
 
@@ -27,6 +28,13 @@ class MavlinkPort(Protocol):
 
     def listen(self, callback: Callable[[Any, str], None], ids: Iterable[int]) -> None:
         """Have `callback` called with each received message of these ids and its endpoint's name; it must not wait."""
+
+
+class DiagnosticsPort(Protocol):
+    """The way to /diagnostics (`phm.probes.ros.process.RosProcess`)."""
+
+    def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
+        """Have these published, by name; never blocks. Returns how many times in a row that did not succeed."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,7 @@ class ReporterContext:
     health: Callable[[], dict[str, Any]]
     mavlink: MavlinkPort | None = None
     restored: tuple[Fault, ...] = ()
+    ros: DiagnosticsPort | None = None
 
 
 class Reporter(ABC):

@@ -45,6 +45,8 @@ _WELL = {
     Slot.RATES: ("topics", "have their rate"),
     Slot.HOST: ("host limits", "are kept"),
 }
+# For checks that share a slot with another.
+_WELL_CHECKS = {"diagnostics": ("watched diagnostics", "say OK")}
 _REMEMBERED = 64
 
 
@@ -199,7 +201,8 @@ def _check_lines(at: Stamp, states: Sequence[UnitState], faults: Mapping[str, Fa
 
 def _folded(well: Sequence[UnitState], of_all: int) -> str:
     first = well[0]
-    what, how = _WELL.get(first.slot, (f"units of {first.check}", "are well"))
+    words = _WELL_CHECKS.get(first.check) or _WELL.get(first.slot)
+    what, how = words or (f"units of {first.check}", "are well")
     count = f"All {of_all}" if len(well) == of_all else f"{len(well)} of {of_all}"
     return f"{count} {what} {how}: {', '.join(map(_named, well))}"
 

@@ -52,6 +52,10 @@ BROKEN = [
         "ros.diagnostics.watch[1].name", ("'x'", "line 4"),
     ),
     Broken(
+        "diagnostics not listened to", "ros: {diagnostics: {listen: [], watch: [{name: x}]}}\n", 1,
+        "ros.diagnostics.listen", ("is empty", "'watch'"),
+    ),
+    Broken(
         "diagnostics too impatient", "ros: {diagnostics: {watch: [{name: x, timeout: 0.1}]}}\n", 1,
         "ros.diagnostics.watch[0].timeout", ("0.5",),
     ),

@@ -83,6 +83,13 @@ def test_checks_of_others_are_folded_too() -> None:
     assert TextLines().of(Report(at(), 1, at(), units))[1].endswith("(13) All 2 units of battery are well: 1, 2")
 
 
+def test_watched_diagnostics_are_not_called_nodes() -> None:
+    """Checks that share a slot have words of their own."""
+    units = tuple(unit(f"diagnostics/camera: {name}", Slot.NODES) for name in ("Frequency", "Frames"))
+    line = TextLines().of(Report(at(), 1, at(), units))[1]
+    assert line.endswith("(6) All 2 watched diagnostics say OK: camera: Frequency, camera: Frames")
+
+
 def test_what_had_nothing_to_judge_does_not_count_as_unwell() -> None:
     """A BYPASS has its own line, and the others are still all of them."""
     units = (*(unit(f"host/{name}", Slot.HOST) for name in ("cpu", "disk")), unit("host/heat", Slot.HOST, bypass=True))

@@ -1,0 +1,211 @@
+"""Slot 6: what the nodes say of themselves on /diagnostics, for each configured name or pattern."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from phm import api
+from phm.api import Layer, Level, Slot
+from phm_checks._words import brief, clean, did_you_mean, last, listed, span
+
+OLD_PICTURE_S = 5.0
+"""What the ROS child said longer ago than this proves nothing."""
+SETTLE_S = 1.5
+"""Statuses come once a second by convention: one that the next message corrects is not told."""
+LIFE_S = 10.0
+"""How often the engine is asked, while all is well, whether the container was started anew."""
+VALUES = 8
+"""Key-values of the worst status that are kept in the result; its message has what matters."""
+
+_LEVELS = {0: Level.OK, 1: Level.WARN, 2: Level.ERROR}
+_STALE_IS = {"error": Level.ERROR, "warn": Level.WARN, "stale": Level.STALE}
+_RANK = {Level.ERROR: 0, Level.WARN: 1, Level.STALE: 2, Level.OK: 3}
+
+
+@dataclass(frozen=True)
+class Watched:
+    """One entry of `ros.diagnostics.watch`."""
+
+    entry: api.WatchedDiagnosticSettings
+    container: str
+    node: str
+
+    @property
+    def unit(self) -> str:
+        return f"diagnostics/{api.topic_id(self.entry.name)}"
+
+    @property
+    def pattern(self) -> re.Pattern[str]:
+        """Only `*` and `?` are special: `motor[0]: temperature` means itself."""
+        parts = {"*": ".*", "?": "."}
+        return re.compile("".join(parts.get(char, re.escape(char)) for char in self.entry.name), re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One status and what is to be thought of it. words: what is wrong, as `says ERROR: no image`."""
+
+    name: str
+    fact: api.DiagnosticFact
+    level: Level
+    condition: str = ""
+    words: str = ""
+    short: str = ""
+
+
+class Diagnostics(api.Check):
+    """All watched statuses, one unit each; the worst of those that match a unit counts."""
+
+    name, slot, layer = "diagnostics", Slot.NODES, Layer.ROS
+    period_s = 1.0
+
+    def __init__(self, watched: Sequence[Watched], grace_s: float) -> None:
+        self._watched = tuple(watched)
+        self._patterns = {item.unit: item.pattern for item in watched}
+        self._grace_s = grace_s
+        self._lives: dict[str, str] = {}
+        self._began_s: dict[str, float] = {}
+        self._asked_s: dict[str, float] = {}
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        watched = []
+        for entry in settings.ros.diagnostics.watch:
+            node = f"/{api.topic_id(entry.node)}" if entry.node else _publisher(entry.name, settings)
+            container = entry.container or settings.container_of_node(node)
+            watched.append(Watched(entry, container, node))
+        return [cls(watched, settings.ros.grace)] if watched else []
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        return [self._as_unit(item) for item in self._watched]
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        keys = {item.container for item in self._watched if item.container}
+        return frozenset({"ros", *(f"container:{key}" for key in keys)})
+
+    def run(self, world: api.World) -> Mapping[str, api.Result]:
+        """A result for each unit; STALE for all when the ROS child says nothing."""
+        try:
+            fact = world.ros.look()
+        except api.CannotTell as reason:
+            return {item.unit: api.stale(str(reason)) for item in self._watched}
+        if fact.age_s > OLD_PICTURE_S:
+            words = f"the ROS child has said nothing for {span(fact.age_s)}, too long to judge by"
+            return {item.unit: api.stale(words) for item in self._watched}
+        return {item.unit: self._judge(world, item, fact) for item in self._watched}
+
+    def _as_unit(self, item: Watched) -> api.Unit:
+        needs = (f"container/{item.container}", f"network/{item.container}") if item.container else ()
+        if item.node:
+            needs = (*needs, f"nodes/{api.topic_id(item.node)}")
+        return api.Unit(
+            item.unit, needs=needs, target=item.container, settle_s=SETTLE_S, grace_s=self._grace_s,
+            memory_s=item.entry.timeout,
+        )  # fmt: skip
+
+    def _judge(self, world: api.World, item: Watched, fact: api.RosFact) -> api.Result:
+        matching = {name: said for name, said in fact.diagnostics.items() if self._patterns[item.unit].fullmatch(name)}
+        judged = [_judged(name, said, item.entry) for name, said in sorted(matching.items())]
+        well = bool(judged) and all(one.level is Level.OK for one in judged)
+        began_s = self._container_began(world, item.container, well)
+        # A status that was last heard before the container was started anew need not come again.
+        judged = [one for one in judged if one.fact.age_s <= world.clock.mono() - began_s]
+        if not judged:
+            up_s = min(fact.up_s, world.clock.mono() - began_s)
+            return self._unheard(item, fact, up_s)
+        worst = min(judged, key=lambda one: _RANK[one.level])
+        if worst.level is Level.OK:
+            return api.ok(_well(judged), heard=len(judged))
+        return _bad(worst, judged, item.container)
+
+    def _unheard(self, item: Watched, fact: api.RosFact, up_s: float) -> api.Result:
+        entry = item.entry
+        if up_s < max(self._grace_s, entry.timeout):
+            return api.stale(
+                f"no status {clean(entry.name, 80)} has been heard yet; PHM has listened for {span(up_s)} only"
+            )
+        where = f" of {item.node}" if item.node else ""
+        words = (
+            f"no status {clean(entry.name, 80)} was heard on /diagnostics, expected from its node{where} every "
+            f"{span(entry.timeout)} at least: check that it runs and that the name is right."
+            f"{did_you_mean(entry.name, fact.diagnostics)}"
+        )
+        level = _STALE_IS[entry.when_stale]
+        short = brief(entry.name, "not heard")
+        return api.Result(level, words, short, "diagnostic_stale", item.container, {"heard": 0})
+
+    def _container_began(self, world: api.World, container: str, well: bool) -> float:
+        """When the present life of the container was first seen, on the monotonic clock; -inf: it is the only one seen."""
+        now = world.clock.mono()
+        if not container or (well and now - self._asked_s.get(container, float("-inf")) < LIFE_S):
+            return self._began_s.get(container, float("-inf"))
+        self._asked_s[container] = now
+        try:
+            fact = world.docker.container(container)
+        except api.CannotTell:
+            fact = None
+        if fact is not None and fact.life != self._lives.get(container):
+            if container in self._lives:
+                self._began_s[container] = now
+            self._lives[container] = fact.life
+        return self._began_s.get(container, float("-inf"))
+
+
+def _publisher(name: str, settings: api.Settings) -> str:
+    """The configured node that diagnostic_updater would put before the colon of this name; empty when not exactly one."""
+    before, colon, _ = name.partition(":")
+    if not colon:
+        return ""
+    nodes = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes]
+    found = [node for node in nodes if node.lstrip("/") == before.lstrip("/")] or [
+        n for n in nodes if last(n) == before
+    ]
+    return found[0] if len(found) == 1 else ""
+
+
+def _judged(name: str, said: api.DiagnosticFact, entry: api.WatchedDiagnosticSettings) -> Judged:
+    if said.age_s > entry.timeout:
+        words = f"has not been heard for {span(said.age_s)}, expected every {span(entry.timeout)} at least"
+        return Judged(name, said, _STALE_IS[entry.when_stale], "diagnostic_stale", words, "silent")
+    message = clean(said.message) or "no message"
+    if said.level == 3:
+        return Judged(name, said, _STALE_IS[entry.when_stale], "diagnostic_stale", f"says STALE: {message}", "stale")
+    level = _LEVELS.get(said.level, Level.ERROR)
+    if level is Level.OK:
+        return Judged(name, said, level)
+    # As diagnostic_aggregator: a level that does not exist is an error.
+    told = level.name if said.level in _LEVELS else f"the unknown level {said.level}"
+    return Judged(name, said, level, f"diagnostic_{level.name.lower()}", f"says {told}: {message}", level.name)
+
+
+def _well(judged: Sequence[Judged]) -> str:
+    if len(judged) == 1:
+        return f"{clean(judged[0].name, 80)} says OK: {clean(judged[0].fact.message) or 'no message'}"
+    return f"{len(judged)} statuses say OK: {listed(one.name for one in judged)}"
+
+
+def _bad(worst: Judged, judged: Sequence[Judged], container: str) -> api.Result:
+    hardware = f" (hardware id {clean(worst.fact.hardware_id, 60)})" if worst.fact.hardware_id else ""
+    others = [one.name for one in judged if one.level is not Level.OK and one is not worst]
+    more = f" Not OK either: {listed(others)}." if others else ""
+    theirs = {clean(key, 60): clean(value, 120) for key, value in list(worst.fact.values.items())[:VALUES]}
+    values: dict[str, api.Value] = {
+        **theirs,
+        "status": clean(worst.name, 120),
+        "hardware_id": clean(worst.fact.hardware_id, 120),
+        "age_s": round(worst.fact.age_s, 1),
+        "heard": len(judged),
+        "not_ok": len(others) + 1,
+    }
+    return api.Result(
+        worst.level,
+        f"{clean(worst.name, 120)} {worst.words}{hardware}; expected OK: see that node's log.{more}",
+        brief(worst.name, worst.short),
+        worst.condition,
+        container,
+        values,
+    )

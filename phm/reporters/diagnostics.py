@@ -1,0 +1,149 @@
+"""PHM's own state as ROS diagnostics: one status for each unit and one for the whole, every second and on each change.
+
+The daemon has no ROS: what is to be published goes through a pipe to the ROS child. A dead man's switch as the MAVLink
+heartbeat: when the engine stalls nothing is published, and whoever listens sees it grow stale.
+`docs/ros.md` states names, hardware id and key-values as a contract.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from phm import __version__
+from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Transition, UnitState, worst_by_slot
+from phm.reporters.base import DiagnosticsPort, Reporter, ReporterContext
+from phm.ros_facts import DiagnosticFact
+from phm.wire import status_word
+from phm.wire.report import array_text, iso, status_array, values_json
+from phm.wire.text import one_line
+
+ALONG_S = 0.1
+"""Changes within this time of the last array wait for the next tick, so that a burst costs one array."""
+MAX_MESSAGE = 255
+MAX_VALUE = 120
+MAX_VALUES = 12
+"""Measured values of one unit that are published; the log has all of them."""
+MAX_UNITS = 500
+_OPEN_FAULTS = 256
+_NOT_TAKEN = 5
+_RANK = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
+
+
+class Diagnostics(Reporter):
+    """/diagnostics, by way of the ROS child."""
+
+    name = "diagnostics"
+    period_s = 1.0
+    kinds = (Transition, FaultOpened, FaultClosed, ActionEvent)
+
+    def __init__(self, context: ReporterContext, port: DiagnosticsPort) -> None:
+        self._context = context
+        self._port = port
+        self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
+        self._actions: dict[str, str] = {}
+        self._sent_at = float("-inf")
+        self._not_taken = 0
+
+    @classmethod
+    def build(cls, context: ReporterContext) -> Diagnostics | None:
+        if context.ros is None or not context.settings.ros.publishes:
+            return None
+        return cls(context, context.ros)
+
+    def handle(self, event: Event) -> None:
+        if isinstance(event, FaultOpened):
+            self._open[event.fault.id] = event.fault
+            if len(self._open) > _OPEN_FAULTS:
+                self._forget(next(iter(self._open)))
+        elif isinstance(event, FaultClosed):
+            self._forget(event.fault.id)
+        elif isinstance(event, ActionEvent) and event.fault in self._open:
+            self._actions[event.fault] = f"{event.action} {event.phase.value}"
+        if self._context.clock.mono() - self._sent_at >= ALONG_S:
+            self.tick()
+
+    def tick(self) -> None:
+        if self._context.alive():
+            self._send(self._statuses(self._context.states()))
+
+    def close(self) -> None:
+        """The last array: nothing is known any more, said now and not when listeners lose patience."""
+        last = self._statuses(self._context.states())
+        gone = DiagnosticFact(0.0, int(Level.STALE), "PHM has ended", self._context.settings.agent.name)
+        self._send(dict.fromkeys(last, gone))
+
+    def problem(self) -> str:
+        if self._not_taken < _NOT_TAKEN:
+            return ""
+        return f"/diagnostics is not published: the ROS child has not taken the last {self._not_taken} arrays"
+
+    def _send(self, statuses: dict[str, DiagnosticFact]) -> None:
+        self._sent_at = self._context.clock.mono()
+        self._not_taken = self._port.publish(statuses)
+
+    def _forget(self, fault: str) -> None:
+        self._open.pop(fault, None)
+        self._actions.pop(fault, None)
+
+    def _statuses(self, states: Sequence[UnitState]) -> dict[str, DiagnosticFact]:
+        prefix = f"phm/{self._context.settings.agent.name}"
+        statuses = {f"{prefix}: summary": self._summary(states)}
+        statuses |= {f"{prefix}/{state.layer.value}: {state.unit}": self._unit(state) for state in states[:MAX_UNITS]}
+        return statuses
+
+    def _unit(self, state: UnitState) -> DiagnosticFact:
+        result = state.result
+        known: dict[str, Any] = {
+            "unit": state.unit,
+            "check": state.check,
+            "slot": int(state.slot),
+            "since": iso(state.since.utc),
+            "condition": result.condition,
+            "blocked_by": state.blocked_by,
+            "fault": state.fault,
+            "action": self._actions.get(state.fault, ""),
+            "target": result.target,
+        }
+        measured = list(values_json(result.values).items())[:MAX_VALUES]
+        values = {**dict(measured), **known}
+        ordered = {key: _text(values[key]) for key in (*known, *(key for key, _ in measured if key not in known))}
+        return DiagnosticFact(0.0, int(state.level), self._cut(result.summary), self._hardware, ordered)
+
+    def _summary(self, states: Sequence[UnitState]) -> DiagnosticFact:
+        level = max((state.level for state in states), key=_RANK.__getitem__, default=Level.STALE)
+        count = {kind: sum(1 for state in states if state.level is kind) for kind in Level}
+        values = {
+            "agent_id": self._context.settings.agent.id,
+            "version": __version__,
+            "boot_id": self._context.boot_id,
+            "status_array": array_text(status_array(states)),
+            "status_word": f"0x{status_word.encode(worst_by_slot(tuple(states))):08X}",
+            "open_faults": len(self._open),
+            **{kind.name.lower(): number for kind, number in count.items()},
+        }
+        message = self._open_words() or f"{count[Level.OK]} of {len(states)} units are OK"
+        texts = {key: _text(value) for key, value in values.items()}
+        return DiagnosticFact(0.0, int(level), self._cut(message), self._hardware, texts)
+
+    def _open_words(self) -> str:
+        words = [fault.result.brief or fault.unit for fault in self._open.values()]
+        return f"{len(words)} open fault{'s' if len(words) > 1 else ''}: {', '.join(words)}" if words else ""
+
+    @property
+    def _hardware(self) -> str:
+        return self._context.settings.agent.name
+
+    @staticmethod
+    def _cut(text: str) -> str:
+        line = one_line(text)
+        return line if len(line) <= MAX_MESSAGE else f"{line[: MAX_MESSAGE - 3]}..."
+
+
+def _text(value: Any) -> str:
+    """Numbers as JSON would write them, so that a plot can read them; truth as `true` and `false`."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return one_line(str(value))[:MAX_VALUE]
