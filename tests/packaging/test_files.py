@@ -51,15 +51,25 @@ def test_a_lock_is_nothing_but_pinned_packages_with_hashes(lock: Path) -> None:
     assert pins(lock)
 
 
-def test_the_locks_agree() -> None:
-    """What one lock pins, no other pins otherwise, so any two can be installed together."""
+@pytest.mark.parametrize("other", ["jazzy", "kilted"])
+def test_the_locks_agree(other: str) -> None:
+    """What one lock pins, no other pins otherwise, so any two can be installed together; ROS is of one distribution."""
+    apart = {"jazzy": {"ros", "app-jazzy"}, "kilted": {"kilted", "app-kilted"}}[other]
     versions: dict[tuple[str, str], str] = {}
     for lock in LOCKS:
-        for name, version, marker in pins(lock):
+        for name, version, marker in pins(lock) if lock.stem not in apart else ():
             assert versions.setdefault((name, marker), version) == version, (lock.name, name)
+
+
+def test_the_locks_build_on_each_other() -> None:
+    """Who installs the larger one needs none of the smaller; the application's has one package, which PHM's have not."""
     names = {lock.stem: {name for name, _, _ in pins(lock)} for lock in LOCKS}
     assert names["runtime"] < names["ros"]
     assert names["runtime"] < names["test"] < names["dev"]
+    assert names["test"] < names["kilted"]
+    for distribution, own in (("jazzy", "ros"), ("kilted", "kilted")):
+        assert names[f"app-{distribution}"] == {"ros-sensor-msgs"}
+        assert not names[f"app-{distribution}"] & names[own]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
