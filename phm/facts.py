@@ -122,6 +122,21 @@ class ContainerFact:
 
 
 @dataclass(frozen=True, slots=True)
+class ProcessFact:
+    """One process of a container, as the host's `ps` tells it. Zombies are left out: they have ended."""
+
+    pid: int
+    """Number on the host, not that inside the container."""
+    parent: int = 0
+    state: str = ""
+    """One letter: R on a processor or waiting for one, S asleep, D in the kernel, T stopped; empty when not told."""
+    cpu_s: float | None = None
+    """Processor time used so far, in whole seconds; None when not told."""
+    command: str = ""
+    """Program and arguments, with a space between, at most 4096 characters."""
+
+
+@dataclass(frozen=True, slots=True)
 class FileFact:
     """One path, as `lstat` sees it after following links. `sha256` is empty unless it was asked for."""
 
@@ -144,6 +159,13 @@ class DockerProbe(Protocol):
         """The container configured as `name` (its alias), or None when there is none.
 
         Raises CannotTell when the engine does not answer, or when a label names several containers.
+        """
+
+    def processes(self, name: str) -> tuple[ProcessFact, ...]:
+        """The processes of the running container configured as `name`.
+
+        The engine starts a `ps` for each question, so ask when there is a reason. Raises CannotTell when the container
+        does not run, or the engine cannot tell within a second.
         """
 
     def myself(self) -> ContainerFact | None:

@@ -34,6 +34,7 @@ from phm.facts import (
     HostProbe,
     LinkFact,
     LinkProbe,
+    ProcessFact,
     RosFact,
     RosProbe,
     SelfFact,
@@ -161,7 +162,10 @@ def container(name: str = "ros_app", **fields: Any) -> ContainerFact:
 
 
 class FakeDocker(_Fake):
-    """Containers by name, networks (name -> id), addresses that do not answer, and PHM's own container."""
+    """Containers by name, networks (name -> id), addresses that do not answer, and PHM's own container.
+
+    `lists` holds the processes of each container, by its name; without an entry the engine cannot tell them.
+    """
 
     def __init__(
         self,
@@ -176,6 +180,9 @@ class FakeDocker(_Fake):
         self.me = me
         self.version = version
         self.silent: set[str] = set()
+        self.lists: dict[str, tuple[ProcessFact, ...]] = {}
+        self.listings = 0
+        """How often a list of processes was asked for."""
         self.problems: dict[str, Exception] = {}
         """Exceptions raised by questions about one container, by its name."""
 
@@ -198,6 +205,13 @@ class FakeDocker(_Fake):
         if name in self.problems:
             raise self.problems[name]
         return self.containers.get(name)
+
+    def processes(self, name: str) -> tuple[ProcessFact, ...]:
+        self.listings += 1
+        fact = self.container(name)
+        if fact is None or not fact.running or name not in self.lists:
+            raise CannotTell(f"no processes of {name} can be told")
+        return self.lists[name]
 
     def myself(self) -> ContainerFact | None:
         self._asked()

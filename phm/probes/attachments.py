@@ -5,7 +5,7 @@ Once a container is disconnected, the engine forgets its aliases and its fixed a
 
 from __future__ import annotations
 
-from phm.facts import Attachment, ContainerFact, DockerProbe
+from phm.facts import Attachment, ContainerFact, DockerProbe, ProcessFact
 
 
 class RememberingDocker:
@@ -27,6 +27,9 @@ class RememberingDocker:
             for attachment in fact.networks:
                 self._seen[name, attachment.name] = attachment
         return fact
+
+    def processes(self, name: str) -> tuple[ProcessFact, ...]:
+        return self._inner.processes(name)
 
     def myself(self) -> ContainerFact | None:
         return self._inner.myself()

@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from phm.clock import Clock
-from phm.facts import CannotTell, ContainerFact
+from phm.facts import CannotTell, ContainerFact, ProcessFact
 from phm.probes import reach
 from phm.probes.docker_facts import Budget, container_fact, find
+from phm.probes.docker_processes import Processes
 from phm.settings import Settings
 from phm.transport.docker import Engine, EngineMissing
 
@@ -43,6 +44,7 @@ class Docker:
         self._entries = {key: _Entry() for key in (_MYSELF, *(entry.key for entry in settings.containers))}
         self._generation = 0
         self._my_id = ""
+        self._processes = Processes(engine)
 
     def engine(self) -> str:
         return str(self._engine.version().get("Version") or "unknown version")
@@ -52,6 +54,12 @@ class Docker:
         if wanted is None:
             raise CannotTell(f"no container {name} is configured")
         return self._shared(name, lambda budget: find(self._engine, wanted, budget))
+
+    def processes(self, name: str) -> tuple[ProcessFact, ...]:
+        fact = self.container(name)
+        if fact is None or not fact.running:
+            raise CannotTell(f"{name} does not run, so it has no processes")
+        return self._processes.look(fact.id)
 
     def myself(self) -> ContainerFact | None:
         return self._shared(_MYSELF, self._find_myself)

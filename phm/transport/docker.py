@@ -109,9 +109,15 @@ class Engine:
             self.call(lambda client: client.inspect_network(ref), deadline_s=deadline_s, what=f"inspect network {ref}")
         )
 
-    def top(self, container: str) -> Answer:
-        """The processes of a running container: Titles and Processes, as `ps -ef` prints them."""
-        return _mapping(self.call(lambda client: client.top(container), what=f"list processes of {container}"))
+    def top(self, container: str, ps_args: str = "-ef", *, deadline_s: float | None = None) -> Answer:
+        """The processes of a running container: Titles and Processes, as the host's `ps` prints them."""
+        return _mapping(
+            self.call(
+                lambda client: client.top(container, ps_args=ps_args),
+                deadline_s=deadline_s,
+                what=f"list processes of {container}",
+            )
+        )
 
     def stat_path(self, container: str, path: str, *, deadline_s: float | None = None) -> Answer:
         """`name`, `size`, `mode` (Go's FileMode), `mtime` and `linkTarget` of a path in a container.

@@ -1,0 +1,136 @@
+"""The process list of a container: reading the engine's table, other kinds of `ps`, and the real thing."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.facts import CannotTell, ProcessFact
+from phm.probes.docker import Docker
+from phm.probes.docker_processes import FORMS, Processes, processes
+from phm.testing import settings
+from phm.transport.docker import Engine, EngineBroken
+from tests.fakes.engine import FakeEngine, Hang, Status, container
+
+TITLES = ["PID", "PPID", "STAT", "TIME", "COMMAND"]
+Until = Callable[[Callable[[], object], str], None]
+
+
+def probe(engine: Engine, name: str) -> Docker:
+    return Docker(engine, settings(containers=[{"name": name}]), SystemClock())
+
+
+def test_a_row_is_a_process() -> None:
+    """Numbers, the state's first letter, whole seconds of processor time, and the command as it is."""
+    rows = [["7", "1", "Sl+", "12", "python -m sitl.node --name node_1"], ["8", "7", "R", "0", "sh"]]
+    assert processes({"Titles": TITLES, "Processes": rows}) == (
+        ProcessFact(7, 1, "S", 12.0, "python -m sitl.node --name node_1"),
+        ProcessFact(8, 7, "R", 0.0, "sh"),
+    )
+
+
+def test_a_zombie_has_ended() -> None:
+    """A child that nobody has reaped is no process any more."""
+    rows = [["7", "1", "Z", "0", "[python3] <defunct>"], ["8", "1", "S", "0", "sh"]]
+    assert [fact.pid for fact in processes({"Titles": TITLES, "Processes": rows})] == [8]
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [{}, {"Titles": None}, {"Titles": ["USER", "COMMAND"], "Processes": [["a", "b"]]}],
+)
+def test_a_table_without_numbers_cannot_be_told(answer: dict[str, Any]) -> None:
+    """An engine that answers something else is no proof that nothing runs."""
+    with pytest.raises(CannotTell):
+        processes(answer)
+
+
+@pytest.mark.parametrize("rows", [None, [None], [["x", "1", "S", "0", "sh"]], [["1", "sh"]], [[]]])
+def test_rows_that_make_no_sense_are_left_out(rows: Any) -> None:
+    """A torn row is not a process, and breaks nothing."""
+    assert processes({"Titles": TITLES, "Processes": rows}) == ()
+
+
+def test_what_ps_does_not_tell_is_unknown() -> None:
+    """The engine's default table has no state, and BusyBox no processor time."""
+    (fact,) = processes({"Titles": ["UID", "PID", "PPID", "CMD"], "Processes": [["root", "7", "1", "sh -c x"]]})
+    assert fact == ProcessFact(7, 1, "", None, "sh -c x")
+
+
+class OtherPs:
+    """An engine on a host whose `ps` knows only some forms."""
+
+    def __init__(self, *known: str) -> None:
+        self.known, self.asked = known, list[str]()
+
+    def top(self, container: str, ps_args: str, *, deadline_s: float) -> dict[str, Any]:
+        self.asked.append(ps_args)
+        if ps_args not in self.known:
+            raise EngineBroken("ps: bad -o argument 'times'")
+        return {"Titles": ["PID", "PPID", "STAT", "COMMAND"], "Processes": [["7", "1", "S", "sh"]]}
+
+
+def test_a_host_with_another_ps_is_asked_in_its_own_form() -> None:
+    """BusyBox refuses the first form; from then on it is asked in the second alone."""
+    engine = OtherPs(FORMS[1])
+    asking = Processes(engine)  # type: ignore[arg-type]
+    assert asking.look("app") == asking.look("app") == (ProcessFact(7, 1, "S", None, "sh"),)
+    assert engine.asked == [*FORMS, FORMS[1]]
+
+
+def test_a_host_without_ps_cannot_tell() -> None:
+    """Each question is an answer of its own: a `ps` may be installed tomorrow."""
+    asking = Processes(OtherPs())  # type: ignore[arg-type]
+    for _ in range(2):
+        with pytest.raises(CannotTell):
+            asking.look("app")
+
+
+def test_a_container_that_does_not_run_has_no_list(fake: FakeEngine, ask: Engine) -> None:
+    """Stopped, or not there: cannot tell, which is no death of a node."""
+    fake.containers["app"] = container("app", status="exited")
+    for name in ("app", "other"):
+        with pytest.raises(CannotTell, match="does not run"):
+            probe(ask, name).processes(name)
+
+
+@pytest.mark.parametrize("fault", [Hang(route="/top"), Status(403, route="/top"), Status(500, route="/top")])
+def test_an_engine_that_does_not_list_cannot_tell(fake: FakeEngine, ask: Engine, fault: Any) -> None:
+    """Hanging, not permitted, broken: a sentence within the deadline."""
+    fake.containers["app"] = container("app")
+    fake.fault = fault
+    with pytest.raises(CannotTell):
+        probe(ask, "app").processes("app")
+
+
+@pytest.mark.engine
+def test_real_processes_with_their_state(real: Any, engine: Engine, until: Until) -> None:
+    """Asleep, busy, stopped, gone: each shows in the list of a real container, with long arguments in full."""
+    long = "x" * 1000
+    made = real.container(f"sleep 601 & bash -c 'while :; do :; done' busy {long} & exec sleep 602")
+    docker = probe(engine, made.name)
+
+    def find(word: str) -> ProcessFact | None:
+        found = (fact for fact in docker.processes(made.name) if word in fact.command.split())
+        # The container's init names all of its arguments, too.
+        return next((fact for fact in found if "docker-init" not in fact.command), None)
+
+    def state(word: str) -> str:
+        fact = find(word)
+        return fact.state if fact is not None else "gone"
+
+    until(lambda: state("601") == "S" and state("busy") == "R", "both children")
+    busy = find("busy")
+    assert busy is not None
+    assert busy.command.endswith(long)
+    parent = find("602")
+    assert parent is not None
+    assert busy.parent == parent.pid
+    until(lambda: (getattr(find("busy"), "cpu_s", None) or 0) >= 1, "its processor time to advance")
+    for number, letter in ((signal.SIGSTOP, "T"), (signal.SIGCONT, "R"), (signal.SIGKILL, "gone")):
+        made.exec_run(["pkill", f"-{number.value}", "-f", "^bash"])
+        until(lambda letter=letter: state("busy") == letter, f"state {letter}")  # type: ignore[misc]
