@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
@@ -124,6 +126,55 @@ def test_attempts_on_the_fault_itself_count_however_well_it_was_before() -> None
     """Three attempts that did not help are three, also on what had never broken before."""
     history = attempts(1001.0, 1003.0, 1006.0)
     assert isinstance(say(history, fault=fault(well_s=3600.0), now=1020.0), GiveUp)
+
+
+def marked(history: History, **marks: bool) -> History:
+    return History([replace(attempt, **marks) for attempt in history.attempts])
+
+
+def test_excused_attempts_are_no_failures_and_cost_no_rung() -> None:
+    """Made while a dependency was down or on an earlier life: the ladder begins anew, back-off does not."""
+    history = marked(attempts(900.0, 910.0, 998.0, condition="disconnected"), excused=True)
+    assert say(history, fault=fault("disconnected")) == Wait(1002.0, "backing off")
+    assert say(history, fault=fault("disconnected"), now=1002.0) == Act("reconnect", 1)
+
+
+def test_eased_attempts_are_not_waited_for_and_count_as_failures() -> None:
+    """What the target needs has come back: the next attempt may come at once."""
+    assert say(marked(attempts(990.0, 999.5), eased=True)) == Act("restart", 3)
+    assert isinstance(say(marked(attempts(900.0, 910.0, 920.0), eased=True)), GiveUp)
+
+
+def test_the_budget_counts_what_nothing_else_does() -> None:
+    """However much is excused, a container is not restarted more often than that."""
+    history = marked(attempts(900.0, 910.0, 920.0, 930.0, 940.0), eased=True, excused=True)
+    assert say(history) == Wait(1500.0, "budget of 5 actions used up", tell=True)
+
+
+def test_help_that_lasted_ends_the_count_even_when_excused() -> None:
+    """What is older than help that lasted stays forgotten."""
+    helped = Attempt(900.0, "health/app", "unhealthy", "restart", worked=True, excused=True)
+    history = History([*attempts(700.0, 710.0, 720.0).attempts, helped])
+    assert say(history) == Act("restart", 1)
+
+
+def test_easing_marks_the_units_and_excusing_the_time_of_the_outage() -> None:
+    """All attempts on what needs the dependency are eased; only those from the outage are excused."""
+    history = History([Attempt(at, unit, "x", "restart", worked=False) for at in (10.0, 20.0) for unit in ("a", "b")])
+    assert history.ease({"a"}, 15.0) == {"a"}
+    assert [(each.unit, each.eased, each.excused) for each in history.attempts] == [
+        ("a", True, False), ("b", False, False), ("a", True, True), ("b", False, False),
+    ]  # fmt: skip
+    assert history.ease({"a"}, 25.0) == frozenset()
+    assert [each.excused for each in history.attempts] == [False, False, True, False]
+
+
+def test_a_new_life_excuses_what_was_before_it() -> None:
+    """Once: to begin anew a second time says nothing new."""
+    history = attempts(10.0, 20.0)
+    assert history.begin_anew(15.0)
+    assert [(each.eased, each.excused) for each in history.attempts] == [(True, True), (False, False)]
+    assert not history.begin_anew(15.0)
 
 
 def test_the_budget_counts_all_actions_on_the_target() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from phm.clock import SystemClock
@@ -30,6 +30,7 @@ class Bench:
     armed: bool = False
     nodes: dict[str, int] = field(default_factory=dict)
     held: list[tuple[str, str]] = field(default_factory=list)
+    when_in_hand: Callable[[], object] = lambda: None
 
     def fact(self, key: str) -> ContainerFact | None:
         docker = Docker(self.engine, self.settings, SystemClock())
@@ -52,6 +53,7 @@ class Bench:
     @contextlib.contextmanager
     def _holding(self, key: str, of: Fault, action: str, at_most_s: float) -> Iterator[None]:
         self.held.append((key, of.unit))
+        self.when_in_hand()
         yield
 
 

@@ -93,6 +93,31 @@ def test_a_dependant_that_cannot_be_restarted_is_told(fake: FakeEngine, ask: Eng
     assert acted(fake, "restart")[-1] == "late"
 
 
+def test_a_dependant_that_was_started_after_it_is_left_as_it_is(fake: FakeEngine, ask: Engine) -> None:
+    """Another container's repair was quicker: one restart is enough. What depends on a restarted one follows it always."""
+    made = stack(fake, ask)
+    fake.containers["side"]["State"]["StartedAt"] = "9999-01-01T00:00:00Z"
+    words = made.run(Restart, "app", EXITED)
+    assert acted(fake, "restart") == ["app", "late"]
+    assert "side, which depends on it, was started after it already" in words
+    fake.calls.clear()
+    for name in ("late", "side"):
+        fake.containers[name]["State"]["StartedAt"] = (
+            "9999-01-01T00:00:00Z" if name == "late" else "2026-01-01T00:00:00Z"
+        )
+    made.run(Restart, "app", EXITED)
+    assert acted(fake, "restart") == ["app", "side", "late"]
+
+
+def test_arming_is_asked_when_the_dependant_is_in_hand(fake: FakeEngine, ask: Engine) -> None:
+    """It may have taken a while to get it, and the vehicle was armed meanwhile."""
+    made = stack(fake, ask, side={"flight_critical": True})
+    made.when_in_hand = lambda: setattr(made, "armed", True)
+    words = made.run(Restart, "app", EXITED)
+    assert acted(fake, "restart") == ["app", "late"]
+    assert "side depends on it, and is flight-critical while armed" in words
+
+
 # ---------------------------------------------------------------- relaunch
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import stat
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from phm import testing
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.history import Attempt
+from phm.recovery.lives import OTHERS, Life
 from phm.recovery.state import Case, RecoveryState, State, Unbelievable, UnderWay, carry, decode, encode
 from phm.recovery.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
 
@@ -34,7 +36,10 @@ FULL = State(
     (fault(),),
     (fault("ab12-2"),),
     RecoveryState(
-        {"app": (attempt(),)}, {"ab12-1": Case(True, ("advised start",))}, {"app": UnderWay("ab12-1", attempt(99.0))}
+        {"app": (replace(attempt(90.0), eased=True, excused=True), attempt())},
+        {"ab12-1": Case(True, ("advised start",))},
+        {"app": UnderWay("ab12-1", attempt(99.0))},
+        {"app": Life("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, OTHERS), "side": Life("id1", "t")},
     ),
 )
 
@@ -53,7 +58,9 @@ def test_on_another_boot_times_are_converted_through_utc() -> None:
     """An attempt 5 s before the writing is 65 s old a minute later, whatever the new monotonic clock shows."""
     document = through_json(FULL, Stamp(1010.0, 100.0))
     state = decode(document, OTHER, Stamp(1070.0, 20.0), WINDOW_S)
-    assert state.recovery.attempts["app"][0].at == pytest.approx(20.0 - 65.0)
+    assert state.recovery.attempts["app"][-1].at == pytest.approx(20.0 - 65.0)
+    life = state.recovery.lives["app"]
+    assert (life.since, life.made) == (pytest.approx(20.0 - 63.0), pytest.approx(20.0 - 68.0))
     assert state.recovery.under_way["app"].attempt.at == pytest.approx(20.0 - 61.0)
     assert state.faults[0].opened == Stamp(1000.0, 20.0 - 70.0)
 
@@ -72,12 +79,26 @@ def test_a_moment_from_the_future_is_now() -> None:
     assert carry(Stamp(0.0, 500.0), Stamp(0.0, 100.0), same_boot=True, most_s=60.0).mono == 100.0
 
 
+def test_a_file_of_the_version_before_is_read() -> None:
+    """It knew of no lives and no attempts that do not count; an update of PHM must not forget what was given up."""
+    document = through_json(FULL, Stamp(1010.0, 100.0))
+    del document["lives"]
+    document["v"] = 1
+    for made in document["attempts"]["app"]:
+        del made["eased"], made["excused"]
+    state = decode(document, BOOT, Stamp(5.0, 130.0), WINDOW_S)
+    assert (state.faults, state.given_up, state.recovery.cases) == (FULL.faults, FULL.given_up, FULL.recovery.cases)
+    assert state.recovery.attempts == {"app": (attempt(90.0), attempt())}
+    assert state.recovery.lives == {}
+
+
 def test_everything_is_capped() -> None:
     """Many faults, targets, attempts and long texts stay far below what is read back."""
     long = Result(Level.ERROR, "x" * 100_000, "y" * 100_000, "c", "app")
     faults = tuple(Fault(f"f{n}", f"u{n}", Slot.HOST, Layer.COMPANION, long, Stamp(0, 0)) for n in range(1000))
     attempts = {f"t{n}": tuple(attempt(float(m)) for m in range(300)) for n in range(300)}
-    data = json.dumps(encode(State(faults, (), RecoveryState(attempts)), BOOT, Stamp(0, 0)))
+    lives = {f"t{n}": Life("i" * 100_000, "s" * 100_000) for n in range(300)}
+    data = json.dumps(encode(State(faults, (), RecoveryState(attempts, lives=lives)), BOOT, Stamp(0, 0)))
     assert len(data) < MAX_BYTES
     state = decode(json.loads(data), BOOT, Stamp(0, 0), WINDOW_S)
     assert (len(state.faults), len(state.recovery.attempts), len(state.recovery.attempts["t299"])) == (256, 64, 100)
@@ -100,6 +121,7 @@ def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
         spoil("attempts", {"app": [{"at": {"utc": 1e300, "mono": 0}}]}),
         spoil("cases", {"x": 1}),
         spoil("under_way", {"app": {"fault": "x"}}),
+        spoil("lives", {"app": {"id": "x", "started": "y", "by": "z", "made": None}}),
         lambda document: {key: value for key, value in document.items() if key != "boot"},
     ],
 )

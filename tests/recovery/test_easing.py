@@ -1,0 +1,158 @@
+"""What a container needs has come back: its back-off ends, and what failed meanwhile is not held against it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from phm import testing
+from phm.api import Layer, Slot, Unit
+from phm.model import Outcome, Phase
+from phm.needs import Needs
+from phm.plan import Plan
+from phm.tracker import Tracked
+from tests.recovery.agent import Agent, Containers, Of
+
+UNITS = {"net/base": Of("base"), "health/app": Of("app", ("net/base",)), "files/app": Of("app")}
+RULES: dict[str, Any] = {"verify": 5.0, "backoff": 50.0, "backoff_max": 60.0}
+
+
+@pytest.fixture
+def agents() -> Iterator[list[Agent]]:
+    made: list[Agent] = []
+    yield made
+    for agent in made:
+        agent.stop()
+        agent.clock.advance(1000)
+
+
+def make(agents: list[Agent], **recovery: Any) -> Agent:
+    agent = Agent(UNITS, Containers("app", "base"), testing.FakeClock(), **{**RULES, **recovery})
+    agents.append(agent)
+    agent.rest(3.0)
+    return agent
+
+
+def failing(agent: Agent, unit: str = "health/app", attempts: int = 1) -> None:
+    """The unit is bad, and this many attempts on it have failed."""
+    agent.bad[unit] = "broken"
+    agent.until(lambda: agent.steps().count(Phase.FAILED) == attempts, f"{attempts} failed attempts")
+
+
+def outage(agent: Agent, lasts_s: float = 2.0) -> None:
+    """`base` is bad for a while, then well; `app` stays bad."""
+    agent.bad["net/base"] = "broken"
+    agent.rest(lasts_s)
+    assert agent.pipeline.open_faults()[0].unit == "net/base"
+    del agent.bad["net/base"]
+
+
+def test_back_off_ends_when_a_dependency_recovers(agents: list[Agent]) -> None:
+    """`app` would wait for most of a minute; `base`, which it needs, comes back, and the next attempt is made at once."""
+    agent = make(agents)
+    failing(agent)
+    outage(agent)
+    begun = agent.clock.mono()
+    agent.until(lambda: len(agent.runs) == 2, "the next attempt")
+    assert agent.clock.mono() - begun < 10.0
+
+
+def test_back_off_goes_on_when_something_else_recovers(agents: list[Agent]) -> None:
+    """`files/app` does not need `base`."""
+    agent = make(agents)
+    failing(agent, "files/app")
+    agent.bad["net/base"] = "broken"
+    agent.rest(2.0)
+    del agent.bad["net/base"]
+    agent.rest(30.0)
+    assert len(agent.runs) == 1
+
+
+def test_a_repair_of_the_container_itself_eases_nothing(agents: list[Agent]) -> None:
+    """Units of one container are repaired together: there the proof decides, not a recovery next door."""
+    units = {"container/app": Of("app"), "health/app": Of("app", ("container/app",))}
+    agent = Agent(units, Containers("app"), testing.FakeClock(), **RULES)
+    agents.append(agent)
+    agent.rest(3.0)
+    failing(agent)
+    agent.bad["container/app"] = "strange"  # no ladder: it comes and goes by itself
+    agent.rest(2.0)
+    del agent.bad["container/app"]
+    agent.rest(30.0)
+    assert len(agent.runs) == 1
+
+
+def test_attempts_made_while_a_dependency_was_down_are_no_failures_of_the_target(agents: list[Agent]) -> None:
+    """Two attempts fell into an outage that was seen late: three more are made before PHM gives up."""
+    agent = make(agents, backoff=4.0, verify=30.0)
+    failing(agent, attempts=2)
+    outage(agent)
+    agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
+    assert len(agent.runs) == 2 + 3
+
+
+def test_attempts_made_long_before_the_outage_count(agents: list[Agent]) -> None:
+    """They failed with all that the target needs in place; only the wait for the next one ends."""
+    agent = make(agents, backoff=40.0, same_failure=2)
+    failing(agent)
+    agent.rest(10.0)
+    outage(agent)
+    agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
+    assert len(agent.runs) == 2
+
+
+def test_a_dependency_that_flaps_costs_no_more_than_the_budget(agents: list[Agent]) -> None:
+    """Each of its recoveries ends back-off and excuses; the budget counts all the same."""
+    agent = make(agents, backoff=0.1, budget=4)
+    agent.bad["health/app"] = "broken"
+    for _ in range(20):
+        agent.rest(5.0)
+        outage(agent)
+    agent.rest(20.0)
+    assert len(agent.runs) == 4
+
+
+def test_what_was_given_up_during_the_outage_is_tried_again(agents: list[Agent]) -> None:
+    """The cause is told after PHM has given up on the consequence: all three attempts were made in vain."""
+    agent = make(agents, backoff=0.1)
+    failing(agent, attempts=3)
+    agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
+    outage(agent)
+    agent.bad["health/app"] = "broken"
+    agent.behave = lambda key, context, fault: agent.bad.clear()
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the attempt that helps")
+    assert len(agent.runs) == 4
+
+
+def test_what_was_given_up_and_is_well_again_eases_others_too(agents: list[Agent]) -> None:
+    """An operator has mended `base`. Its fault was closed long ago: that it is OK again is what counts."""
+    agent = make(agents)
+    failing(agent)
+    agent.bad["net/base"] = "broken"
+    agent.rest(2.0)
+    (fault,) = agent.pipeline.open_faults()
+    agent.pipeline.escalate(fault.id)
+    agent.rest(2.0)
+    assert [event.fault.outcome for event in agent.closed()] == [Outcome.REATTRIBUTED, Outcome.ESCALATED]
+    del agent.bad["net/base"]
+    begun = agent.clock.mono()
+    agent.until(lambda: len(agent.runs) == 2, "the next attempt")
+    assert agent.clock.mono() - begun < 10.0
+
+
+def test_what_is_below_a_unit_in_other_containers() -> None:
+    """Transitively, by container; its own container's units and those of none are left out."""
+    units = {
+        "a/one": ("one", ()), "b/one": ("one", ("a/one",)), "c/two": ("two", ("b/one",)), "d/two": ("two", ()),
+        "e": ("", ("a/one",)), "f/three": ("three", ("e",)),
+    }  # fmt: skip
+    tracked = tuple(
+        Tracked(Unit(name, needs, target=target), name, Slot.CONTAINER, Layer.DOCKER, 1, needs)
+        for name, (target, needs) in units.items()
+    )
+    plan = Plan((), tracked, Needs({name: needs for name, (_, needs) in units.items()}))
+    assert plan.below("a/one") == {"two": {"c/two"}, "three": {"f/three"}}
+    assert plan.below("e") == {"three": {"f/three"}}
+    assert plan.below("d/two") == plan.below("no such unit") == {}

@@ -1,0 +1,164 @@
+"""Repairs of several containers at once: no container is ever in two hands, and nothing that PHM does itself is a fault."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from phm import testing
+from phm.facts import CannotTell
+from phm.model import ActionEvent, Fault, Phase
+from phm.recovery.base import ActionContext
+from tests.recovery.agent import Agent, Containers, Of
+
+UNITS = {name: Of(name.partition("/")[2]) for name in ("health/a", "health/b", "health/side")}
+RULES: dict[str, Any] = {"verify": 30.0, "backoff": 0.1}
+REAL_S = 10.0
+
+
+class Owners(Agent):
+    """`a` and `b` restart `side` after themselves. `within` says who has `side` at the moment, `seen` who had it."""
+
+    def __init__(self, **recovery: Any) -> None:
+        containers = Containers("a", "b", "side")
+        super().__init__(
+            UNITS, containers, testing.FakeClock(), opted_in=("a", "b", "side"), **{**RULES, **recovery}
+        )  # fmt: skip
+        self.within: list[str] = []
+        self.seen: list[str] = []
+        self.refused: list[str] = []
+        self.gate = threading.Event()
+        self.behave = self._act
+
+    def _act(self, key: str, context: ActionContext, fault: Fault) -> None:
+        if key == "side":
+            self._work_on_side(key)
+            return
+        self.containers.start(key)
+        self.bad.pop(f"health/{key}", None)
+        try:
+            with context.holding("side", fault, "restart", 30.0):
+                self._work_on_side(key)
+        except CannotTell as error:
+            self.refused.append(str(error))
+
+    def _work_on_side(self, who: str) -> None:
+        self.within.append(who)
+        assert len(self.within) == 1, f"side is in the hands of {self.within}"
+        self.seen.append(who)
+        self.bad["health/side"] = "broken"  # as it is while it is restarted
+        self.gate.wait(REAL_S)
+        self.containers.start("side")
+        self.bad.pop("health/side", None)
+        self.within.remove(who)
+
+
+@pytest.fixture
+def agents() -> Iterator[list[Owners]]:
+    made: list[Owners] = []
+    yield made
+    for agent in made:
+        agent.gate.set()
+        agent.stop()
+        agent.clock.advance(1000)
+
+
+def make(agents: list[Owners], **recovery: Any) -> Owners:
+    agents.append(Owners(**recovery))
+    agents[-1].rest(3.0)
+    return agents[-1]
+
+
+def test_two_owners_of_one_dependant_restart_it_one_after_the_other(agents: list[Owners]) -> None:
+    """Both break at once; what `side` looks like meanwhile is no alarm of its own."""
+    agent = make(agents)
+    agent.bad |= {"health/a": "broken", "health/b": "broken"}
+    agent.until(lambda: len(agent.runs) == 2, "both actions")
+    agent.rest(2.0)
+    assert len(agent.seen) == 1
+    agent.gate.set()
+    agent.until(lambda: agent.steps("a")[-1:] == agent.steps("b")[-1:] == [Phase.VERIFIED], "both proofs")
+    assert sorted(agent.seen) == ["a", "b"]
+    agent.rest(10.0)
+    assert sorted(agent.opened()) == ["health/a", "health/b"]
+
+
+def test_a_container_whose_own_repair_is_at_work_is_waited_for(agents: list[Owners]) -> None:
+    """`side` is being restarted for its own fault when `a` breaks: `a` is restarted at once, `side` after that."""
+    agent = make(agents)
+    agent.bad["health/side"] = "broken"
+    agent.until(lambda: agent.seen == ["side"], "the repair of side")
+    agent.bad["health/a"] = "broken"
+    agent.until(lambda: len(agent.runs) == 2, "the action on a")
+    agent.rest(2.0)
+    assert (agent.within, agent.seen) == (["side"], ["side"])
+    agent.gate.set()
+    agent.until(lambda: agent.steps("a")[-1:] == [Phase.VERIFIED], "the proof of a")
+    assert agent.seen == ["side", "a"]
+
+
+def test_its_own_repair_waits_while_another_restarts_it(agents: list[Owners]) -> None:
+    """And is decided afresh then: what the other's restart has healed needs no attempt."""
+    agent = make(agents)
+    agent.bad["health/side"] = "odd"  # no ladder: told, and left alone
+    agent.until(lambda: agent.opened() == ["health/side"], "the fault of side")
+    agent.bad["health/a"] = "broken"
+    agent.until(lambda: agent.within == ["a"], "the restart of side")
+    agent.rest(5.0)
+    assert agent.bad["health/side"] == "broken"
+    agent.gate.set()
+    agent.until(lambda: agent.steps("a")[-1:] == [Phase.VERIFIED], "the proof of a")
+    agent.rest(10.0)
+    assert agent.runs == [("a", "health/a")]
+    assert agent.pipeline.open_faults() == ()
+
+
+def test_a_proof_that_another_repair_overtakes_is_no_failure_of_the_target(agents: list[Owners]) -> None:
+    """`side` waits for its proof when `a` has to restart it: that attempt says nothing about `side`."""
+    agent = make(agents, same_failure=1)
+
+    def on_side(key: str, context: ActionContext, fault: Fault) -> None:
+        if key == "side":
+            agent.containers.start("side")
+            if agent.runs.count(("side", "health/side")) == 2:
+                agent.bad.clear()
+            return
+        agent.containers.start(key)
+        agent.bad.pop(f"health/{key}")
+        with context.holding("side", fault, "restart", 30.0):
+            agent.containers.start("side")
+
+    agent.behave = on_side
+    agent.bad["health/side"] = "broken"
+    agent.until(lambda: Phase.DONE in agent.steps("side"), "the action on side")
+    agent.bad["health/a"] = "broken"
+    agent.until(lambda: Phase.FAILED in agent.steps("side"), "the end of its proof")
+    told = [event.detail for event in agent.of(ActionEvent) if event.phase is Phase.FAILED]
+    assert told == ["side was started again by the repair of a before restart was proven"]
+    agent.until(lambda: Phase.VERIFIED in agent.steps("side"), "another attempt, which helps")
+    assert Phase.ESCALATED not in agent.steps("side")
+
+
+def test_an_action_that_was_given_up_begins_nothing_more(agents: list[Owners]) -> None:
+    """It comes back after its deadline: dependants are not restarted behind the next attempt's back."""
+    agent = make(agents, same_failure=1)
+    late, over = threading.Event(), threading.Event()
+
+    def hang(key: str, context: ActionContext, fault: Fault) -> None:
+        late.wait(REAL_S)
+        try:
+            with context.holding("side", fault, "restart", 30.0):
+                agent.seen.append(key)
+        except CannotTell as error:
+            agent.refused.append(str(error))
+        over.set()
+
+    agent.behave = hang
+    agent.bad["health/a"] = "broken"
+    agent.until(lambda: Phase.ESCALATED in agent.steps("a"), "the deadline")
+    late.set()
+    assert over.wait(REAL_S)
+    assert (agent.seen, agent.refused) == ([], ["restart of a was given up meanwhile"])
