@@ -1,14 +1,221 @@
-"""Message classes by the names of their types."""
+"""The class of a message type: installed, made from its name, or from the application's install folder; else a reason."""
 
 from __future__ import annotations
 
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
-from phm.probes.ros.message_types import UnknownType, load_type
+from phm.probes.ros import anytype, message_types
+from phm.probes.ros.anytype import AnyTypes, NotHere
+from phm.probes.ros.message_types import INSTALLS, UnknownType, load_type
+from tests.fakes import app_messages
+from tests.fakes.app_messages import OWN_PYTHON
+
+# The parser that comes with ROS's generated messages imports a module that Python has deprecated.
+pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")
+
+NAMES = (
+    "no_such_msgs/Thing",
+    "",
+    "x",
+    "/msg/A",
+    "..//",
+    "os/path",
+    "a/msg/B/c",
+    "a/msg/B\n",
+    "A/msg/b",
+    f"a/msg/{'B' * 101}",
+)
+DISTRIBUTION = "kilted" if ".venv-kilted" in sys.prefix else "jazzy"
+OTHER = {"jazzy": "kilted", "kilted": "jazzy"}[DISTRIBUTION]
 
 
-@pytest.mark.parametrize("name", ["no_such_msgs/msg/Thing", "std_msgs/msg/NoSuchType", "", "x", "/msg/A", "..//"])
-def test_a_type_that_is_not_there_is_named(name: str) -> None:
-    """An unknown type is a sentence, never another exception."""
-    with pytest.raises(UnknownType, match="type unknown"):
+@pytest.fixture
+def by_name_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a middleware that is not known: classes cannot be made from a name."""
+    monkeypatch.setattr(anytype, "KNOWN", {})
+    monkeypatch.setattr(message_types, "_any_types", AnyTypes())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_no_name_of_a_type_is_told(name: str) -> None:
+    """Names come from the network: nothing is imported for them, and they end in a sentence."""
+    with pytest.raises(UnknownType, match=r"^type unknown: .* is no name of a ROS type$"):
         load_type(name)
+
+
+def test_an_installed_type_is_used_as_it_is() -> None:
+    """What is installed beside PHM comes first."""
+    from std_msgs.msg import String
+
+    assert load_type("std_msgs/msg/String") is String
+
+
+@pytest.mark.parametrize(
+    "name", ["sensor_msgs/msg/Imu", "std_msgs/msg/NoSuchType", "nav2_msgs/action/Spin_FeedbackMessage"]
+)
+def test_a_type_that_is_not_installed_is_made_from_its_name(name: str) -> None:
+    """Without the package there is a class all the same, the same one each time."""
+    made = load_type(name)
+    assert made.__name__ == "AnyType"
+    assert load_type(name) is made
+
+
+def test_without_any_way_each_is_told(by_name_unknown: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not installed, not by its name, not mounted: one sentence with every reason and what to do."""
+    monkeypatch.delenv(INSTALLS, raising=False)
+    with pytest.raises(UnknownType) as caught:
+        load_type("sensor_msgs/msg/Imu")
+    text = str(caught.value)
+    assert text.startswith("type unknown: sensor_msgs/msg/Imu is not installed beside PHM; ")
+    assert "it cannot be read by its name alone, as this version of Fast DDS is not known (fast" in text
+    assert "mount the application's install/" in text
+
+
+@pytest.mark.parametrize(
+    ("lines", "variables", "reason"),
+    [
+        (["/usr/lib/libfastrtps.so.2.6.9"], {}, "not known (fastrtps 2.6)"),
+        (["/usr/lib/libfastdds.so.3.9"], {}, "not known (fastdds 3.9)"),
+        ([], {}, "not known (none)"),
+        (["/a/libfastrtps.so.2.14.5", "/b/libfastdds.so.3.2.3"], {}, "not known (fastdds 3.2, fastrtps 2.14)"),
+        (["/usr/lib/libfastrtps.so.2.14.5"], {"ROS_DISTRO": "rolling"}, "the distribution is rolling"),
+    ],
+)  # fmt: skip
+def test_a_middleware_that_is_not_known_is_left_alone(
+    monkeypatch: pytest.MonkeyPatch, lines: list[str], variables: dict[str, str], reason: str
+) -> None:
+    """By the library that is loaded, and by the distribution where the environment names one."""
+    monkeypatch.setattr(anytype, "_maps", lambda: [f"7f00-7f01 r-xp 0 0:0 1 {line}" for line in lines])
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(NotHere) as caught:
+        AnyTypes().make("a", "msg", "B")
+    assert reason in str(caught.value)
+
+
+def test_another_middleware_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The layout is that of one middleware; what another one makes of it is not known."""
+    monkeypatch.setattr("rclpy.utilities.get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    with pytest.raises(NotHere, match="the middleware is rmw_cyclonedds_cpp, not rmw_fastrtps_cpp"):
+        AnyTypes().make("a", "msg", "B")
+
+
+@pytest.mark.parametrize("offset", [-(2**20) * 2**30, -8, 8, 16, 2**13])
+def test_memory_that_is_laid_out_otherwise_is_told_and_not_followed(
+    monkeypatch: pytest.MonkeyPatch, offset: int
+) -> None:
+    """Pointers that lead elsewhere, or nowhere, end in a sentence: this very process would have ended otherwise."""
+    real = anytype._peek
+
+    def shifted(address: int, size: int) -> bytes:
+        return real(address + offset, size)
+
+    monkeypatch.setattr(anytype, "_peek", shifted)
+    with pytest.raises(NotHere, match="not laid out as known"):
+        AnyTypes().make("a", "msg", "B")
+
+
+def test_the_copied_names_must_be_where_they_are_expected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The original's own names, found where they are to be changed, say that the layout is the known one."""
+    monkeypatch.setattr(anytype, "_BASE", ("rcl_interfaces", "msg", "Log"))
+    with pytest.raises(NotHere, match="its names are not where they were"):
+        AnyTypes().make("a", "msg", "B")
+
+
+def test_functions_must_be_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where functions are expected there must be addresses of code."""
+    monkeypatch.setattr(anytype, "_code", lambda: [(0, 1)])
+    with pytest.raises(NotHere, match="its functions are not where they were"):
+        AnyTypes().make("a", "msg", "B")
+
+
+def test_what_is_made_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was made stays for ever, and names come from outside."""
+    monkeypatch.setattr(anytype, "MAX_TYPES", 2)
+    types = AnyTypes()
+    for name in ("A", "B", "A"):
+        types.make("a", "msg", name)
+    with pytest.raises(NotHere, match="more than 2 types"):
+        types.make("a", "msg", "C")
+
+
+@pytest.fixture(scope="module")
+def installs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Install folders of applications, by what is special about them."""
+    folder = tmp_path_factory.mktemp("installs")
+    merged = app_messages.install(DISTRIBUTION)
+    old = folder / "old" / "lib" / "python3.8"
+    shutil.copytree(merged / "lib" / f"python{OWN_PYTHON}" / "site-packages", old / "site-packages")
+    poor = folder / "poor"
+    shutil.copytree(merged, poor)
+    shutil.move(poor / "lib" / "libsensor_msgs__rosidl_generator_c.so", poor / "lib" / "elsewhere")
+    empty = folder / "empty"
+    empty.mkdir()
+    return {
+        "merged": merged,
+        "isolated": app_messages.isolated(merged, folder / "isolated"),
+        "empty": empty,
+        "old": folder / "old",
+        "poor": poor,
+        "other": app_messages.install(OTHER),
+        "none": folder / "not" / "there",
+    }
+
+
+def loaded(installs: list[Path], name: str) -> str:
+    """What a process of its own says of a type that it can only find in these folders."""
+    code = (
+        "import sys\nfrom phm.probes.ros import anytype, message_types\n"
+        "anytype.KNOWN.clear()\n"
+        "try: kind = message_types.load_type(sys.argv[1])\n"
+        "except message_types.UnknownType as error: print(error)\n"
+        "else: print(kind.__module__, kind.__class__._TYPE_SUPPORT is not None)\n"
+    )
+    environ = {**os.environ, INSTALLS: os.pathsep.join(map(str, installs))}
+    done = subprocess.run(
+        [sys.executable, "-c", code, name], env=environ, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.mark.parametrize("names", [("merged",), ("isolated",), ("none", "empty", "isolated")])
+def test_a_mounted_install_is_the_last_way(installs: dict[str, Path], names: tuple[str, ...]) -> None:
+    """Merged or isolated, the application's folder gives the type with its support, and no variable needs to be set."""
+    assert loaded([installs[name] for name in names], "sensor_msgs/msg/Imu") == "sensor_msgs.msg._imu True"
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "reason"),
+    [
+        ("empty", "sensor_msgs/msg/Imu", "none of the folders of ros.installs has sensor_msgs"),
+        ("none", "sensor_msgs/msg/Imu", "none of the folders of ros.installs has sensor_msgs"),
+        ("old", "sensor_msgs/msg/Imu", f"has it for Python 3.8, while PHM runs Python {OWN_PYTHON}"),
+        ("merged", "sensor_msgs/msg/NoSuchType", "has sensor_msgs, but without this type"),
+        ("poor", "sensor_msgs/msg/Imu", "needs libsensor_msgs__rosidl_generator_c.so, which PHM's ROS lacks"),
+    ],
+)  # fmt: skip
+def test_a_mounted_install_that_does_not_fit_is_told(
+    installs: dict[str, Path], name: str, kind: str, reason: str
+) -> None:
+    """Each thing that can be wrong with it has its sentence, and none is a crash."""
+    assert reason in loaded([installs[name]], kind)
+
+
+def test_a_mounted_install_of_another_distribution_does_no_harm(installs: dict[str, Path]) -> None:
+    """It is either told or its messages work; the process goes on."""
+    said = loaded([installs["other"]], "sensor_msgs/msg/Imu")
+    assert said == "sensor_msgs.msg._imu True" or "cannot be loaded" in said
+
+
+def test_this_environment_has_no_such_package() -> None:
+    """What the tests of types call not installed is not installed."""
+    assert importlib.util.find_spec("sensor_msgs") is None

@@ -1,20 +1,73 @@
-"""The message class of a type's name, where its package is installed beside PHM."""
+"""The class of a message type for a raw reader: installed beside PHM, made from its name alone, or from the application.
+
+Runs in the child alone. In this order, since each next one trusts more that was not tested together: a class made from
+the name uses nothing of the application; what the application has mounted runs its code here.
+"""
 
 from __future__ import annotations
 
 import importlib
+import importlib.util
+import os
+import re
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
+
+from phm.probes.ros.anytype import AnyTypes, NotHere
+from phm.probes.ros.mounted import Mounted
+
+INSTALLS = "PHM_ROS_INSTALLS"
+"""Variable of the environment with the folders of `ros.installs`, separated as in PATH."""
+
+_NAME = re.compile(r"([a-z][a-z0-9_]{0,99})/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]{0,99})")
+_any_types = AnyTypes()
 
 
 class UnknownType(Exception):
-    """The package of a message type is not installed beside PHM."""
+    """There is no way to read messages of this type here; the text says each way and why not."""
 
 
-def load_type(name: str) -> Any:
-    """The message class of `package/msg/Type`. Raises UnknownType."""
-    package, _, rest = name.partition("/")
-    kind, _, short = rest.partition("/")
+def load_type(name: str, publishers: Iterable[Any] = ()) -> Any:
+    """The class of `package/msg/Type`, for raw readers only. Raises UnknownType.
+
+    publishers: rclpy's TopicEndpointInfo of who publishes it; a class made from the name announces their type hash.
+    """
+    match = _NAME.fullmatch(name)
+    if match is None:
+        raise UnknownType(f"type unknown: {name!r} is no name of a ROS type")
+    package, kind, short = match.groups()
     try:
-        return getattr(importlib.import_module(f"{package}.{kind}"), short)
-    except (ImportError, AttributeError, ValueError, TypeError) as error:
-        raise UnknownType(f"type unknown: {name} is not installed beside PHM") from error
+        return _installed(package, kind, short)
+    except NotHere as reason:
+        reasons = [str(reason)]
+    try:
+        return _any_types.make(package, kind, short, _announced(name, publishers))
+    except NotHere as reason:
+        reasons.append(f"it cannot be read by its name alone, as {reason}")
+    try:
+        return Mounted(os.environ.get(INSTALLS, "").split(os.pathsep)).load(package, kind, short)
+    except NotHere as reason:
+        reasons.append(str(reason))
+    raise UnknownType(f"type unknown: {name} {'; '.join(reasons)}")
+
+
+def _installed(package: str, kind: str, short: str) -> Any:
+    """Names come from the network: nothing is imported that does not look like a package of messages."""
+    try:
+        spec = importlib.util.find_spec(package)
+        folders = (spec.submodule_search_locations if spec else None) or ()
+        if any(Path(folder, kind).is_dir() for folder in folders):
+            return getattr(importlib.import_module(f"{package}.{kind}"), short)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise NotHere(f"is not installed beside PHM ({error})") from error
+    raise NotHere("is not installed beside PHM")
+
+
+def _announced(name: str, publishers: Iterable[Any]) -> bytes:
+    """The type hash that a publisher of this type tells, or nothing: before Jazzy there is none."""
+    for publisher in publishers:
+        told = getattr(publisher, "topic_type_hash", None)
+        if told is not None and told.version == 1 and publisher.topic_type == name:
+            return bytes(told.value)
+    return b""

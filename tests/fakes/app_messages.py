@@ -1,0 +1,86 @@
+"""A package of messages that only the application has: in a folder of its own, laid out as colcon's merged `install/`.
+
+PHM's own environment has no sensor_msgs; `environ` gives it to one process. The folder is made once, from the locked
+wheel, for any distribution and any Python, and kept in .cache.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = "sensor_msgs"
+LIMIT_S = 120.0
+OWN_PYTHON = f"{sys.version_info[0]}.{sys.version_info[1]}"
+
+
+def install(distribution: str, python: str = OWN_PYTHON) -> Path:
+    """The folder with sensor_msgs of `jazzy` or `kilted` for a version of Python such as 3.12."""
+    lock = ROOT / "scripts" / "locks" / f"app-{distribution}.lock"
+    digest = hashlib.sha256(lock.read_bytes()).hexdigest()[:12]
+    folder = ROOT / ".cache" / f"app-{distribution}-{python}-{digest}"
+    if not folder.exists():
+        folder.parent.mkdir(exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
+            _unpack(_download(lock, python, Path(scratch)), python, Path(scratch, "install"))
+            Path(scratch, "install").rename(folder)
+    return folder
+
+
+def environ(base: Mapping[str, str], folder: Path, python: str = OWN_PYTHON) -> dict[str, str]:
+    """`base`, as it is after `source install/setup.bash`."""
+    added = {
+        "PYTHONPATH": str(folder / "lib" / f"python{python}" / "site-packages"),
+        "LD_LIBRARY_PATH": str(folder / "lib"),
+    }
+    merged = {name: os.pathsep.join(filter(None, (path, base.get(name, "")))) for name, path in added.items()}
+    return {**plain(base), **merged}
+
+
+def plain(base: Mapping[str, str]) -> dict[str, str]:
+    """Without what the ROS wheels set for the process that runs the tests: for one with other wheels."""
+    mine = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
+    kept = {name: value for name, value in base.items() if name not in mine}
+    libraries = [part for part in kept.pop("LD_LIBRARY_PATH", "").split(os.pathsep) if part]
+    foreign = [part for part in libraries if not Path(part).is_relative_to(sys.prefix)]
+    return {**kept, **({"LD_LIBRARY_PATH": os.pathsep.join(foreign)} if foreign else {})}
+
+
+def isolated(merged: Path, folder: Path, python: str = OWN_PYTHON) -> Path:
+    """The same as colcon lays it out by default on Debian: a prefix for each package, modules under local/."""
+    prefix = folder / PACKAGE
+    modules = prefix / "local" / "lib" / f"python{python}" / "dist-packages"
+    shutil.copytree(merged / "lib" / f"python{python}" / "site-packages", modules)
+    (prefix / "lib").mkdir()
+    for library in (merged / "lib").glob("*.so"):
+        shutil.copy(library, prefix / "lib")
+    return folder
+
+
+def _download(lock: Path, python: str, scratch: Path) -> Path:
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    command += ["--only-binary=:all:", "--python-version", python, "--require-hashes", "--requirement", str(lock)]
+    done = subprocess.run(
+        [*command, "--dest", str(scratch)], capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    (wheel,) = scratch.glob("*.whl")
+    return wheel
+
+
+def _unpack(wheel: Path, python: str, folder: Path) -> None:
+    """What pip would do with a prefix; pip itself does so for its own Python alone."""
+    modules = folder / "lib" / f"python{python}" / "site-packages"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(modules)
+    (data,) = modules.glob("*.data")
+    shutil.copytree(data / "data", folder, dirs_exist_ok=True)
+    shutil.rmtree(data)
