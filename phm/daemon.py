@@ -115,7 +115,7 @@ class Daemon:
         for reporter in self.reporters:
             try:
                 reporter.close()
-            except Exception:
+            except Exception:  # a plug-in; the others are still to be closed
                 logger.exception("reporter %s did not close", reporter.name)
         self.parts.close()
 
@@ -171,7 +171,7 @@ class Daemon:
             try:
                 kind: type[Reporter] = found.loaded
                 reporter = kind.build(context)
-            except Exception:
+            except Exception:  # a plug-in; the others report all the same
                 logger.exception("reporter %s could not be built", found.name)
                 continue
             if reporter is not None:
@@ -249,7 +249,7 @@ class Daemon:
                     next_pass = max(next_pass + self.settings.interval, now)
                 self.engine.look_for_overdue()
                 self.pipeline.tick()
-            except Exception:
+            except Exception:  # a defect that shows in one beat must not end all: passes and deadlines hang on it
                 logger.exception("the heart missed a beat")
             self.clock.wait(self._stop, WATCH_S)
 

@@ -102,10 +102,9 @@ class Worker:
             self._deliver(Batch(results, started, self._clock.mono() - started, reason))
 
     def _deliver(self, batch: Batch) -> None:
-        """A defect behind the sink must not end this thread, or its units would never be looked at again."""
         try:
             self._sink(batch)
-        except Exception:
+        except Exception:  # a defect behind the sink: without this thread its units would never be looked at again
             logger.exception("the results of %s were lost", self.units[0])
 
     def _judge(self) -> dict[str, Result]:

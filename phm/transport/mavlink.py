@@ -87,10 +87,9 @@ class MavlinkHub:
             self._guarded(callback)
 
     def _guarded(self, call: Callable[[], None]) -> None:
-        """A listener's defect must not close the link."""
         try:
             call()
-        except Exception:
+        except Exception:  # a listener's defect must not close the link
             self._errors += 1
             if self._errors in (1, 10, 100) or self._errors % 1000 == 0:
                 logger.exception("a MAVLink listener failed (%d times)", self._errors)

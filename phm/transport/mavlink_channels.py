@@ -113,7 +113,7 @@ class StreamChannel(Channel):
         return 1
 
     def close(self) -> None:
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(OSError):  # it may be lost already, which is why it is closed
             self._owner.close()
 
 

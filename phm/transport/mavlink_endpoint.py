@@ -134,7 +134,7 @@ class Endpoint:
                 self._live(channel)
             except OSError as error:
                 self._tell(is_open=False, error=error.strerror or str(error))
-            except Exception as error:
+            except Exception as error:  # a defect of ours must not end this link for ever
                 logger.exception("MAVLink endpoint %s failed unexpectedly", self.name)
                 self._tell(is_open=False, error=f"{type(error).__name__}: {error}")
             if was_open and self._clock.mono() - opened >= STEADY_S:
@@ -215,5 +215,5 @@ class Endpoint:
             os.eventfd_write(self._bell, 1)
 
     def __del__(self) -> None:
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(OSError, AttributeError):  # `__init__` may have failed before there was one
             os.close(self._bell)

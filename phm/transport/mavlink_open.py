@@ -7,8 +7,9 @@ import errno
 import os
 import select
 import socket
+import termios
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from phm.clock import Clock
 from phm.settings import EndpointSettings
@@ -67,16 +68,13 @@ class Opener:
     def _tcp(self) -> Channel:
         family, target = self._address()
         sock = socket.socket(family, socket.SOCK_STREAM)
-        try:
+        with _closed_on_failure(sock):
             tune(sock)
             problem = sock.connect_ex(target)
             if problem == errno.EINPROGRESS:
                 problem = self._connected(sock)
             if problem:
                 raise OSError(problem, os.strerror(problem))
-        except BaseException:
-            sock.close()
-            raise
         return StreamChannel(sock, sock.fileno(), self._codec)
 
     def _connected(self, sock: socket.socket) -> int:
@@ -92,33 +90,28 @@ class Opener:
     def _tcpin(self) -> Channel:
         family, address = self._address()
         sock = socket.socket(family, socket.SOCK_STREAM)
-        try:
+        with _closed_on_failure(sock):
             sock.setblocking(False)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             sock.bind(address)
             sock.listen(8)
-        except BaseException:
-            sock.close()
-            raise
         return TcpServer(sock, self._codec)
 
     def _udpin(self) -> Channel:
         family, address = self._address()
         sock = socket.socket(family, socket.SOCK_DGRAM)
-        try:
+        with _closed_on_failure(sock):
             sock.setblocking(False)
             sock.bind(address)
-        except BaseException:
-            sock.close()
-            raise
         return UdpIn(sock, self._codec, self._clock)
 
     def _udpout(self) -> Channel:
         family, target = self._address()
         sock = socket.socket(family, socket.SOCK_DGRAM)
-        sock.setblocking(False)
-        if self._scheme == "udpbcast":
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        with _closed_on_failure(sock):
+            sock.setblocking(False)
+            if self._scheme == "udpbcast":
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         return UdpOut(sock, target, self._codec)
 
     def _serial(self) -> Channel:
@@ -133,10 +126,19 @@ class Opener:
         return SerialChannel(port, port.fileno(), self._codec)
 
 
+@contextlib.contextmanager
+def _closed_on_failure(sock: socket.socket) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:  # goes on to whoever asked; here only the socket must not be left open
+        sock.close()
+        raise
+
+
 class SerialChannel(StreamChannel):
     """A serial port. What was not sent is thrown away at the end: a stuck port keeps `close` waiting for it."""
 
     def close(self) -> None:
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(OSError, termios.error):  # the port may be gone, and is closed either way
             self._owner.reset_output_buffer()
         super().close()
