@@ -219,6 +219,8 @@ class RosSettings(Section):
     """A topic without a sample for max(three periods, this) is silent."""
     max_memory: Annotated[Bytes, Field(ge=50e6)] = 250e6
     """The ROS child process is replaced when it uses more."""
+    installs: list[Annotated[str, Field(pattern=r"^/[^:]*$", max_length=4096)]] = Field(default_factory=list)
+    """Folders `install/` of the application's workspaces, mounted for PHM, for types that it can read in no other way."""
 
     @property
     def used(self) -> bool:

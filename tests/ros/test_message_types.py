@@ -13,7 +13,8 @@ import pytest
 
 from phm.probes.ros import anytype, message_types
 from phm.probes.ros.anytype import AnyTypes, NotHere
-from phm.probes.ros.message_types import INSTALLS, UnknownType, load_type
+from phm.probes.ros.message_types import UnknownType, load_type
+from phm.probes.ros.protocol import INSTALLS
 from tests.fakes import app_messages
 from tests.fakes.app_messages import OWN_PYTHON
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from phm.probes.ros.process import NOT_INSTALLED, Limits, child_environ, wanted
+from phm.probes.ros.protocol import INSTALLS
 from phm.settings import Settings
 from tests.fakes.ros_bench import ROOT, Bench, gone, seen, stale, until
 
@@ -139,6 +140,8 @@ def test_the_environment_of_the_child() -> None:
     assert child_environ(settings, {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"})["FASTDDS_BUILTIN_TRANSPORTS"] == "DEFAULT"
     assert child_environ(settings, {"ROS_DOMAIN_ID": "3"})["ROS_DOMAIN_ID"] == "7"
     assert child_environ(Settings(), {"ROS_DOMAIN_ID": "3"})["ROS_DOMAIN_ID"] == "3"
+    installs = Settings.model_validate({"ros": {"installs": ["/a/install", "/b"]}})
+    assert child_environ(installs, {})[INSTALLS] == "/a/install:/b"
 
 
 def test_topics_are_asked_for_by_their_full_names() -> None:

@@ -16,9 +16,7 @@ from typing import Any
 
 from phm.probes.ros.anytype import AnyTypes, NotHere
 from phm.probes.ros.mounted import Mounted
-
-INSTALLS = "PHM_ROS_INSTALLS"
-"""Variable of the environment with the folders of `ros.installs`, separated as in PATH."""
+from phm.probes.ros.protocol import INSTALLS
 
 _NAME = re.compile(r"([a-z][a-z0-9_]{0,99})/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]{0,99})")
 _any_types = AnyTypes()

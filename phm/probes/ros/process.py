@@ -21,6 +21,7 @@ from phm.facts import CannotTell, RosFact
 from phm.probes.ros.life import Life
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
+    INSTALLS,
     Message,
     Missing,
     ProtocolError,
@@ -312,6 +313,7 @@ def child_environ(settings: Settings, environ: Mapping[str, str]) -> dict[str, s
     merged = {**_ENVIRONMENT, **environ}
     if settings.ros.domain is not None:
         merged["ROS_DOMAIN_ID"] = str(settings.ros.domain)
+    merged[INSTALLS] = os.pathsep.join(settings.ros.installs)
     # The child must run this very PHM, wherever the daemon found it.
     home = str(Path(phm.__file__).resolve().parent.parent)
     merged["PYTHONPATH"] = os.pathsep.join(part for part in (merged.get("PYTHONPATH", ""), home) if part)

@@ -19,6 +19,9 @@ from phm.ros_facts import BeaconFact, DiagnosticFact, NameFact, TopicFact
 LINE_LIMIT = 1_000_000
 """Longest line in bytes; a picture of 200 topics with 10 endpoints each is about 200 kB."""
 
+INSTALLS = "PHM_ROS_INSTALLS"
+"""Variable of the child's environment with the folders of `ros.installs`, separated as in PATH."""
+
 EXIT_MISSING = 69
 """The child's exit code for `there is no ROS here` (EX_UNAVAILABLE of sysexits.h)."""
 
