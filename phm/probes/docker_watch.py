@@ -27,6 +27,8 @@ BACKOFF_S = 0.1
 BACKOFF_MAX_S = 5.0
 CONFIRM_S = 0.2
 """A difference is looked at again after this: the event that explains it may be on its way."""
+AGAIN_S = 1.0
+"""The engine tells each disconnect twice, a few milliseconds apart (seen with 20.10)."""
 _MAX_IDS = 1000
 CONTAINER_ACTIONS = (
     "create", "start", "kill", "die", "stop", "restart", "pause", "unpause", "oom", "health_status", "destroy", "rename",
@@ -74,7 +76,7 @@ class DockerEvent:
 class Watch:
     """Two threads: one follows the stream, one compares. `on_event` is called from either, one at a time.
 
-    Invariant: `_expected`, `_ids` and `_touched` are read and written with `_lock` held.
+    Invariant: `_expected`, `_ids`, `_left` and `_touched` are read and written with `_lock` held.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class Watch:
         self._compare_s = settings.docker.compare
         self._expected: dict[str, Expected] = {}
         self._ids: dict[str, str] = {}
+        self._left: dict[tuple[str, str], int] = {}
         self._touched: dict[str, int] = dict.fromkeys(self._containers, 0)
         self._lock, self._telling = threading.Lock(), threading.Lock()
         self._stopping, self._compare_now = threading.Event(), threading.Event()
@@ -166,7 +169,8 @@ class Watch:
             self._since = f"{(nanoseconds + 1) // 10**9}.{(nanoseconds + 1) % 10**9:09d}"
         action, _, detail = str(raw.get("Action", "")).partition(": ")
         if raw.get("Type") == "network":
-            return self._network_event(action, str(actor.get("ID", "")), attributes)
+            at_ns = nanoseconds if isinstance(nanoseconds, int) else 0
+            return self._network_event(action, str(actor.get("ID", "")), attributes, at_ns)
         if raw.get("Type") != "container" or action not in CONTAINER_ACTIONS:
             return None
         container_id = str(actor.get("ID", ""))
@@ -183,17 +187,31 @@ class Watch:
             detail = f"signal {attributes.get('signal', 'unknown')}"
         return DockerEvent("container", key, action, detail, self._clock.stamp())
 
-    def _network_event(self, action: str, network_id: str, attributes: Mapping[str, Any]) -> DockerEvent | None:
-        name = str(attributes.get("name", ""))
+    def _network_event(
+        self, action: str, network_id: str, attributes: Mapping[str, Any], at_ns: int
+    ) -> DockerEvent | None:
+        name, container = str(attributes.get("name", "")), str(attributes.get("container", ""))
         with self._lock:
-            key = self._ids.get(str(attributes.get("container", "")), "")
+            key = self._ids.get(container, "")
             if action not in NETWORK_ACTIONS or not (key or name in self._networks):
                 return None
             if key:
                 self._touched[key] += 1
             if key in self._expected:
                 self._expected[key] = after(self._expected[key], action, name, network_id)
+            if self._told_before(action, (container, network_id), at_ns):
+                return None
         return DockerEvent("network", name, action, "", self._clock.stamp(), container=key)
+
+    def _told_before(self, action: str, ends: tuple[str, str], at_ns: int) -> bool:
+        """Whether this is the echo of a disconnect: the same ends, and they were not connected in between."""
+        left_ns = self._left.pop(ends, 0)
+        if action != "disconnect":
+            return False
+        if len(self._left) >= _MAX_IDS:
+            self._left.clear()
+        self._left[ends] = at_ns
+        return bool(left_ns and 0 <= at_ns - left_ns < AGAIN_S * 1e9)
 
     def _key_of(self, container_id: str, attributes: Mapping[str, Any]) -> str:
         """Key of the configured container that an event is about; by id also when it was renamed away."""

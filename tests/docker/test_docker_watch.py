@@ -121,6 +121,47 @@ def test_network_events_wake_the_network_checks(
     assert heard[0].subjects == {"network"}
 
 
+def test_a_disconnect_that_the_engine_tells_twice_is_told_once(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """The echo is left out; a connection in between, another container, or a later time makes it a disconnect of its own."""
+    fake.containers["app"], fake.containers["two"] = container("app"), container("two")
+    made, heard = watch({"name": "app", "networks": ["swarm"]}, {"name": "two", "networks": ["swarm"]})
+    until(made.healthy, "the first comparison")
+    ids = {name: fake.containers[name]["Id"] for name in ("app", "two")}
+
+    def emit(action: str, name: str) -> None:
+        fake.emit("network", action, "n1", name="swarm", container=ids[name])
+
+    for action, name in (
+        ("disconnect", "app"), ("disconnect", "two"), ("disconnect", "app"), ("connect", "app"), ("disconnect", "app"),
+        ("disconnect", "app"),
+    ):  # fmt: skip
+        emit(action, name)
+    fake.set("app", status="paused")
+    until(lambda: heard and heard[-1].action == "pause", "the last event")
+    assert [(event.action, event.container) for event in heard[:-1]] == [
+        ("disconnect", "app"),
+        ("disconnect", "two"),
+        ("connect", "app"),
+        ("disconnect", "app"),
+    ]
+
+
+def test_a_disconnect_seconds_after_another_is_told(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """The engine's own clock counts: what was missed meanwhile is a connection, and both disconnects were real."""
+    fake.containers["app"] = container("app")
+    made, heard = watch({"name": "app", "networks": ["swarm"]})
+    until(made.healthy, "the first comparison")
+    app = fake.containers["app"]["Id"]
+    fake.emit("network", "disconnect", "n1", name="swarm", container=app)
+    fake.clock_ahead_s += 2.0
+    fake.emit("network", "disconnect", "n1", name="swarm", container=app)
+    until(lambda: len(heard) == 2, "both")
+
+
 def test_what_the_stream_lost_is_found_by_comparing(
     fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
 ) -> None:

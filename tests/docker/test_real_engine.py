@@ -129,6 +129,27 @@ def test_events_of_a_real_container_wake_its_checks(
     assert not any(event.lost for event in events)
 
 
+def test_the_engines_own_restarts_are_counted_and_a_start_by_hand_counts_anew(
+    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]], until: Until
+) -> None:
+    """By the counter the container check tells hands apart; each start is another life, told once."""
+    made = real.container("test -e /tmp/born || { touch /tmp/born; sleep 1; exit 3; }; exec sleep 600", start=False)
+    made.update(restart_policy={"Name": "always"})
+    docker = probe(engine, made.name)
+    events = heard(until, containers=[{"name": made.name}])
+    made.start()
+    first = fact_of(docker, made.name)
+    until(lambda: [event.begins_life for event in events].count(True) == 2, "the restart by the policy")
+    again = fact_of(docker, made.name)
+    assert (first.restart_count, again.restart_count) == (0, 1)
+    made.restart(timeout=0)
+    until(lambda: events[-1].action == "restart", "the restart by hand")
+    by_hand = fact_of(docker, made.name)
+    assert by_hand.restart_count == 0
+    assert len({first.life, again.life, by_hand.life}) == 3
+    assert [event.begins_life for event in events].count(True) == 3
+
+
 def test_networks_are_left_and_joined_with_ids(
     real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]], until: Until
 ) -> None:
@@ -147,8 +168,8 @@ def test_networks_are_left_and_joined_with_ids(
     assert "nav" in joined.aliases
     assert joined.address
     until(lambda: "connect" in [event.action for event in events], "both events")
-    # The engine sends `disconnect` twice for each.
-    assert list(dict.fromkeys((event.key, event.action, event.container) for event in events)) == [
+    # The engine itself sends `disconnect` twice.
+    assert [(event.key, event.action, event.container) for event in events] == [
         (network.name, "disconnect", made.name),
         (network.name, "connect", made.name),
     ]

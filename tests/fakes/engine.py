@@ -165,6 +165,8 @@ class FakeEngine:
         self.errors: collections.deque[BaseException] = collections.deque(maxlen=100)
         self.changed = threading.Condition()
         self.stopping = False
+        self.clock_ahead_s = 0.0
+        """How far the clock by which events are stamped is ahead of this machine's."""
         self.streams = 0
         self._fault: Fault | None = None
         self._sent = 0
@@ -203,7 +205,7 @@ class FakeEngine:
 
     def emit(self, kind: str, action: str, actor: str = "", **attributes: str) -> None:
         """Send an event to all streams, e.g. ``emit("container", "die", id, name="ros_app", exitCode="1")``."""
-        now = time.time_ns()
+        now = time.time_ns() + int(self.clock_ahead_s * 1e9)
         event = {
             "Type": kind, "Action": action, "Actor": {"ID": actor, "Attributes": attributes},
             "time": now // 10**9, "timeNano": now,
