@@ -5,16 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from phm import api
-from phm.api import Layer, Slot
+from phm.api import Layer, Level, Slot
+from phm_checks._near import sentence, strays
+from phm_checks._pairs import (
+    Pair,
+    all_ends,
+    full,
+    level_of,
+    needed,
+    needed_end,
+    pairs_of,
+    same_definition,
+    same_type,
+    serves,
+    sides,
+)
+from phm_checks._qos import Mismatch, mismatches
 from phm_checks._words import brief, clean, did_you_mean, joined, last, listed, span
 
 OLD_PICTURE_S = 5.0
 """A picture of the graph older than this proves nothing."""
-
-
-def full(name: str) -> str:
-    """A ROS name with its first slash."""
-    return f"/{api.topic_id(name)}"
+STRAY_S = 10.0
+"""A subscription on an almost right name may wait for its own publisher, which starts later."""
+SHOWN = 3
 
 
 class Topics(api.Check):
@@ -28,6 +41,8 @@ class Topics(api.Check):
         self._units = tuple(units)
         self._targets = {unit.id: unit.target for unit in units}
         self._grace_s = grace_s
+        self._stray_since: dict[str, float] = {}
+        self._audits: dict[str, tuple[object, Sequence[api.Result]]] = {}
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -60,9 +75,11 @@ class Topics(api.Check):
         if fact.age_s > OLD_PICTURE_S:
             words = f"the newest picture of the ROS graph is {span(fact.age_s)} old, too old to judge by"
             return {_unit(topic): api.stale(words) for topic in self._topics}
-        return {_unit(topic): self._judge(topic, fact) for topic in self._topics}
+        now = world.clock.mono()
+        return {_unit(topic): self._judge(topic, fact, now) for topic in self._topics}
 
-    def _judge(self, topic: api.TopicSettings, fact: api.RosFact) -> api.Result:
+    def _judge(self, topic: api.TopicSettings, fact: api.RosFact, now: float) -> api.Result:
+        """What is missing comes first, then the worst of: type, quality of service, an almost right name."""
         seen = fact.topics.get(full(topic.name), api.TopicFact())
         missing = self._missing(topic, seen, fact)
         if missing is not None:
@@ -71,27 +88,35 @@ class Topics(api.Check):
                     f"not seen yet, PHM has looked at the graph for {span(fact.up_s)} only: {missing.summary}"
                 )
             return missing
-        problem = self._type(topic, seen) or self._qos(topic, seen)
-        if problem is not None:
-            return problem
+        found = [*self._audit(topic, seen), *self._unfed(topic, seen, fact, now)]
+        if found:
+            return api.worst(found)
         return api.ok(
             f"Topic {api.topic_id(topic.name)} is connected: {_count(seen.publishers, 'publisher')}, "
             f"{_count(seen.subscribers, 'subscriber')}",
             **_numbers(seen),
         )
 
+    def _audit(self, topic: api.TopicSettings, seen: api.TopicFact) -> Sequence[api.Result]:
+        """What is wrong with the ends that are there. Looked through again when they changed: there may be many pairs."""
+        ends = (seen.publishers, seen.subscribers)
+        known = self._audits.get(topic.name)
+        if known is not None and known[0] == ends:
+            return known[1]
+        problems = (self._type(topic, seen), self._definition(topic, seen), self._qos(topic, seen))
+        found = [problem for problem in problems if problem is not None]
+        self._audits[topic.name] = (ends, found)
+        return found
+
     def _missing(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact) -> api.Result | None:
         """The first of: no such topic, a publisher is missing, a subscriber is missing."""
-        name, values = full(topic.name), _numbers(seen)
+        name = full(topic.name)
         if not seen.publishers and not seen.subscribers:
-            return api.error(
+            return self._bad(
+                topic, seen, Level.ERROR, "topic_missing", "missing",
                 f"topic {name} does not exist, expected a publisher: check that its node runs and how it is remapped."
-                f"{did_you_mean(name, fact.topics)}",
-                brief=brief(last(name), "missing"),
-                condition="topic_missing",
-                target=self._targets[_unit(topic)],
-                **values,
-            )
+                f"{_hint(topic, fact, (*topic.publishers, *topic.subscribers), absent=True)}",
+            )  # fmt: skip
         for kind, wanted, there in (
             ("publisher", topic.publishers, seen.publishers),
             ("subscriber", topic.subscribers, seen.subscribers),
@@ -99,81 +124,127 @@ class Topics(api.Check):
             names = {end.node for end in there}
             lacking = [full(node) for node in wanted if full(node) not in names]
             if lacking:
-                return api.error(
+                hint = _hint(topic, fact, lacking) or did_you_mean(lacking[0], names)
+                return self._bad(
+                    topic, seen, Level.ERROR, f"{kind}_missing", f"lost {kind} {last(lacking[0])}"[:30],
                     f"topic {name} lacks its {kind} {listed(lacking)}; there is {listed(sorted(names))}: check that node's "
-                    f"topic names and remappings.{did_you_mean(lacking[0], names)}",
-                    brief=brief(last(name), f"lost {kind} {last(lacking[0])}"[:30]),
-                    condition=f"{kind}_missing",
-                    target=self._targets[_unit(topic)],
-                    **values,
-                )
+                    f"topic names and remappings.{hint}",
+                )  # fmt: skip
         if not seen.publishers:
-            return api.error(
-                f"topic {name} has no publisher, expected one: check that its node runs and how it is remapped",
-                brief=brief(last(name), "has no publisher"),
-                condition="publisher_missing",
-                target=self._targets[_unit(topic)],
-                **values,
-            )
+            return self._bad(
+                topic, seen, Level.ERROR, "publisher_missing", "has no publisher",
+                f"topic {name} has no publisher, expected one: check that its node runs and how it is remapped."
+                f"{_hint(topic, fact, ())}",
+            )  # fmt: skip
         return None
 
     def _type(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
-        """ERROR for a type other than the configured one; WARN when the ends differ among themselves."""
-        name, ends = full(topic.name), (*seen.publishers, *seen.subscribers)
-        if topic.type is not None:
-            wrong = [end for end in ends if end.type and end.type != topic.type]
-            if wrong:
-                return api.error(
-                    f"topic {name} has type {clean(wrong[0].type, 80)} at {clean(wrong[0].node, 80)}, expected {topic.type}: "
-                    "the ends do not connect; build them against the same message package",
-                    brief=brief(last(name), "wrong type"),
-                    condition="type_wrong",
-                    target=self._targets[_unit(topic)],
-                    **_numbers(seen),
-                )
+        """ERROR for a needed end whose type is not the configured one, or for a needed pair that differs; else WARN."""
+        name = full(topic.name)
+        if topic.type is None:
+            types = dict.fromkeys(end.type for _, end in all_ends(seen) if end.type)
+            if len(types) < 2:
+                return None
+            differing = [pair for pair in pairs_of(seen) if not same_type(*pair)]
+            ends = [f"{clean(end.type, 80)} at {side} {_who(end)}" for side, end in sides(differing) or all_ends(seen)]
+            return self._bad(
+                topic, seen, level_of(topic, seen, differing), "type_wrong", "mixed types",
+                f"topic {name} is used with different types, and ends of different type do not connect: {_some(ends)}; build "
+                "them against the same message package",
+            )  # fmt: skip
+        wrong = [(side, end) for side, end in all_ends(seen) if end.type and end.type != topic.type]
+        if not wrong:
             return None
-        types = dict.fromkeys(end.type for end in ends if end.type)
-        if len(types) < 2:
-            return None
-        return api.warn(
-            f"topic {name} is used with different types, {listed(types)}: ends of different type do not connect",
-            brief=brief(last(name), "mixed types"),
-            condition="type_wrong",
-            target=self._targets[_unit(topic)],
-            **_numbers(seen),
-        )
+        bad = any(needed_end(topic, seen, side, end) for side, end in wrong)
+        ends = [f"type {clean(end.type, 80)} at {side} {_who(end)}" for side, end in wrong]
+        return self._bad(
+            topic, seen, Level.ERROR if bad else Level.WARN, "type_wrong", "wrong type",
+            f"topic {name} has {_some(ends)}; expected {topic.type} at all ends, others do not connect: build them against "
+            "the same message package",
+        )  # fmt: skip
 
-    def _qos(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
-        """WARN for each pair whose quality-of-service offers less than is asked, so that DDS does not connect it."""
-        found = [words for out in seen.publishers for into in seen.subscribers for words in _unfit(out, into)]
+    def _definition(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
+        """Types of one name and different content: they connect, and what arrives is wrong or cannot be read."""
+        found = [(out, into) for out, into in pairs_of(seen) if same_type(out, into) and not same_definition(out, into)]
         if not found:
             return None
-        shown = joined(found[:3]) + (f" And {len(found) - 3} more pairs." if len(found) > 3 else "")
-        return api.warn(
-            f"topic {full(topic.name)} does not connect all its ends. {shown} Set both ends to the same policy",
-            brief=brief(last(topic.name), "QoS mismatch"),
-            condition="qos_mismatch",
-            target=self._targets[_unit(topic)],
-            **_numbers(seen),
-        )
+        ends = [f"{side} {_who(end)} has {clean(end.type_hash, 20)}" for side, end in sides(found)]
+        return self._bad(
+            topic, seen, level_of(topic, seen, found), "type_wrong", "type versions differ",
+            f"topic {full(topic.name)}: {clean(found[0][0].type, 80)} is not the same type everywhere. {_some(ends)}; build all "
+            "ends against the same version of its package",
+        )  # fmt: skip
+
+    def _qos(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
+        """Pairs whose publisher offers less than its subscriber asks for, so that DDS does not connect them."""
+        found = [(pair, unfit) for pair in pairs_of(seen) if same_type(*pair) and (unfit := mismatches(*pair))]
+        if not found:
+            return None
+        asked_for = [entry for entry in found if needed(topic, seen, entry[0])]
+        words = [_unfit(seen, pair, mismatch) for pair, unfit in asked_for or found for mismatch in unfit]
+        return self._bad(
+            topic, seen, Level.ERROR if asked_for else Level.WARN, "qos_mismatch", "QoS mismatch",
+            f"topic {full(topic.name)} does not connect all its ends. {joined(words[:SHOWN])}"
+            + (f" And {len(words) - SHOWN} more." if len(words) > SHOWN else ""),
+        )  # fmt: skip
+
+    def _unfed(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float) -> list[api.Result]:
+        """WARN for a subscription without any publisher on a name that is almost this one: it was most likely meant."""
+        name = full(topic.name)
+        found = [stray for stray in strays(name, fact.others) if stray.sure and stray.unfed]
+        since = self._stray_since.setdefault(name, now) if found else self._stray_since.pop(name, now)
+        if not found or now - since < STRAY_S or fact.up_s < self._grace_s:
+            return []
+        told = joined([sentence(name, stray) for stray in found[:SHOWN]])
+        return [self._bad(
+            topic, seen, Level.WARN, "name_mistaken", f"vs {found[0].name}"[-30:],
+            f"topic {name} is connected, but {told} Nobody publishes that name: correct it in that node's source, launch file or "
+            "remappings",
+        )]  # fmt: skip
+
+    def _bad(
+        self, topic: api.TopicSettings, seen: api.TopicFact, level: Level, condition: str, short: str, words: str
+    ) -> api.Result:
+        short = brief(last(topic.name), short)
+        return api.Result(level, words, short, condition, self._targets[_unit(topic)], _numbers(seen))
 
 
-def _unfit(out: api.EndpointFact, into: api.EndpointFact) -> list[str]:
-    """Why this publisher does not serve this subscriber, by the two policies that differ most often."""
-    found = []
-    for policy, weak, strong in (
-        ("reliability", "best_effort", "reliable"),
-        ("durability", "volatile", "transient_local"),
-    ):
-        if _plain(getattr(out, policy)) == weak and _plain(getattr(into, policy)) == strong:
-            found.append(
-                f"{policy}: publisher {clean(out.node, 80)} offers {weak}, subscriber {clean(into.node, 80)} asks for {strong}"
-            )
-    return found
+def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *, absent: bool = False) -> str:
+    """Almost right names that may be what is missing: used by one of the nodes that are lacking, or from one side only.
+
+    absent: nobody uses the right name, so any near one is worth a word.
+    """
+    name = full(topic.name)
+    near = strays(name, fact.others)
+    theirs = [stray for stray in near if stray.used_by([full(node) for node in lacking])]
+    likely = theirs or [stray for stray in near if absent or (stray.sure and stray.one_sided)]
+    return "".join(f" {sentence(name, stray)}" for stray in likely[:SHOWN])
 
 
-def _plain(policy: str) -> str:
-    return policy.lower().replace("-", "_").replace(" ", "_")
+def _unfit(seen: api.TopicFact, pair: Pair, mismatch: Mismatch) -> str:
+    """One policy of one pair, and what to change: at the end that stands alone, if one does."""
+    out, into = pair
+    at_publisher = f"at the publisher {mismatch.raise_offer}"
+    at_subscriber = f"at the subscriber {mismatch.lower_ask}"
+    if any(serves(out, other) for other in seen.subscribers):
+        change = at_subscriber
+    elif any(serves(other, into) for other in seen.publishers):
+        change = at_publisher
+    else:
+        change = f"{at_publisher}, or {at_subscriber}"
+    return (
+        f"{mismatch.policy}: publisher {_who(out)} offers {mismatch.offered}, subscriber {_who(into)} asks for "
+        f"{mismatch.asked}; set {change}"
+    )
+
+
+def _who(end: api.EndpointFact) -> str:
+    return clean(end.node, 80) or "without a node name"
+
+
+def _some(texts: Sequence[str]) -> str:
+    shown = ", ".join(texts[:SHOWN])
+    return shown if len(texts) <= SHOWN else f"{shown} and {len(texts) - SHOWN} more"
 
 
 def _unit(topic: api.TopicSettings) -> str:

@@ -14,8 +14,8 @@ UNIT = "topics/agent_1/topic_1"
 STRING = "std_msgs/msg/String"
 
 
-def end(node: str = "/agent_1/node_1", type_: str = STRING, *qos: str) -> api.EndpointFact:
-    return api.EndpointFact(node, type_, *qos)
+def end(node: str = "/agent_1/node_1", type_: str = STRING, *qos: str, **fields: Any) -> api.EndpointFact:
+    return api.EndpointFact(node, type_, *qos, **fields)
 
 
 def build(**topic: Any) -> api.Check:
@@ -69,39 +69,222 @@ def test_a_named_end_that_is_lacking_is_told(side: str, condition: str) -> None:
     assert "node_7" in result.brief and "is one of these meant" in result.summary
 
 
-def test_another_type_than_the_configured_is_an_error() -> None:
-    """Ends of different type do not connect although both are listed."""
-    fact = api.TopicFact((end(),), (end("/agent_1/node_2", "std_msgs/msg/Int32"),))
-    result = judge(build(type=STRING), fact)
-    assert (result.level, result.condition) == (api.Level.ERROR, "type_wrong")
-    assert "std_msgs/msg/Int32" in result.summary
-
-
-def test_mixed_types_are_a_warning_when_none_is_configured() -> None:
-    """Which of them is wrong is not known."""
-    fact = api.TopicFact((end(),), (end("/agent_1/node_2", "std_msgs/msg/Int32"),))
-    assert judge(build(), fact).level is api.Level.WARN
+INT = "std_msgs/msg/Int32"
+ONE, TWO, THREE = "/agent_1/node_1", "/agent_1/node_2", "/agent_1/node_3"
 
 
 @pytest.mark.parametrize(
-    ("offered", "asked", "policy"),
+    ("topic", "out", "into", "level"),
     [
-        (("best_effort", "volatile"), ("reliable", "volatile"), "reliability"),
-        (("BEST_EFFORT", "VOLATILE"), ("RELIABLE", "VOLATILE"), "reliability"),
-        (("reliable", "volatile"), ("reliable", "transient_local"), "durability"),
-        (("reliable", "transient_local"), ("best_effort", "volatile"), ""),
-        (("", ""), ("reliable", "transient_local"), ""),
+        ({"subscribers": [TWO]}, [STRING], [INT], api.Level.ERROR),
+        ({}, [STRING], [INT], api.Level.WARN),
+        ({"publishers": [ONE]}, [INT], [STRING], api.Level.ERROR),
+        ({}, [INT], [], api.Level.ERROR),
+        ({}, [INT, STRING], [], api.Level.WARN),
+        ({"publishers": ["/agent_1/node_10"]}, [INT, STRING], [], api.Level.WARN),
     ],
 )
-def test_quality_of_service_that_does_not_fit_is_a_warning(
-    offered: tuple[str, str], asked: tuple[str, str], policy: str
+def test_another_type_than_the_configured_is_told_by_its_end(
+    topic: Any, out: list[str], into: list[str], level: api.Level
 ) -> None:
-    """The policy and both sides are named; offering more than is asked fits; what is not told is not judged."""
-    fact = api.TopicFact((end("/talker", STRING, *offered),), (end("/listener", STRING, *asked),))
-    result = judge(build(), fact)
-    assert result.level is (api.Level.WARN if policy else api.Level.OK)
-    if policy:
-        assert f"{policy}: publisher /talker" in result.summary and "subscriber /listener" in result.summary
+    """ERROR where the configuration names the end or needs one publisher; a stranger of another type is a WARN."""
+    fact = api.TopicFact(
+        tuple(end(f"/agent_1/node_1{'0' * n}", kind) for n, kind in enumerate(out)),
+        tuple(end(TWO, kind) for kind in into),
+    )
+    result = judge(build(type=STRING, **topic), fact)
+    assert (result.level, result.condition) == (level, "type_wrong")
+    assert f"type {INT} at {'publisher' if INT in out else 'subscriber'} /agent_1/node_" in result.summary
+
+
+@pytest.mark.parametrize(
+    ("topic", "level"),
+    [
+        ({}, api.Level.WARN),
+        ({"publishers": [ONE], "subscribers": [TWO]}, api.Level.ERROR),
+        ({"subscribers": [TWO]}, api.Level.ERROR),
+    ],
+)
+def test_mixed_types_are_an_error_for_a_pair_that_is_needed(topic: Any, level: api.Level) -> None:
+    """Which of them is wrong is not known; that a named subscriber is not served is."""
+    result = judge(build(**topic), api.TopicFact((end(),), (end(TWO, INT),)))
+    assert (result.level, result.condition) == (level, "type_wrong")
+    assert f"{STRING} at publisher {ONE}, {INT} at subscriber {TWO}" in result.summary
+
+
+def test_two_publishers_of_different_type_are_told_without_a_subscriber() -> None:
+    """Whoever subscribes next is served by one of them alone."""
+    assert judge(build(), api.TopicFact((end(), end(TWO, INT)), ())).level is api.Level.WARN
+
+
+def test_one_type_in_two_versions_is_told() -> None:
+    """The name is the same and the content is not: built against different versions of the package."""
+    fact = api.TopicFact((end(type_hash="RIHS01_aaaa"),), (end(TWO, type_hash="RIHS01_bbbb"), end(THREE)))
+    result = judge(build(type=STRING, publishers=[ONE], subscribers=[TWO]), fact)
+    assert (result.level, result.condition) == (api.Level.ERROR, "type_wrong")
+    assert f"publisher {ONE} has RIHS01_aaaa, subscriber {TWO} has RIHS01_bbbb" in result.summary
+    assert judge(build(type=STRING), fact).level is api.Level.WARN
+
+
+OFFERS = {"reliability": "best_effort", "durability": "volatile", "liveliness": "automatic"}
+ASKS = {"reliability": "reliable", "durability": "transient_local", "liveliness": "manual_by_topic"}
+
+
+@pytest.mark.parametrize(
+    ("offered", "asked", "words"),
+    [
+        *(({policy: OFFERS[policy]}, {policy: ASKS[policy]}, f"{policy}: publisher") for policy in OFFERS),
+        ({"reliability": "BEST-EFFORT"}, {"reliability": "RELIABLE"}, "reliability: publisher"),
+        ({"liveliness": "automatic"}, {"liveliness": "manual_by_node"}, "liveliness: publisher"),
+        ({"deadline_s": None}, {"deadline_s": 0.5}, "deadline: publisher {} offers none, subscriber {} asks for 0.5 s"),
+        ({"deadline_s": 2.0}, {"deadline_s": 0.5}, "deadline: publisher {} offers 2 s, subscriber {} asks for 0.5 s"),
+        ({"lease_s": None}, {"lease_s": 1.0}, "liveliness lease: publisher {} offers none, subscriber {} asks for 1 s"),
+        ({"lease_s": 3.0}, {"lease_s": 1.0}, "liveliness lease: publisher {} offers 3 s, subscriber {} asks for 1 s"),
+        *(({policy: ASKS[policy]}, {policy: OFFERS[policy]}, "") for policy in OFFERS),
+        *(({policy: kind}, {policy: kind}, "") for policy, kind in ASKS.items()),
+        ({}, ASKS, ""),
+        ({"reliability": "system_default"}, {"reliability": "reliable"}, ""),
+        ({"deadline_s": 0.5}, {"deadline_s": 0.5}, ""),
+        ({"deadline_s": 0.5}, {"deadline_s": None}, ""),
+        ({"lease_s": 0.5, "deadline_s": 0.1}, {"lease_s": 1.0, "deadline_s": None}, ""),
+    ],
+)
+def test_each_policy_is_judged_as_dds_does(offered: Any, asked: Any, words: str) -> None:
+    """Policy and both sides are named; offering as much or more fits; what is not told is not judged."""
+    result = judge(build(), api.TopicFact((end("/talker", **offered),), (end("/listener", **asked),)))
+    assert result.level is (api.Level.WARN if words else api.Level.OK)
+    assert words.format("/talker", "/listener") in result.summary
+
+
+STRICT, LAX = {"reliability": "reliable"}, {"reliability": "best_effort"}
+
+
+@pytest.mark.parametrize(
+    ("topic", "level"),
+    [
+        ({}, api.Level.WARN),
+        ({"publishers": [ONE]}, api.Level.WARN),
+        ({"subscribers": [TWO]}, api.Level.ERROR),
+        ({"publishers": [ONE], "subscribers": [TWO]}, api.Level.ERROR),
+    ],
+)
+def test_a_pair_that_the_configuration_needs_must_connect(topic: Any, level: api.Level) -> None:
+    """A subscriber that is named gets nothing: ERROR. A pair that nobody asked for: WARN."""
+    result = judge(build(**topic), api.TopicFact((end(**LAX),), (end(TWO, **STRICT),)))
+    assert (result.level, result.condition) == (level, "qos_mismatch")
+
+
+def test_a_named_subscriber_that_another_publisher_serves_is_a_warning() -> None:
+    """No publisher is named, so any one will do; where both are named, that pair must connect."""
+    fact = api.TopicFact((end(ONE, **LAX), end(THREE, **STRICT)), (end(TWO, **STRICT),))
+    assert judge(build(subscribers=[TWO]), fact).level is api.Level.WARN
+    assert judge(build(publishers=[THREE], subscribers=[TWO]), fact).level is api.Level.WARN
+    assert judge(build(publishers=[ONE, THREE], subscribers=[TWO]), fact).level is api.Level.ERROR
+
+
+@pytest.mark.parametrize(
+    ("out", "into", "change"),
+    [
+        ([LAX], [STRICT], "set at the publisher reliable, or at the subscriber best_effort"),
+        ([LAX, STRICT], [STRICT], "set at the publisher reliable"),
+        ([LAX], [STRICT, LAX], "set at the subscriber best_effort"),
+    ],
+)
+def test_what_to_change_is_said_for_the_end_that_stands_alone(out: list[Any], into: list[Any], change: str) -> None:
+    """If the publisher serves others, it is the subscriber that asks too much, and the other way round."""
+    fact = api.TopicFact(
+        tuple(end(f"/out_{n}", **qos) for n, qos in enumerate(out)),
+        tuple(end(f"/in_{n}", **qos) for n, qos in enumerate(into)),
+    )
+    assert judge(build(), fact).summary.endswith(f"{change}.")
+
+
+def test_many_pairs_are_counted() -> None:
+    """The text stays short."""
+    fact = api.TopicFact((end(**LAX),), tuple(end(f"/in_{n}", **STRICT) for n in range(9)))
+    assert judge(build(), fact).summary.endswith("And 6 more.")
+
+
+def test_ends_are_looked_through_again_when_they_changed() -> None:
+    """What was found out about the ends before does not outlive them."""
+    check = build()
+    bad, good = (api.TopicFact((end(**qos),), (end(TWO, **STRICT),)) for qos in (LAX, STRICT))
+    assert [judge(check, fact).level for fact in (bad, bad, good, bad)] == [
+        api.Level.WARN, api.Level.WARN, api.Level.OK, api.Level.WARN,
+    ]  # fmt: skip
+
+
+def uses(publishers: Any = (), subscribers: Any = ()) -> api.NameFact:
+    return api.NameFact(tuple(publishers), tuple(subscribers))
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("/agent_1/topc_1", "one character off"),
+        ("/agent_1/Topic_1", "in other case"),
+        ("/topic_1", "without the whole namespace"),
+        ("/agent_1/agent_1/topic_1", "with a namespace too many"),
+        ("/uav/topic_1", "in another namespace"),
+        ("/agent_2/topic_1", "one character off"),
+        ("/agent_1/topic_7", "one character off"),
+    ],
+)
+def test_a_node_that_uses_an_almost_right_name_is_named(name: str, why: str) -> None:
+    """The node that is lacking publishes under another name: which node, which name, and what was meant."""
+    result = judge(build(publishers=[ONE]), api.TopicFact((), (end(TWO),)), others={name: uses([ONE])})
+    assert result.condition == "publisher_missing"
+    assert f"{ONE} publishes {name}, {why}: did you mean {NAME}?" in result.summary
+
+
+def test_an_almost_right_name_with_both_ends_is_no_hint_while_the_right_one_is_used() -> None:
+    """Somebody else's topic; but where nobody uses the right name, it may be this one."""
+    others = {"/agent_1/topc_1": uses([THREE], ["/agent_1/node_4"])}
+    assert "did you mean" not in judge(build(publishers=[ONE]), api.TopicFact((), (end(TWO),)), others=others).summary
+    assert "did you mean" in judge(build(publishers=[ONE]), None, others=others).summary
+
+
+def test_a_near_name_of_another_node_is_a_hint_when_it_is_used_from_one_side() -> None:
+    """A subscription without a publisher beside a topic without its subscriber."""
+    result = judge(build(subscribers=[TWO]), api.TopicFact((end(),), ()), others={"/agent_1/topc_1": uses((), [THREE])})
+    assert f"{THREE} subscribes to /agent_1/topc_1, one character off: did you mean {NAME}?" in result.summary
+
+
+def stray(name: str, fact: api.NameFact, seconds: float) -> api.Result:
+    """What a topic that is well is, `seconds` after a near name was first seen."""
+    check, clock = build(), testing.FakeClock()
+    ros = testing.FakeRos(topics={NAME: PAIR}, others={name: fact})
+    world = testing.world(clock=clock, ros=ros)
+    check.run(world)
+    clock.advance(seconds)
+    results = check.run(world)
+    assert not isinstance(results, api.Result)
+    return results[UNIT]
+
+
+def test_a_subscription_that_nobody_feeds_on_an_almost_right_name_is_a_warning() -> None:
+    """Although the topic itself is well: nobody else would ever say so."""
+    result = stray("/agent_1/topc_1", uses((), [THREE]), 10.0)
+    assert (result.level, result.condition) == (api.Level.WARN, "name_mistaken")
+    assert f"{THREE} subscribes to /agent_1/topc_1, one character off: did you mean {NAME}?" in result.summary
+    assert result.brief == "topic_1 vs /agent_1/topc_1"
+
+
+@pytest.mark.parametrize(
+    ("name", "fact", "seconds"),
+    [
+        ("/agent_1/topc_1", uses((), [THREE]), 9.0),
+        ("/agent_1/topc_1", uses([ONE], [THREE]), 99.0),
+        ("/agent_1/topc_1", uses([ONE]), 99.0),
+        ("/agent_1/topic_2", uses((), [THREE]), 99.0),
+        ("/agent_2/topic_1", uses((), [THREE]), 99.0),
+        ("/uav/topic_1", uses((), [THREE]), 99.0),
+        ("/agent_1/other", uses((), [THREE]), 99.0),
+    ],
+)
+def test_what_may_be_on_purpose_is_no_warning(name: str, fact: api.NameFact, seconds: float) -> None:
+    """Not yet for long, fed, a publisher alone, another number, another agent, another name."""
+    assert stray(name, fact, seconds).level is api.Level.OK
 
 
 def test_a_young_picture_proves_no_absence() -> None:

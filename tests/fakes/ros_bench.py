@@ -63,6 +63,13 @@ class Bench:
         process = subprocess.Popen([sys.executable, str(script), str(hz), str(path)], env=self.environ)
         self._closing.callback(_end, process)
 
+    def script(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
+        """A script of tests/fakes, with pipes to its standard input and output."""
+        command = [sys.executable, str(ROOT / "tests" / "fakes" / name), *arguments]
+        process = subprocess.Popen(command, env=self.environ, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._closing.callback(_end, process)
+        return process
+
     def probe(
         self,
         topics: Sequence[Mapping[str, Any]] = (),
@@ -118,3 +125,6 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.send_signal(signal.SIGCONT)
     process.kill()
     process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            pipe.close()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.facts import EndpointFact, RateFact, RosFact
+from phm.facts import EndpointFact, NameFact, RateFact, RosFact
 from phm.probes.ros.process import Limits
 from tests.fakes.ros_bench import Bench, gone, seen, stale, until
 
@@ -81,6 +81,49 @@ def test_endpoints_are_told_by_node_type_and_quality(bench: Bench) -> None:
     assert fact.topics["/agent_1/other"].publishers == ()
     assert fact.topics["/agent_1/other"].rate is None
     assert set(fact.nodes) == {"/agent_1/node_1", "/agent_1/node_2"}
+
+
+def test_every_policy_of_an_endpoint_is_told(bench: Bench) -> None:
+    """Both sides as DDS has them; what has no end is None."""
+    strict = "reliability=best_effort,durability=transient_local,liveliness=manual_by_topic,deadline=0.5,lease=2"
+    bench.script("ros_ends.py", "talker", f"pub:topic_1:{strict}", "sub:topic_1")
+    probe = bench.probe([{"name": TOPIC}])
+    fact = seen(
+        probe, lambda fact: fact.topics[TOPIC].publishers and fact.topics[TOPIC].subscribers and fact, "both ends"
+    )
+    (publisher,), (subscriber,) = fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers
+    assert replace(publisher, type_hash="") == EndpointFact(
+        "/agent_1/talker", STRING, "best_effort", "transient_local", 0.5, "manual_by_topic", 2.0
+    )
+    assert (subscriber.deadline_s, subscriber.liveliness, subscriber.lease_s) == (None, "automatic", None)
+
+
+def test_a_middleware_that_connects_everything_is_not_judged(bench: Bench) -> None:
+    """Zenoh has no quality of service that keeps two ends apart: it is not told then."""
+    code = (
+        "import phm.probes.ros.graph as g; g.quality_matters = lambda: False\n"
+        "from phm.probes.ros.child import main; raise SystemExit(main())"
+    )
+    bench.script("ros_ends.py", "talker", "pub:topic_1:deadline=0.5")
+    probe = bench.probe([{"name": TOPIC}], command=(sys.executable, "-c", code))
+    fact = seen(probe, lambda fact: fact.topics[TOPIC].publishers and fact, "the publisher")
+    assert replace(fact.topics[TOPIC].publishers[0], type_hash="") == EndpointFact("/agent_1/talker", STRING)
+
+
+def test_topics_that_nobody_configured_are_told_with_their_nodes(bench: Bench) -> None:
+    """A misspelt name shows there; configured names, hidden ones and those of every node are left out; gone is gone."""
+    node = bench.script("ros_ends.py", "talker", "pub:topc_1", "sub:topc_1", "sub:topic_1", "sub:_hidden", "sub:/other")
+    bench.script("ros_ends.py", "second", "sub:topc_1")
+    probe = bench.probe([{"name": TOPIC}])
+    expected = {
+        "/agent_1/topc_1": NameFact(("/agent_1/talker",), ("/agent_1/second", "/agent_1/talker")),
+        "/other": NameFact((), ("/agent_1/talker",)),
+    }
+    seen(probe, lambda fact: fact.others == expected, "both names")
+    node.terminate()
+    seen(
+        probe, lambda fact: fact.others == {"/agent_1/topc_1": NameFact((), ("/agent_1/second",))}, "what is left", 40.0
+    )
 
 
 @pytest.mark.parametrize("hz", [10.0, 200.0])

@@ -6,8 +6,10 @@ node names and QoS, cost 50 us a topic and are read when names or counts changed
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from phm.facts import EndpointFact
@@ -83,16 +85,34 @@ def endpoints(infos: Iterable[Any]) -> tuple[EndpointFact, ...]:
 def _endpoint(info: Any) -> EndpointFact:
     qos = info.qos_profile
     type_hash = str(getattr(info, "topic_type_hash", ""))  # not in Humble
-    return EndpointFact(
+    plain = EndpointFact(
         node="" if info.node_name in _UNKNOWN else full_name(info.node_name, info.node_namespace),
         type=info.topic_type,
+        type_hash=type_hash[:_HASH_SHOWN] if type_hash.startswith("RIHS") else "",
+    )
+    if not quality_matters():
+        return plain
+    return replace(
+        plain,
         reliability=qos.reliability.name.lower(),
         durability=qos.durability.name.lower(),
         deadline_s=_seconds(qos.deadline),
         liveliness=qos.liveliness.name.lower(),
         lease_s=_seconds(qos.liveliness_lease_duration),
-        type_hash=type_hash[:_HASH_SHOWN] if type_hash.startswith("RIHS") else "",
     )
+
+
+@functools.cache
+def quality_matters() -> bool:
+    """Whether this middleware refuses pairs by quality of service, as DDS does; Zenoh connects everything.
+
+    Where it does not, endpoints are told without it, so that nobody finds a mismatch.
+    """
+    from rclpy.qos import QoSCompatibility, QoSProfile, QoSReliabilityPolicy, qos_check_compatible
+
+    weak = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+    strong = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.RELIABLE)
+    return bool(qos_check_compatible(weak, strong)[0] == QoSCompatibility.ERROR)
 
 
 def _seconds(duration: Any) -> float | None:

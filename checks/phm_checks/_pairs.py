@@ -1,0 +1,74 @@
+"""The ends of one topic and their pairs: which belong together, and which the configuration needs.
+
+A pair is a publisher and a subscription of the same topic. Not a check: pure rules, used by `topics`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from phm import api
+from phm.api import Level
+from phm_checks._qos import mismatches
+
+Pair = tuple[api.EndpointFact, api.EndpointFact]
+
+
+def full(name: str) -> str:
+    """A ROS name with its first slash."""
+    return f"/{api.topic_id(name)}"
+
+
+def all_ends(seen: api.TopicFact) -> Iterator[tuple[str, api.EndpointFact]]:
+    yield from (("publisher", end) for end in seen.publishers)
+    yield from (("subscriber", end) for end in seen.subscribers)
+
+
+def sides(pairs: Sequence[Pair]) -> list[tuple[str, api.EndpointFact]]:
+    """The ends of these pairs, each once."""
+    return list(
+        dict.fromkeys(side for out, into in pairs for side in (("publisher", out), ("subscriber", into))),
+    )
+
+
+def pairs_of(seen: api.TopicFact) -> list[Pair]:
+    return [(out, into) for out in seen.publishers for into in seen.subscribers]
+
+
+def same_type(out: api.EndpointFact, into: api.EndpointFact) -> bool:
+    return not (out.type and into.type) or out.type == into.type
+
+
+def same_definition(out: api.EndpointFact, into: api.EndpointFact) -> bool:
+    return not (out.type_hash and into.type_hash) or out.type_hash == into.type_hash
+
+
+def serves(out: api.EndpointFact, into: api.EndpointFact) -> bool:
+    return same_type(out, into) and not mismatches(out, into)
+
+
+def needed(topic: api.TopicSettings, seen: api.TopicFact, pair: Pair) -> bool:
+    """Whether the configuration needs this pair: both are named, or the subscriber is and no publisher serves it."""
+    out, into = pair
+    if not named(into, topic.subscribers):
+        return False
+    if topic.publishers:
+        return named(out, topic.publishers)
+    return not any(serves(other, into) for other in seen.publishers)
+
+
+def needed_end(topic: api.TopicSettings, seen: api.TopicFact, side: str, end: api.EndpointFact) -> bool:
+    """Whether the configuration names this end, or it stands for the one publisher that there must be."""
+    if side == "subscriber":
+        return named(end, topic.subscribers)
+    if topic.publishers:
+        return named(end, topic.publishers)
+    return not any(other.type == topic.type for other in seen.publishers)
+
+
+def named(end: api.EndpointFact, nodes: Iterable[str]) -> bool:
+    return end.node in {full(node) for node in nodes}
+
+
+def level_of(topic: api.TopicSettings, seen: api.TopicFact, pairs: Sequence[Pair]) -> Level:
+    return Level.ERROR if any(needed(topic, seen, pair) for pair in pairs) else Level.WARN
