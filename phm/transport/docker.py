@@ -1,33 +1,25 @@
 """The Docker Engine, asked and told through docker-py, with a wall-clock deadline on every call.
 
-Both the probes and the recovery actions use one `Engine`. Calls run in the thread that makes them; a
-call that is overdue is cut by the watchdog (see `phm.transport.deadline`), even when the engine keeps
-sending a byte now and then, which docker-py's own timeout never notices.
+Both the probes and the recovery actions use one `Engine`. What may be asked and told is here; how a call is made, cut
+and explained is in `phm.transport.docker_session`.
 """
 
 from __future__ import annotations
 
 import base64
-import contextlib
 import json
 import posixpath
 import tarfile
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from http.client import HTTPException
-from typing import Any, TypeVar
+from typing import Any
 from urllib.parse import quote
 
 import requests
 from docker import APIClient
-from docker.errors import DockerException, create_api_error_from_http_exception
+from docker.errors import create_api_error_from_http_exception
 from requests.models import Response
-from urllib3.exceptions import HTTPError
 
-from phm.clock import Clock, SystemClock
-from phm.facts import CannotTell
-from phm.transport.deadline import Call, Watchdog
 from phm.transport.docker_errors import (
     EngineBroken,
     EngineConflict,
@@ -38,7 +30,8 @@ from phm.transport.docker_errors import (
     EngineUnreachable,
     translate,
 )
-from phm.transport.docker_http import EventStream, client_for, resolver_for, using
+from phm.transport.docker_http import EventStream
+from phm.transport.docker_session import FAILURES, Answer, Session, mapping
 from phm.transport.docker_tar import FileCopy, pack, unpack
 
 __all__ = [
@@ -46,38 +39,19 @@ __all__ = [
     "EngineTimeout", "EngineUnreachable", "EventStream", "FileCopy",
 ]  # fmt: skip
 
-T = TypeVar("T")
-Answer = dict[str, Any]
-
-API_WANTED = (1, 44)
-"""Newest API that this module was written against; an older engine is spoken to in its own."""
-API_FALLBACK = "1.41"
-"""Where a socket proxy hides /version: Docker 20.10 and later understand this."""
 ACT_MARGIN_S = 10.0
 """Allowed to calls that change something, beyond the time-out: the engine waits this long for a kill to take."""
 EVENT_SILENCE_S = 60.0
 """An event stream that is silent for longer is given up, so that a half-open TCP connection ends."""
-_FAILURES = (
-    requests.RequestException, HTTPError, DockerException, HTTPException, OSError, tarfile.TarError, EOFError,
-    ValueError, KeyError, TypeError, AttributeError, IndexError,
-)  # fmt: skip
 
 
-class Engine:
+class Engine(Session):
     """The engine at `url` (``unix:///path`` or ``tcp://host:port``). Thread-safe; nothing is opened here.
 
     Every method raises a subclass of `EngineError` (itself a `phm.facts.CannotTell`): EngineTimeout,
     EngineUnreachable, EngineRefused (403; also NotPermitted), EngineConflict (409), EngineMissing (404),
     EngineBroken. Containers and networks are named by id or name.
     """
-
-    def __init__(self, url: str, timeout_s: float = 5.0, clock: Clock | None = None) -> None:
-        self.url, self.timeout_s = url, timeout_s
-        self._clock = clock or SystemClock()
-        self._watchdog = Watchdog(self._clock, "phm-docker-deadlines")
-        self._local = threading.local()  # docker-py's client is not thread-safe
-        self._resolver = resolver_for(url)
-        self._api = ""
 
     # ------------------------------------------------------------ asking
 
@@ -87,7 +61,7 @@ class Engine:
 
     def version(self) -> Answer:
         """GET /version: Version, ApiVersion, MinAPIVersion, ..."""
-        return _mapping(self.call(lambda client: client.version(api_version=False), what="read its version"))
+        return mapping(self.call(lambda client: client.version(api_version=False), what="read its version"))
 
     def list(self, *, label: str = "", deadline_s: float | None = None) -> Sequence[Answer]:
         """Summaries of all containers, stopped ones included; with `label` those that carry it."""
@@ -95,23 +69,23 @@ class Engine:
         found = self.call(
             lambda client: client.containers(all=True, filters=filters), deadline_s=deadline_s, what="list containers"
         )
-        return [_mapping(entry) for entry in found]
+        return [mapping(entry) for entry in found]
 
     def inspect(self, ref: str, *, deadline_s: float | None = None) -> Answer:
         """All about one container."""
-        return _mapping(
+        return mapping(
             self.call(lambda client: client.inspect_container(ref), deadline_s=deadline_s, what=f"inspect {ref}")
         )
 
     def inspect_network(self, ref: str, *, deadline_s: float | None = None) -> Answer:
         """All about one network."""
-        return _mapping(
+        return mapping(
             self.call(lambda client: client.inspect_network(ref), deadline_s=deadline_s, what=f"inspect network {ref}")
         )
 
     def top(self, container: str, ps_args: str = "-ef", *, deadline_s: float | None = None) -> Answer:
         """The processes of a running container: Titles and Processes, as the host's `ps` prints them."""
-        return _mapping(
+        return mapping(
             self.call(
                 lambda client: client.top(container, ps_args=ps_args),
                 deadline_s=deadline_s,
@@ -129,7 +103,7 @@ class Engine:
         def ask(client: APIClient) -> Answer:
             response = client.head(_archive_url(client, container), params={"path": path}, timeout=client.timeout)
             _raise_for_status(response)
-            return _mapping(json.loads(base64.b64decode(response.headers["X-Docker-Container-Path-Stat"])))
+            return mapping(json.loads(base64.b64decode(response.headers["X-Docker-Container-Path-Stat"])))
 
         return self.call(ask, deadline_s=deadline_s, what=f"look at {path} in {container}")
 
@@ -179,13 +153,13 @@ class Engine:
         params = {"filters": json.dumps({key: list(values) for key, values in (filters or {}).items()})}
         if since:
             params["since"] = since
-        with self._calling("follow events", None) as (client, call):
+        with self.calling("follow events", None) as (client, call):
             url = f"{client.base_url}/v{client.api_version}/events"
             response = client.get(url, params=params, stream=True, timeout=(client.timeout, EVENT_SILENCE_S))
             _raise_for_status(response)
             sockets = call.finish()
         explain = partial(translate, call=call, url=self.url, limit_s=EVENT_SILENCE_S, what="follow events")
-        return EventStream(response, sockets, _FAILURES, explain)
+        return EventStream(response, sockets, FAILURES, explain)
 
     # ------------------------------------------------------------ acting
 
@@ -274,76 +248,12 @@ class Engine:
         """Remove a container that does not run, with its nameless volumes."""
         self._act(lambda client: client.remove_container(ref, v=True), f"remove {ref}")
 
-    # ------------------------------------------------------------ how
-
-    def call(self, fn: Callable[[APIClient], T], *, deadline_s: float | None = None, what: str = "answer") -> T:
-        """Run `fn` on this thread's docker-py client, to be over after `deadline_s` (default: the time-out)."""
-        with self._calling(what, deadline_s) as (client, _):
-            return fn(client)
-
-    def close(self) -> None:
-        """Cut the calls that are under way; every later call fails at once."""
-        self._watchdog.close()
-
     def _act(self, fn: Callable[[APIClient], Any], what: str, grace_s: float = 0.0) -> None:
         self.call(fn, deadline_s=self.timeout_s + grace_s + ACT_MARGIN_S, what=what)
-
-    @contextlib.contextmanager
-    def _calling(self, what: str, deadline_s: float | None) -> Iterator[tuple[APIClient, Call]]:
-        limit_s = self.timeout_s if deadline_s is None else deadline_s
-        with self._watchdog.watch(limit_s) as call, using(call):
-            try:
-                if call.expired:
-                    raise EngineUnreachable("PHM is closing its connection to the Docker Engine")
-                yield self._client(limit_s), call
-            except CannotTell as error:
-                # Our own reading may stumble over the end of file that the watchdog caused.
-                raise translate(error, call, self.url, limit_s, what) if call.expired else error from error.__cause__
-            except _FAILURES as error:
-                told = translate(error, call, self.url, limit_s, what)
-                if isinstance(told, EngineUnreachable):
-                    self._api = ""  # what comes back may be another version
-                raise told from error
-            # An answer without a length that was cut looks complete.
-            if call.expired:
-                raise translate(TimeoutError(), call, self.url, limit_s, what)
-
-    def _client(self, limit_s: float) -> APIClient:
-        api = self._api or self._negotiate(limit_s)
-        client: APIClient | None = getattr(self._local, "client", None)
-        if client is None or client.api_version != api:
-            client = self._local.client = client_for(self.url, api, self._resolver)
-        client.timeout = limit_s  # type: ignore[assignment]  # the stubs say int; requests takes any number
-        return client
-
-    def _negotiate(self, limit_s: float) -> str:
-        client = client_for(self.url, API_FALLBACK, self._resolver)
-        client.timeout = limit_s  # type: ignore[assignment]
-        try:
-            told = _mapping(client.version(api_version=False))
-        except DockerException as error:
-            if getattr(error, "status_code", None) not in (401, 403, 404):
-                raise
-            self._api = API_FALLBACK
-        else:
-            newest, oldest = _numbers(told["ApiVersion"]), _numbers(told.get("MinAPIVersion") or "1.24")
-            self._api = "{}.{}".format(*max(min(newest, API_WANTED), oldest))
-        return self._api
-
-
-def _numbers(version: str) -> tuple[int, int]:
-    major, _, minor = version.partition(".")
-    return int(major), int(minor)
 
 
 def _whole(seconds: float) -> int:
     return max(0, -int(-seconds // 1))
-
-
-def _mapping(answer: Any) -> Answer:
-    if not isinstance(answer, dict):
-        raise TypeError(f"expected an object, got {str(answer)[:80]!r}")
-    return answer
 
 
 def _archive_url(client: APIClient, container: str) -> str:

@@ -1,0 +1,116 @@
+"""Calls to the Docker Engine through docker-py: a client for each thread, the API's version, deadlines and errors.
+
+Calls run in the thread that makes them; a call that is overdue is cut by the watchdog (see `phm.transport.deadline`),
+even when the engine keeps sending a byte now and then, which docker-py's own timeout never notices.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tarfile
+import threading
+from collections.abc import Callable, Iterator
+from http.client import HTTPException
+from typing import Any, TypeVar
+
+import requests
+from docker import APIClient
+from docker.errors import DockerException
+from urllib3.exceptions import HTTPError
+
+from phm.clock import Clock, SystemClock
+from phm.facts import CannotTell
+from phm.transport.deadline import Call, Watchdog
+from phm.transport.docker_errors import EngineUnreachable, translate
+from phm.transport.docker_http import client_for, resolver_for, using
+
+T = TypeVar("T")
+Answer = dict[str, Any]
+
+API_WANTED = (1, 44)
+"""Newest API that this module was written against; an older engine is spoken to in its own."""
+API_FALLBACK = "1.41"
+"""Where a socket proxy hides /version: Docker 20.10 and later understand this."""
+FAILURES = (
+    requests.RequestException, HTTPError, DockerException, HTTPException, OSError, tarfile.TarError, EOFError,
+    ValueError, KeyError, TypeError, AttributeError, IndexError,
+)  # fmt: skip
+
+
+class Session:
+    """How one engine is spoken to; `phm.transport.docker.Engine` says what is. Thread-safe; nothing is opened here.
+
+    url: ``unix:///path`` or ``tcp://host:port``. timeout_s: the deadline of a call that names none.
+    """
+
+    def __init__(self, url: str, timeout_s: float = 5.0, clock: Clock | None = None) -> None:
+        self.url, self.timeout_s = url, timeout_s
+        self._clock = clock or SystemClock()
+        self._watchdog = Watchdog(self._clock, "phm-docker-deadlines")
+        self._local = threading.local()  # docker-py's client is not thread-safe
+        self._resolver = resolver_for(url)
+        self._api = ""
+
+    def call(self, fn: Callable[[APIClient], T], *, deadline_s: float | None = None, what: str = "answer") -> T:
+        """Run `fn` on this thread's docker-py client, to be over after `deadline_s` (default: the time-out)."""
+        with self.calling(what, deadline_s) as (client, _):
+            return fn(client)
+
+    def close(self) -> None:
+        """Cut the calls that are under way; every later call fails at once."""
+        self._watchdog.close()
+
+    @contextlib.contextmanager
+    def calling(self, what: str, deadline_s: float | None) -> Iterator[tuple[APIClient, Call]]:
+        """This thread's client for one call, under a deadline in seconds. Whatever goes wrong inside leaves it as EngineError."""
+        limit_s = self.timeout_s if deadline_s is None else deadline_s
+        with self._watchdog.watch(limit_s) as call, using(call):
+            try:
+                if call.expired:
+                    raise EngineUnreachable("PHM is closing its connection to the Docker Engine")
+                yield self._client(limit_s), call
+            except CannotTell as error:
+                # Our own reading may stumble over the end of file that the watchdog caused.
+                raise translate(error, call, self.url, limit_s, what) if call.expired else error from error.__cause__
+            except FAILURES as error:
+                told = translate(error, call, self.url, limit_s, what)
+                if isinstance(told, EngineUnreachable):
+                    self._api = ""  # what comes back may be another version
+                raise told from error
+            # An answer without a length that was cut looks complete.
+            if call.expired:
+                raise translate(TimeoutError(), call, self.url, limit_s, what)
+
+    def _client(self, limit_s: float) -> APIClient:
+        api = self._api or self._negotiate(limit_s)
+        client: APIClient | None = getattr(self._local, "client", None)
+        if client is None or client.api_version != api:
+            client = self._local.client = client_for(self.url, api, self._resolver)
+        client.timeout = limit_s  # type: ignore[assignment]  # the stubs say int; requests takes any number
+        return client
+
+    def _negotiate(self, limit_s: float) -> str:
+        client = client_for(self.url, API_FALLBACK, self._resolver)
+        client.timeout = limit_s  # type: ignore[assignment]
+        try:
+            told = mapping(client.version(api_version=False))
+        except DockerException as error:
+            if getattr(error, "status_code", None) not in (401, 403, 404):
+                raise
+            self._api = API_FALLBACK
+        else:
+            newest, oldest = _numbers(told["ApiVersion"]), _numbers(told.get("MinAPIVersion") or "1.24")
+            self._api = "{}.{}".format(*max(min(newest, API_WANTED), oldest))
+        return self._api
+
+
+def _numbers(version: str) -> tuple[int, int]:
+    major, _, minor = version.partition(".")
+    return int(major), int(minor)
+
+
+def mapping(answer: Any) -> Answer:
+    """The answer, which must be a JSON object. Raises TypeError, one of FAILURES."""
+    if not isinstance(answer, dict):
+        raise TypeError(f"expected an object, got {str(answer)[:80]!r}")
+    return answer
