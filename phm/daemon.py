@@ -28,6 +28,7 @@ from phm.recovery.executor import Executor
 from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
 from phm.reporters.base import Reporter, ReporterContext
+from phm.reporters.installed import Installed
 from phm.settings import Settings
 from phm.tracker import Tracker
 
@@ -67,7 +68,7 @@ class Daemon:
         )  # fmt: skip
         self.engine = Engine(self.plan.scheduled, self.parts.world, self.clock, self._observe)
         self.pipeline.attach(self.engine.wake_units)
-        self.reporters: list[Reporter] = []
+        self.reporters = Installed(self.bus)
         self.executor: Executor | None = None
         self.control: Control | None = None
         self.memory = Memory(settings, self.pipeline, self.bus, self.clock)
@@ -78,7 +79,7 @@ class Daemon:
 
     def start(self) -> None:
         self.memory.restore()
-        self._start_reporters()
+        self.reporters.start(self._reporter_context())
         self._start_recovery()
         self._tell_what_could_not_load()
         self.parts.start()
@@ -112,11 +113,7 @@ class Daemon:
         self.engine.stop()
         self.bus.close()
         self.memory.close()
-        for reporter in self.reporters:
-            try:
-                reporter.close()
-            except Exception:  # a plug-in; the others are still to be closed
-                logger.exception("reporter %s did not close", reporter.name)
+        self.reporters.close()
         self.parts.close()
 
     def alive(self) -> bool:
@@ -155,31 +152,16 @@ class Daemon:
             self._wake(subject)
 
     def _problems(self) -> tuple[float, tuple[str, ...], dict[str, int], tuple[str, ...]]:
-        problems = [problem for reporter in self.reporters if (problem := reporter.problem())]
+        problems = self.reporters.problems()
         problems += [part.problem() for part in (self.memory, self.control) if part is not None and part.problem()]
         uptime_s = self.clock.mono() - self._started.mono
         return uptime_s, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems())
 
-    def _start_reporters(self) -> None:
-        context = ReporterContext(
+    def _reporter_context(self) -> ReporterContext:
+        return ReporterContext(
             self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink,
             restored=self.pipeline.open_faults(), ros=self.parts.ros,
         )  # fmt: skip
-        for found in registry.find(registry.REPORTERS, Reporter):
-            if found.loaded is None:
-                continue
-            try:
-                kind: type[Reporter] = found.loaded
-                reporter = kind.build(context)
-            except Exception:  # a plug-in; the others report all the same
-                logger.exception("reporter %s could not be built", found.name)
-                continue
-            if reporter is not None:
-                self.reporters.append(reporter)
-                self.bus.subscribe(
-                    reporter.name, reporter.handle, kinds=reporter.kinds, size=reporter.queue_size,
-                    tick=reporter.tick, period_s=reporter.period_s,
-                )  # fmt: skip
 
     def _start_recovery(self) -> None:
         actions = registry.usable(registry.find(registry.ACTIONS, Action))

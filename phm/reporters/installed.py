@@ -1,0 +1,48 @@
+"""The reporters of this PHM: those installed and wanted, each with a queue of its own on the bus."""
+
+from __future__ import annotations
+
+import logging
+
+from phm import registry
+from phm.bus import Bus
+from phm.reporters.base import Reporter, ReporterContext
+
+logger = logging.getLogger(__name__)
+
+
+class Installed:
+    """Builds and closes them. Each is a plug-in: what one raises costs that one alone."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._reporters: list[Reporter] = []
+
+    def start(self, context: ReporterContext) -> None:
+        """Before the first result, so that nobody misses it."""
+        for found in registry.find(registry.REPORTERS, Reporter):
+            if found.loaded is None:
+                continue
+            try:
+                kind: type[Reporter] = found.loaded
+                reporter = kind.build(context)
+            except Exception:  # the others report all the same
+                logger.exception("reporter %s could not be built", found.name)
+                continue
+            if reporter is not None:
+                self._reporters.append(reporter)
+                self._bus.subscribe(
+                    reporter.name, reporter.handle, kinds=reporter.kinds, size=reporter.queue_size,
+                    tick=reporter.tick, period_s=reporter.period_s,
+                )  # fmt: skip
+
+    def problems(self) -> list[str]:
+        return [problem for reporter in self._reporters if (problem := reporter.problem())]
+
+    def close(self) -> None:
+        """After the bus, which hands out what is queued."""
+        for reporter in self._reporters:
+            try:
+                reporter.close()
+            except Exception:  # the others are still to be closed
+                logger.exception("reporter %s did not close", reporter.name)

@@ -1,0 +1,77 @@
+"""The reporters of one PHM: what one does wrong is its own affair."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import pytest
+
+from phm import registry
+from phm.bus import Bus
+from phm.clock import SystemClock
+from phm.model import Event, Note
+from phm.registry import Found
+from phm.reporters.base import Reporter, ReporterContext
+from phm.reporters.installed import Installed
+from phm.settings import Settings
+from tests.fakes.records import at, context
+
+
+class Plain(Reporter):
+    """Remembers what it was told."""
+
+    name = "plain"
+    heard: ClassVar[list[Event]] = []
+    closed = 0
+
+    @classmethod
+    def build(cls, context: ReporterContext) -> Reporter | None:
+        return cls()
+
+    def handle(self, event: Event) -> None:
+        self.heard.append(event)
+
+    def problem(self) -> str:
+        return f"{self.name} has a problem"
+
+    def close(self) -> None:
+        type(self).closed += 1
+
+
+class Unbuildable(Plain):
+    @classmethod
+    def build(cls, context: ReporterContext) -> Reporter | None:
+        raise RuntimeError("no such display")
+
+
+class Unwanted(Plain):
+    @classmethod
+    def build(cls, context: ReporterContext) -> Reporter | None:
+        return None
+
+
+class Unclosable(Plain):
+    def close(self) -> None:
+        raise OSError("gone")
+
+
+def test_a_reporter_that_fails_costs_the_others_nothing(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Not loaded, not built, not wanted, not closed: whoever is left is built, told, asked and closed."""
+    kinds = {"a_broken": Unbuildable, "b_unwanted": Unwanted, "c_stuck": Unclosable, "plain": Plain}
+    found = [Found(name, "test 1.0", kind) for name, kind in kinds.items()]
+    monkeypatch.setattr(registry, "find", lambda group, base: [Found("x", "test 1.0", None, "no module"), *found])
+    bus = Bus(SystemClock())
+    reporters = Installed(bus)
+    reporters.start(context(Settings()))
+    bus.publish(Note(at(), "PHM", "hello"))
+    bus.close()
+    assert len(Plain.heard) == 2
+    assert reporters.problems() == ["plain has a problem"] * 2
+    reporters.close()
+    assert Plain.closed == 1
+    assert [record.message for record in caplog.records] == [
+        "reporter a_broken could not be built",
+        "reporter plain did not close",
+    ]
