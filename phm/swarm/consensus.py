@@ -1,0 +1,122 @@
+"""What the swarm agrees on, from everybody's views: lost or only unheard by some, split, or without its ground. Pure.
+
+Each agent computes it for itself from the same views, with no leader and no rounds: views are small, sent often, and
+old ones do not count. An observer is an agent that this one hears and whose view is young, and this one itself.
+An agent is *lost* when more observers have lost it than hear it, and *unheard by some* otherwise; who hears it and who
+does not is told in both cases. In a split network each side sees the other as lost, which is what either can know; it
+says so as a split when several vanish together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+from phm.swarm.peers import Peers
+from phm.wire.tunnel import Seen, View
+
+SPLIT_S = 15.0
+"""Agents that were lost within this time of each other vanished together."""
+
+
+class State(str, Enum):
+    """What the swarm agrees on about one agent."""
+
+    ALIVE = "alive"
+    PARTLY = "unheard by some"
+    LATE = "late"
+    LOST = "lost"
+    NEVER = "never seen"
+    LEFT = "left"
+    """It said that it was stopped on purpose."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """About one agent. `heard_by`, `unheard_by`: observers; `gcs`: whether it hears a ground station, None unknown."""
+
+    state: State
+    heard_by: tuple[int, ...] = ()
+    unheard_by: tuple[int, ...] = ()
+    gcs: bool | None = None
+    word: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Consensus:
+    """As of one moment, as this agent computes it. `observers`: whose views counted, this one included."""
+
+    own: int
+    verdicts: Mapping[int, Verdict] = field(default_factory=dict)
+    observers: tuple[int, ...] = ()
+    split: tuple[int, ...] = ()
+    """Agents that vanished together, two or more; empty when the network is whole as far as one can tell."""
+
+    @property
+    def members(self) -> int:
+        """This agent and all others that belong to the swarm; who left on purpose does not count."""
+        return 1 + sum(verdict.state is not State.LEFT for verdict in self.verdicts.values())
+
+    @property
+    def living(self) -> tuple[int, ...]:
+        """Ids of those that live, this one included, ascending."""
+        there = (State.ALIVE, State.PARTLY, State.LATE)
+        return tuple(sorted((self.own, *(a for a, v in self.verdicts.items() if v.state in there))))
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        return tuple(agent for agent, verdict in self.verdicts.items() if verdict.state is State.LOST)
+
+
+def agree(peers: Peers, now: float, own_gcs: bool) -> Consensus:
+    """The swarm's state. own_gcs: whether this agent hears a ground station itself."""
+    seen = peers.seen(now)
+    views: dict[int, View] = {agent: view for agent, peer in peers.all().items() if (view := peer.votes(now))}
+    verdicts = {agent: _verdict(agent, how, views, peers, now) for agent, how in seen.items()}
+    lost = [agent for agent, verdict in verdicts.items() if verdict.state is State.LOST]
+    return Consensus(peers.own, verdicts, tuple(sorted((peers.own, *views))), _together(lost, peers))
+
+
+def without_ground(consensus: Consensus, own_gcs: bool) -> tuple[int, ...]:
+    """Living agents that do not hear the ground while another one does: their radio has failed, not the ground."""
+    some_do = own_gcs or any(verdict.gcs for verdict in consensus.verdicts.values())
+    if not some_do:
+        return ()
+    deaf = [agent for agent in consensus.living if agent != consensus.own and consensus.verdicts[agent].gcs is False]
+    return tuple(sorted([*deaf, *([] if own_gcs else [consensus.own])]))
+
+
+def _verdict(agent: int, how: Seen, views: Mapping[int, View], peers: Peers, now: float) -> Verdict:
+    peer = peers.peer(agent)
+    assert peer is not None
+    heard, unheard = ([peers.own], []) if how in (Seen.ALIVE, Seen.LATE) else ([], [peers.own])
+    for observer, view in views.items():
+        if observer == agent:
+            continue
+        there = view.peers.get(agent, Seen.NEVER) in (Seen.ALIVE, Seen.LATE)
+        (heard if there else unheard).append(observer)
+    own_word = views.get(agent)
+    words = (tuple(sorted(heard)), tuple(sorted(unheard)), own_word.gcs if own_word else None, peer.word)
+    if peer.leaving and how is Seen.LOST:
+        return Verdict(State.LEFT, *words)
+    if not heard:
+        ever = how is not Seen.NEVER or any(
+            view.peers.get(agent, Seen.NEVER) is not Seen.NEVER for view in views.values()
+        )
+        return Verdict(State.LOST if ever else State.NEVER, *words)
+    if len(unheard) > len(heard):
+        return Verdict(State.LOST, *words)
+    if unheard:
+        return Verdict(State.PARTLY, *words)
+    return Verdict(State.LATE if how is Seen.LATE else State.ALIVE, *words)
+
+
+def _together(lost: list[int], peers: Peers) -> tuple[int, ...]:
+    """The largest group of lost agents that fell silent within SPLIT_S of each other, when it is two or more."""
+    times = sorted((peer.heard_s, agent) for agent in lost if (peer := peers.peer(agent)) and peer.heard_s is not None)
+    best: list[int] = []
+    for start, (began, _) in enumerate(times):
+        group = [agent for heard, agent in times[start:] if heard - began <= SPLIT_S]
+        best = max(best, group, key=len)
+    return tuple(sorted(best)) if len(best) > 1 else ()

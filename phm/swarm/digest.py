@@ -1,0 +1,92 @@
+"""The swarm in one line and in one TUNNEL: what the speaker tells the ground. Pure.
+
+The line, at most 50 characters: how many of how many are well, the worst word, and who is not, gravest first::
+
+    SWARM 8/8 OK
+    SWARM 7/8 FAIL A03:ROS
+    SWARM 5/8 FAIL A06:lost A07:lost A03:ROS
+    SWARM 90/100 FAIL A07:lost A12:DOCKER A13:ROS +7
+    SWARM 7/8 WARN A02:deaf                    lives, but hears no ground station
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from phm.model import Level, Slot
+from phm.swarm.consensus import Consensus, State
+from phm.wire import status_word
+from phm.wire.status_line import MAX_CHARS, agent_name
+from phm.wire.tunnel import Digest
+
+_LAYERS: Mapping[Slot, str] = {
+    Slot.COMPANION: "LINK", Slot.CONTAINER: "DOCKER", Slot.FILES: "FILES", Slot.NETWORK: "NET", Slot.DEVICES: "DEVICE",
+    Slot.NODES: "ROS", Slot.TOPICS: "ROS", Slot.RATES: "ROS", Slot.HOST: "HOST", Slot.AUTOPILOT: "PILOT",
+    Slot.RADIO: "RADIO", Slot.PEERS: "PEERS",
+}  # fmt: skip
+_GRAVITY = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
+_WORD = {Level.OK: "OK", Level.STALE: "OK", Level.WARN: "WARN", Level.ERROR: "FAIL"}
+
+
+def worst(word: int) -> tuple[Level, Slot | None]:
+    """The worst level in a status word and the first slot that has it; STALE, None for one that says nothing."""
+    try:
+        levels = status_word.decode(word)
+    except ValueError:
+        return Level.STALE, None
+    # An agent's slot 12 says that it misses others: the digest tells that once, from the consensus.
+    levels.pop(Slot.PEERS, None)
+    if not levels:
+        return Level.STALE, None
+    slot = max(levels, key=lambda entry: (_GRAVITY[levels[entry]], -entry))
+    return levels[slot], slot
+
+
+def levels(consensus: Consensus, own_word: int, deaf: Collection[int] = ()) -> dict[int, tuple[Level, str]]:
+    """Each member's level with a word for why it is not OK, by agent id."""
+    told = {consensus.own: _of_word(own_word)}
+    for agent, verdict in consensus.verdicts.items():
+        if verdict.state is State.LEFT:
+            continue
+        if verdict.state is State.LOST:
+            told[agent] = (Level.ERROR, "lost")
+        elif verdict.state is State.NEVER:
+            told[agent] = (Level.STALE, "unseen")
+        else:
+            told[agent] = _of_word(verdict.word)
+    for agent in deaf:
+        if told[agent][0] in (Level.OK, Level.STALE):
+            told[agent] = (Level.WARN, "deaf")
+    return dict(sorted(told.items()))
+
+
+def line(told: Mapping[int, tuple[Level, str]]) -> str:
+    """See the module."""
+    well = sum(level is Level.OK for level, _ in told.values())
+    bad = sorted(
+        ((agent, level, why) for agent, (level, why) in told.items() if level is not Level.OK and why),
+        key=lambda entry: (-_GRAVITY[entry[1]], entry[2] != "lost", entry[0]),
+    )
+    gravest = max((level for level, _ in told.values()), key=lambda level: _GRAVITY[level], default=Level.STALE)
+    text = f"SWARM {well}/{len(told)} {_WORD[gravest]}"
+    for number, (agent, _, why) in enumerate(bad):
+        piece = f" {agent_name(agent)}:{why}"
+        left = len(bad) - number - 1
+        more = f" +{left}" if left else ""
+        if len(text) + len(piece) + len(more) > MAX_CHARS:
+            return f"{text} +{left + 1}"
+        text += piece
+    return text
+
+
+def digest(consensus: Consensus, told: Mapping[int, tuple[Level, str]]) -> Digest:
+    return Digest(
+        consensus.members, min(len(consensus.living), consensus.members), {a: lv for a, (lv, _) in told.items()}
+    )
+
+
+def _of_word(word: int) -> tuple[Level, str]:
+    level, slot = worst(word)
+    if level is Level.OK:
+        return level, ""
+    return level, _LAYERS.get(slot, "USER") if slot is not None else "mute"

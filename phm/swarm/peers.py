@@ -1,0 +1,127 @@
+"""The other agents, as this one hears them: who lives, who is late, who is lost, who uses an id twice. Pure.
+
+A peer is known by PHM's own heartbeat, which carries its status word. How long its silence may be follows from how
+often it is heard: agents may be set to other periods than ours, and radios lose frames.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from phm.wire.tunnel import Seen, View
+
+LATE_PERIODS, LOST_PERIODS = 2.5, 5.0
+"""Silence in heartbeat periods of the peer: one lost frame says nothing, four in a row do."""
+LEARN = 0.3
+"""Weight of the newest gap in the estimate of a peer's period."""
+MAX_PERIOD_S = 60.0
+VIEW_LATE_PERIODS = 4.0
+"""A view is too old to vote when its sender has sent none for so many periods."""
+CLASHES, CLASH_S = 3, 20.0
+"""A view's sequence that falls back this often within this time comes from two senders of one id."""
+MAX_PEERS = 250
+
+
+@dataclass(slots=True)
+class Peer:
+    """One other agent. Times are monotonic seconds; `word` is its newest status word, 0 before the first."""
+
+    agent: int
+    period_s: float
+    heard_s: float | None = None
+    word: int = 0
+    leaving: bool = False
+    """It said POWEROFF: silence that follows is planned."""
+    alive_since: float | None = None
+    view: View | None = None
+    view_s: float | None = None
+    restarts: int = 0
+    falls: deque[float] = field(default_factory=lambda: deque(maxlen=CLASHES))
+
+    def seen(self, now: float) -> Seen:
+        if self.heard_s is None:
+            return Seen.NEVER
+        silent_s = now - self.heard_s
+        if self.leaving and silent_s > self.period_s:
+            return Seen.LOST
+        if silent_s > LOST_PERIODS * self.period_s:
+            return Seen.LOST
+        return Seen.LATE if silent_s > LATE_PERIODS * self.period_s else Seen.ALIVE
+
+    def votes(self, now: float) -> View | None:
+        """Its view, when it lives and the view is young enough to count."""
+        if self.view is None or self.view_s is None or self.seen(now) not in (Seen.ALIVE, Seen.LATE):
+            return None
+        return self.view if now - self.view_s <= VIEW_LATE_PERIODS * self.period_s else None
+
+
+class Peers:
+    """All other agents. Not thread-safe.
+
+    expected: agent ids of the fleet, each of which counts as a member before it was ever heard; without them
+    the members are those that were heard. period_s: our own heartbeat's, the first guess for everyone's.
+    """
+
+    def __init__(self, own: int, period_s: float, expected: Iterable[int] = ()) -> None:
+        self.own = own
+        self._period_s = period_s
+        self._peers = {agent: Peer(agent, period_s) for agent in expected if agent != own}
+
+    def heartbeat(self, agent: int, word: int, now: float, *, leaving: bool = False) -> bool:
+        """A heartbeat of another agent's PHM. True when how it is seen, or what it says, changed."""
+        if agent == self.own:
+            return False
+        peer = self._peer(agent)
+        before = (peer.seen(now), peer.word, peer.leaving)
+        if peer.heard_s is not None and before[0] in (Seen.ALIVE, Seen.LATE):
+            gap_s = min(now - peer.heard_s, MAX_PERIOD_S)
+            # Two heartbeats in one moment come from an answer to a ground station, and tell no period.
+            if gap_s > 0.2 * peer.period_s:
+                peer.period_s += LEARN * (gap_s - peer.period_s)
+        else:
+            peer.alive_since = now
+        peer.heard_s, peer.word, peer.leaving = now, word, leaving
+        return before != (peer.seen(now), word, leaving)
+
+    def told(self, agent: int, view: View, now: float) -> bool:
+        """A view of another agent. True when it says something else than the one before."""
+        if agent == self.own:
+            return False
+        peer = self._peer(agent)
+        old = peer.view
+        if old is not None and (view.sequence - old.sequence) % 256 > 128:
+            peer.falls.append(now)
+            peer.restarts += 1
+        peer.view, peer.view_s = view, now
+        return old is None or (old.gcs, old.autopilot, old.radio, old.peers) != (
+            view.gcs, view.autopilot, view.radio, view.peers
+        )  # fmt: skip
+
+    def seen(self, now: float) -> dict[int, Seen]:
+        """How each member but ourselves is seen, by agent id."""
+        return {agent: peer.seen(now) for agent, peer in sorted(self._peers.items())}
+
+    def peer(self, agent: int) -> Peer | None:
+        return self._peers.get(agent)
+
+    def all(self) -> Mapping[int, Peer]:
+        return self._peers
+
+    def clashing(self, now: float) -> tuple[int, ...]:
+        """Ids that two agents use: the sequence of their views falls back again and again."""
+        return tuple(
+            agent
+            for agent, peer in sorted(self._peers.items())
+            if len(peer.falls) == CLASHES and now - peer.falls[0] <= CLASH_S
+        )
+
+    def _peer(self, agent: int) -> Peer:
+        peer = self._peers.get(agent)
+        if peer is None:
+            if len(self._peers) >= MAX_PEERS:  # ids are 1 to 250, so only hostile frames get here
+                longest = min(self._peers.values(), key=lambda entry: entry.heard_s or 0.0)
+                del self._peers[longest.agent]
+            peer = self._peers[agent] = Peer(agent, self._period_s)
+        return peer

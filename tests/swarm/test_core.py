@@ -1,0 +1,276 @@
+"""Peers, consensus, election and digest, with agents that are played on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phm.model import Level, Slot
+from phm.swarm import digest
+from phm.swarm.consensus import Consensus, State, Verdict, agree, without_ground
+from phm.swarm.peers import LATE_PERIODS, LOST_PERIODS, Peers
+from phm.swarm.speaker import STEADY_S, Election
+from phm.wire import status_word
+from phm.wire.tunnel import Seen, View
+
+WELL = status_word.encode(dict.fromkeys(list(Slot)[:8], Level.OK))
+PERIOD_S = 2.0
+
+
+class Swarm:
+    """Agents that hear each other as `hears` allows; each sends a heartbeat and a view a period."""
+
+    def __init__(self, agents: Iterable[int], gcs: Iterable[int] | None = None) -> None:
+        self.agents = list(agents)
+        self.gcs = set(self.agents if gcs is None else gcs)
+        self.peers = {agent: Peers(agent, PERIOD_S, self.agents) for agent in self.agents}
+        self.down: set[int] = set()
+        self.cut: set[tuple[int, int]] = set()
+        self.words = dict.fromkeys(self.agents, WELL)
+        self.now, self.sequence = 0.0, 0
+
+    def run(self, seconds: float) -> None:
+        end = self.now + seconds
+        while self.now < end:
+            self.sequence += 1
+            for sender in self.agents:
+                if sender not in self.down:
+                    self._send(sender)
+            self.now += PERIOD_S
+
+    def _send(self, sender: int) -> None:
+        view = View(self.sequence % 256, sender in self.gcs, True, True, self.peers[sender].seen(self.now))
+        for hearer in self.agents:
+            if hearer not in self.down and hearer != sender and (sender, hearer) not in self.cut:
+                self.peers[hearer].heartbeat(sender, self.words[sender], self.now)
+                self.peers[hearer].told(sender, view, self.now)
+
+    def separate(self, one: Iterable[int], other: Iterable[int]) -> None:
+        self.cut |= {pair for a in one for b in other for pair in ((a, b), (b, a))}
+
+    def agreed(self, by: int) -> Consensus:
+        return agree(self.peers[by], self.now, by in self.gcs)
+
+
+def test_all_agree_that_all_live() -> None:
+    swarm = Swarm(range(1, 9))
+    swarm.run(20)
+    for agent in swarm.agents:
+        assert {verdict.state for verdict in swarm.agreed(agent).verdicts.values()} == {State.ALIVE}
+        assert swarm.agreed(agent).living == tuple(swarm.agents)
+
+
+def test_a_dead_agent_is_lost_for_all() -> None:
+    swarm = Swarm(range(1, 9))
+    swarm.run(20)
+    swarm.down = {3}
+    swarm.run(LOST_PERIODS * PERIOD_S + 2 * PERIOD_S)
+    for agent in set(swarm.agents) - {3}:
+        agreed = swarm.agreed(agent)
+        assert agreed.lost == (3,)
+        assert agreed.split == ()
+        assert agreed.members == 8
+
+
+def test_one_that_does_not_hear_does_not_make_lost() -> None:
+    """The deaf one itself learns from the others that the agent lives."""
+    swarm = Swarm(range(1, 6))
+    swarm.run(20)
+    swarm.cut = {(3, 1)}
+    swarm.run(20)
+    assert swarm.peers[1].seen(swarm.now)[3] is Seen.LOST
+    for agent in (1, 2, 4, 5):
+        verdict = swarm.agreed(agent).verdicts[3]
+        assert verdict.state is State.PARTLY
+        assert verdict.unheard_by == (1,)
+        assert verdict.heard_by == tuple({2, 4, 5})
+
+
+def test_more_who_lost_it_than_hear_it_is_lost_and_dissent_is_shown() -> None:
+    swarm = Swarm(range(1, 7))
+    swarm.run(20)
+    swarm.cut = {(3, hearer) for hearer in (1, 2, 4, 6)}
+    swarm.run(20)
+    verdict = swarm.agreed(1).verdicts[3]
+    assert (verdict.state, verdict.heard_by) == (State.LOST, (5,))
+
+
+def test_a_split_network_is_told_on_both_sides_and_heals() -> None:
+    swarm = Swarm(range(1, 9))
+    swarm.run(20)
+    swarm.separate((1, 2, 3), (4, 5, 6, 7, 8))
+    swarm.run(30)
+    assert swarm.agreed(1).split == (4, 5, 6, 7, 8)
+    assert swarm.agreed(8).split == (1, 2, 3)
+    swarm.cut.clear()
+    swarm.run(10)
+    assert swarm.agreed(1).lost == swarm.agreed(8).lost == ()
+
+
+def test_agents_that_die_one_after_another_are_no_split() -> None:
+    swarm = Swarm(range(1, 6))
+    swarm.run(20)
+    swarm.down = {4}
+    swarm.run(40)
+    swarm.down = {4, 5}
+    swarm.run(40)
+    assert swarm.agreed(1).lost == (4, 5)
+    assert swarm.agreed(1).split == ()
+
+
+def test_the_first_loss_is_late_before_it_is_lost() -> None:
+    peers = Peers(1, PERIOD_S)
+    for at in range(0, 20, 2):
+        peers.heartbeat(2, WELL, at)
+    assert peers.seen(18 + LATE_PERIODS * PERIOD_S)[2] is Seen.ALIVE
+    assert peers.seen(18.1 + LATE_PERIODS * PERIOD_S)[2] is Seen.LATE
+    assert peers.seen(18.1 + LOST_PERIODS * PERIOD_S)[2] is Seen.LOST
+
+
+def test_a_slower_peer_is_not_late() -> None:
+    """It sends every 10 s where we send every 2 s: learned from its own gaps."""
+    peers = Peers(1, 2.0)
+    for at in range(0, 200, 10):
+        peers.heartbeat(2, WELL, float(at))
+    assert peers.seen(200.0)[2] is Seen.ALIVE
+
+
+def test_who_was_stopped_on_purpose_has_left() -> None:
+    swarm = Swarm(range(1, 4))
+    swarm.run(20)
+    for hearer in (1, 2):
+        swarm.peers[hearer].heartbeat(3, WELL, swarm.now, leaving=True)
+    swarm.down = {3}
+    swarm.run(20)
+    assert swarm.agreed(1).verdicts[3].state is State.LEFT
+    assert swarm.agreed(1).members == 2
+
+
+def test_a_member_that_never_came_is_never_seen() -> None:
+    swarm = Swarm(range(1, 5))
+    swarm.down = {4}
+    swarm.run(20)
+    assert swarm.agreed(1).verdicts[4].state is State.NEVER
+
+
+def test_an_id_used_twice_is_noticed_and_a_restart_is_not() -> None:
+    peers = Peers(1, PERIOD_S)
+    peers.told(2, View(200, True, True, True), 0.0)
+    peers.told(2, View(0, True, True, True), 2.0)
+    assert peers.clashing(2.0) == ()
+    for turn in range(6):
+        peers.told(2, View(10 + turn, True, True, True), 4.0 + turn)
+        peers.told(2, View(90 + turn, True, True, True), 4.5 + turn)
+    assert peers.clashing(10.0) == (2,)
+    assert peers.clashing(100.0) == ()
+
+
+def test_our_own_frames_are_no_peer() -> None:
+    peers = Peers(7, PERIOD_S)
+    assert not peers.heartbeat(7, WELL, 0.0)
+    assert not peers.told(7, View(0, True, True, True), 0.0)
+    assert peers.seen(0.0) == {}
+
+
+def test_an_agent_without_its_ground_radio_is_named() -> None:
+    swarm = Swarm(range(1, 5), gcs=(1, 2, 4))
+    swarm.run(20)
+    assert without_ground(swarm.agreed(1), own_gcs=True) == (3,)
+    assert without_ground(swarm.agreed(3), own_gcs=False) == (3,)
+
+
+def test_a_ground_that_is_gone_for_all_is_nobodys_radio() -> None:
+    swarm = Swarm(range(1, 5), gcs=())
+    swarm.run(20)
+    assert without_ground(swarm.agreed(1), own_gcs=False) == ()
+
+
+# ------------------------------------------------------------ election
+
+
+def consensus(fit: dict[int, bool], own: int = 5) -> Consensus:
+    return Consensus(own, {agent: Verdict(State.ALIVE, gcs=gcs) for agent, gcs in fit.items() if agent != own})
+
+
+def test_the_lowest_that_hears_the_ground_speaks() -> None:
+    assert Election().speaker(consensus({1: False, 2: True, 3: True}), True, 0.0) == 2
+    assert Election().speaker(consensus({1: False}), False, 0.0) is None
+
+
+def test_a_better_speaker_waits_until_it_is_steady() -> None:
+    election = Election()
+    assert election.speaker(consensus({3: True}), True, 0.0) == 3
+    for at in range(int(STEADY_S)):
+        assert election.speaker(consensus({1: at % 2 == 0, 3: True}), True, float(at)) == 3
+    assert election.speaker(consensus({1: True, 3: True}), True, 20.0) == 3
+    assert election.speaker(consensus({1: True, 3: True}), True, 20.0 + STEADY_S) == 1
+
+
+def test_a_speaker_that_dies_is_replaced_at_once() -> None:
+    election = Election()
+    election.speaker(consensus({1: True, 2: True}), True, 0.0)
+    assert election.speaker(consensus({2: True}), True, 1.0) == 2
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sets(st.integers(1, 20), min_size=1, max_size=12), st.data())
+def test_all_elect_the_same_once_views_have_settled(agents: set[int], data: st.DataObject) -> None:
+    """Whoever is down and whoever hears the ground: in a whole network all living agents name one speaker."""
+    down = data.draw(st.sets(st.sampled_from(sorted(agents))))
+    gcs = data.draw(st.sets(st.sampled_from(sorted(agents))))
+    swarm = Swarm(sorted(agents), gcs)
+    swarm.down = down
+    elections = {agent: Election() for agent in agents}
+    chosen = {}
+    for _ in range(30):
+        swarm.run(PERIOD_S)
+        chosen = {a: elections[a].speaker(swarm.agreed(a), a in gcs, swarm.now) for a in agents - down}
+    expected = min((agents - down) & gcs, default=None)
+    assert set(chosen.values()) <= {expected}
+
+
+# ------------------------------------------------------------ digest
+
+
+def told(words: dict[int, int], lost: Iterable[int] = (), own: int = 1) -> dict[int, tuple[Level, str]]:
+    verdicts = {
+        a: Verdict(State.LOST if a in lost else State.ALIVE, word=word) for a, word in words.items() if a != own
+    }
+    return digest.levels(Consensus(own, verdicts), words[own])
+
+
+def bad(slot: Slot, level: Level = Level.ERROR) -> int:
+    return status_word.encode({**dict.fromkeys(list(Slot)[:8], Level.OK), slot: level})
+
+
+@pytest.mark.parametrize(
+    ("words", "lost", "line"),
+    [
+        (dict.fromkeys(range(1, 9), WELL), (), "SWARM 8/8 OK"),
+        ({**dict.fromkeys(range(1, 9), WELL), 3: bad(Slot.NODES)}, (), "SWARM 7/8 FAIL A03:ROS"),
+        ({**dict.fromkeys(range(1, 9), WELL), 3: bad(Slot.NODES)}, (6, 7), "SWARM 5/8 FAIL A06:lost A07:lost A03:ROS"),
+        ({**dict.fromkeys(range(1, 9), WELL), 2: bad(Slot.HOST, Level.WARN)}, (), "SWARM 7/8 WARN A02:HOST"),
+        ({**dict.fromkeys(range(1, 9), WELL), 2: bad(Slot.PEERS)}, (), "SWARM 8/8 OK"),
+        ({1: 0, 2: WELL}, (), "SWARM 1/2 OK A01:mute"),
+        (dict.fromkeys(range(1, 101), bad(Slot.CONTAINER)), (), "SWARM 0/100 FAIL A01:DOCKER A02:DOCKER +98"),
+    ],
+)
+def test_the_line_says_who_is_not_well(words: dict[int, int], lost: tuple[int, ...], line: str) -> None:
+    assert digest.line(told(words, lost)) == line
+
+
+@given(st.dictionaries(st.integers(1, 250), st.integers(0, 2**32 - 1), min_size=1), st.data())
+def test_the_line_is_always_short(words: dict[int, int], data: st.DataObject) -> None:
+    own = data.draw(st.sampled_from(sorted(words)))
+    lost = data.draw(st.sets(st.sampled_from(sorted(words)))) - {own}
+    line = digest.line(told(words, lost, own))
+    assert len(line) <= 50
+    assert line.isascii()
+
+
+def test_the_deaf_are_named_once_nothing_graver_is_known() -> None:
+    verdicts = {2: Verdict(State.ALIVE, gcs=False, word=WELL), 3: Verdict(State.ALIVE, gcs=False, word=bad(Slot.NODES))}
+    assert digest.line(digest.levels(Consensus(1, verdicts), WELL, deaf=(2, 3))) == "SWARM 1/3 FAIL A03:ROS A02:deaf"
