@@ -1,15 +1,16 @@
 """The lives of one container: whether it stays, or is started again and again.
 
-A life is short when it ends before the container has run for `steady_s`; Docker's own measure is 10 s, after which
-its restart policy waits no longer than at first. Some short lives in a row are a loop, and the loop is over when one
-life is not short: one fault, whether the container happens to run at a look or not.
+A life is short when it ends before the container has run for `steady_s`. Some short lives in a row are a loop, and the
+loop is over when one life is not short: one fault, whether the container happens to run at a look or not.
 """
 
 from __future__ import annotations
 
 from phm import api
 
-STEADY_S = 10.0
+STEADY_S = 12.0
+"""Longer than Docker's own measure, 10 s, after which its restart policy waits no longer than at first, and than what mutes
+the parts of a container: 11 s after it was told to end. So what never comes well is told, inside or at the container."""
 BY_ENGINE = 3
 """So many restarts in a row by the engine's restart policy, each after a short life, are a loop."""
 BY_HAND = 6

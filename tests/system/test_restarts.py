@@ -107,7 +107,7 @@ def short_lived(docker_client: DockerClient) -> Iterator[Container]:
 
 
 def test_a_process_that_lives_two_seconds_is_one_fault(short_lived: Container, start_phm: Callable[..., Phm]) -> None:
-    """Mostly seen running; the fault stays open in between, and is over ten seconds after the last start."""
+    """Mostly seen running; the fault stays open in between, and is over when one life has lasted."""
     phm = start_phm({"interval": "3s", "containers": [{"name": short_lived.name, "healthcheck": "ignore"}]})
     opened = phm.wait(lambda event: event["event"] == "fault_opened", "the fault", 60.0)
     assert (opened["unit"], opened["condition"]) == (f"container/{short_lived.name}", "restarting")
