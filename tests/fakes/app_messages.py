@@ -20,6 +20,9 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "sensor_msgs"
 LIMIT_S = 120.0
 OWN_PYTHON = f"{sys.version_info[0]}.{sys.version_info[1]}"
+OWN_DISTRIBUTION = "kilted" if Path(sys.prefix, "lib", "libfastdds.so").exists() else "jazzy"
+"""Of the environment that runs the tests; Jazzy's Fast DDS has another name."""
+OTHER_DISTRIBUTION = {"jazzy": "kilted", "kilted": "jazzy"}[OWN_DISTRIBUTION]
 
 
 def install(distribution: str, python: str = OWN_PYTHON) -> Path:
@@ -36,22 +39,16 @@ def install(distribution: str, python: str = OWN_PYTHON) -> Path:
 
 
 def environ(base: Mapping[str, str], folder: Path, python: str = OWN_PYTHON) -> dict[str, str]:
-    """`base`, as it is after `source install/setup.bash`."""
-    added = {
-        "PYTHONPATH": str(folder / "lib" / f"python{python}" / "site-packages"),
-        "LD_LIBRARY_PATH": str(folder / "lib"),
+    """`base`, as it is after `source install/setup.bash`, for a process with wheels of ROS of its own."""
+    # What the ROS wheels set for the process that runs the tests, and only in the first process of all.
+    libraries = [part for part in base.get("LD_LIBRARY_PATH", "").split(os.pathsep) if part]
+    others = [part for part in libraries if not Path(part).is_relative_to(sys.prefix)]
+    modules = [str(folder / "lib" / f"python{python}" / "site-packages"), base.get("PYTHONPATH", "")]
+    return {
+        **{name: value for name, value in base.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"},
+        "PYTHONPATH": os.pathsep.join(filter(None, modules)),
+        "LD_LIBRARY_PATH": os.pathsep.join([str(folder / "lib"), *others]),
     }
-    merged = {name: os.pathsep.join(filter(None, (path, base.get(name, "")))) for name, path in added.items()}
-    return {**plain(base), **merged}
-
-
-def plain(base: Mapping[str, str]) -> dict[str, str]:
-    """Without what the ROS wheels set for the process that runs the tests: for one with other wheels."""
-    mine = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
-    kept = {name: value for name, value in base.items() if name not in mine}
-    libraries = [part for part in kept.pop("LD_LIBRARY_PATH", "").split(os.pathsep) if part]
-    foreign = [part for part in libraries if not Path(part).is_relative_to(sys.prefix)]
-    return {**kept, **({"LD_LIBRARY_PATH": os.pathsep.join(foreign)} if foreign else {})}
 
 
 def isolated(merged: Path, folder: Path, python: str = OWN_PYTHON) -> Path:

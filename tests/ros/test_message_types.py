@@ -16,7 +16,7 @@ from phm.probes.ros.anytype import AnyTypes, NotHere
 from phm.probes.ros.message_types import UnknownType, load_type
 from phm.probes.ros.protocol import INSTALLS
 from tests.fakes import app_messages
-from tests.fakes.app_messages import OWN_PYTHON
+from tests.fakes.app_messages import OTHER_DISTRIBUTION, OWN_DISTRIBUTION, OWN_PYTHON
 
 # The parser that comes with ROS's generated messages imports a module that Python has deprecated.
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")
@@ -33,8 +33,6 @@ NAMES = (
     "A/msg/b",
     f"a/msg/{'B' * 101}",
 )
-DISTRIBUTION = "kilted" if ".venv-kilted" in sys.prefix else "jazzy"
-OTHER = {"jazzy": "kilted", "kilted": "jazzy"}[DISTRIBUTION]
 
 
 @pytest.fixture
@@ -152,7 +150,7 @@ def test_what_is_made_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 def installs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Install folders of applications, by what is special about them."""
     folder = tmp_path_factory.mktemp("installs")
-    merged = app_messages.install(DISTRIBUTION)
+    merged = app_messages.install(OWN_DISTRIBUTION)
     old = folder / "old" / "lib" / "python3.8"
     shutil.copytree(merged / "lib" / f"python{OWN_PYTHON}" / "site-packages", old / "site-packages")
     poor = folder / "poor"
@@ -166,7 +164,7 @@ def installs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "empty": empty,
         "old": folder / "old",
         "poor": poor,
-        "other": app_messages.install(OTHER),
+        "other": app_messages.install(OTHER_DISTRIBUTION),
         "none": folder / "not" / "there",
     }
 

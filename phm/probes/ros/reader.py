@@ -21,7 +21,7 @@ class Reader:
         self.type_name = type_name
         self._node = node
         self._deep = deep
-        message = load_type(type_name)
+        message = load_type(type_name, node.get_publishers_info_by_topic(topic))
         # Best effort and volatile match every publisher; a queue of one keeps the middleware's copy small.
         qos = QoSProfile(
             history=QoSHistoryPolicy.KEEP_LAST,

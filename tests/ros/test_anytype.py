@@ -1,0 +1,135 @@
+"""Topics whose messages only the application has, for real: this environment has no sensor_msgs, the publisher has."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+from phm.facts import RosFact
+from phm.probes.ros.process import RosProcess
+from tests.fakes import app_messages
+from tests.fakes.app_messages import OTHER_DISTRIBUTION, OWN_DISTRIBUTION
+from tests.fakes.ros_bench import ROOT, Bench, seen
+from tests.fakes.ros_truth import within_2_percent
+
+HZ = 20.0
+TOPICS = {
+    "/agent_1/plain": "sensor_msgs/msg/Range",
+    "/agent_1/nested": "sensor_msgs/msg/Imu",
+    "/agent_1/unbounded": "sensor_msgs/msg/Image",
+}
+WANTED = [{"name": name, "rate": HZ} for name in TOPICS]
+PYTHONS = {"jazzy": ROOT / ".venv" / "bin" / "python", "kilted": ROOT / ".venv-kilted" / "bin" / "python"}
+UNKNOWN_MIDDLEWARE = (
+    sys.executable, "-c",
+    "from phm.probes.ros import anytype, child; anytype.KNOWN.clear(); raise SystemExit(child.main())",
+)  # fmt: skip
+
+
+class Application:
+    """A publisher of these topics in an environment of its own."""
+
+    def __init__(self, bench: Bench, folder: Path) -> None:
+        self._environ: Mapping[str, str] = bench.environ
+        self.sent = folder / "sent"
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self, distribution: str = OWN_DISTRIBUTION, *words: str) -> None:
+        python = PYTHONS[distribution] if distribution != OWN_DISTRIBUTION else Path(sys.executable)
+        assert python.exists(), f"there is no {python}: run scripts/venv and scripts/venv kilted"
+        environ = app_messages.environ(self._environ, app_messages.install(distribution))
+        script = ROOT / "tests" / "fakes" / "ros_typed_source.py"
+        command = [str(python), str(script), str(HZ), str(self.sent), *words]
+        self._process = subprocess.Popen(command, env=environ)
+
+    def close(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+
+@pytest.fixture
+def application(bench: Bench, tmp_path: Path) -> Iterator[Application]:
+    made = Application(bench, tmp_path)
+    yield made
+    made.close()
+
+
+def all_measured(probe: RosProcess, sent: Path) -> None:
+    """Each topic's rate is that with which it was published, by a child that never had to be replaced."""
+
+    def right(fact: RosFact) -> bool:
+        return all(within_2_percent(fact.topics[name].rate, sent) for name in TOPICS)
+
+    seen(probe, right, "three rates within 2 %")
+    types = {name: topic.publishers[0].type for name, topic in probe.look().topics.items()}
+    assert types == TOPICS
+    assert probe.restarts == 0
+
+
+def test_this_environment_has_no_such_package() -> None:
+    """Otherwise nothing here would prove anything."""
+    assert importlib.util.find_spec("sensor_msgs") is None
+
+
+def test_types_that_only_the_application_has_are_measured(bench: Bench, application: Application) -> None:
+    """A plain message, a nested one, and one with 20 kB in an array: by their names alone, within 2 %."""
+    application.start()
+    all_measured(bench.probe(WANTED), application.sent)
+
+
+def test_what_is_in_the_messages_does_not_matter(bench: Bench, application: Application) -> None:
+    """Random bytes instead of messages, 3 to 20000 of them: nobody looks into them, and the rates are right."""
+    application.start(OWN_DISTRIBUTION, "garbage")
+    all_measured(bench.probe(WANTED), application.sent)
+
+
+def test_the_other_distribution_is_measured(bench: Bench, application: Application) -> None:
+    """Jazzy's reader and Kilted's publishers, and the other way round in Kilted's environment."""
+    application.start(OTHER_DISTRIBUTION)
+    all_measured(bench.probe(WANTED), application.sent)
+
+
+def test_the_reader_tells_the_hash_of_its_publisher(bench: Bench, application: Application) -> None:
+    """Whoever lists the ends of the topic sees one type, not another one at PHM."""
+    application.start()
+    all_measured(bench.probe(WANTED), application.sent)
+    readers = Path(f"{application.sent}.readers")
+
+    def hashes(_: RosFact) -> list[str]:
+        found = readers.read_text().split()
+        return found if len(found) == 2 else []
+
+    mine, its = seen(bench.probe(), hashes, "two ends")
+    assert mine == its
+    assert mine.startswith("RIHS01_")
+
+
+def test_an_unknown_middleware_takes_the_mounted_install(bench: Bench, application: Application) -> None:
+    """Where the name alone does not do, the application's own folder gives the types."""
+    application.start()
+    installs = [str(app_messages.install(OWN_DISTRIBUTION))]
+    all_measured(bench.probe(WANTED, command=UNKNOWN_MIDDLEWARE, installs=installs), application.sent)
+
+
+def test_without_any_way_the_graph_alone_is_told(bench: Bench, application: Application) -> None:
+    """Publishers and types are there, no rate is, the reason is, and no child was lost over it."""
+    application.start()
+    probe = bench.probe(WANTED, command=UNKNOWN_MIDDLEWARE)
+    fact = seen(
+        probe, lambda fact: all(fact.topics[name].publishers and fact.topics[name].rate for name in TOPICS) and fact,
+        "three publishers",
+    )  # fmt: skip
+    for name, kind in TOPICS.items():
+        rate = fact.topics[name].rate
+        assert rate is not None
+        assert (rate.hz, rate.silent_s) == (None, None)
+        assert rate.problem.startswith(
+            f"type unknown: {kind} is not installed beside PHM; it cannot be read by its name"
+        )
+    assert probe.restarts == 0
