@@ -4,7 +4,8 @@
 
 Behaviours: `good`; `garbage` (good, between lines that are no messages); `long` (good, after a line of
 several megabytes); `exit` (a picture, then code 3); `mute` (a picture, then nothing); `never` (nothing at all);
-`crash` (SIGSEGV after a picture); `stubborn` (good, and ignores its closed input). FOLDER gets a file per start.
+`crash` (SIGSEGV after a picture); `stubborn` (good, and ignores its closed input); `deaf` (good, and never reads).
+FOLDER gets a file per start.
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ def main(behaviour: str, folder: str = "") -> int:
             return _wait_for_end()
         elif behaviour == "crash":
             os.kill(os.getpid(), signal.SIGSEGV)
+        if behaviour == "deaf":
+            time.sleep(0.05)
+            continue
         readable, _, _ = select.select([0], [], [], 0.05)
         if readable and behaviour != "stubborn" and not os.read(0, 100):
             return 0

@@ -71,6 +71,8 @@ class Limits:
     """A child that lived this long starts the back-off anew."""
     missing_s: float = 60.0
     """Between attempts where there is no rclpy."""
+    goodbye_s: float = 0.2
+    """For the last array to be written to a child that is about to be asked to go."""
     farewell_s: float = 1.0
     """For a child that is asked to go, before SIGKILL."""
 
@@ -248,7 +250,17 @@ class RosProcess:
                 weighed_s = now_s
                 if (rss := life.rss_bytes()) > self._max_memory:
                     return f"used {rss / 1e6:.0f} MB, allowed are {self._max_memory / 1e6:.0f} MB, and was killed"
+        if self._closing:
+            self._say_goodbye(life)
         return ""
+
+    def _say_goodbye(self, life: Life) -> None:
+        """What waits to be published may be the last word of PHM: the child reads it before the end of its input."""
+        self._hand_post(life)
+        until_s = self._clock.mono() + self._limits.goodbye_s
+        while life.writing and not life.over and self._clock.mono() < until_s:
+            life.read(0.02, self._wake)
+            self._drain()
 
     def _hand_post(self, life: Life) -> None:
         with self._lock:

@@ -1,0 +1,270 @@
+"""Diagnostics through the real child: the application's are heard, PHM's own arrive at a real subscriber."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from phm.facts import DiagnosticFact, RosFact
+from phm.probes.ros.process import RosProcess
+from phm.wire import journal
+from tests.fakes.ros_bench import ROOT, Bench, seen, until
+
+FREQUENCY = "camera: Frequency"
+FINE = [FREQUENCY, 0, "fine", "cam-07", {"fps": "30.0"}]
+
+
+class Speaker:
+    """A real node that publishes what it is told, ten times a second."""
+
+    def __init__(self, bench: Bench, name: str = "camera") -> None:
+        self.process = bench.script("ros_status.py", "say", name)
+
+    def say(self, *statuses: list[Any]) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps(statuses).encode() + b"\n")
+        self.process.stdin.flush()
+
+
+class Listener:
+    """A real subscriber of /diagnostics; `heard` is the newest of each status, as [level, message, hardware id, values]."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.heard: dict[str, list[Any]] = {}
+        self.frames: dict[str, str] = {}
+        process = bench.script("ros_status.py", "hear", "monitor")
+        threading.Thread(target=self._read, args=(process,), daemon=True).start()
+
+    def _read(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout is not None
+        with contextlib.suppress(ValueError):  # at the test's end the pipe is closed, in the midst of a line
+            for line in process.stdout:
+                frame, statuses = json.loads(line)
+                self.heard.update({name: rest for name, *rest in statuses})
+                self.frames.update({name: frame for name, *_ in statuses})
+
+
+def heard(fact: RosFact, name: str = FREQUENCY) -> DiagnosticFact | None:
+    return fact.diagnostics.get(name)
+
+
+def listening(bench: Bench, **diagnostics: Any) -> RosProcess:
+    return bench.probe(nodes=[{"name": "/agent_1/camera"}], diagnostics=diagnostics)
+
+
+def told(level: int, message: str, **values: str) -> Mapping[str, DiagnosticFact]:
+    return {"phm/agent_1: summary": DiagnosticFact(0.0, level, message, "agent_1", values)}
+
+
+def test_what_a_node_says_is_heard(bench: Bench) -> None:
+    """Each status with its level, message, hardware id and values; a new level is a change at once; silence shows as age."""
+    camera, probe = Speaker(bench), listening(bench)
+    camera.say(FINE, ["camera: Frames", 1, "few", "", {}])
+    fact = seen(probe, lambda fact: heard(fact) and heard(fact, "camera: Frames") and fact, "both statuses")
+    frequency = fact.diagnostics[FREQUENCY]
+    assert (frequency.level, frequency.message, frequency.hardware_id) == (0, "fine", "cam-07")
+    assert dict(frequency.values) == {"fps": "30.0"} and fact.diagnostics["camera: Frames"].level == 1
+    changes = bench.changes
+    camera.say([FREQUENCY, 2, "no image", "cam-07", {}])
+    seen(probe, lambda fact: fact.diagnostics[FREQUENCY].message == "no image", "the news")
+    assert bench.changes > changes
+    camera.process.kill()
+    seen(probe, lambda fact: fact.diagnostics[FREQUENCY].age_s > 1.0, "silence")
+
+
+def test_two_nodes_are_heard_side_by_side(bench: Bench) -> None:
+    """Arrays of one topic share a queue, and all that wait in it are taken."""
+    camera, lidar, probe = Speaker(bench), Speaker(bench, "lidar"), listening(bench)
+    camera.say(FINE)
+    lidar.say(["lidar: Frequency", 0, "", "", {}])
+    both = {FREQUENCY, "lidar: Frequency"}
+    seen(
+        probe,
+        lambda fact: both <= set(fact.diagnostics) and all(f.age_s < 1 for f in fact.diagnostics.values()),
+        "both",
+    )
+
+
+def test_what_phm_says_is_not_heard_by_phm(bench: Bench) -> None:
+    """Neither its own array nor that of another agent's PHM in the same domain."""
+    camera, probe = Speaker(bench), listening(bench)
+    camera.say(["phm/agent_2: summary", 2, "", "", {}], FINE)
+    until(lambda: probe.publish(told(2, "x")) == 0 and seen(probe, heard, "the status"), "the status")
+    seen(probe, lambda fact: fact.up_s > 3.0, "a while")
+    assert set(probe.look().diagnostics) == {FREQUENCY}
+
+
+def test_what_phm_says_arrives(bench: Bench) -> None:
+    """A real subscriber gets level, texts and values, and the frame by which PHM knows its own."""
+    probe, monitor = listening(bench), Listener(bench)
+    message = "größer\u202e" + "x" * 200
+
+    def arrived() -> Any:
+        probe.publish(told(1, message, slot="6", empty=""))
+        return monitor.heard.get("phm/agent_1: summary")
+
+    assert until(arrived, "the status") == [1, message, "agent_1", {"slot": "6", "empty": ""}]
+    assert monitor.frames["phm/agent_1: summary"] == "phm"
+
+
+def test_a_long_array_goes_through_the_pipe_in_pieces(bench: Bench) -> None:
+    """Longer than the pipe holds: nothing blocks, and it arrives whole."""
+    probe, monitor = listening(bench), Listener(bench)
+    long = {
+        f"phm/agent_1/ros: x/{n}": DiagnosticFact(0.0, 0, "x" * 250, "agent_1", {"k": "v" * 100}) for n in range(400)
+    }
+    assert len(repr(long)) > 150_000
+    until(lambda: probe.publish(long) >= 0 and len(monitor.heard) == 400, "all of them")
+
+
+def test_an_array_that_is_too_long_is_not_read(bench: Bench) -> None:
+    """The log says so, once, and the others are heard all the same."""
+    camera, lidar, probe = Speaker(bench), Speaker(bench, "lidar"), listening(bench)
+    lidar.say(["lidar: Log", 0, "x" * 300_000, "", {}])
+    camera.say(FINE)
+    seen(probe, heard, "the short one")
+    until(lambda: bench.notes, "the note")
+    seen(probe, lambda fact: fact.up_s > 2.0, "a while")
+    assert bench.notes == ["an array of more than 200 kB on /diagnostics is not read"]
+    assert set(probe.look().diagnostics) == {FREQUENCY}
+
+
+def test_texts_and_values_are_cut(bench: Bench) -> None:
+    """Names and values come from outside: they fill neither the pipe nor the memory."""
+    camera, probe = Speaker(bench), listening(bench)
+    camera.say(["n" * 999, 77, "m" * 999, "h" * 999, {f"k{n}": "v" * 999 for n in range(99)}], ["", 2, "", "", {}])
+    name = "n" * 255
+    fact = seen(probe, lambda fact: heard(fact, name), "the status")
+    assert (fact.level, fact.message, fact.hardware_id) == (77, "m" * 255, "h" * 255)
+    assert len(fact.values) == 32 and set(fact.values.values()) == {"v" * 255}
+    assert set(probe.look().diagnostics) == {name}
+
+
+def test_no_more_names_are_kept_than_the_cap(bench: Bench) -> None:
+    """500 at most; what is heard now wins over what was heard."""
+    camera, probe = Speaker(bench), listening(bench)
+    camera.say(*([f"a{n}", 0, "", "", {}] for n in range(400)))
+    seen(probe, lambda fact: heard(fact, "a399"), "the first")
+    camera.say(*([f"b{n}", 0, "", "", {}] for n in range(400)))
+    fact = seen(probe, lambda fact: heard(fact, "b399") and fact, "the next")
+    assert len(fact.diagnostics) == 500
+
+
+def test_other_topics_may_be_listened_to(bench: Bench) -> None:
+    """And none at all: then nothing is heard, and PHM still publishes."""
+    camera, probe, monitor = Speaker(bench), listening(bench, listen=[]), Listener(bench)
+    camera.say(FINE)
+    until(lambda: probe.publish(told(0, "x")) == 0 and "phm/agent_1: summary" in monitor.heard, "PHM's status")
+    until(lambda: FREQUENCY in monitor.heard, "the camera's status, elsewhere")
+    assert probe.look().diagnostics == {}
+
+
+def test_without_diagnostic_msgs_a_sentence_and_no_harm(bench: Bench) -> None:
+    """It is said once, also when the child is made anew; the graph is seen all the same."""
+    bench.node("node_1")
+    hidden = (
+        "import sys; sys.modules['diagnostic_msgs'] = None\n"
+        "from phm.probes.ros.child import main; raise SystemExit(main())"
+    )
+    probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}], command=(sys.executable, "-c", hidden))
+    seen(probe, lambda fact: fact.nodes, "the node")
+    assert probe.publish(told(0, "x")) == 0
+    first = probe.pid
+    probe.renew("for the test")
+    seen(probe, lambda fact: fact.nodes and probe.pid != first, "the node again")
+    probe.publish(told(0, "x"))
+    seen(probe, lambda fact: fact.up_s > 1.0, "a while")
+    assert [note for note in bench.notes if "renewed" not in note] == [
+        "diagnostic_msgs is not installed beside PHM: /diagnostics is neither read nor published; "
+        "install it where rclpy comes from (ros-<distro>-diagnostic-msgs)"
+    ]
+    assert probe.restarts == 0
+
+
+def test_a_child_that_does_not_read_blocks_nobody(bench: Bench) -> None:
+    """What waits is replaced by what is newer, and counted; pictures go on."""
+    fake = (sys.executable, str(ROOT / "tests" / "fakes" / "ros_child.py"), "deaf")
+    probe = bench.probe(nodes=[{"name": "/a/n"}], command=fake)
+    big = {f"s{n}": DiagnosticFact(0.0, 0, "x" * 250) for n in range(400)}
+    assert probe.publish(big) == 0  # no picture yet: there is nobody to hand it to
+    seen(probe, lambda fact: fact.nodes, "a picture")
+    until(lambda: probe.publish(big) >= 3, "arrays that were not taken")
+    up_s = probe.look().up_s
+    seen(probe, lambda fact: fact.up_s > up_s + 0.5, "pictures")
+    assert probe.restarts == 0
+
+
+def test_what_is_no_order_is_ignored() -> None:
+    """A line that was cut, or is not JSON, does no harm to the next; a closed pipe is the end."""
+    code = (
+        "import time; from phm.probes.ros import child; from phm.probes.ros.lines import Lines\n"
+        "orders, got = Lines(), []\n"
+        "while child._wait(time.monotonic() + 9, orders, got.append): pass\n"
+        "print([order.utc_s for order in got])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], input=b'[1,{}]\nnonsense\n{"a":1}\n' + b"x" * 2_000_000 + b"\n[2,{}]\n[3,{}",
+        capture_output=True, timeout=60, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.stdout.strip() == b"[1.0, 2.0]"
+
+
+CONFIG = """
+agent: {{name: agent_7, id: 7}}
+interval: 5s
+log: {{directory: {folder}/log}}
+state_dir: {folder}/state
+run_dir: {folder}/run
+docker: {{socket: unix://{folder}/none.sock}}
+ros:
+  domain: {domain}
+  grace: 4s
+  nodes: [{{name: /agent_1/camera}}]
+  diagnostics:
+    watch: [{{name: "camera: *", timeout: 3s}}]
+"""
+
+
+def test_a_running_daemon_judges_what_it_hears_and_is_seen_by_others(bench: Bench, tmp_path: Path) -> None:
+    """The whole way: a node's ERROR becomes a fault in the log and on /diagnostics, and is over when the node says OK."""
+    (tmp_path / "phm.yaml").write_text(CONFIG.format(folder=tmp_path, domain=bench.domain))
+    camera, monitor = Speaker(bench), Listener(bench)
+    camera.say(FINE)
+    daemon = subprocess.Popen(
+        [sys.executable, "-m", "phm.cli", "run", "-c", str(tmp_path / "phm.yaml")],
+        env={**bench.environ, "PHM_INTERVAL": ""},
+    )
+    unit = "phm/agent_7/ros: diagnostics/camera: *"
+
+    def level() -> Any:
+        return monitor.heard.get(unit, [None])[0]
+
+    def closed() -> list[Any]:
+        return [line for line in journal.read(tmp_path / "log") if line["event"] == "fault_closed"]
+
+    try:
+        until(lambda: level() == 0, "OK", 40.0)
+        camera.say([FREQUENCY, 2, "no image", "cam-07", {}])
+        until(lambda: level() == 2, "ERROR")
+        message, hardware, values = monitor.heard[unit][1:]
+        assert message.startswith("camera: Frequency says ERROR: no image (hardware id cam-07)")
+        assert (hardware, values["condition"], values["slot"]) == ("agent_7", "diagnostic_error", "6")
+        assert values["fault"] and values["status"] == FREQUENCY
+        until(
+            lambda: "1 open fault: camera: Frequency ERROR" in monitor.heard["phm/agent_7: summary"][1], "the summary"
+        )
+        camera.say(FINE)
+        until(lambda: level() == 0 and monitor.heard[unit][3]["fault"] == "", "OK again")
+        (fault,) = until(closed, "the fault's end in the log")
+        assert (fault["unit"], fault["outcome"], fault["by"]) == ("diagnostics/camera: *", "resolved", "itself")
+    finally:
+        daemon.terminate()
+        assert daemon.wait(30) == 0
+    until(lambda: monitor.heard[unit][:2] == [3, "PHM has ended"], "the farewell")
