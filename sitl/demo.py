@@ -7,6 +7,7 @@ fault was opened exactly once, at the right check, was healed by PHM and verifie
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from dataclasses import dataclass
@@ -16,10 +17,12 @@ from rich.console import Console
 from rich.table import Table
 
 from phm.model import Slot
+from sitl.bench import machine
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
 from sitl.ground import Ground
 from sitl.record import Event, Record
+from sitl.screen import screen
 from sitl.stack import Stack
 
 STORY = ("node_killed", "network_disconnected", "container_stopped", "unhealthy")
@@ -123,12 +126,29 @@ def _verified(event: Event, unit: str) -> bool:
     return bool(event["event"] == "action" and event["phase"] == "verified" and event["unit"] == unit)
 
 
+def as_json(outcomes: list[Outcome]) -> str:
+    rows = [
+        {
+            "fault": entry.fault.name,
+            "unit": entry.unit,
+            "alarms": [event["unit"] for event in entry.opened],
+            "detected_s": entry.detected_s,
+            "told_s": entry.told_s,
+            "healed_s": entry.healed_s,
+            "by": entry.by,
+            "good": entry.good,
+        }
+        for entry in outcomes
+    ]
+    return json.dumps({"machine": machine(), "faults": rows}, indent=2)
+
+
 def _seconds(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
 
 
-def run(stack: Stack, console: Console) -> int:
-    """The whole story on a stack that is up; 0 when all of it happened."""
+def run(stack: Stack, console: Console, *, json_too: bool = False) -> int:
+    """The whole story on a stack that is up; 0 when all of it happened. `json_too` prints the outcomes as JSON."""
     demo = Demo(stack, console)
     demo.ground.start()
     try:
@@ -141,6 +161,8 @@ def run(stack: Stack, console: Console) -> int:
             demo.record.wait(demo._all_well, CLEAN_LIMIT_S, since=len(demo.record.events))
         console.print()
         console.print(demo.table(outcomes))
+        if json_too:
+            print(as_json(outcomes))
         return 0 if all(entry.good for entry in outcomes) else 1
     finally:
         demo.ground.stop()
@@ -152,13 +174,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--interval", type=float, default=20.0, metavar="SECONDS", help="between full reports (20)")
     parser.add_argument("--project", default="phm-demo", metavar="NAME", help="name of the Compose project (phm-demo)")
     parser.add_argument("--ground-port", type=int, default=5760, metavar="PORT", help="where the ground listens (5760)")
+    parser.add_argument("--json", action="store_true", help="print the outcomes as JSON, all else to the error stream")
     chosen = parser.parse_args(arguments)
-    console = Console()
+    console = screen(json=chosen.json)
     stack = Stack(chosen.project, interval_s=chosen.interval, ground_port=chosen.ground_port)
     try:
         with console.status("starting the agent: application, PHM, simulated autopilot"):
             stack.up()
-        return run(stack, console)
+        return run(stack, console, json_too=chosen.json)
     finally:
         if chosen.keep:
             console.print(f"left running: docker compose -p {stack.project} ps; logs in {stack.logs}")

@@ -7,22 +7,23 @@ when every row holds. ``--markdown`` writes the table of docs/recovery.md.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from sitl.bench import Bench
-from sitl.derived import derived, write
+from sitl.derived import write
 from sitl.faults import all_faults
 from sitl.faults.base import Agent, Fault
-from sitl.faults.file_deleted import CONTENT
+from sitl.proofplan import APART, MODES, ORDER, Play, configuration, plays
 from sitl.prooftable import Row, as_json, judged_words, rich_table, write_markdown
 from sitl.record import Event
+from sitl.screen import screen
 from sitl.stack import ROOT, Stack
 
 NOMINAL_S = 20.0
@@ -32,31 +33,8 @@ AFTER_S = 12.0
 """How long a fault is watched after it is healed: longer than any grace, so late alarms are caught."""
 STILL_S = 10.0
 """How long nothing may happen in the modes `off` and `advise`."""
-ORDER = (
-    "container_stopped", "network_disconnected", "container_killed", "unhealthy", "container_paused", "node_killed",
-    "container_oom", "file_deleted", "node_stopped", "file_not_executable", "topic_silent", "device_gone",
-    "topic_slow", "device_back", "file_altered", "crash_loop",
-)  # fmt: skip
-"""Neighbours break different units, so that no fault is taken for the return of the one before it."""
-LEFT_ALONE = ("node_killed", "network_disconnected", "container_stopped")
-RELAUNCH = (
-    '["ros-entrypoint", "python", "-m", "sitl.node", "--name", "node_1", "--namespace", "/agent_1", '
-    '"--publish", "topic_1:10", "--subscribe", "topic_3"]'
-)
-
-
-def configuration(mode: str = "act", *, relaunch: bool = False) -> str:
-    """The shipped configuration with room for so many faults in a row, and files that can be judged and restored."""
-    sha256 = hashlib.sha256(CONTENT).hexdigest()
-    changes = {
-        "\n  budget: 5": "\n  budget: 100",
-        "\n  mode: act": f"\n  mode: {mode}",
-        '#sha256: "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"': f'sha256: "{sha256}"',
-        "#restore: image": "restore: image",
-    }
-    if relaunch:
-        changes["#relaunch: [ros2, run, my_package, node_1]"] = f"relaunch: {RELAUNCH}"
-    return derived(changes)
+LASTING_S = 31.0
+"""Longer than `recovery.verify`, 30 s: what was mended by hand for so long counts as well for good."""
 
 
 class Proof:
@@ -67,19 +45,28 @@ class Proof:
         self.bench = Bench(stack, console)
         self.record = self.bench.record
         self.mode = "act"
+        self._prepared: Fault | None = None
+        self._given_up: set[str] = set()
 
     @property
     def agent(self) -> Agent:
         return self.stack.agent
 
-    def configure(self, mode: str, *, relaunch: bool = False) -> None:
-        """Start PHM again with another configuration, and wait until everything is well."""
-        write(configuration(mode, relaunch=relaunch), self._config)
+    def configure(self, mode: str, *, relaunch: bool = False, prepared: Fault | None = None) -> None:
+        """Start PHM again with another configuration, that which `prepared` needs, and wait until everything is well."""
+        more = {}
+        if prepared is not None:
+            prepared.prepare(self.agent)
+            more = dict(prepared.configuration(self.agent))
+        write(configuration(mode, relaunch=relaunch, more=more), self._config)
         mark = self._mark()
         self.agent.container("phm").restart()
         if self.record.wait(lambda event: event["event"] == "start", SEEN_LIMIT_S, since=mark) is None:
             raise RuntimeError(f"PHM did not start again in mode {mode}; see {self.stack.logs}")
         self.mode = mode
+        if self._prepared is not None and self._prepared is not prepared:
+            self._prepared.dismantle(self.agent)
+        self._prepared = prepared
         self.bench.wait_well()
 
     def nominal(self) -> list[Row]:
@@ -99,21 +86,26 @@ class Proof:
     def heal(self, fault: Fault, title: str = "") -> Row:
         """Inject, watch until it is healed and verified (or given up), then whether everything is well again."""
         row = self._row(fault, title)
+        self._wait_lasting(row)
         mark = self._mark()
         moment = fault.inject(self.agent)
         if fault.healable:
-            self.record.wait(lambda event: _phase(event, "verified", row.unit), HEALED_LIMIT_S, since=mark)
+            for unit in row.expected:
+                self.record.wait(partial(_phase, "verified", unit), HEALED_LIMIT_S, since=mark)
         else:
             self.record.wait(lambda event: event["event"] == "fault_opened", SEEN_LIMIT_S, since=mark)
             if self._acted(mark):
-                self.record.wait(lambda event: _phase(event, "escalated", row.unit), HEALED_LIMIT_S, since=mark)
+                self.record.wait(partial(_phase, "escalated", row.unit), HEALED_LIMIT_S, since=mark)
         self._watch(AFTER_S, mark)
         self._fill(row, self.record.events[mark:], moment)
         cleared = self._mark()
         fault.clear(self.agent)
         self._well_again(row, mark)
         judged_words(row, healable=fault.healable)
-        later = [event["action"] for event in self.record.events[cleared:] if _phase(event, "verified", row.unit)]
+        self._judge_condition(row, fault, mark)
+        if row.given_up_s is not None:
+            self._given_up.add(row.unit)
+        later = [event["action"] for event in self.record.events[cleared:] if _phase("verified", row.unit, event)]
         if later:
             row.outcome += f"; {', '.join(later)} once it was mended"
         return row
@@ -121,6 +113,7 @@ class Proof:
     def leave_alone(self, fault: Fault) -> Row:
         """In `off` and `advise` the fault is told and the application container stays as the fault left it."""
         row = self._row(fault)
+        self._wait_lasting(row)
         mark = self._mark()
         moment = fault.inject(self.agent)
         before = world(self.agent)
@@ -138,14 +131,28 @@ class Proof:
         row.outcome = "told, container unchanged" if not row.problems else "changed"
         fault.clear(self.agent)
         self._well_again(row, mark)
-        if row.alarms != [row.unit]:
+        if sorted(row.alarms) != sorted(row.expected):
             row.problems.append(f"alarms: {row.alarms}")
+        self._judge_condition(row, fault, mark)
         return row
 
     def _row(self, fault: Fault, title: str = "") -> Row:
         self.console.print(f"[bold]{self.mode}[/]  {title or fault.title}")
-        unit = fault.unit.format(agent=self.stack.agent_name)
-        return Row(self.mode, fault.name, title or fault.title, unit)
+        unit, *also = (each.format(agent=self.stack.agent_name) for each in (fault.unit, *fault.also))
+        return Row(self.mode, fault.name, title or fault.title, unit, also)
+
+    def _wait_lasting(self, row: Row) -> None:
+        """What PHM gave up on before it tries again only after that was well for so long, as this run of PHM has seen it."""
+        if row.unit not in self._given_up:
+            return
+        mark = self._mark()
+        told = (
+            event["mono"]
+            for event in self.record.events
+            if event["event"] == "transition" and event["unit"] == row.unit
+        )
+        until = max(told, default=0.0) + LASTING_S
+        self.record.wait(lambda event: event["mono"] > until, 2 * LASTING_S, since=mark)
 
     def _mark(self) -> int:
         self.record.update()
@@ -164,21 +171,33 @@ class Proof:
         )
 
     def _fill(self, row: Row, events: list[Event], moment: float = 0.0) -> None:
-        """Read off the record what happened; alarms at other units count as well."""
+        """Read off the record what happened; alarms at other units count as well. Of several units, the last one counts."""
+        seen: dict[str, float] = {}
+        mended: dict[str, float] = {}
         for event in events:
+            unit, after = event.get("unit", ""), event["mono"] - moment
+            if unit in row.expected and _phase("verified", unit, event):
+                mended.setdefault(unit, after)
             if event["event"] == "fault_opened":
-                row.alarm(event["unit"])
-                if event["unit"] == row.unit and row.detected_s is None:
-                    row.detected_s, row.summary = event["mono"] - moment, event["summary"]
+                row.alarm(unit)
+                seen.setdefault(unit, after)
+                row.summary = row.summary or (event["summary"] if unit == row.unit else "")
             elif event["event"] == "action":
                 if event["phase"] == "started":
                     row.actions.append(event["action"])
                 elif event["phase"] == "advised":
                     row.advised.append(event["action"])
-                elif _phase(event, "escalated", row.unit):
-                    row.given_up_s = event["mono"] - moment
-                elif _phase(event, "verified", row.unit) and row.healed_s is None:
-                    row.healed_s = event["mono"] - moment
+                elif _phase("escalated", row.unit, event):
+                    row.given_up_s = after
+        row.detected_s = max(seen[unit] for unit in row.expected) if seen.keys() >= set(row.expected) else None
+        row.healed_s = max(mended.values()) if mended.keys() == set(row.expected) else None
+
+    def _judge_condition(self, row: Row, fault: Fault, mark: int) -> None:
+        """The alarm was for this fault and no other at the same unit. It may have been another thing for a moment first."""
+        events = (event for event in self.record.events[mark:] if event.get("unit") == row.unit)
+        seen = {event["condition"] for event in events if event.get("condition")}
+        if fault.condition not in seen:
+            row.problems.append(f"known as {', '.join(sorted(seen)) or 'nothing'}, expected {fault.condition}")
 
     def _well_again(self, row: Row, mark: int) -> None:
         """Everything is well again, and neither healing nor clearing raised a further alarm."""
@@ -209,26 +228,22 @@ def _closed(event: Event, unit: str) -> bool:
     return bool(event["event"] == "fault_closed" and event["unit"] == unit)
 
 
-def _phase(event: Event, phase: str, unit: str) -> bool:
+def _phase(phase: str, unit: str, event: Event) -> bool:
     return bool(event["event"] == "action" and event["phase"] == phase and event["unit"] == unit)
 
 
-def run(stack: Stack, console: Console, config: Path, only: tuple[str, ...] = ()) -> list[Row]:
-    """All rows, or those of the faults in `only`, on a stack that is up."""
+def run(stack: Stack, console: Console, config: Path, programme: Iterable[Play]) -> list[Row]:
+    """All rows of the programme, on a stack that is up with the configuration of the mode `act`."""
     proof, faults = Proof(stack, console, config), all_faults()
-    wanted = [name for name in ORDER if not only or name in only]
     rows = [_told(row, console) for row in proof.nominal()]
-    for name in wanted:
-        rows += [_told(proof.heal(faults[name]), console)]
-    if "node_killed" in wanted:
-        proof.configure("act", relaunch=True)
-        rows.append(_told(proof.heal(faults["node_killed"], "node killed, `relaunch` configured"), console))
-    for mode in ("off", "advise"):
-        names = [name for name in LEFT_ALONE if name in wanted]
-        if names:
-            proof.configure(mode)
-        for name in names:
-            rows += [_told(proof.leave_alone(faults[name]), console)]
+    for play in programme:
+        if not play.first:
+            alone = faults[play.faults[0]] if play.apart else None
+            proof.configure(play.mode, relaunch=play.relaunch, prepared=alone)
+        for name in play.faults:
+            title = f"{faults[name].title}, `relaunch` configured" if play.relaunch else ""
+            row = proof.heal(faults[name], title) if play.mode == "act" else proof.leave_alone(faults[name])
+            rows.append(_told(row, console))
     return rows
 
 
@@ -240,19 +255,21 @@ def _told(row: Row, console: Console) -> Row:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scripts/proof", description=__doc__)
-    parser.add_argument("--only", nargs="+", default=(), choices=ORDER, metavar="FAULT", help="these faults alone")
+    faults, modes = (*ORDER, *APART), ", ".join(MODES)
+    parser.add_argument("--only", nargs="+", default=(), choices=faults, metavar="FAULT", help="these faults alone")
+    parser.add_argument("--mode", nargs="+", default=MODES, choices=MODES, metavar="MODE", help=f"of {modes}")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
     parser.add_argument("--markdown", action="store_true", help="write the table of docs/recovery.md")
     parser.add_argument("--keep-logs", action="store_true", help="do not remove the log folder")
     chosen = parser.parse_args(arguments)
-    console = Console(stderr=chosen.json)
+    console = screen(json=chosen.json)
     config = write(configuration())
     stack = Stack(project="phm-proof", interval_s=3.0, ground_port=0, extra={"PHM_CONFIG": str(config)})
     began = time.monotonic()
     try:
         with console.status("starting the agent"):
             stack.up()
-        rows = run(stack, console, config, tuple(chosen.only))
+        rows = run(stack, console, config, plays(chosen.only, chosen.mode))
     finally:
         stack.down(keep_logs=chosen.keep_logs)
     if chosen.json:

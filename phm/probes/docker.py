@@ -45,6 +45,7 @@ class Docker:
         self._generation = 0
         self._my_id = ""
         self._processes = Processes(engine)
+        self._reach = reach.Reach()
 
     def engine(self) -> str:
         return str(self._engine.version().get("Version") or "unknown version")
@@ -73,7 +74,9 @@ class Docker:
         return str(network.get("Id") or "") if network.get("Name") == name else ""
 
     def reachable(self, address: str) -> bool:
-        return reach.answers(address)
+        facts = [entry.fact for entry in self._entries.values() if entry.fact is not None]
+        holder = next((fact for fact in facts if any(one.address == address for one in fact.networks)), None)
+        return self._reach.answers(address, holder.life if holder is not None else "")
 
     def invalidate(self) -> None:
         """Something happened: what was read before now is old. Called with each Docker event."""

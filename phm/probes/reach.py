@@ -14,17 +14,45 @@ import select
 import socket
 import struct
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from phm.facts import CannotTell
 
 LIMIT_S = 1.0
+MOST_REMEMBERED = 256
 _DISCARD_PORT = 9
 _COMPLETE = 0x2  # ATF_COM in /proc/net/arp: the address has answered with its hardware address
 
 
-def answers(address: str, limit_s: float = LIMIT_S) -> bool:
+class Reach:
+    """Remembers who has answered, and in which life: whoever did and no longer does is silent, whatever ARP remembers.
+
+    The kernel remembers a neighbour that is gone for up to a minute, so ARP speaks only for an address that has never
+    answered, behind a firewall. Thread-safe: each call writes one item at most.
+    """
+
+    def __init__(self, knock: Callable[[str], bool] | None = None, known: Callable[[str], bool] | None = None) -> None:
+        self._knock, self._known = knock or _knock, known or _neighbour
+        self._answered: dict[str, str] = {}
+
+    def answers(self, address: str, life: str = "") -> bool:
+        """`life`: of the container that has the address. Raises CannotTell as `answers` does."""
+        if self._knock(address):
+            if len(self._answered) >= MOST_REMEMBERED:
+                self._answered.clear()
+            self._answered[address] = life
+            return True
+        return self._answered.get(address) != life and self._known(address)
+
+
+def answers(address: str) -> bool:
     """Raises CannotTell when `address` is no IP address or this machine cannot open sockets."""
+    return _knock(address) or _neighbour(address)
+
+
+def _knock(address: str, limit_s: float = LIMIT_S) -> bool:
+    """Whether it answers by itself, by either way."""
     try:
         version = ipaddress.ip_address(address).version
     except ValueError as error:
@@ -34,7 +62,7 @@ def answers(address: str, limit_s: float = LIMIT_S) -> bool:
         with socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as knock:
             echo = _echo(family, address)
             try:
-                return _race(knock, echo, address, limit_s) or _neighbour(address)
+                return _race(knock, echo, address, limit_s)
             finally:
                 if echo is not None:
                     echo.close()
@@ -95,7 +123,7 @@ def _proof(end: socket.socket, is_echo: bool) -> bool:
 def _neighbour(address: str) -> bool:
     """Whether the address answered ARP of late: it is there, although a firewall swallows what we send.
 
-    The kernel forgets a neighbour that is gone about eight seconds after we tried it.
+    The kernel asks a neighbour anew up to 45 s after its last answer, and forgets it eight seconds later.
     """
     try:
         lines = Path(f"/proc/{os.getpid()}/net/arp").read_text(encoding="ascii", errors="replace").splitlines()[1:]

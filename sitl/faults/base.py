@@ -8,6 +8,7 @@ import stat
 import tarfile
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -95,13 +96,27 @@ class Fault(ABC):
     """One kind of trouble.
 
     name: as in its file. title: words for a table. unit: id of the unit at which PHM must see it, with
-    ``{agent}`` for the agent's name. healable: whether PHM is expected to heal it.
+    ``{agent}`` for the agent's name. condition: as what PHM must know it; it selects the ladder.
+    also: units of further faults that it causes, independent of the first, each with an alarm of its own.
+    healable: whether PHM is expected to heal it.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     unit: ClassVar[str]
+    condition: ClassVar[str]
+    also: ClassVar[tuple[str, ...]] = ()
     healable: ClassVar[bool] = True
+
+    def configuration(self, agent: Agent) -> Mapping[str, str]:
+        """Changes to the shipped configuration without which it cannot be seen, for `sitl.derived`."""
+        return {}
+
+    def prepare(self, agent: Agent) -> None:
+        """Bring into the world what that configuration names, before PHM is told to watch it."""
+
+    def dismantle(self, agent: Agent) -> None:
+        """Take it out of the world again. Doing it twice is harmless."""
 
     @abstractmethod
     def inject(self, agent: Agent) -> float:

@@ -9,6 +9,7 @@ class Injection(Fault):
     """`docker kill`: SIGKILL, exit code 137. The fault is there when the process has ended, by the engine's own stamp."""
 
     name, title, unit = "container_killed", "container killed (SIGKILL)", "container/ros_app"
+    condition = "exited"
 
     def inject(self, agent: Agent) -> float:
         app = agent.app

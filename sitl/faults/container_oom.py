@@ -12,6 +12,7 @@ class Injection(Fault):
     """
 
     name, title, unit = "container_oom", "container out of memory", "container/ros_app"
+    condition = "oom"
 
     def inject(self, agent: Agent) -> float:
         app = agent.app

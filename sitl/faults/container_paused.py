@@ -11,6 +11,7 @@ class Injection(Fault):
     """`docker pause`."""
 
     name, title, unit = "container_paused", "container paused", "container/ros_app"
+    condition = "paused"
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

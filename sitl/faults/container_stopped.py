@@ -9,6 +9,7 @@ class Injection(Fault):
     """`docker stop`. The fault is there when the process has ended, by the engine's own stamp."""
 
     name, title, unit = "container_stopped", "container stopped", "container/ros_app"
+    condition = "exited"
 
     def inject(self, agent: Agent) -> float:
         app = agent.app

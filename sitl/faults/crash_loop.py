@@ -12,6 +12,7 @@ class Injection(Fault):
     """Makes every start fail, then kills the container. PHM must stop restarting and say so; a human mends the cause."""
 
     name, title, unit = "crash_loop", "container ends at every start", "container/ros_app"
+    condition = "exited"
     healable = False
 
     def inject(self, agent: Agent) -> float:

@@ -15,12 +15,14 @@ class Injection(Fault):
     """Replaces the device's node on the host; the container was started with the old numbers and cannot open the new one."""
 
     name, title, unit = "device_back", f"device replugged, gone for {GONE_S:g} s", "devices/ros_app"
+    condition = "device_replugged"
 
     def inject(self, agent: Agent) -> float:
         numbers = agent.device.stat().st_rdev
         like = ZERO if numbers == NULL_NUMBERS else NULL
         moment = time.monotonic()
         agent.device.unlink()
+        # No waiting for anything: this is what is injected, a device that needs so long to come back.
         time.sleep(GONE_S)
         agent.make_device(like)
         return moment

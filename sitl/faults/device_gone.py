@@ -11,6 +11,7 @@ class Injection(Fault):
     """Removes the device's node from the host. No software brings it back: PHM tells it and waits."""
 
     name, title, unit = "device_gone", "device unplugged", "devices/ros_app"
+    condition = "device_missing"
     healable = False
 
     def inject(self, agent: Agent) -> float:

@@ -12,6 +12,7 @@ class Injection(Fault):
     """Writes another content into the critical file; its SHA-256 must be configured for PHM to see it."""
 
     name, title, unit = "file_altered", "file altered", "files/ros_app"
+    condition = "file_altered"
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -15,6 +15,7 @@ class Injection(Fault):
     """Removes the critical file from the application's volume."""
 
     name, title, unit = "file_deleted", "file deleted", "files/ros_app"
+    condition = "file_missing"
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -12,6 +12,7 @@ class Injection(Fault):
     """`chmod a-x` on the critical file."""
 
     name, title, unit = "file_not_executable", "file not executable", "files/ros_app"
+    condition = "file_not_executable"
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

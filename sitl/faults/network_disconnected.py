@@ -11,6 +11,7 @@ class Injection(Fault):
     """Disconnects the application from its first network through the engine."""
 
     name, title, unit = "network_disconnected", "network disconnected", "network/ros_app"
+    condition = "disconnected"
 
     _network = ""
 

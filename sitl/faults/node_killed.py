@@ -9,6 +9,7 @@ class Injection(Fault):
     """Kills node_1 by its process id inside the application container."""
 
     name, title, unit = "node_killed", "node killed (SIGKILL)", "nodes/{agent}/node_1"
+    condition = "node_missing"
 
     _life = ""
 

@@ -9,6 +9,7 @@ class Injection(Fault):
     """Stops node_1. With the short leases of config/fastdds.xml it leaves the graph as a dead one does, after a second."""
 
     name, title, unit = "node_stopped", "node hung (SIGSTOP)", "nodes/{agent}/node_1"
+    condition = "node_missing"
 
     _life = ""
 

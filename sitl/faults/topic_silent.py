@@ -9,6 +9,7 @@ class Injection(Fault):
     """Tells node_1 to publish no more; it stays in the graph."""
 
     name, title, unit = "topic_silent", "topic silent, its node alive", "rates/{agent}/topic_1"
+    condition = "silent"
 
     _life = ""
 

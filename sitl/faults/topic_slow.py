@@ -9,6 +9,7 @@ class Injection(Fault):
     """Tells node_1 to leave out every second message."""
 
     name, title, unit = "topic_slow", "topic at half its rate", "rates/{agent}/topic_1"
+    condition = "rate_low"
 
     _life = ""
 

@@ -13,6 +13,7 @@ class Injection(Fault):
     """Creates the marker that the application's HEALTHCHECK looks for; its next start removes it."""
 
     name, title, unit = "unhealthy", "healthcheck failing", "health/ros_app"
+    condition = "unhealthy"
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -12,6 +12,7 @@ from phm.clock import SystemClock
 from phm.facts import CannotTell
 from phm.probes.docker import Docker, own_ids
 from phm.probes.docker_facts import container_fact
+from phm.probes.reach import Reach
 from phm.testing import FakeClock, settings
 from phm.transport.docker import Engine
 from tests.fakes.engine import FakeEngine, Hang, Status, container
@@ -231,6 +232,17 @@ def test_a_configured_own_container_must_exist(fake: FakeEngine, ask: Engine) ->
 def test_this_machine_answers(ask: Engine, address: str) -> None:
     """A closed port that refuses is proof that the address answers."""
     assert probe(ask).reachable(address)
+
+
+def test_who_has_answered_and_no_longer_does_is_silent() -> None:
+    """ARP remembers a neighbour that is gone for up to a minute; it speaks only for who has never answered in this life."""
+    there = True
+    reach = Reach(knock=lambda _: there, known=lambda _: True)
+    assert reach.answers("10.0.0.2", "first life")
+    there = False
+    assert not reach.answers("10.0.0.2", "first life")
+    assert reach.answers("10.0.0.2", "second life"), "a firewall swallows what we send"
+    assert reach.answers("10.0.0.3")
 
 
 def test_no_address_cannot_be_told(ask: Engine) -> None:

@@ -16,6 +16,7 @@ from phm.probes.docker_watch import DockerEvent, Watch
 from phm.probes.files import Files
 from phm.testing import settings
 from phm.transport.docker import Engine, EngineConflict, EngineError, EngineMissing
+from sitl.faults.address_silent import LINKS, set_link
 
 pytestmark = pytest.mark.engine
 
@@ -184,6 +185,19 @@ def test_an_address_answers_as_long_as_its_container_lives(real: Any, engine: En
     address = fact_of(docker, made.name).networks[0].address
     assert docker.reachable(address)
     assert not docker.reachable(address.rpartition(".")[0] + ".254")
+
+
+def test_an_address_behind_a_cut_cable_is_silent_at_once(real: Any, engine: Engine) -> None:
+    """The interface goes down under a container that has answered before: ARP, which remembers it, is not believed."""
+    network = real.network()
+    made = real.container(network=network.name)
+    real.container(network=network.name)  # a bridge without any live port forgets all neighbours by itself
+    docker = probe(engine, made.name)
+    address = fact_of(docker, made.name).networks[0].address
+    assert docker.reachable(address)
+    number = made.exec_run(["cat", "/sys/class/net/eth0/iflink"]).output.decode().strip()
+    set_link(next(link.name for link in LINKS.iterdir() if (link / "ifindex").read_text().strip() == number), up=False)
+    assert not docker.reachable(address)
 
 
 def test_an_echo_is_answered_where_the_kernel_allows_it(real: Any) -> None:

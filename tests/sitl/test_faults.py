@@ -5,14 +5,16 @@ from __future__ import annotations
 import inspect
 import itertools
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
 from phm.config import load
-from sitl import faults, proof
+from phm.recovery.policy import LADDERS
+from sitl import faults, proof, proofplan
 from sitl.demo import STORY
 from sitl.derived import derived, write
-from sitl.faults.base import Fault
+from sitl.faults.base import Agent, Fault
 
 FILES = sorted(path.stem for path in Path(faults.__file__).parent.glob("*.py") if path.stem not in ("__init__", "base"))
 
@@ -39,28 +41,71 @@ def test_titles_differ() -> None:
     assert len(set(titles)) == len(titles)
 
 
+def agent() -> Agent:
+    """An agent without an engine."""
+    return Agent("phm-test", "agent_1", docker=mock.Mock())
+
+
 def test_the_demonstration_and_the_proof_play_faults_that_exist() -> None:
     """The proof plays every fault exactly once; the demonstration some of them."""
-    assert sorted(proof.ORDER) == FILES
+    assert sorted((*proofplan.ORDER, *proofplan.APART)) == FILES
     assert set(STORY) <= set(FILES)
-    assert set(proof.LEFT_ALONE) <= set(FILES)
+    assert set(proofplan.LEFT_ALONE) <= set(FILES)
+
+
+def test_only_faults_that_need_a_configuration_are_played_apart() -> None:
+    """What needs a configuration of its own could not be seen among the others."""
+    needing = [name for name, fault in faults.all_faults().items() if fault.configuration(agent())]
+    assert needing == list(proofplan.APART)
+
+
+UNPROVEN = {"dead": "an engine that cannot remove a container cannot be had without harming its storage"}
+
+
+def test_every_ladder_is_proven() -> None:
+    """Each condition for which PHM has a ladder has a fault, or a reason why not (docs/recovery.md gives it, too)."""
+    assert set(LADDERS) - {fault.condition for fault in faults.all_faults().values()} == set(UNPROVEN)
 
 
 def test_neighbours_in_the_proof_break_different_units() -> None:
     """The same unit broken twice in a row could pass for one fault that came back."""
-    units = [faults.all_faults()[name].unit for name in proof.ORDER]
-    assert all(one != two for one, two in itertools.pairwise(units))
+    known = faults.all_faults()
+    units = [{known[name].unit, *known[name].also} for name in proofplan.ORDER]
+    assert all(not one & two for one, two in itertools.pairwise(units))
 
 
-@pytest.mark.parametrize("mode", ["act", "advise", "off"])
+def test_the_programme_can_be_narrowed() -> None:
+    """By fault and by mode; what is left keeps its order, and nothing is played that was not asked for."""
+    whole = list(proofplan.plays())
+    assert [play.mode for play in whole if not play.first] == ["act", "act", "off", "advise"]
+    assert list(proofplan.plays(["container_stopped"], ["advise"])) == [
+        proofplan.Play("advise", ("container_stopped",))
+    ]
+    assert [play.faults for play in proofplan.plays(["node_killed"], ["act"])] == [("node_killed",), ("node_killed",)]
+    assert [play.apart for play in proofplan.plays(["owner_killed"])] == [True]
+
+
+@pytest.mark.parametrize("mode", proofplan.MODES)
 def test_the_proof_has_a_valid_configuration(mode: str) -> None:
     """What is derived from the shipped file is a configuration without mistakes, in every mode and with relaunch."""
     for relaunch in (False, True):
-        settings = load(write(proof.configuration(mode, relaunch=relaunch)))
+        settings = load(write(proofplan.configuration(mode, relaunch=relaunch)))
         assert settings.recovery.mode == mode
-        assert settings.recovery.budget > len(proof.ORDER)
+        assert settings.recovery.budget > len(proofplan.ORDER)
         assert settings.containers[0].files[0].restore == "image"
         assert bool(settings.ros.nodes[0].relaunch) is relaunch
+
+
+@pytest.mark.parametrize("name", proofplan.APART)
+def test_what_a_fault_adds_to_the_configuration_is_valid(name: str) -> None:
+    """With the changes of its own the configuration has no mistakes, and is another one than without."""
+    more = faults.all_faults()[name].configuration(agent())
+    assert load(write(proofplan.configuration(more=more))) != load(write(proofplan.configuration()))
+
+
+def test_lasting_is_longer_than_the_shipped_verify() -> None:
+    """The proof waits for what it must wait for when the shipped value changes."""
+    assert load(write(proofplan.configuration())).recovery.verify < proof.LASTING_S
 
 
 def test_deriving_refuses_what_is_not_there() -> None:

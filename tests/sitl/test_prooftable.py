@@ -39,6 +39,14 @@ def test_when_a_row_holds(changes: dict[str, object], healable: bool, good: bool
     assert (made.good, made.outcome) == (good, outcome)
 
 
+def test_two_faults_are_two_alarms() -> None:
+    """Faults that were caused at once are each told; one alarm for both, or one of them twice, does not hold."""
+    for alarms, good in ((["nodes/a/n", "files/a"], True), (["nodes/a/n"], False), (["files/a", "files/a"], False)):
+        made = row(also=["files/a"], alarms=alarms)
+        judged_words(made, healable=True)
+        assert made.good is good
+
+
 def test_a_busy_machine_is_told_and_not_counted() -> None:
     """An alarm about the machine's own processor is true and follows from no injected fault: it stands beside."""
     made = row()

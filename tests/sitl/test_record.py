@@ -44,6 +44,22 @@ def test_a_torn_line_is_skipped(tmp_path: Path) -> None:
     assert [event["number"] for event in record.events] == [1, 2]
 
 
+def test_a_rotated_record_is_read_on(tmp_path: Path) -> None:
+    """What was written before the rotation and not read yet comes first, then the new file from its beginning."""
+    file = tmp_path / "phm.jsonl"
+    record = Record(file)
+    file.write_text(line(1))
+    record.update()
+    with file.open("a") as stream:
+        stream.write(line(2))
+    file.rename(tmp_path / "phm.jsonl.1")
+    record.update()  # nobody has written since
+    file.write_text(line(3))
+    record.update()
+    record.update()
+    assert [event["number"] for event in record.events] == [1, 2, 3]
+
+
 def test_waiting_looks_only_at_what_came_since(tmp_path: Path) -> None:
     """An event before the mark is no answer; one that is written while waiting is."""
     file = tmp_path / "phm.jsonl"

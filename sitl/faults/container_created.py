@@ -1,0 +1,51 @@
+"""The application container is made anew, and nobody starts it."""
+
+from __future__ import annotations
+
+import time
+
+from docker.models.containers import Container
+
+from sitl.faults.base import Agent, Fault
+
+
+class Injection(Fault):
+    """Puts an unstarted copy in the place of the container, as `docker compose up --no-start` does when an image is new.
+
+    The copy takes the name first and the old one goes after, so that it is the copy that PHM finds.
+    """
+
+    name, title, unit = "container_created", "container made anew, never started", "container/ros_app"
+    condition = "created"
+
+    def inject(self, agent: Agent) -> float:
+        old = agent.app
+        service, copy = str(old.name), copied(agent, old)
+        moment = time.monotonic()
+        old.rename(f"{service}-old")
+        copy.rename(service)
+        old.remove(force=True)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        agent.app.start()
+
+
+def copied(agent: Agent, old: Container) -> Container:
+    """A container made as `old` was, under another name: same image, labels, mounts, devices, limits, networks, aliases."""
+    attrs, short = old.attrs, str(old.id)[:12]
+    networks = {
+        name: {"Aliases": [alias for alias in network.get("Aliases") or () if alias != short]}
+        for name, network in attrs["NetworkSettings"]["Networks"].items()
+    }
+    config = {key: value for key, value in attrs["Config"].items() if key != "Hostname"}
+    made = agent.docker.api.create_container_from_config(  # type: ignore[no-untyped-call]
+        {
+            **config,
+            "Image": attrs["Image"],
+            "HostConfig": attrs["HostConfig"],
+            "NetworkingConfig": {"EndpointsConfig": networks},
+        },
+        name=f"{old.name}-new",
+    )
+    return agent.docker.containers.get(made["Id"])

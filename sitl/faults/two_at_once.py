@@ -1,0 +1,25 @@
+"""Two things that have nothing to do with each other break in the same moment."""
+
+from __future__ import annotations
+
+from sitl.faults.base import Agent, Fault
+from sitl.faults.file_deleted import CRITICAL, put_back
+
+
+class Injection(Fault):
+    """Removes the critical file and kills node_1: two causes, two alarms, each healed by its own action."""
+
+    name, title = "two_at_once", "node killed and file deleted"
+    unit, also = "nodes/{agent}/node_1", ("files/ros_app",)
+    condition = "node_missing"
+
+    _life = ""
+
+    def inject(self, agent: Agent) -> float:
+        self._life = agent.life
+        agent.run_in_app("rm", CRITICAL)
+        return agent.signal_node("node_1", "KILL")
+
+    def clear(self, agent: Agent) -> None:
+        put_back(agent)
+        agent.renew_app(self._life)
