@@ -1,0 +1,177 @@
+"""How much of a link PHM may use, and what leaves first when not all may. Pure; the caller brings time.
+
+The numbers: a 64 kbit/s SiK or RFD900 radio guarantees 3170 bytes a second each way, and health may take 5 % of
+it for the whole swarm. Each agent gets its part by the number of agents, saves up for a burst, and slows down when the
+radio's RADIO_STATUS says that its buffer fills. A fault must not wait for a refresh, so there are classes.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+RADIO_BYTES_S = 3170.0
+SHARE = 0.05
+SWARM_BYTES_S = RADIO_BYTES_S * SHARE
+BURST_S = 20.0
+BURST_MIN = 400.0
+"""Bytes that an agent may always save up: the full state for a ground station that appears, of any swarm."""
+TXBUF_STALE_S = 5.0
+SLOWEST = 10.0
+MAX_WAITING = 256
+SIZES: tuple[tuple[int, float, float], ...] = ((8, 2.0, 10.0), (30, 5.0, 30.0), (100, 10.0, 60.0), (250, 25.0, 150.0))
+"""Up to so many agents: seconds between heartbeats, seconds between refreshes."""
+
+
+class Class(IntEnum):
+    """What leaves first. Heartbeats are not here: they are sent on time, and charged."""
+
+    TRANSITION = 0
+    """A change: a fault, its end, an advice."""
+    STATE = 1
+    """The full state for a ground station that has just appeared."""
+    SWARM = 2
+    """Views and digests."""
+    REFRESH = 3
+    """What repeats."""
+    REQUEST = 4
+    """Answers that somebody asked for: details, ONBOARD_COMPUTER_STATUS."""
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One message that waits. A newer one with the same key replaces it. size: bytes on the wire."""
+
+    key: str
+    kind: Class
+    size: int
+    message: Any
+    urgency: int = 0
+    """Within a class the lowest leaves first: MAV_SEVERITY."""
+
+
+@dataclass(slots=True)
+class Count:
+    """Of one class: `coalesced` were replaced by newer ones while they waited, `dropped` never left."""
+
+    sent: int = 0
+    coalesced: int = 0
+    dropped: int = 0
+    bytes: int = 0
+
+
+def periods(agents: int) -> tuple[float, float]:
+    """Seconds between heartbeats and between refreshes for a swarm of so many agents."""
+    for size, heartbeat_s, refresh_s in SIZES:
+        if agents <= size:
+            return heartbeat_s, refresh_s
+    return SIZES[-1][1:]
+
+
+class Flow:
+    """Slows down while a radio's transmit buffer fills: RADIO_STATUS.txbuf, percent of it that is free."""
+
+    def __init__(self) -> None:
+        self._factor, self._heard = 1.0, float("-inf")
+
+    def txbuf(self, percent: int, now: float) -> None:
+        """A RADIO_STATUS came. The steps are those of ArduPilot's own streams: hard below 20, some below 50."""
+        if now - self._heard > TXBUF_STALE_S:
+            self._factor = 1.0
+        self._heard = now
+        if percent < 20:
+            self._factor *= 2.0
+        elif percent < 50:
+            self._factor *= 1.25
+        elif percent > 95:
+            self._factor /= 2.0
+        elif percent > 90:
+            self._factor /= 1.25
+        self._factor = min(max(self._factor, 1.0), SLOWEST)
+
+    def factor(self, now: float) -> float:
+        """1 to 10: by how much to slow down; 1 when no radio has said anything lately."""
+        return self._factor if now - self._heard <= TXBUF_STALE_S else 1.0
+
+
+@dataclass(slots=True)
+class Budget:
+    """What may leave one link now. bytes_s: the whole swarm's share on it; None: the link has no limit.
+
+    Invariant: over any time t not more than `burst + t * rate` bytes leave, heartbeats included, as long as
+    heartbeats alone take less than the rate; they are charged and never held back, because silence means death.
+    """
+
+    bytes_s: float | None
+    now: float
+    agents: int = 1
+    flow: Flow = field(default_factory=Flow)
+    counts: dict[Class, Count] = field(default_factory=lambda: {kind: Count() for kind in Class})
+    _credit: float = 0.0
+    _waiting: OrderedDict[str, Item] = field(default_factory=OrderedDict)
+
+    def __post_init__(self) -> None:
+        self._credit = self.burst
+
+    @property
+    def rate(self) -> float:
+        """Bytes a second of this agent, before the radio slows it down."""
+        return float("inf") if self.bytes_s is None else self.bytes_s / max(1, self.agents)
+
+    @property
+    def burst(self) -> float:
+        return max(BURST_MIN, self.rate * BURST_S)
+
+    def charge(self, size: int, now: float) -> None:
+        """So many bytes left outside of the queue: a heartbeat. The credit may become negative, by one burst at most."""
+        self._earn(now)
+        self._credit = max(self._credit - size, -self.burst)
+
+    def put(self, item: Item) -> None:
+        """The newest of a key waits. When too many wait, the least of the least class is dropped."""
+        old = self._waiting.pop(item.key, None)
+        if old is not None:
+            self.counts[old.kind].coalesced += 1
+        self._waiting[item.key] = item
+        if len(self._waiting) > MAX_WAITING:
+            least = max(self._waiting.values(), key=_order)
+            del self._waiting[least.key]
+            self.counts[least.kind].dropped += 1
+
+    def take(self, now: float) -> list[Item]:
+        """What leaves now, in order. Nothing small overtakes something graver that has to wait for credit."""
+        self._earn(now)
+        leaving = []
+        for item in sorted(self._waiting.values(), key=_order):
+            if item.size > self._credit:
+                break
+            self._credit -= item.size
+            del self._waiting[item.key]
+            count = self.counts[item.kind]
+            count.sent, count.bytes = count.sent + 1, count.bytes + item.size
+            leaving.append(item)
+        return leaving
+
+    def withdraw(self, key: str) -> None:
+        """What it says is no longer true, and it has not left yet."""
+        item = self._waiting.pop(key, None)
+        if item is not None:
+            self.counts[item.kind].coalesced += 1
+
+    @property
+    def waiting(self) -> int:
+        return len(self._waiting)
+
+    def _earn(self, now: float) -> None:
+        if self.bytes_s is None:
+            self._credit = float("inf")
+        else:
+            earned = max(0.0, now - self.now) * self.rate / self.flow.factor(now)
+            self._credit = min(self.burst, self._credit + earned)
+        self.now = now
+
+
+def _order(item: Item) -> tuple[int, int]:
+    return item.kind, item.urgency

@@ -1,0 +1,139 @@
+"""The budget of a link: never more than it allows, the gravest first, slower when the radio says so."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from phm.reporters.mavlink_budget import (
+    BURST_MIN,
+    MAX_WAITING,
+    SLOWEST,
+    SWARM_BYTES_S,
+    TXBUF_STALE_S,
+    Budget,
+    Class,
+    Flow,
+    Item,
+    periods,
+)
+
+items = st.builds(
+    Item, st.sampled_from("abcdefgh"), st.sampled_from(Class), st.integers(20, 150), st.none(), st.integers(0, 7)
+)
+steps = st.lists(st.tuples(st.floats(0, 5), st.lists(items, max_size=5), st.integers(0, 100)), max_size=40)
+
+
+@given(steps, st.integers(1, 100))
+def test_never_more_than_burst_and_rate(drawn: list[tuple[float, list[Item], int]], agents: int) -> None:
+    """Over all of the time, whatever is put and whatever the radio says."""
+    budget = Budget(SWARM_BYTES_S, 0.0, agents)
+    now, left = 0.0, 0
+    for pause, put, txbuf in drawn:
+        now += pause
+        budget.flow.txbuf(txbuf, now)
+        for item in put:
+            budget.put(item)
+        left += sum(item.size for item in budget.take(now))
+        assert left <= budget.burst + now * budget.rate + 1e-6
+
+
+@given(st.lists(items, max_size=60))
+def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[Item]) -> None:
+    budget = Budget(None, 0.0)
+    for item in put:
+        budget.put(item)
+    newest = {item.key: item for item in put}
+    taken = budget.take(0.0)
+    assert {item.key: item for item in taken} == newest
+    assert [(item.kind, item.urgency) for item in taken] == sorted((item.kind, item.urgency) for item in taken)
+    assert sum(count.coalesced for count in budget.counts.values()) == len(put) - len(newest)
+
+
+def test_a_fault_leaves_before_what_repeats() -> None:
+    budget = Budget(10.0, 0.0)
+    budget.charge(int(BURST_MIN), 0.0)
+    budget.put(Item("refresh", Class.REFRESH, 30, None, 6))
+    budget.put(Item("node_1", Class.TRANSITION, 60, None, 2))
+    assert budget.take(5.9) == []  # 59 bytes would do for the refresh, which does not overtake
+    assert [item.key for item in budget.take(6.0)] == ["node_1"]
+    assert [item.key for item in budget.take(9.0)] == ["refresh"]
+
+
+def test_heartbeats_are_charged() -> None:
+    """What they take is not there for text; yet a pause after many of them ends."""
+    budget = Budget(10.0, 0.0)
+    for _ in range(100):
+        budget.charge(21, 0.0)
+    budget.put(Item("a", Class.TRANSITION, 50, None))
+    assert budget.take(1.0) == []
+    assert budget.take(2 * BURST_MIN / 10)
+
+
+def test_a_link_without_limit_holds_nothing_back() -> None:
+    budget = Budget(None, 0.0)
+    for number in range(MAX_WAITING):
+        budget.put(Item(str(number), Class.REQUEST, 280, None))
+    assert len(budget.take(0.0)) == MAX_WAITING
+
+
+def test_what_waits_is_capped_and_the_least_is_dropped() -> None:
+    budget = Budget(1.0, 0.0)
+    for number in range(MAX_WAITING):
+        budget.put(Item(f"request {number}", Class.REQUEST, 280, None))
+    budget.put(Item("fault", Class.TRANSITION, 40, None))
+    assert budget.waiting == MAX_WAITING
+    assert budget.counts[Class.REQUEST].dropped == 1
+    assert budget.take(0.0)[0].key == "fault"
+
+
+def test_what_is_no_longer_true_is_not_sent() -> None:
+    budget = Budget(None, 0.0)
+    budget.put(Item("a", Class.TRANSITION, 40, None))
+    budget.withdraw("a")
+    budget.withdraw("never there")
+    assert budget.take(0.0) == []
+
+
+def test_a_full_radio_slows_down_and_an_empty_one_speeds_up() -> None:
+    flow = Flow()
+    for at in range(10):
+        flow.txbuf(5, float(at))
+    assert flow.factor(9.0) == SLOWEST
+    for at in range(10, 20):
+        flow.txbuf(98, float(at))
+    assert flow.factor(19.0) == 1.0
+
+
+def test_what_a_radio_said_long_ago_does_not_count() -> None:
+    flow = Flow()
+    for at in range(10):
+        flow.txbuf(5, float(at))
+    assert flow.factor(9.0 + TXBUF_STALE_S) == SLOWEST
+    assert flow.factor(9.1 + TXBUF_STALE_S) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("agents", "wanted"),
+    [(1, (2, 10)), (8, (2, 10)), (9, (5, 30)), (30, (5, 30)), (31, (10, 60)), (100, (10, 60)), (250, (25, 150))],
+)
+def test_the_larger_the_swarm_the_longer_the_periods(agents: int, wanted: tuple[float, float]) -> None:
+    assert periods(agents) == wanted
+
+
+@pytest.mark.parametrize("agents", [1, 8, 30, 100, 250])
+def test_an_idle_swarm_stays_within_its_share(agents: int) -> None:
+    """Heartbeats of 21 bytes and refreshes of 28, all agents together."""
+    heartbeat_s, refresh_s = periods(agents)
+    assert agents * (21 / heartbeat_s + 28 / refresh_s) <= RADIO_LIMIT[agents]
+
+
+# Heartbeats alone take 5.3 % at 1 Hz for 8 agents; with these periods all of it is at most 8 % of the radio's room.
+RADIO_LIMIT = {
+    1: SWARM_BYTES_S,
+    8: SWARM_BYTES_S,
+    30: SWARM_BYTES_S,
+    100: 1.7 * SWARM_BYTES_S,
+    250: 1.7 * SWARM_BYTES_S,
+}
