@@ -129,8 +129,5 @@ def test_rates_of_types_that_only_the_application_has(pair: Pair, tmp_path: Path
             for rate in rates
         )
 
-    try:
-        poll(right, "three right rates", 60.0)
-    finally:
-        print({name: unit["summary"] for name, unit in pair.units().items()})
+    poll(right, "three right rates", 60.0)
     assert all(pair.units()[f"topics{name}"]["level"] == "OK" for name in TOPICS)
