@@ -153,6 +153,8 @@ class NodeSettings(Section):
     """Full name, e.g. /agent_1/node_1 (a missing first slash is added)."""
     container: Name | None = None
     """The container it runs in; default: the only configured one. Recovery restarts it."""
+    process: list[Annotated[str, Field(min_length=1, max_length=255)]] = Field(default_factory=list)
+    """Words that all stand in the command line of its process, and of no other in its container; default: found by itself."""
     relaunch: list[str] = Field(default_factory=list)
     """Command, word by word, that starts this node inside its container; tried before the container is restarted."""
 
@@ -167,13 +169,22 @@ class TopicSettings(Section):
     rate: Annotated[Hertz, Field(ge=0)] | None = None
     """Expected rate in Hz; 0 for a latched topic (judged by its publisher alone); default: not judged."""
     tolerance: Percent = 10.0
-    """How far the rate may be off before WARN; twice that is ERROR."""
+    """How far the rate may be off before WARN."""
+    error_tolerance: Percent | None = None
+    """How far the rate may be off before ERROR; default: twice `tolerance`."""
+    silence: Annotated[Seconds, Field(gt=0, le=600)] | None = None
+    """Instead of `ros.silence`, for this topic."""
     publishers: list[RosName] = Field(default_factory=list)
     """Nodes that must publish it; default: any one."""
     subscribers: list[RosName] = Field(default_factory=list)
     """Nodes that must subscribe to it; default: none needed."""
     container: Name | None = None
     """The container it comes from; default: that of its first publisher, else the only configured one."""
+
+    @property
+    def error_limit(self) -> float:
+        """Percent that the rate may be off before ERROR."""
+        return 2 * self.tolerance if self.error_tolerance is None else self.error_tolerance
 
 
 class WatchedDiagnosticSettings(Section):
@@ -216,7 +227,7 @@ class RosSettings(Section):
     grace: Annotated[Seconds, Field(ge=0, le=120)] = 8.0
     """Seconds after a start or restart in which an incomplete graph is not yet a fault."""
     silence: Annotated[Seconds, Field(gt=0, le=60)] = 3.0
-    """A topic without a sample for max(three periods, this) is silent."""
+    """A topic without a sample for max(three periods, this) is silent; sooner when it never paused for so long."""
     max_memory: Annotated[Bytes, Field(ge=50e6)] = 250e6
     """The ROS child process is replaced when it uses more."""
     installs: list[Annotated[str, Field(pattern=r"^/[^:]*$", max_length=4096)]] = Field(default_factory=list)

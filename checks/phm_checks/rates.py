@@ -15,6 +15,9 @@ STAY = 0.9
 """A level is left only when the deviation is below this share of its limit, so that a rate at the limit does not flap."""
 MEASURED_S = 1.0
 """A silence is seen this much after its limit at the latest: the sampler looks, and the check runs, once a second."""
+_BLOCKS = "a firewall, or shared memory without a shared /dev/shm: set FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
+WITNESSES = 2
+"""Nodes of one container of which nothing at all is heard: so many at once do not all have nothing to say."""
 
 
 @dataclass(slots=True)
@@ -45,13 +48,11 @@ class Rates(api.Check):
     name, slot, layer = "rates", Slot.RATES, Layer.ROS
     period_s = 1.0
 
-    def __init__(
-        self, topics: Sequence[api.TopicSettings], units: Sequence[api.Unit], ros: tuple[float, float]
-    ) -> None:
+    def __init__(self, topics: Sequence[api.TopicSettings], units: Sequence[api.Unit], grace_s: float) -> None:
         self._topics = tuple(topics)
         self._units = tuple(units)
         self._targets = {unit.id: unit.target for unit in units}
-        self._grace_s, self._silence_s = ros
+        self._grace_s = grace_s
         self._memory = {topic.name: _Memory() for topic in topics}
         self._hz = Steady(share=0.1)
 
@@ -65,11 +66,11 @@ class Rates(api.Check):
                 target=settings.container_of_topic(topic),
                 settle_s=2.0,
                 grace_s=settings.ros.grace,
-                memory_s=_limit_s(topic.rate or 0.0, settings.ros.silence) + MEASURED_S,
+                memory_s=_limit_s(topic, settings.ros.silence) + MEASURED_S,
             )
             for topic in topics
         ]
-        return [cls(topics, units, (settings.ros.grace, settings.ros.silence))] if topics else []
+        return [cls(topics, units, settings.ros.grace)] if topics else []
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -102,29 +103,21 @@ class Rates(api.Check):
             return self._latched(name, seen, fact)
         if seen.rate is None:
             return api.stale(f"{name} is not measured: it has no sampler yet")
+        values = _values(topic, seen.rate)
         if seen.rate.problem:
-            return api.stale(
-                f"rate of {name} cannot be told: {clean(seen.rate.problem)} ({len(seen.publishers)} publishers)"
-            )
-        hz, silent_s = seen.rate.hz, seen.rate.silent_s
-        values: dict[str, api.Value] = {
-            "hz": None if hz is None else round(hz, 3),
-            "expected_hz": topic.rate,
-            "silent_s": None if silent_s is None else round(silent_s, 2),
-            "window_s": round(seen.rate.window_s, 2),
-            "samples": seen.rate.samples,
-        }
+            return api.stale(f"rate of {name} cannot be told: {clean(seen.rate.problem)}", brief="", **values)
         case = _Case(topic, topic.rate, self._targets[_unit(topic)], values)
+        hz, silent_s = seen.rate.hz, seen.rate.silent_s
         if silent_s is None:
-            return self._never(case, fact)
-        limit_s = _limit_s(topic.rate, self._silence_s)
-        if silent_s > limit_s:
+            return self._never(case, seen, fact)
+        if hz == 0.0:
             memory.off_since = None
+            limit = "" if seen.rate.limit_s is None else f" and no gap over {span(seen.rate.limit_s)}"
             return self._bad(
                 Level.ERROR,
                 "silent",
                 "silent",
-                f"{name}: offline. Silent for {span(silent_s)}, expected {topic.rate:g} Hz and no gap over {span(limit_s)}: its "
+                f"{name}: offline. Silent for {span(silent_s)}, expected {topic.rate:g} Hz{limit}: its "
                 "node hangs or its source stopped; see that node's log",
                 case,
             )
@@ -133,39 +126,91 @@ class Rates(api.Check):
         return self._rate(case, hz, memory, now)
 
     def _latched(self, name: str, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
-        if seen.publishers:
-            return api.ok(f"{name}: latched, its publisher is there", publishers=len(seen.publishers))
-        if fact.up_s < self._grace_s:
-            return api.stale(f"publisher of {name} is not seen yet")
-        return api.error(
-            f"{name}: offline. It is latched and has no publisher: start the node that publishes it",
-            brief=brief(last(name), "has no publisher"),
-            condition="not_received",
-            publishers=0,
-        )
+        """Judged by its publishers; a sample that they keep for whoever comes must come to PHM, too."""
+        if not seen.publishers:
+            if fact.up_s < self._grace_s:
+                return api.stale(f"publisher of {name} is not seen yet")
+            return api.error(
+                f"{name}: offline. It is latched and has no publisher: start the node that publishes it",
+                brief=brief(last(name), "has no publisher"),
+                condition="not_received",
+                publishers=0,
+            )
+        values: dict[str, api.Value] = {"publishers": len(seen.publishers)}
+        rate = seen.rate
+        if rate is None or rate.problem:
+            return api.ok(f"{name}: latched, its publisher is there", **values)
+        if rate.age_s is not None:
+            return api.ok(f"{name}: latched, published {span(rate.age_s)} ago", age_s=round(rate.age_s, 1), **values)
+        kept = all((end.durability, end.reliability) == ("transient_local", "reliable") for end in seen.publishers)
+        if rate.silent_s is None and kept and fact.up_s >= self._grace_s:
+            return api.warn(
+                f"{name}: not received. Its publisher keeps its last sample for whoever comes, and none has come: nothing "
+                "was published yet, or the transport is blocked",
+                brief=brief(last(name), "not received"),
+                condition="not_received",
+                publishers=len(seen.publishers),
+            )
+        return api.ok(f"{name}: latched, its publisher is there", **values)
 
-    def _never(self, case: _Case, fact: api.RosFact) -> api.Result:
+    def _never(self, case: _Case, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
         """Listed but not one sample; slow topics get three periods."""
-        if fact.up_s < max(self._grace_s, 3 / case.rate):
+        if not self._due(case.topic, fact):
             return api.stale(
                 f"no sample of {case.name} yet; PHM has listened for {span(fact.up_s)} only", brief="", **case.values
+            )
+        if evidence := self._blocked(case.target, seen, fact):
+            return self._bad(
+                Level.ERROR,
+                "transport_blocked",
+                "transport blocked",
+                f"{case.name}: transport blocked. {evidence}: discovery passes and no data ({_BLOCKS}); a restart of the "
+                "application does not help",
+                case,
             )
         return self._bad(
             Level.ERROR,
             "not_received",
             "not received",
             f"{case.name}: offline. It is listed, but not one sample has come, expected {case.rate:g} Hz: its publisher does "
-            "not publish, or the transport is blocked (shared memory without a shared /dev/shm: set "
-            "FASTDDS_BUILTIN_TRANSPORTS=UDPv4)",
+            f"not publish, or the transport is blocked ({_BLOCKS})",
             case,
         )
+
+    def _due(self, topic: api.TopicSettings, fact: api.RosFact) -> bool:
+        """Whether PHM has listened for so long that a sample must have come."""
+        return bool(topic.rate) and fact.up_s >= max(self._grace_s, 3 / (topic.rate or 1.0))
+
+    def _blocked(self, target: str, seen: api.TopicFact, fact: api.RosFact) -> str:
+        """What tells that the middleware finds publishers and gets no data of them; empty when something else may be it."""
+        nodes = _nodes(seen)
+        if nodes == {""}:
+            # A node's name comes as data; that there is a publisher comes with discovery.
+            return "A publisher is found, but neither the name of its node nor a sample has come"
+        unheard = self._unheard(target, fact)
+        if len(unheard) < WITNESSES or not unheard & nodes:
+            return ""
+        return f"{len(unheard)} nodes are found, and not one sample of any of them has come"
+
+    def _unheard(self, target: str, fact: api.RosFact) -> set[str]:
+        """The nodes of this container that must have been heard, when none of them was; else nobody."""
+        nodes: set[str] = set()
+        for topic in self._topics:
+            seen = fact.topics.get(f"/{api.topic_id(topic.name)}", api.TopicFact())
+            if self._targets[_unit(topic)] != target:
+                continue
+            if seen.rate is not None and seen.rate.silent_s is not None:
+                return set()
+            if self._due(topic, fact):
+                nodes |= _nodes(seen)
+        return set() if nodes & fact.beacons.keys() else nodes
 
     def _rate(self, case: _Case, hz: float, memory: _Memory, now: float) -> api.Result:
         off = abs(hz - case.rate) / case.rate * 100
         tolerance = case.topic.tolerance
         before = memory.told.level if memory.told is not None else Level.OK
         warn = tolerance * (STAY if before.bad else 1.0)
-        error = 2 * tolerance * (STAY if before is Level.ERROR else 1.0)
+        error = case.topic.error_limit * (STAY if before is Level.ERROR else 1.0)
         # Rounding of a measured rate must not count: 10.000001 % is 10 %.
         if off <= warn + 1e-6:
             memory.off_since = None
@@ -192,9 +237,34 @@ class Rates(api.Check):
         return api.Result(level, words, brief(last(case.name), short), condition, case.target, case.values)
 
 
-def _limit_s(rate_hz: float, silence_s: float) -> float:
-    """From when on a topic counts as silent. A latched one (rate 0) never does."""
-    return max(3 / rate_hz, silence_s) if rate_hz else silence_s
+def _values(topic: api.TopicSettings, rate: api.RateFact) -> dict[str, api.Value]:
+    return {
+        "hz": _rounded(rate.hz, 3),
+        "expected_hz": topic.rate,
+        "silent_s": _rounded(rate.silent_s, 2),
+        "silent_limit_s": _rounded(rate.limit_s, 2),
+        "jitter_s": _rounded(rate.jitter_s, 4),
+        "age_s": _rounded(rate.age_s, 3),
+        "window_s": round(rate.window_s, 2),
+        "samples": rate.samples,
+        "sample_bytes": _rounded(rate.sample_bytes, 0),
+        "publishers": rate.publishers,
+        "restarts": rate.restarts,
+    }
+
+
+def _rounded(number: float | None, digits: int) -> float | None:
+    return None if number is None else round(number, digits)
+
+
+def _nodes(seen: api.TopicFact) -> set[str]:
+    return {end.node for end in seen.publishers}
+
+
+def _limit_s(topic: api.TopicSettings, silence_s: float) -> float:
+    """From when on a topic counts as silent at the latest. A latched one (rate 0) never does."""
+    least_s = silence_s if topic.silence is None else topic.silence
+    return max(3 / topic.rate, least_s) if topic.rate else least_s
 
 
 def _unit(topic: api.TopicSettings) -> str:

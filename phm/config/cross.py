@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 from phm.config.problems import shown, unknown
 from phm.config.view import View
-from phm.settings import Celsius, ContainerSettings, HostSettings, Percent, RecoverySettings, Seconds
+from phm.settings import Celsius, ContainerSettings, HostSettings, Percent, RecoverySettings, Seconds, TopicSettings
 
 
 def judge(root: View) -> None:
@@ -205,6 +205,10 @@ def limits_are_in_order(root: View) -> None:
     host, recovery = HostSettings(), RecoverySettings()
     pair = root.get("host", "temperature_warn"), root.get("host", "temperature_error")
     in_order(*pair, Celsius, (host.temperature_warn, host.temperature_error))
+    for topic in root.get("ros", "topics").records():
+        if topic.get("error_tolerance").given:
+            tolerance = TopicSettings.model_fields["tolerance"].default
+            in_order(topic.get("tolerance"), topic.get("error_tolerance"), Percent, (tolerance, tolerance))
     pair = root.get("recovery", "backoff"), root.get("recovery", "backoff_max")
     in_order(*pair, Seconds, (recovery.backoff, recovery.backoff_max))
 

@@ -12,6 +12,7 @@ from phm_checks.rates import CONFIRM_S, Rates
 NAME = "/agent_1/topic_1"
 UNIT = "rates/agent_1/topic_1"
 TALKER = (api.EndpointFact("/agent_1/node_1", "std_msgs/msg/String"),)
+KEEPER = (api.EndpointFact("/agent_1/node_2", "std_msgs/msg/String", "reliable", "transient_local"),)
 
 
 class Bench:
@@ -25,7 +26,7 @@ class Bench:
         self.clock, self.ros = testing.FakeClock(), testing.FakeRos()
 
     def judge(self, hz: float | None = None, silent_s: float | None = 0.1, problem: str = "", **ros: Any) -> api.Result:
-        rate = api.RateFact(hz, silent_s, window_s=5.0, samples=5, problem=problem)
+        rate = api.RateFact(hz, silent_s, window_s=5.0, samples=5, problem=problem, limit_s=1.5, publishers=1)
         return self.see(api.TopicFact(TALKER, (), rate), **ros)
 
     def see(self, fact: api.TopicFact, **ros: Any) -> api.Result:
@@ -54,13 +55,12 @@ def test_the_expected_rate_is_ok() -> None:
     assert bench.judge(0.9).level is api.Level.OK
 
 
-@pytest.mark.parametrize(("rate", "limit_s"), [(10.0, 3.0), (0.1, 30.0)])
-def test_the_memory_of_a_topic_is_longer_than_its_silence(rate: float, limit_s: float) -> None:
-    """A topic that fell silent at a restart is found OK until then, which must not end its grace."""
-    bench = Bench(rate)
-    assert bench.judge(rate, silent_s=limit_s).level is api.Level.OK
-    assert bench.judge(rate, silent_s=limit_s + 0.1).condition == "silent"
-    (unit,) = bench.check.units
+@pytest.mark.parametrize(
+    ("topic", "limit_s"), [({"rate": 10.0}, 3.0), ({"rate": 0.1}, 30.0), ({"rate": 10.0, "silence": "7s"}, 7.0)]
+)
+def test_the_memory_of_a_topic_is_longer_than_its_silence(topic: dict[str, Any], limit_s: float) -> None:
+    """A topic that fell silent at a restart is found OK until `limit_s` at most, which must not end its grace."""
+    (unit,) = Bench(**topic).check.units
     assert unit.memory_s > limit_s + 0.5
 
 
@@ -78,6 +78,14 @@ def test_a_rate_outside_the_tolerance_is_told(hz: float, level: api.Level, condi
     result = Bench().twice(hz)
     assert (result.level, result.condition, result.target) == (level, condition, "ros_app")
     assert result.brief == f"topic_1 {hz:g} Hz, not 1"
+
+
+@pytest.mark.parametrize(
+    ("hz", "level"), [(0.93, api.Level.OK), (0.85, api.Level.WARN), (0.55, api.Level.WARN), (0.4, api.Level.ERROR)]
+)
+def test_each_topic_has_its_own_limits(hz: float, level: api.Level) -> None:
+    """`tolerance` and `error_tolerance`."""
+    assert Bench(tolerance="10%", error_tolerance="50%").twice(hz).level is level
 
 
 def test_one_measurement_outside_is_not_told() -> None:
@@ -113,28 +121,16 @@ def test_a_jittering_rate_keeps_its_brief() -> None:
     assert {bench.judge(hz).brief for hz in (0.51, 0.49, 0.5, 0.53)} == {"topic_1 0.5 Hz, not 1"}
 
 
-@pytest.mark.parametrize(
-    ("rate", "silent_s", "silent"),
-    [
-        ("1Hz", 2.9, False),
-        ("1Hz", 3.1, True),
-        ("200Hz", 2.9, False),
-        ("200Hz", 3.1, True),
-        (0.1, 29.0, False),
-        (0.1, 31.0, True),
-    ],
-)
-def test_silence_is_longer_than_three_periods_and_the_configured_least(
-    rate: float | str, silent_s: float, silent: bool
-) -> None:
-    """Slow topics get three periods, fast ones `ros.silence`."""
-    bench = Bench(rate)
-    result = bench.judge(
-        hz=testing.settings(ros={"topics": [{"name": NAME, "rate": rate}]}).ros.topics[0].rate, silent_s=silent_s
-    )
-    assert (result.condition == "silent") is silent
-    if silent:
-        assert (result.level, result.brief) == (api.Level.ERROR, "topic_1 silent")
+def test_silence_is_what_the_sampler_calls_silent() -> None:
+    """A rate of 0.0; the sentence says how long, and from when on it counts."""
+    result = Bench().judge(hz=0.0, silent_s=1.8)
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "silent", "topic_1 silent")
+    assert "Silent for 1.8 s, expected 1 Hz and no gap over 1.5 s" in result.summary
+
+
+def test_what_phm_itself_did_not_look_at_is_no_silence() -> None:
+    """The child is late, so its last picture grows old; it called nothing silent."""
+    assert Bench().judge(hz=1.0, silent_s=2.9, age_s=2.8).level is api.Level.OK
 
 
 def test_a_topic_never_received_is_an_error() -> None:
@@ -144,6 +140,64 @@ def test_a_topic_never_received_is_an_error() -> None:
     assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
 
 
+class Deaf:
+    """Three topics of three nodes, of which none is heard, unless a test says so."""
+
+    def __init__(self) -> None:
+        topics = [{"name": f"/agent_1/topic_{n}", "rate": rate} for n, rate in ((1, 1), (2, 10), (3, 0.01))]
+        containers = [{"name": "ros_app"}]
+        (self.check,) = Rates.build(testing.settings(containers=containers, ros={"topics": topics}))
+        self.ros = testing.FakeRos()
+        self.silent_s: dict[int, float | None] = {1: None, 2: None, 3: None}
+        self.nodes = {1: "node_1", 2: "node_2", 3: "node_3"}
+
+    def condition(self, **ros: Any) -> str:
+        """Of topic_1."""
+        topics = {
+            f"/agent_1/topic_{n}": api.TopicFact(
+                (api.EndpointFact(f"/agent_1/{self.nodes[n]}", "std_msgs/msg/String"),),
+                (),
+                api.RateFact(None, silent_s),
+            )
+            for n, silent_s in self.silent_s.items()
+        }
+        self.ros.change(topics=topics, **ros)
+        results = self.check.run(testing.world(clock=testing.FakeClock(), ros=self.ros))
+        assert not isinstance(results, api.Result)
+        return results[UNIT].condition
+
+
+def test_when_nothing_of_a_container_is_heard_the_transport_is_blocked() -> None:
+    """Two nodes are listed, long enough, and not one sample of either has ever come."""
+    assert Deaf().condition() == "transport_blocked"
+
+
+def test_a_publisher_without_the_name_of_its_node_is_behind_a_blocked_transport() -> None:
+    """Names of nodes come as data; one publisher is enough then."""
+    publisher = (api.EndpointFact("", "std_msgs/msg/String"),)
+    result = Bench().see(api.TopicFact(publisher, (), api.RateFact(None, None)))
+    assert (result.level, result.condition) == (api.Level.ERROR, "transport_blocked")
+
+
+def test_one_node_that_is_heard_clears_the_transport() -> None:
+    """Then a topic that never came is one that its node does not publish."""
+    deaf = Deaf()
+    deaf.silent_s[2] = 0.1
+    assert deaf.condition() == "not_received"
+
+
+def test_a_beacon_clears_the_transport() -> None:
+    """A beacon is a sample, too."""
+    assert Deaf().condition(beacons={"/agent_1/node_2": api.BeaconFact(0.1, 1.0)}) == "not_received"
+
+
+def test_one_node_alone_may_have_nothing_to_say() -> None:
+    """A single node that does not publish is no proof of a blocked transport; nor is one that is not due yet."""
+    deaf = Deaf()
+    deaf.nodes[2] = "node_1"
+    assert deaf.condition(up_s=60.0) == "not_received"
+
+
 def test_a_slow_topic_is_waited_for() -> None:
     """Three periods of a 0.1 Hz topic are 30 s."""
     bench = Bench(0.1)
@@ -151,7 +205,7 @@ def test_a_slow_topic_is_waited_for() -> None:
     assert bench.judge(silent_s=None, up_s=31.0).condition == "not_received"
 
 
-@pytest.mark.parametrize("problem", ["type unknown", "ambiguous"])
+@pytest.mark.parametrize("problem", ["type unknown: x", "ambiguous: 9 publishers", "QoS mismatch: y"])
 def test_a_rate_that_cannot_be_told_is_stale(problem: str) -> None:
     """No fault of the topic, and the reason is said."""
     result = Bench().judge(silent_s=None, problem=problem)
@@ -173,6 +227,31 @@ def test_a_latched_topic_is_judged_by_its_publisher_alone(
 ) -> None:
     """`rate: 0` means published once: silence is normal."""
     assert Bench(0).see(api.TopicFact(publishers), up_s=up_s).level is level
+
+
+def test_a_latched_topic_tells_the_age_of_its_sample() -> None:
+    """However old it is."""
+    rate = api.RateFact(None, 700.0, samples=1, age_s=700.0)
+    result = Bench(0).see(api.TopicFact(KEEPER, (), rate))
+    assert (result.level, result.summary) == (api.Level.OK, "agent_1/topic_1: latched, published 12 min ago")
+
+
+@pytest.mark.parametrize(
+    ("publishers", "up_s", "level"),
+    [
+        (KEEPER, 60.0, api.Level.WARN),
+        (KEEPER, 1.0, api.Level.OK),
+        (TALKER, 60.0, api.Level.OK),
+        (KEEPER + TALKER, 60.0, api.Level.OK),
+    ],
+)
+def test_a_latched_sample_that_never_came_is_a_warning(
+    publishers: tuple[api.EndpointFact, ...], up_s: float, level: api.Level
+) -> None:
+    """Only where the publishers keep it for whoever comes later must PHM have got it."""
+    result = Bench(0).see(api.TopicFact(publishers, (), api.RateFact(None, None)), up_s=up_s)
+    assert result.level is level
+    assert (result.condition == "not_received") is (level is api.Level.WARN)
 
 
 def test_a_topic_without_a_sampler_is_stale() -> None:

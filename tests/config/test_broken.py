@@ -204,6 +204,8 @@ BROKEN = [
     Broken("nothing to hear on", "mavlink:\n  autopilot: true\n", 2, "mavlink.autopilot", ("no endpoints",)),
     Broken("autopilot's number", "mavlink:\n  component_id: 1\n", 2, "mavlink.component_id", ("allowed is 2 to 250",)),
     # pairs
+    Broken("topic limits", "ros:\n  topics:\n  - {name: /t, rate: 1, error_tolerance: 5%}\n", 3,
+           "ros.topics[0].error_tolerance", ("is 5", "10 or more")),
     Broken("limits", "host:\n  cpu:\n    warn: 99%\n    error: 98\n", 3, "host.cpu.warn", ("98 or less",)),
     Broken("warm", "host:\n  temperature_warn: 90C\n", 2, "host.temperature_warn", ("is 90", "85 or less")),
     Broken("cold", "host:\n  temperature_error: 70\n", 2, "host.temperature_error", ("is 70", "75 or more")),

@@ -162,35 +162,6 @@ def test_an_unknown_type_is_a_problem_and_not_a_crash(bench: Bench) -> None:
     assert probe.restarts == 0
 
 
-def test_two_publishers_are_ambiguous(bench: Bench) -> None:
-    """Two nodes on one topic: the count is told instead of a rate that means nothing."""
-    bench.node("node_1", "--publish", "topic_1:10")
-    bench.node("node_2", "--publish", "topic_1:10")
-    probe = bench.probe([{"name": TOPIC, "rate": 10}])
-    seen(probe, lambda fact: rate_of(fact).problem.startswith("ambiguous"), "the problem")
-    assert len(probe.look().topics[TOPIC].publishers) == 2
-
-
-def test_without_sequence_numbers_samples_are_counted(bench: Bench, tmp_path: Path) -> None:
-    """Humble and Cyclone give no numbers: a deep queue is counted instead, with the same result."""
-    hide = (
-        "import phm.probes.ros.reader as r; plain = r._sample\n"
-        "r._sample = lambda info, now: plain({**info, 'publication_sequence_number': None}, now)\n"
-        "from phm.probes.ros.child import main; raise SystemExit(main())"
-    )
-    bench.source(50.0, tmp_path / "sent")
-    probe = bench.probe([{"name": TOPIC, "rate": 50}], command=(sys.executable, "-c", hide))
-    seen(probe, lambda fact: within_2_percent(fact, tmp_path / "sent"), "a rate within 2 %")
-
-
-def test_a_latched_topic_has_no_rate(bench: Bench) -> None:
-    """Expected rate 0: nothing is subscribed to, and nothing is measured."""
-    bench.node("node_1", "--publish", "topic_1:10")
-    probe = bench.probe([{"name": TOPIC, "rate": 0}])
-    fact = seen(probe, lambda fact: fact.topics[TOPIC].publishers and fact, "the publisher")
-    assert fact.topics[TOPIC].rate is None
-
-
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_the_real_child_is_replaced(bench: Bench, number: signal.Signals) -> None:
     """Killed or stopped, the child is replaced, and the new one sees the same nodes."""

@@ -2,123 +2,252 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 
-from phm.probes.ros.meter import Meter
-from phm.probes.ros.track import Sample
+from phm.probes.ros.meter import STALL_S, Listening, Meter
+from phm.ros_facts import RateFact
+from tests.fakes.ros_flow import TICK_S, even, feed, quiet
 
-TICK_S = 0.25
-
-
-def flow(
-    meter: Meter, hz: float, start_s: float, seconds: float, *, first: int = 1, writer: bytes | None = None,
-    offset_s: float = 0.0, numbered: bool = True,
-) -> float:  # fmt: skip
-    """Feed what a reader with a queue of one sees of an even publisher, until `start_s + seconds`.
-
-    Not numbered: a deep queue hands over everything. offset_s: the publisher's clock against ours.
-    """
-    last = 0
-    ticks = round(seconds / TICK_S)
-    for tick in range(1, ticks + 1):
-        now_s = start_s + tick * TICK_S
-        newest = int(tick * TICK_S * hz)
-        for count in range(last + 1, newest + 1) if not numbered else [newest] * (newest > last):
-            stamp_ns = int((start_s + offset_s + count / hz) * 1e9)
-            meter.add(Sample(first + count if numbered else None, stamp_ns, now_s, writer))
-        last = newest
-    return start_s + ticks * TICK_S
+TWO = Listening(publishers=2, several=True)
 
 
-@pytest.mark.parametrize("hz", [0.5, 1.0, 7.3, 10.0, 200.0, 1000.0])
+def one(hz: float, seconds: float, *, expected: float | None = None, **how: object) -> RateFact:
+    """What is known of an even publisher after `seconds`."""
+    return feed(Meter(expected or hz, 3.0), even(hz, 100.0, seconds, **how), 100.0, 100.0 + seconds)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("hz", [0.5, 1.0, 7.3, 10.0, 200.0, 1000.0, 5000.0])
 def test_the_rate_is_exact_at_any_speed(hz: float) -> None:
-    """One sample a tick is enough, from half a hertz to a kilohertz."""
-    meter = Meter(hz, 3.0)
-    end_s = flow(meter, hz, 100.0, 20.0)
-    assert meter.fact(end_s, 1).hz == pytest.approx(hz, rel=1e-3)
+    """One sample a tick is enough, from half a hertz to several kilohertz."""
+    assert one(hz, 20.0).hz == pytest.approx(hz, rel=1e-3)
+
+
+def test_a_topic_of_one_sample_a_minute_has_a_rate() -> None:
+    """Below 0.1 Hz the window is three periods, and three periods without a sample are no silence yet."""
+    meter = Meter(1 / 60, 3.0)
+    fact = feed(meter, even(1 / 60, 0.0, 600.0), 0.0, 600.0)
+    assert fact.hz == pytest.approx(1 / 60, rel=1e-3)
+    assert fact.window_s == pytest.approx(180.0)
+    assert fact.limit_s == 180.0
+
+
+def test_a_step_of_the_clock_does_not_bend_a_slow_rate() -> None:
+    """A jump of five seconds is a quarter of a 20 s period, and not taken for one."""
+    meter = Meter(0.05, 3.0)
+    feed(meter, even(0.05, 0.0, 100.0), 0.0, 100.0)
+    later = even(0.05, 100.0, 60.0, first=6, offset_s=5.0)
+    fact = feed(meter, later, 100.0, 160.0)
+    assert fact.hz == pytest.approx(0.05, rel=1e-3)
 
 
 def test_without_numbers_all_samples_are_counted() -> None:
     """Middleware without sequence numbers: a deep queue is drained, and the rate is as exact."""
-    meter = Meter(40.0, 3.0)
-    end_s = flow(meter, 40.0, 100.0, 10.0, numbered=False)
-    assert meter.fact(end_s, 1).hz == pytest.approx(40.0, rel=1e-3)
+    fact = feed(Meter(40.0, 3.0), even(40.0, 100.0, 10.0, numbered=False), 100.0, 110.0, depth=40)
+    assert fact.hz == pytest.approx(40.0, rel=1e-3)
 
 
 def test_two_samples_close_together_are_no_rate_yet() -> None:
     """Below a second of publication time the rate is not known, not wrong."""
-    meter = Meter(10.0, 3.0)
-    end_s = flow(meter, 10.0, 100.0, 0.5)
-    assert meter.fact(end_s, 1).hz is None
-    assert meter.fact(end_s, 1).silent_s == 0.0
+    fact = one(10.0, 0.5)
+    assert (fact.hz, fact.silent_s) == (None, 0.0)
 
 
 def test_before_the_first_sample_nothing_is_known() -> None:
-    """A topic never heard has neither rate nor silence."""
-    fact = Meter(10.0, 3.0).fact(100.0, 1)
-    assert (fact.hz, fact.silent_s, fact.samples) == (None, None, 0)
+    """A topic never heard has neither rate nor silence nor age, however long one waits."""
+    fact = quiet(Meter(10.0, 3.0), 100.0, 20.0)
+    assert (fact.hz, fact.silent_s, fact.samples, fact.age_s, fact.sample_bytes) == (None, None, 0, None, None)
 
 
 @pytest.mark.parametrize(("hz", "limit_s"), [(10.0, 3.0), (0.5, 6.0)])
 def test_silence_is_three_periods_or_the_configured_time(hz: float, limit_s: float) -> None:
-    """Up to the limit the last rate stands; beyond it the rate is 0.0 and the silence is counted."""
+    """Of a topic just met: up to the limit the last rate stands; beyond it the rate is 0.0 and the silence is counted."""
     meter = Meter(hz, 3.0)
-    end_s = flow(meter, hz, 100.0, 20.0)
-    assert meter.fact(end_s + limit_s - 0.01, 1).hz == pytest.approx(hz, rel=1e-3)
-    silent = meter.fact(end_s + limit_s + 0.01, 1)
+    fact = feed(meter, even(hz, 100.0, 10.0), 100.0, 110.0)
+    assert fact.limit_s == limit_s
+    assert quiet(meter, 110.0, limit_s).hz == pytest.approx(hz, rel=1e-3)
+    silent = quiet(meter, 110.0 + limit_s, TICK_S)
     assert silent.hz == 0.0
-    assert silent.silent_s == pytest.approx(limit_s + 0.01)
+    assert silent.silent_s == pytest.approx(limit_s + TICK_S)
 
 
 def test_after_a_silence_the_rate_is_measured_anew() -> None:
     """The silence is not averaged into the rate of what follows."""
     meter = Meter(10.0, 3.0)
-    end_s = flow(meter, 10.0, 100.0, 5.0)
-    meter.fact(end_s + 8.0, 1)
-    end_s = flow(meter, 10.0, end_s + 8.0, 5.0, first=51)
-    assert meter.fact(end_s, 1).hz == pytest.approx(10.0, rel=1e-3)
+    feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0)
+    quiet(meter, 105.0, 8.0)
+    fact = feed(meter, even(10.0, 113.0, 5.0, first=51), 113.0, 118.0)
+    assert fact.hz == pytest.approx(10.0, rel=1e-3)
 
 
-def test_a_restarted_publisher_is_measured_anew() -> None:
+def test_when_phm_stands_still_no_topic_is_silent() -> None:
+    """Looks far apart tell of PHM; only what is looked at can be found silent."""
+    meter = Meter(10.0, 3.0)
+    feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0)
+    assert meter.look(125.0, ()).hz == pytest.approx(10.0, rel=1e-3)
+    assert quiet(meter, 125.0, 3.0 - STALL_S).hz != 0.0
+    assert quiet(meter, 125.0 + 3.0 - STALL_S, TICK_S).hz == 0.0
+
+
+def test_a_restarted_publisher_is_measured_anew_and_counted() -> None:
     """Numbers that fall are a new life of the publisher, neither a negative rate nor ambiguity."""
     meter = Meter(10.0, 3.0)
-    end_s = flow(meter, 10.0, 100.0, 10.0, first=5000)
-    end_s = flow(meter, 20.0, end_s, 5.0)
-    fact = meter.fact(end_s, 1)
-    assert fact.problem == ""
+    feed(meter, even(10.0, 100.0, 10.0, first=5000), 100.0, 110.0)
+    fact = feed(meter, even(20.0, 110.0, 5.0), 110.0, 115.0)
+    assert (fact.problem, fact.restarts) == ("", 1)
     assert fact.hz == pytest.approx(20.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+def test_a_publisher_with_an_identity_that_takes_anothers_place_is_counted() -> None:
+    """Where the middleware names the writer a restart is a new name, and what is gone is not added."""
+    meter = Meter(10.0, 3.0)
+    feed(meter, even(10.0, 100.0, 10.0, writer=b"a"), 100.0, 110.0)
+    fact = feed(meter, even(10.0, 110.5, 5.0, writer=b"b"), 110.0, 115.5)
+    assert fact.restarts == 1
+    assert fact.hz == pytest.approx(10.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, -2.0, 2.0, 3600.0])
 def test_a_clock_that_was_set_does_not_bend_the_rate(step_s: float) -> None:
-    """A jump of the publisher's clock begins a new window."""
+    """A jump of the publisher's clock begins a new window, and is neither a restart nor a silence."""
     meter = Meter(10.0, 3.0)
-    end_s = flow(meter, 10.0, 100.0, 5.0)
-    end_s = flow(meter, 10.0, end_s, 5.0, first=51, offset_s=step_s)
-    assert meter.fact(end_s, 1).hz == pytest.approx(10.0, rel=1e-3)
-
-
-def test_several_publishers_are_ambiguous() -> None:
-    """Numbers are counted by each publisher: with two of them, and no identity, there is no rate."""
-    meter = Meter(10.0, 3.0)
-    end_s = flow(meter, 10.0, 100.0, 5.0)
-    fact = meter.fact(end_s, 2)
-    assert fact.hz is None
-    assert fact.problem == "ambiguous: 2 publishers"
+    feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0)
+    fact = feed(meter, even(10.0, 105.0, 5.0, first=51, offset_s=step_s), 105.0, 110.0)
+    assert fact.hz == pytest.approx(10.0, rel=1e-3)
+    assert (fact.restarts, fact.problem) == (0, "")
+    assert fact.age_s == pytest.approx(0.0, abs=1e-3)
 
 
 def test_two_publishers_in_one_node_are_told_by_their_numbers() -> None:
-    """Discovery shows one node, but the numbers keep falling."""
+    """Discovery may show one, but the numbers keep falling: then they have to be sorted."""
     meter = Meter(10.0, 3.0)
-    for tick in range(20):
-        number = 5000 + tick if tick % 2 else 100 + tick
-        meter.add(Sample(number, int((100 + tick * TICK_S) * 1e9), 100 + tick * TICK_S))
-    assert "ambiguous" in meter.fact(105.0, 1).problem
+    both = even(10.0, 100.0, 5.0, first=5000) + even(10.0, 100.13, 5.0, first=100)
+    feed(meter, both, 100.0, 105.0)
+    assert meter.mixed(105.0)
+    alone = Meter(10.0, 3.0)
+    feed(alone, even(10.0, 100.0, 5.0), 100.0, 105.0)
+    assert not alone.mixed(105.0)
 
 
 def test_publishers_with_an_identity_are_added_up() -> None:
     """Where the middleware names the writer, two publishers give the sum of their rates."""
+    both = even(10.0, 100.0, 5.0, writer=b"a") + even(5.0, 100.03, 5.0, writer=b"b")
+    fact = feed(Meter(10.0, 3.0), both, 100.0, 105.0, depth=16, listening=TWO)
+    assert (fact.hz, fact.publishers) == (pytest.approx(15.0, rel=1e-3), 2)
+
+
+def test_one_of_two_publishers_that_falls_silent_leaves_the_sum() -> None:
+    """The topic is not silent, and its rate is that of the other one."""
+    meter = Meter(20.0, 3.0)
+    both = even(10.0, 100.0, 5.0, first=300) + even(10.0, 100.04, 10.0, first=7)
+    assert feed(meter, both, 100.0, 105.0, depth=16, listening=TWO).hz == pytest.approx(20.0, rel=1e-2)
+    rest = [publication for publication in both if publication.received_s > 105.0]
+    assert feed(meter, rest, 105.0, 110.0, depth=16, listening=TWO).hz == pytest.approx(10.0, rel=1e-3)
+
+
+def test_counted_samples_of_two_publishers_are_their_sum() -> None:
+    """Without numbers a deep queue hands over the samples of all publishers."""
+    both = even(10.0, 100.0, 6.0, numbered=False) + even(5.0, 100.03, 6.0, numbered=False)
+    fact = feed(Meter(15.0, 3.0), both, 100.0, 106.0, depth=40, listening=TWO)
+    assert fact.hz == pytest.approx(15.0, rel=0.05)
+
+
+def test_the_spread_of_a_slow_topics_period_is_its_jitter() -> None:
+    """At 2 Hz each period is seen by itself."""
+    rnd = random.Random(1)
+    publications, at_s = [], 100.0
+    for number in range(200):
+        at_s += rnd.gauss(0.5, 0.05)
+        publications.append(even(1.0, at_s - 1.0, 1.0, first=number + 1)[0])
+    fact = feed(Meter(2.0, 3.0), publications, 100.0, 195.0)
+    assert fact.jitter_s == pytest.approx(0.05, rel=0.3)
+
+
+@pytest.mark.parametrize(("hz", "off_s"), [(100.0, 0.002), (10.0, 0.02)])
+def test_the_jitter_of_a_fast_timer_is_that_of_its_period(hz: float, off_s: float) -> None:
+    """A timer's publications stray from an even beat: by sigma each, so the periods by sigma times the root of two."""
+    rnd = random.Random(2)
+    publications = [
+        even(hz, 100.0 + count / hz + rnd.gauss(0.0, off_s), 1 / hz, first=count + 1)[0]
+        for count in range(int(60 * hz))
+    ]
+    publications.sort(key=lambda publication: publication.sequence or 0)
+    fact = feed(Meter(hz, 3.0), publications, 100.0, 160.0)
+    assert fact.jitter_s == pytest.approx(off_s * 2**0.5, rel=0.3)
+
+
+def test_an_even_publisher_has_no_jitter() -> None:
+    """The looks' own unevenness is not the publisher's."""
+    fact = one(7.3, 20.0)
+    assert fact.jitter_s == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("offset_s", [0.0, -86400.0, 3.0])
+def test_the_age_of_the_newest_sample_does_not_depend_on_the_publishers_clock(offset_s: float) -> None:
+    """It is counted against the quickest delivery; the clock of another host may show anything."""
+    meter = Meter(1.0, 3.0)
+    fact = feed(meter, even(1.0, 100.0, 10.0, offset_s=offset_s, delay_s=0.005), 100.0, 110.5)
+    assert fact.age_s == pytest.approx(0.5 - 0.005, abs=0.01)
+
+
+def test_late_samples_are_old() -> None:
+    """A sample that took a second longer than others is a second older."""
     meter = Meter(10.0, 3.0)
-    flow(meter, 10.0, 100.0, 5.0, writer=b"a")
-    end_s = flow(meter, 5.0, 100.0, 5.0, writer=b"b")
-    assert meter.fact(end_s, 2).hz == pytest.approx(15.0, rel=1e-3)
+    feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0)
+    late = even(10.0, 105.0, 5.0, first=51, delay_s=0.9)
+    assert feed(meter, late, 105.0, 109.0).age_s == pytest.approx(0.9, abs=0.01)
+
+
+def test_a_latched_topic_has_the_age_of_its_sample_and_is_never_silent() -> None:
+    """Sent to whoever comes later: its age is by the clocks as they are."""
+    meter = Meter(0.0, 3.0)
+    (sample,) = even(1.0, 99.0, 1.0, offset_s=-3600.0)
+    fact = feed(meter, [sample], 99.0, 150.0)
+    assert fact.age_s == pytest.approx(3650.0)
+    assert (fact.hz, fact.limit_s, fact.sample_bytes) == (None, None, 100.0)
+
+
+def test_a_latched_sample_from_the_future_has_no_age() -> None:
+    """The publisher's host has another clock: nothing is known, and nothing is said."""
+    (sample,) = even(1.0, 99.0, 1.0, offset_s=3600.0)
+    assert feed(Meter(0.0, 3.0), [sample], 99.0, 110.0).age_s is None
+
+
+def test_a_large_topic_is_measured_across_its_windows() -> None:
+    """Numbers and stamps go on while PHM does not listen: a look every few seconds gives the exact rate."""
+    meter = Meter(30.0, 3.0)
+    closed = Listening(on=False, closed_s=2.0)
+    publications = even(30.0, 100.0, 30.0, size=1_000_000)
+    for window in range(10):
+        at_s = 100.0 + 3.0 * window
+        quiet(meter, at_s, 2.5, closed)
+        seen = [publication for publication in publications if at_s + 2.5 < publication.received_s <= at_s + 3.0]
+        fact = feed(meter, seen, at_s + 2.5, at_s + 3.0, listening=Listening(closed_s=2.0))
+    assert fact.hz == pytest.approx(30.0, rel=1e-3)
+    assert fact.sample_bytes == 1_000_000
+    assert quiet(meter, 130.0, 60.0, closed).hz == pytest.approx(30.0, rel=1e-3)
+    assert fact.limit_s == 3.0 + 2.0
+    assert quiet(meter, 190.0, 3.5, Listening(closed_s=2.0)).hz == 0.0
+
+
+def test_a_counted_topic_keeps_its_rate_between_windows() -> None:
+    """Where samples are counted those that passed meanwhile are not known: each window is a measurement."""
+    meter = Meter(20.0, 3.0)
+    for window in range(3):
+        at_s = 100.0 + 5.0 * window
+        meter.hold()
+        feed(meter, even(20.0, at_s, 1.5, numbered=False), at_s, at_s + 1.5, depth=20)
+        fact = quiet(meter, at_s + 1.5, 3.5, Listening(on=False, closed_s=2.0))
+        assert fact.hz == pytest.approx(20.0, rel=0.01)
+    meter.hold()
+    assert feed(meter, even(20.0, 115.0, 0.5, numbered=False), 115.0, 115.5, depth=20).hz == pytest.approx(
+        20.0, rel=0.01
+    )
+
+
+def test_a_problem_takes_the_place_of_a_rate() -> None:
+    """What cannot be told is not told."""
+    meter = Meter(10.0, 3.0)
+    fact = feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0, listening=Listening(problem="type unknown: x"))
+    assert (fact.hz, fact.problem) == (None, "type unknown: x")

@@ -3,66 +3,213 @@
 A reader with a queue of one, never put in an executor, lets the middleware overwrite sample after sample
 in C++; Python looks at one of them each tick. Its sequence number says how many were published since the
 last look, its source timestamp how much time passed between those two publications. So the rate is exact
-however few samples are looked at, and what Python spends does not grow with the rate.
+however few samples are looked at, and what Python spends does not grow with the rate. The stamps are the
+middleware's own, of the publisher's system clock: `use_sim_time` does not touch them.
 """
 
 from __future__ import annotations
 
-from phm.facts import RateFact
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from phm.probes.ros.silence import Silence
+from phm.probes.ros.sorter import Sorter
 from phm.probes.ros.track import Sample, Track
+from phm.ros_facts import RateFact
 
 WINDOW_S = 3.0
 """A rate is measured over this time, or three expected periods where that is longer."""
+COUNTED = 20
+"""Samples of several publishers that a rate is counted from, at least: they come in no even beat."""
+STALL_S = 1.0
+"""Looks further apart than this tell that PHM itself stood still; what is beyond is no silence of the publisher."""
+GONE_S = 1.0
+"""A publisher is gone when another was heard this much later, or GONE_PERIODS of its own where that is longer."""
+GONE_PERIODS = 6
+_SHARE = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Listening:
+    """Under which circumstances samples were looked for.
+
+    publishers: listed by discovery. several: whether samples may be of more than one. on: whether there was a
+    subscription since the last look. complete: whether the samples are all that were published since. closed_s: how
+    long there may be no subscription. problem: why there can be no rate.
+    """
+
+    publishers: int = 1
+    several: bool = False
+    on: bool = True
+    complete: bool = False
+    closed_s: float = 0.0
+    matched: int | None = None
+    problem: str = ""
+
+
+ALONE = Listening()
 
 
 class Meter:
-    """Judges nothing: turns samples of one topic into a `RateFact`.
+    """Judges nothing: turns the samples of one topic into a `RateFact`.
 
-    expected_hz (> 0) and silence_s only set for how long samples are kept and from when on the topic
-    counts as silent, max(3 periods, silence_s); then the rate is 0.0.
+    expected_hz and silence_s only set for how long samples are kept and from when on the topic
+    counts as silent, max(3 periods, silence_s) at most (see `Silence`); then the rate is 0.0. expected_hz 0 is a
+    latched topic, which never counts as silent.
     """
 
     def __init__(self, expected_hz: float, silence_s: float) -> None:
-        self._limit_s = max(3.0 / expected_hz, silence_s)
-        self._window_s = max(WINDOW_S, 3.0 / expected_hz)
+        self._window_s = max(WINDOW_S, 3.0 / expected_hz) if expected_hz else WINDOW_S
+        self._counted_over_s = max(WINDOW_S, COUNTED / expected_hz) if expected_hz else WINDOW_S
+        self._silence = Silence(expected_hz, max(3.0 / expected_hz, silence_s)) if expected_hz else None
         self._tracks: dict[bytes | None, Track] = {}
+        self._sorter: Sorter | None = None
+        self._last_look_s: float | None = None
+        self._last_s: float | None = None
+        self._quiet_s = 0.0
+        self._held: tuple[float, float] | None = None
+        self._restarts = 0
+        self._samples = 0
+        self.sample_bytes: float | None = None
 
-    def add(self, sample: Sample) -> None:
+    def look(self, now_s: float, samples: Sequence[Sample], listening: Listening = ALONE) -> RateFact:
+        """Called once a tick, with what arrived since the last one, oldest first."""
+        self._listen(now_s, samples, listening)
+        if samples:
+            self._take(now_s, samples, listening)
+        self._drop_gone(now_s, listening)
+        silent = self._silence is not None and self._last_s is not None and self._quiet_s > self._silence.limit_s
+        if silent:
+            self.forget()
+        return self._fact(now_s, listening, silent)
+
+    @property
+    def span_s(self) -> float:
+        """Publication time that is measured over."""
+        return max((track.span_s for track in self._tracks.values()), default=0.0)
+
+    def mixed(self, now_s: float) -> bool:
+        """Whether the numbers of what seems one publisher can only be those of several."""
+        return any(track.mixed(now_s) for track in self._tracks.values())
+
+    def hold(self) -> None:
+        """What comes next does not continue what was seen so far, for no fault of the publisher: keep the rate."""
+        hz = self._sum()
+        held = self._held if hz is None else (hz, self.span_s)
+        self.forget()
+        self._held = held
+
+    def forget(self) -> None:
+        """Measure anew."""
+        self._held = None
+        for track in self._tracks.values():
+            track.forget()
+
+    # ---- taking in
+
+    def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
+        """Count the time in which there was no sample though one would have been heard."""
+        since_s = min(STALL_S, now_s - self._last_look_s) if self._last_look_s is not None else 0.0
+        self._last_look_s = now_s
+        if not samples and listening.on:
+            self._quiet_s += since_s
+
+    def _take(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
+        before_s, self._last_s = self._last_s, now_s
+        if listening.several and samples[0].writer is None and samples[0].sequence is not None:
+            if self._sorter is None:
+                self._sorter = Sorter(self._counted_over_s)
+                self._tracks.pop(None, None)
+            samples = self._sorter.sort(samples, complete=listening.complete)
+        elif self._sorter is not None:
+            self._sorter = None
+            self._tracks.clear()
+        steady = True
+        for sample in samples:
+            steady = self._add(sample) and steady
+        self._samples += len(samples)
+        if self._silence is not None and before_s is not None and steady:
+            self._silence.ended(self._quiet_s, now_s)
+        self._quiet_s = 0.0
+
+    def _add(self, sample: Sample) -> bool:
+        """False when it does not continue what was seen of its publisher."""
         track = self._tracks.get(sample.writer)
+        new = track is None
         if track is None:
             track = self._tracks[sample.writer] = Track(self._window_s)
-        track.add(sample)
+        if self.sample_bytes is None:
+            self.sample_bytes = float(sample.size)
+        self.sample_bytes += _SHARE * (sample.size - self.sample_bytes)
+        restarts = track.restarts
+        continues = track.add(sample)
+        self._restarts += track.restarts - restarts
+        return continues and not new
 
-    def fact(self, now_s: float, publishers: int, problem: str = "") -> RateFact:
-        """publishers: how many different nodes publish the topic now, according to discovery."""
-        self._drop_old(now_s)
-        heard = [track.last_s for track in self._tracks.values() if track.last_s is not None]
-        silent_s = round(now_s - max(heard), 3) if heard else None
-        samples = sum(track.seen for track in self._tracks.values())
+    def _drop_gone(self, now_s: float, listening: Listening) -> None:
+        """Forget publishers that fell silent while another goes on; one that came since took the place of one."""
+        if len(self._tracks) < 2 or self._last_s is None:
+            return
+        sure = self._sorter is None or not self._sorter.puzzled(listening.publishers, now_s)
+        for writer, track in list(self._tracks.items()):
+            limit_s = max(GONE_S, GONE_PERIODS / (track.hz or math.inf)) + listening.closed_s
+            if self._last_s - track.at_s <= limit_s:
+                continue
+            del self._tracks[writer]
+            heir = next((other for other in self._tracks.values() if other.takes_place(track)), None)
+            if heir is not None and sure:
+                heir.replaced = True
+                self._restarts += 1
+
+    # ---- telling
+
+    def _fact(self, now_s: float, listening: Listening, silent: bool) -> RateFact:
+        problem = listening.problem or ("" if silent else self._ambiguous(now_s, listening.publishers))
+        hz, window_s = self._hz(), self.span_s
+        if hz is None and self._held is not None:
+            hz, window_s = self._held
         if problem:
-            return RateFact(None, silent_s, samples=samples, problem=problem)
-        if silent_s is not None and silent_s > self._limit_s:
-            for track in self._tracks.values():
-                track.forget()
-            return RateFact(0.0, silent_s, samples=samples)
-        several = self._several(now_s, publishers)
-        if several:
-            return RateFact(None, silent_s, samples=samples, problem=several)
+            hz = None
+        elif silent:
+            hz = 0.0
+        newest = max(self._tracks.values(), key=lambda track: track.at_s, default=None)
+        return RateFact(
+            _rounded(hz),
+            None if self._last_s is None else round(now_s - self._last_s, 3),
+            round(window_s, 3),
+            self._samples,
+            problem,
+            None if self._silence is None else round(self._silence.limit_s + listening.closed_s, 3),
+            _rounded(newest.jitter_s if newest is not None and not listening.several else None),
+            _rounded(self._age_s(newest, now_s)),
+            listening.publishers,
+            listening.matched,
+            self._restarts,
+            _rounded(self.sample_bytes),
+        )
+
+    def _sum(self) -> float | None:
+        """Of all publishers together, or None while one of them is not known."""
         rates = [track.hz for track in self._tracks.values()]
         known = [hz for hz in rates if hz is not None]
-        hz = round(sum(known), 4) if known and len(known) == len(rates) else None
-        span_s = max((track.span_s for track in self._tracks.values()), default=0.0)
-        return RateFact(hz, silent_s, round(span_s, 3), samples)
+        return sum(known) if known and len(known) == len(rates) else None
 
-    def _several(self, now_s: float, publishers: int) -> str:
-        if any(track.mixed(now_s) for track in self._tracks.values()):
-            return "ambiguous: the sequence numbers of several publishers are mixed"
-        if publishers > 1 and None in self._tracks:
-            return f"ambiguous: {publishers} publishers"
-        return ""
+    def _hz(self) -> float | None:
+        counted_hz = None if self._sorter is None else self._sorter.counted_hz
+        return self._sum() if counted_hz is None else counted_hz
 
-    def _drop_old(self, now_s: float) -> None:
-        """Forget publishers that fell silent while another goes on (a node that was restarted)."""
-        for writer, track in list(self._tracks.items()):
-            if len(self._tracks) > 1 and track.last_s is not None and now_s - track.last_s > self._limit_s:
-                del self._tracks[writer]
+    def _ambiguous(self, now_s: float, publishers: int) -> str:
+        sorter = self._sorter
+        if sorter is None or sorter.counted_hz is not None or not sorter.puzzled(publishers, now_s):
+            return ""
+        return f"ambiguous: {publishers} publishers, whose numbers cannot be told apart"
+
+    def _age_s(self, newest: Track | None, now_s: float) -> float | None:
+        if newest is None:
+            return None
+        return newest.age_s(now_s) if self._silence is not None else newest.clock_age_s(now_s)
+
+
+def _rounded(number: float | None) -> float | None:
+    return None if number is None else round(number, 6)

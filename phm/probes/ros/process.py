@@ -312,7 +312,10 @@ class RosProcess:
 def wanted(settings: Settings) -> Wanted:
     """What the child is asked for: full names of topics, and which of them have a rate to be measured."""
     ros = settings.ros
-    topics = tuple(WantedTopic(f"/{topic.name.lstrip('/')}", topic.rate, ros.silence) for topic in ros.topics)
+    topics = tuple(
+        WantedTopic(f"/{topic.name.lstrip('/')}", topic.rate, ros.silence if topic.silence is None else topic.silence)
+        for topic in ros.topics
+    )
     return Wanted(agent=settings.agent.name, domain=ros.domain, topics=topics, listen=_listen(settings))
 
 

@@ -32,7 +32,7 @@ class ProtocolError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class WantedTopic:
-    """rate_hz: expected; None or 0 means that the rate is not measured. silence_s: see RosSettings.silence."""
+    """rate_hz: expected; 0 is a latched topic, None is not looked at. silence_s: see RosSettings.silence."""
 
     name: str
     rate_hz: float | None = None

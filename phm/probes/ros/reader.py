@@ -2,66 +2,94 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import dataclass
 from typing import Any
 
 from phm.probes.ros.message_types import UnknownType, load_type
 from phm.probes.ros.track import Sample
 
-DEEP = 1000
-"""Queue for middleware without sequence numbers: 4 kHz at four looks a second."""
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How to subscribe. depth: samples kept, and taken at one look.
+
+    Without `latched` it is best effort and volatile, which by the rules of DDS fits whatever publishers offer, has
+    nothing sent twice and no publisher wait for PHM. `latched` is reliable and transient local, without which a sample
+    that was published before is not sent; it fits only publishers that are both.
+    """
+
+    depth: int = 1
+    latched: bool = False
 
 
 class Reader:
-    """The raw subscription of one topic. Opened on a type, closed by `close`; never raises for a strange type."""
+    """Opened on a type, closed by `close`; never raises for a strange type but UnknownType."""
 
-    def __init__(self, node: Any, topic: str, type_name: str, *, deep: bool = False) -> None:
+    def __init__(self, node: Any, topic: str, type_name: str, quality: Quality) -> None:
         """Raises UnknownType."""
-        from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
-
-        self.type_name = type_name
+        self.quality = quality
         self._node = node
-        self._deep = deep
         message = load_type(type_name, node.get_publishers_info_by_topic(topic))
-        # Best effort and volatile match every publisher; a queue of one keeps the middleware's copy small.
-        qos = QoSProfile(
-            history=QoSHistoryPolicy.KEEP_LAST,
-            depth=DEEP if deep else 1,
-            reliability=QoSReliabilityPolicy.BEST_EFFORT,
-            durability=QoSDurabilityPolicy.VOLATILE,
-        )
         try:
-            self._subscription = node.create_subscription(message, topic, _never_called, qos, raw=True)
+            self._subscription = node.create_subscription(message, topic, _never_called, _profile(quality), raw=True)
         except Exception as error:  # rclpy raises its own and pybind's kinds for broken type support
             raise UnknownType(f"type unknown: {type_name} cannot be subscribed to ({error})") from error
+        # Not in Humble.
+        self._count = getattr(self._subscription, "get_publisher_count", None)
 
     def take(self, now_s: float) -> list[Sample]:
-        """What arrived since the last look: at most one sample, or all of them in a deep queue."""
+        """What arrived since the last look, oldest first."""
         samples = []
         handle = self._subscription.handle
         with handle:
-            for _ in range(DEEP if self._deep else 1):
+            for _ in range(self.quality.depth):
                 taken = handle.take_message(self._subscription.msg_type, True)
                 if taken is None:
                     break
-                samples.append(_sample(taken[1], now_s))
+                samples.append(_sample(taken, now_s))
         return samples
 
     @property
-    def needs_depth(self) -> bool:
-        return not self._deep
+    def matched(self) -> int | None:
+        """How many publishers the middleware has connected; None where it does not tell."""
+        return None if self._count is None else self._count()
 
     def close(self) -> None:
         self._node.destroy_subscription(self._subscription)
+
+
+def _profile(quality: Quality) -> Any:
+    from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+
+    reliable, kept = QoSReliabilityPolicy.RELIABLE, QoSDurabilityPolicy.TRANSIENT_LOCAL
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=quality.depth,
+        reliability=reliable if quality.latched else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=kept if quality.latched else QoSDurabilityPolicy.VOLATILE,
+    )
 
 
 def _never_called(_: object) -> None:
     """rclpy wants a callback; without an executor nobody calls it."""
 
 
-def _sample(info: Any, now_s: float) -> Sample:
+def _sample(taken: tuple[bytes, Any], now_s: float) -> Sample:
     """Humble's information has no sequence number, Jazzy's no writer."""
+    data, info = taken
     gid = info.get("publisher_gid")
     if isinstance(gid, dict):
         gid = gid.get("data")
-    writer = bytes(gid) if gid else None
-    return Sample(info.get("publication_sequence_number"), int(info["source_timestamp"]), now_s, writer)
+    source_ns = int(info["source_timestamp"])
+    now_ns = time.time_ns()
+    received_ns = int(info.get("received_timestamp") or now_ns)
+    return Sample(
+        info.get("publication_sequence_number"),
+        source_ns,
+        now_s,
+        bytes(gid) if gid else None,
+        len(data),
+        (received_ns - source_ns) / 1e9,
+        max(0.0, (now_ns - received_ns) / 1e9),
+    )

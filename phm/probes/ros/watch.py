@@ -38,7 +38,9 @@ class Watch:
         )
         self._began_s = time.monotonic()
         self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s)
-        self._gauges = {topic.name: Gauge(self._node, topic) for topic in wanted.topics if topic.rate_hz}
+        self._gauges = {
+            topic.name: Gauge(self._node, topic, wanted.tick_s) for topic in wanted.topics if topic.rate_hz is not None
+        }
         self._names = Names(self._node, {topic.name for topic in wanted.topics})
         self._diagnostics = Diagnostics(self._node, wanted.listen)
         self._full_s = wanted.full_s

@@ -1,0 +1,96 @@
+"""Publishers and a queue without ROS: what looks once a tick would find of publications at given times."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from phm.probes.ros.meter import ALONE, Listening, Meter
+from phm.probes.ros.track import Sample
+from phm.ros_facts import RateFact
+
+TICK_S = 0.25
+EPOCH_S = 1.7e9
+"""What the publishers' clocks show at 0."""
+
+
+@dataclass(frozen=True, order=True)
+class Publication:
+    """received_s: by our monotonic clock. published_s: by the publisher's own, as seconds after EPOCH_S."""
+
+    received_s: float
+    published_s: float
+    sequence: int | None
+    writer: bytes | None = None
+    size: int = 100
+
+
+def even(
+    hz: float, start_s: float, seconds: float, *, first: int = 1, writer: bytes | None = None, offset_s: float = 0.0,
+    numbered: bool = True, size: int = 100, delay_s: float = 0.0,
+) -> list[Publication]:  # fmt: skip
+    """One publisher without jitter. offset_s: its clock against ours. The first is published a period after `start_s`."""
+    return [
+        Publication(
+            start_s + count / hz + delay_s,
+            start_s + count / hz + offset_s,
+            first + count - 1 if numbered else None,
+            writer,
+            size,
+        )
+        for count in range(1, int(seconds * hz + 1e-9) + 1)
+    ]
+
+
+def looks(
+    publications: Iterable[Publication], start_s: float, end_s: float, depth: int = 1, tick_s: float = TICK_S
+) -> Iterator[tuple[float, list[Sample]]]:
+    """Each look and what a queue of `depth` holds then."""
+    coming = deque(sorted(publications, key=lambda publication: publication.received_s))
+    for number in range(1, round((end_s - start_s) / tick_s) + 1):
+        now_s = start_s + number * tick_s
+        queue: deque[Publication] = deque(maxlen=depth)
+        while coming and coming[0].received_s <= now_s + 1e-9:
+            queue.append(coming.popleft())
+        yield now_s, [_sample(publication, now_s) for publication in queue]
+
+
+def feed(
+    meter: Meter, publications: Iterable[Publication], start_s: float, end_s: float, *, depth: int = 1,
+    listening: Listening = ALONE, tick_s: float = TICK_S,
+) -> RateFact:  # fmt: skip
+    """The meter after all looks."""
+    facts = [
+        meter.look(now_s, samples, replace(listening, complete=len(samples) < depth))
+        for now_s, samples in looks(publications, start_s, end_s, depth, tick_s)
+    ]
+    return facts[-1]
+
+
+def quiet(meter: Meter, start_s: float, seconds: float, listening: Listening = ALONE) -> RateFact:
+    """The meter after looks that find nothing."""
+    return feed(meter, (), start_s, start_s + seconds, listening=listening)
+
+
+def silent_from(meter: Meter, publications: Sequence[Publication], start_s: float, end_s: float) -> list[float]:
+    """When the verdict of silence began, each time."""
+    began, before = [], False
+    for now_s, samples in looks(publications, start_s, end_s):
+        silent = meter.look(now_s, samples).hz == 0.0
+        if silent and not before:
+            began.append(now_s)
+        before = silent
+    return began
+
+
+def _sample(publication: Publication, now_s: float) -> Sample:
+    return Sample(
+        publication.sequence,
+        int((EPOCH_S + publication.published_s) * 1e9),
+        now_s,
+        publication.writer,
+        publication.size,
+        publication.received_s - publication.published_s,
+        now_s - publication.received_s,
+    )

@@ -1,0 +1,218 @@
+"""The sampler in the real child against real publishers."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from phm.facts import RateFact, RosFact
+from tests.fakes.ros_bench import ROOT, Bench, seen, until
+
+TOPIC = "/agent_1/topic_1"
+HIDE = (
+    "import phm.probes.ros.reader as r; plain = r._sample\n"
+    "hide = lambda taken, now: (taken[0], {**taken[1], 'publication_sequence_number': None})\n"
+    "r._sample = lambda taken, now: plain(hide(taken, now), now)\n"
+    "from phm.probes.ros.child import main; raise SystemExit(main())"
+)
+"""What Humble's rclpy is like: samples without sequence numbers."""
+NUMBERED: Sequence[str] = (sys.executable, "-m", "phm.probes.ros.child")
+HIDDEN: Sequence[str] = (sys.executable, "-c", HIDE)
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+DEAF = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com"><profiles><participant profile_name="deaf" is_default_profile="true"><rtps>
+<defaultUnicastLocatorList><locator><udpv4><port>17777</port><address>192.0.2.1</address></udpv4></locator>
+</defaultUnicastLocatorList></rtps></participant></profiles></dds>
+"""
+"""Data for this participant is to be sent to an address that leads nowhere; its discovery works."""
+APART = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com"><profiles>
+<data_writer profile_name="/agent_1/topic_1"><qos><partition><names><name>a</name></names></partition></qos></data_writer>
+</profiles></dds>
+"""
+
+
+def rate_of(fact: RosFact) -> RateFact:
+    return fact.topics[TOPIC].rate or RateFact(None, None)
+
+
+def flows(bench: Bench, name: str, path: Path, *flows: str, **environ: str) -> subprocess.Popen[bytes]:
+    """A node of `ros_flows`."""
+    before = dict(bench.environ)
+    bench.environ.update(environ)
+    process = bench.script("ros_flows.py", name, str(path), *flows)
+    bench.environ = before
+    return process
+
+
+def sent(path: Path) -> list[tuple[int, float, int]]:
+    """(count, seconds, subscriptions) of each publication; the last line may be half written."""
+    if not path.exists():
+        return []
+    lines = [line.split() for line in path.read_text(encoding="ascii").splitlines()[:-1]]
+    return [(int(words[0]), float(words[1]), int(words[2])) for words in lines]
+
+
+def true_rate(path: Path, window_s: float) -> float:
+    """What was really published over the last `window_s`, on however busy a machine."""
+    publications = sent(path)
+    count, at_s, _ = publications[-1]
+    first = next(entry for entry in publications if at_s - entry[1] <= window_s)
+    return (count - first[0]) / (at_s - first[1])
+
+
+def right(fact: RosFact, *paths: Path, within: float = 0.02) -> bool:
+    """Whether the rate is that of all publishers together, over the same time."""
+    rate = rate_of(fact)
+    if rate.hz is None or rate.window_s < 2.0 or not all(len(sent(path)) > 1 for path in paths):
+        return False
+    return rate.hz == pytest.approx(sum(true_rate(path, rate.window_s) for path in paths), rel=within)
+
+
+@pytest.mark.parametrize("hz", [2.0, 2000.0])
+def test_slow_and_very_fast_topics(bench: Bench, tmp_path: Path, hz: float) -> None:
+    """From one sample in two looks to five hundred in one."""
+    flows(bench, "source", tmp_path / "sent", f"topic_1:{hz}")
+    probe = bench.probe([{"name": TOPIC, "rate": hz}])
+    seen(probe, lambda fact: right(fact, tmp_path / "sent"), "a rate within 2 %")
+
+
+@pytest.mark.parametrize("command", [NUMBERED, HIDDEN], ids=["numbered", "hidden"])
+def test_two_nodes_on_one_topic_are_added_up(bench: Bench, tmp_path: Path, command: Sequence[str]) -> None:
+    """Each counts by itself; the rate is the sum, and their number is told."""
+    flows(bench, "one", tmp_path / "one", "topic_1:20")
+    flows(bench, "two", tmp_path / "two", "topic_1:8")
+    probe = bench.probe([{"name": TOPIC, "rate": 28}], command=command)
+    both = (tmp_path / "one", tmp_path / "two")
+    seen(probe, lambda fact: rate_of(fact).publishers == 2 and right(fact, *both, within=0.05), "the sum", 40.0)
+
+
+def test_fast_publishers_are_told_apart(bench: Bench, tmp_path: Path) -> None:
+    """More samples between two looks than the queue holds: what is left shows whose they are."""
+    flows(bench, "one", tmp_path / "one", "topic_1:150")
+    flows(bench, "two", tmp_path / "two", "topic_1:100")
+    probe = bench.probe([{"name": TOPIC, "rate": 250}])
+    both = (tmp_path / "one", tmp_path / "two")
+    seen(probe, lambda fact: rate_of(fact).publishers == 2 and right(fact, *both, within=0.05), "the sum", 40.0)
+
+
+def test_two_publishers_of_one_node_are_added_up(bench: Bench, tmp_path: Path) -> None:
+    """They look like a node that was restarted, until their numbers are found mixed."""
+    flows(bench, "source", tmp_path / "sent", "topic_1:10", "topic_1:10")
+    probe = bench.probe([{"name": TOPIC, "rate": 20}])
+    seen(probe, lambda fact: 18.0 < (rate_of(fact).hz or 0.0) < 22.0, "the sum", 60.0)
+
+
+def test_a_restarted_publisher_is_counted(bench: Bench, tmp_path: Path) -> None:
+    """A new life of the same node: its rate is measured anew, its restart told."""
+    first = flows(bench, "source", tmp_path / "first", "topic_1:20")
+    probe = bench.probe([{"name": TOPIC, "rate": 20}])
+    seen(probe, lambda fact: right(fact, tmp_path / "first"), "a rate")
+    assert rate_of(probe.look()).restarts == 0
+    first.kill()
+    first.wait()
+    flows(bench, "source", tmp_path / "second", "topic_1:40")
+    seen(probe, lambda fact: right(fact, tmp_path / "second") and rate_of(fact).restarts == 1, "the new rate", 40.0)
+
+
+def test_without_sequence_numbers_samples_are_counted(bench: Bench, tmp_path: Path) -> None:
+    """Humble and Cyclone give no numbers: a deep queue is counted instead, with the same result."""
+    flows(bench, "source", tmp_path / "sent", "topic_1:50")
+    probe = bench.probe([{"name": TOPIC, "rate": 50}], command=HIDDEN)
+    seen(probe, lambda fact: right(fact, tmp_path / "sent"), "a rate within 2 %")
+
+
+@pytest.mark.parametrize("command", [NUMBERED, HIDDEN], ids=["numbered", "hidden"])
+def test_a_large_topic_is_listened_to_in_windows(bench: Bench, tmp_path: Path, command: Sequence[str]) -> None:
+    """4 MB/s: most of the time there is no subscription, the rate is exact all the same, and silence is found."""
+    path = tmp_path / "sent"
+    source = flows(bench, "source", path, "topic_1:20:200000")
+    probe = bench.probe([{"name": TOPIC, "rate": 20}], command=command, silence=1.0)
+    known = seen(
+        probe, lambda fact: rate_of(fact).hz and rate_of(fact).matched is None and fact, "a rate while not listening"
+    )
+    assert rate_of(known).sample_bytes == pytest.approx(200_000, rel=0.01)
+    assert rate_of(known).limit_s == 1.0 + 2.0
+    marks = [subscriptions for _, _, subscriptions in sent(path)]
+    until(lambda: len(sent(path)) > len(marks) + 200, "ten more seconds")
+    later = [subscriptions for _, _, subscriptions in sent(path)][len(marks) :]
+    assert later.count(0) > len(later) / 3
+    assert later.count(1) > 0
+    seen(probe, lambda fact: rate_of(fact).hz == pytest.approx(true_rate(path, 10.0), rel=0.03), "a rate within 3 %")
+    source.send_signal(signal.SIGSTOP)
+    seen(probe, lambda fact: rate_of(fact).hz == 0.0, "silence")
+    source.send_signal(signal.SIGCONT)
+    seen(probe, lambda fact: (rate_of(fact).hz or 0.0) > 10.0, "a rate again")
+
+
+def test_simulated_time_does_not_matter(bench: Bench, tmp_path: Path) -> None:
+    """The stamps are the middleware's own: a node whose clock stands still has the rate that it really has."""
+    flows(bench, "source", tmp_path / "sent", "topic_1:20:sim")
+    probe = bench.probe([{"name": TOPIC, "rate": 20}])
+    fact = seen(probe, lambda fact: right(fact, tmp_path / "sent") and fact, "a rate within 2 %")
+    assert rate_of(fact).age_s == pytest.approx(0.0, abs=1.0)
+
+
+def test_a_latched_sample_that_was_published_before_is_seen(bench: Bench, tmp_path: Path) -> None:
+    """The reader takes the quality of its publishers: first of one that keeps nothing, then of one that does."""
+    path, leases = tmp_path / "sent", dict.fromkeys(PROFILE_VARIABLES, str(ROOT / "config" / "fastdds.xml"))
+    first = flows(bench, "source", path, "topic_1:0", **leases)
+    probe = bench.probe([{"name": TOPIC, "rate": 0}])
+    fact = seen(probe, lambda fact: rate_of(fact).matched == 1 and fact, "the first publisher")
+    assert (rate_of(fact).samples, rate_of(fact).age_s, rate_of(fact).limit_s) == (0, None, None)
+    first.kill()
+    first.wait()
+    seen(probe, lambda fact: not fact.topics[TOPIC].publishers, "its end", 40.0)
+    flows(bench, "source", path, "topic_1:0:1000:latched", **leases)
+    fact = seen(probe, lambda fact: (rate_of(fact).age_s or 0.0) > 2.0 and fact, "the age of its sample")
+    assert (rate_of(fact).samples, rate_of(fact).hz, rate_of(fact).problem) == (1, None, "")
+    assert rate_of(fact).sample_bytes == pytest.approx(1009, abs=4)
+
+
+def test_a_publisher_in_another_partition_is_a_mismatch(bench: Bench, tmp_path: Path) -> None:
+    """Discovery lists it, and the middleware does not connect: the reason is told, and no fault of the topic."""
+    profile = tmp_path / "apart.xml"
+    profile.write_text(APART, encoding="ascii")
+    environ = {**dict.fromkeys(PROFILE_VARIABLES, str(profile)), "RMW_FASTRTPS_USE_QOS_FROM_XML": "1"}
+    flows(bench, "source", tmp_path / "sent", "topic_1:10", **environ)
+    probe = bench.probe([{"name": TOPIC, "rate": 10}])
+    fact = seen(probe, lambda fact: rate_of(fact).problem and fact, "the problem")
+    assert rate_of(fact).problem.startswith("QoS mismatch")
+    assert rate_of(fact).matched == 0
+
+
+def test_a_blocked_transport_shows_a_publisher_and_nothing_of_it(bench: Bench, tmp_path: Path) -> None:
+    """Discovery passes and data does not: the publisher is listed and connected, its node has no name, no sample comes."""
+    profile = tmp_path / "deaf.xml"
+    profile.write_text(DEAF, encoding="ascii")
+    path = tmp_path / "sent"
+    flows(bench, "source", path, "topic_1:20")
+    probe = bench.probe([{"name": TOPIC, "rate": 20}], environ=dict.fromkeys(PROFILE_VARIABLES, str(profile)))
+    seen(probe, lambda fact: rate_of(fact).matched == 1, "a connection")
+    begun = len(sent(path))
+    until(lambda: len(sent(path)) > begun + 60, "three seconds of samples")
+    fact = probe.look()
+    assert [end.node for end in fact.topics[TOPIC].publishers] == [""]
+    assert (rate_of(fact).silent_s, rate_of(fact).samples, rate_of(fact).problem) == (None, 0, "")
+
+
+def test_a_publisher_of_another_type_is_ambiguous(bench: Bench, tmp_path: Path) -> None:
+    """Two types on one topic: only one of them can be measured, so none is told."""
+    code = (
+        "import rclpy, time; from std_msgs.msg import Bool; rclpy.init(args=[]); n = rclpy.create_node('other')\n"
+        f"n.create_publisher(Bool, '{TOPIC}', 1); time.sleep(600)"
+    )
+    flows(bench, "source", tmp_path / "sent", "topic_1:10")
+    other = subprocess.Popen([sys.executable, "-c", code], env=bench.environ, cwd=ROOT)
+    try:
+        probe = bench.probe([{"name": TOPIC, "rate": 10}])
+        fact = seen(probe, lambda fact: rate_of(fact).problem and fact, "the problem")
+        assert rate_of(fact).problem == "ambiguous: published as std_msgs/msg/Bool and as std_msgs/msg/String"
+    finally:
+        other.kill()
+        other.wait()

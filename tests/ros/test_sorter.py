@@ -1,0 +1,119 @@
+"""Several publishers of one topic whose samples carry no sender: their numbers alone tell them apart."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from phm.probes.ros.meter import Listening, Meter
+from phm.probes.ros.sorter import DEPTH_MOST, MOST, PER_PUBLISHER, Sorter
+from tests.fakes.ros_flow import Publication, even, feed, looks
+
+WAYS = [
+    (10.0, 10.0),
+    (10.0, 20.0),
+    (100.0, 100.0),
+    (100.0, 10.0),
+    (200.0, 50.0, 10.0),
+    (1.0, 1.0),
+    (5.0, 7.0, 11.0),
+    (400.0, 400.0),
+]
+
+
+def jittered(hz: float, seconds: float, first: int, phase_s: float, rnd: random.Random) -> list[Publication]:
+    """A timer with 3 % of jitter."""
+    publications = []
+    for count in range(int(seconds * hz)):
+        at_s = phase_s + count / hz + rnd.gauss(0.0, 0.03 / hz)
+        publications.append(Publication(at_s, at_s, first + count))
+    return publications
+
+
+@pytest.mark.parametrize("rates", WAYS, ids=str)
+@pytest.mark.parametrize("start", ["together", "apart"])
+def test_the_rates_of_several_publishers_are_added_up(rates: tuple[float, ...], start: str) -> None:
+    """Rates equal and unequal, numbers that begin together as in one launch, or anywhere."""
+    for seed in range(10):
+        rnd = random.Random(seed)
+        publications = [
+            publication
+            for index, hz in enumerate(rates)
+            for publication in jittered(
+                hz, 30.0, 1 if start == "together" else rnd.randint(1, 100_000), 100 + index * 0.3 / hz, rnd
+            )
+        ]
+        many = Listening(publishers=len(rates), several=True)
+        depth = min(DEPTH_MOST, PER_PUBLISHER * len(rates))
+        fact = feed(Meter(sum(rates), 3.0), publications, 100.0, 125.0, depth=depth, listening=many)
+        assert fact.problem == ""
+        assert fact.hz == pytest.approx(sum(rates), rel=0.04), (seed, rates)
+
+
+def test_lines_that_cross_keep_their_slopes() -> None:
+    """The faster one overtakes the slower one's numbers."""
+    publications = even(20.0, 100.0, 30.0, first=1) + even(10.0, 100.02, 30.0, first=100)
+    for end_s in (106.0, 110.0, 112.0, 115.0, 125.0):
+        fact = feed(Meter(30.0, 3.0), publications, 100.0, end_s, depth=16, listening=Listening(2, several=True))
+        assert fact.hz == pytest.approx(30.0, rel=0.02)
+
+
+def test_uneven_publishers_are_counted_while_the_queue_holds_all() -> None:
+    """Two of 20 Hz whose periods vary by a third: their lines are mixed up, their samples are not lost."""
+    rnd = random.Random(3)
+    publications = [
+        Publication(at_s, at_s, number)
+        for phase_s in (0.0, 0.02)
+        for number, at_s in enumerate(sorted(100 + phase_s + n / 20 + rnd.gauss(0.0, 0.017) for n in range(400)))
+    ]
+    many = Listening(2, several=True)
+    fact = feed(Meter(40.0, 3.0), publications, 100.0, 118.0, depth=32, listening=many)
+    assert (fact.hz, fact.problem) == (pytest.approx(40.0, rel=0.03), "")
+
+
+def test_more_publishers_than_can_be_told_apart_are_ambiguous() -> None:
+    """Their count is told instead of a rate that means nothing."""
+    count = MOST + 1
+    publications = [
+        publication
+        for index in range(count)
+        for publication in even(50.0, 100.0 + index * 0.002, 10.0, first=1 + index)
+    ]
+    many = Listening(publishers=count, several=True)
+    fact = feed(Meter(90.0, 3.0), publications, 100.0, 110.0, depth=DEPTH_MOST, listening=many)
+    assert fact.hz is None
+    assert fact.problem == "ambiguous: 9 publishers, whose numbers cannot be told apart"
+
+
+def test_numbers_that_form_no_lines_are_ambiguous() -> None:
+    """More publishers at work than discovery lists, or one that numbers at random."""
+    rnd = random.Random(1)
+    publications = [Publication(100 + n / 200, 100 + n / 200, rnd.randint(1, 10**6)) for n in range(2000)]
+    meter = Meter(200.0, 3.0)
+    fact = feed(meter, publications, 100.0, 110.0, depth=32, listening=Listening(2, several=True))
+    assert fact.problem == "ambiguous: 2 publishers, whose numbers cannot be told apart"
+
+
+def test_a_restart_of_one_is_no_puzzle() -> None:
+    """One of two begins to count anew: the sum is back as soon as its rate is known."""
+    publications = even(10.0, 100.0, 20.0) + even(10.0, 100.03, 5.0, first=500) + even(10.0, 106.03, 14.0)
+    meter = Meter(20.0, 3.0)
+    many = Listening(3, several=True)
+    problems = {
+        meter.look(now_s, samples, many).problem for now_s, samples in looks(publications, 100.0, 120.0, depth=16)
+    }
+    fact = meter.look(120.25, (), many)
+    assert problems == {""}
+    assert (fact.hz, fact.restarts) == (pytest.approx(20.0, rel=1e-3), 1)
+
+
+def test_what_is_remembered_is_bounded() -> None:
+    """Numbers at random make a new line each; the oldest go."""
+    sorter, rnd = Sorter(3.0), random.Random(1)
+    for now_s, samples in looks(
+        [Publication(n / 50, n / 50, rnd.randint(1, 10**9)) for n in range(5000)], 0.0, 100.0, depth=64
+    ):
+        sorter.sort(samples, complete=True)
+        assert now_s is not None
+    assert len(sorter._lines) <= 2 * MOST
