@@ -88,9 +88,13 @@ def test_every_policy_of_an_endpoint_is_told(bench: Bench) -> None:
     strict = "reliability=best_effort,durability=transient_local,liveliness=manual_by_topic,deadline=0.5,lease=2"
     bench.script("ros_ends.py", "talker", f"pub:topic_1:{strict}", "sub:topic_1")
     probe = bench.probe([{"name": TOPIC}])
-    fact = seen(
-        probe, lambda fact: fact.topics[TOPIC].publishers and fact.topics[TOPIC].subscribers and fact, "both ends"
-    )
+
+    def named(fact: RosFact) -> RosFact | None:
+        # An end may be known a moment before the name of its node.
+        ends = (fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers)
+        return fact if all(side and side[0].node for side in ends) else None
+
+    fact = seen(probe, named, "both ends")
     (publisher,), (subscriber,) = fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers
     assert replace(publisher, type_hash="") == EndpointFact(
         "/agent_1/talker", STRING, "best_effort", "transient_local", 0.5, "manual_by_topic", 2.0
