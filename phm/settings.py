@@ -250,6 +250,9 @@ class EndpointSettings(Section):
     """pymavlink's form: udpout:HOST:PORT, udpin:HOST:PORT, udpbcast:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, or /dev/tty... for serial."""
     baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 57600
     """Serial only: bits per second."""
+    budget: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)] = 158
+    """Bytes a second that health may take of this link, for the whole swarm together; 0: no limit. The default is 5 %
+    of what a 64 kbit/s telemetry radio carries."""
     name: Name | None = None
     """What logs call it; default: the url."""
 
@@ -281,10 +284,10 @@ class MavlinkSettings(Section):
     """Connections; each is reopened when lost. None: nothing is sent."""
     component_id: Annotated[int, Field(ge=2, le=250)] = 193
     """MAVLink component id of PHM. 191 is used by MAVROS and MAVSDK, 194 by BlueOS, 1 is the autopilot."""
-    heartbeat: Annotated[Seconds, Field(ge=0.2, le=60)] = 2.0
-    """Seconds between HEARTBEATs, each with the status word."""
+    heartbeat: Annotated[Seconds, Field(ge=0.2, le=60)] | None = None
+    """Seconds between HEARTBEATs, each with the status word; default: by the number of agents, 2 s for up to 8."""
     refresh: Annotated[Seconds, Field(ge=1)] | None = None
-    """Seconds between repeats of the status line; default: `interval`."""
+    """Seconds between repeats of the status line; default: by the number of agents, 10 s for up to 8."""
     gcs_timeout: Annotated[Seconds, Field(ge=1)] = 10.0
     """A ground station once heard and silent for longer is reported as lost."""
     autopilot: bool = False

@@ -16,13 +16,24 @@ from phm.facts import LinkFact
 from phm.model import Event, Fault, UnitState
 from phm.ros_facts import DiagnosticFact
 from phm.settings import Settings
+from phm.transport.mavlink_budget import Class
 
 
 class MavlinkPort(Protocol):
     """The sending side of the MAVLink endpoints (`phm.transport.mavlink.MavlinkHub`)."""
 
-    def send(self, message: Any) -> None:
-        """Queue one unpacked pymavlink message for every endpoint; never blocks."""
+    @property
+    def agents(self) -> int:
+        """How many agents share the links, this one included."""
+
+    def send(
+        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+    ) -> None:
+        """Queue one unpacked pymavlink message for every endpoint, or for the one named `link`; never blocks.
+
+        What leaves first within a link's budget follows from kind, then urgency. A newer message with the same `key`
+        replaces this one while it waits.
+        """
 
     def links(self) -> tuple[LinkFact, ...]: ...
 

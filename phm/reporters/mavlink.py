@@ -11,8 +11,9 @@ from typing import Any, ClassVar
 
 from phm.model import ActionEvent, Event, FaultClosed, FaultOpened, Level, Report, Transition, UnitState, worst_by_slot
 from phm.reporters.base import MavlinkPort, Reporter, ReporterContext
-from phm.reporters.mavlink_lines import Line, Pacer, Teller
+from phm.reporters.mavlink_lines import Line, Teller
 from phm.transport.dialect import mavlink
+from phm.transport.mavlink_budget import periods
 from phm.wire import status_word
 from phm.wire.status_line import MISSION_SLOTS
 
@@ -33,9 +34,8 @@ class Mavlink(Reporter):
     def __init__(self, context: ReporterContext, port: MavlinkPort) -> None:
         self._context, self._port = context, port
         self._settings, self._agent = context.settings.mavlink, context.settings.agent.id
-        self._refresh_s = self._settings.refresh or context.settings.interval
         now = context.clock.mono()
-        self._teller, self._pacer = Teller(self._agent), Pacer(now)
+        self._teller = Teller(self._agent)
         open_before = {fault.unit for fault in context.restored}
         self._teller.knows([state for state in context.states() if state.unit in open_before])
         self._heartbeat_at = now
@@ -58,33 +58,27 @@ class Mavlink(Reporter):
             self._say(self._teller.action(event, {state.unit: state for state in self._context.states()}))
         elif isinstance(event, Report) and self._refresh_at is None:
             self._refresh_at = self._context.clock.mono()
-        self._flush()
 
     def tick(self) -> None:
         """Heartbeat, refresh and the answer to a new ground station, when due and while the engine lives."""
         now = self._context.clock.mono()
+        by_size_s = periods(self._port.agents)
         if self._context.alive():
             if now >= self._heartbeat_at:
-                self._heartbeat_at = _next(self._heartbeat_at, self._settings.heartbeat, now)
+                self._heartbeat_at = _next(self._heartbeat_at, self._settings.heartbeat or by_size_s[0], now)
                 self._heartbeat()
             if self._full_at is not None and now >= self._full_at:
                 self._full_at, self._last_full = None, now
                 self._heartbeat()
                 self._say(self._teller.full(self._context.states()))
             elif self._refresh_at is not None and now >= self._refresh_at:
-                self._refresh_at = _next(self._refresh_at, self._refresh_s, now)
+                self._refresh_at = _next(self._refresh_at, self._settings.refresh or by_size_s[1], now)
                 states = self._context.states()
                 self._say([*self._teller.reconcile(states), self._teller.refresh(states)])
-        self._flush()
 
     def close(self) -> None:
         """A last heartbeat that says POWEROFF: a planned end is no failure."""
-        self._flush()
         self._send_heartbeat(self._context.states(), mavlink.MAV_STATE_POWEROFF)
-
-    def problem(self) -> str:
-        dropped = self._pacer.dropped
-        return f"{dropped} status lines were never sent: more units changed than lines may be sent" if dropped else ""
 
     def gcs_appeared(self) -> None:
         """Send the full state once, soon: a ground station is there that has heard nothing so far."""
@@ -105,11 +99,8 @@ class Mavlink(Reporter):
 
     def _say(self, lines: list[Line]) -> None:
         for line in lines:
-            self._pacer.put(line)
-
-    def _flush(self) -> None:
-        for line in self._pacer.take(self._context.clock.mono()):
-            self._port.send(mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii")))
+            message = mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii"))
+            self._port.send(message, line.kind, key=line.key, urgency=int(line.severity))
 
     def _heartbeat(self) -> None:
         states = self._context.states()

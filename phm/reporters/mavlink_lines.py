@@ -1,4 +1,4 @@
-"""Which line of `phm.wire.status_line` follows from which event, and how fast lines may leave.
+"""Which line of `phm.wire.status_line` follows from which event.
 
 Pure but for what was told: the rule is that the ground hears each change once, with the cause's own words,
 and that what follows from another fault says nothing.
@@ -6,17 +6,14 @@ and that what follows from another fault says nothing.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from phm.model import ActionEvent, FaultClosed, FaultOpened, Level, Outcome, Phase, Transition, UnitState
+from phm.transport.mavlink_budget import Class
 from phm.wire import status_line
 from phm.wire.status_line import Severity
 
-MAX_PENDING = 256
-LINES_A_SECOND = 10.0
-BURST = 10.0
 FULL_LINES = 10
 """Bad units told one by one to a ground station that has just appeared; the rest is in the refresh line."""
 
@@ -28,6 +25,7 @@ class Line:
     key: str
     severity: Severity
     text: str
+    kind: Class = Class.TRANSITION
 
 
 class Teller:
@@ -95,10 +93,10 @@ class Teller:
             if state.level.bad:
                 self._told.pop(state.unit, None)
                 lines += self._bad(state)
-        return [*lines, self.refresh(states)]
+        return [*(replace(line, kind=Class.STATE) for line in lines), self.refresh(states)]
 
     def refresh(self, states: Sequence[UnitState]) -> Line:
-        return Line("refresh", Severity.INFO, status_line.refresh(self._agent, states))
+        return Line("refresh", Severity.INFO, status_line.refresh(self._agent, states), Class.REFRESH)
 
     def _bad(self, state: UnitState) -> list[Line]:
         text = status_line.bad(self._agent, state.level, state.slot, status_line.brief_of(state))
@@ -115,31 +113,3 @@ class Teller:
         state = told[0]
         text = status_line.over(self._agent, state.slot, status_line.brief_of(state), by)
         return [Line(unit, status_line.severity(Level.OK, state.slot), text)]
-
-
-class Pacer:
-    """At most BURST lines at once and LINES_A_SECOND on average; the gravest first, then the oldest."""
-
-    def __init__(self, now: float) -> None:
-        self._pending: OrderedDict[str, Line] = OrderedDict()
-        self._credit, self._at = BURST, now
-        self.dropped = 0
-
-    def put(self, line: Line) -> None:
-        """The latest line of a key wins. When too many wait, the least grave is dropped."""
-        self._pending.pop(line.key, None)
-        self._pending[line.key] = line
-        if len(self._pending) > MAX_PENDING:
-            least = max(self._pending.values(), key=lambda entry: entry.severity)
-            del self._pending[least.key]
-            self.dropped += 1
-
-    def take(self, now: float) -> list[Line]:
-        """The lines that may leave now."""
-        self._credit = min(BURST, self._credit + (now - self._at) * LINES_A_SECOND)
-        self._at = now
-        chosen = sorted(self._pending.values(), key=lambda line: line.severity)[: int(self._credit)]
-        for line in chosen:
-            del self._pending[line.key]
-        self._credit -= len(chosen)
-        return chosen

@@ -13,8 +13,9 @@ from typing import Any
 from phm.clock import Clock
 from phm.facts import LinkFact
 from phm.settings import MavlinkSettings
+from phm.transport.mavlink_budget import Class, Count
 from phm.transport.mavlink_codec import Codec, Counters
-from phm.transport.mavlink_endpoint import Endpoint
+from phm.transport.mavlink_endpoint import RADIO_STATUS, Endpoint
 
 logger = logging.getLogger(__name__)
 
@@ -31,6 +32,7 @@ class MavlinkHub:
         self._listeners: tuple[tuple[Listener, frozenset[int]], ...] = ()
         self._watchers: tuple[Callable[[], None], ...] = ()
         self._errors = 0
+        self._agents = 1
         self._endpoints = tuple(
             Endpoint(entry, Codec(system_id, settings.component_id, self._wanted), clock, self._deliver, self._changed)
             for entry in settings.endpoints
@@ -47,10 +49,32 @@ class MavlinkHub:
         for endpoint in self._endpoints:
             endpoint.join(CLOSE_LIMIT_S)
 
-    def send(self, message: Any) -> None:
-        """Queue one unpacked message for every endpoint; never blocks. The caller must not change it after."""
+    def send(
+        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+    ) -> None:
+        """Queue one unpacked message for every endpoint, or for the one named `link`; never blocks.
+
+        kind, urgency: what leaves first where the link's budget makes others wait. key: a newer message with the same
+        key replaces this one while it waits. HEARTBEATs leave at once. The caller must not change the message after.
+        """
         for endpoint in self._endpoints:
-            endpoint.send(message)
+            if link in ("", endpoint.name):
+                endpoint.send(message, kind, key, urgency)
+
+    @property
+    def agents(self) -> int:
+        """How many agents share the links, this one included."""
+        return self._agents
+
+    @agents.setter
+    def agents(self, count: int) -> None:
+        self._agents = max(1, count)
+        for endpoint in self._endpoints:
+            endpoint.share(self._agents)
+
+    def budgets(self) -> dict[str, tuple[dict[Class, Count], float]]:
+        """For each endpoint: counts by class, and by how much its radio slows it down (1: not at all)."""
+        return {endpoint.name: endpoint.budget() for endpoint in self._endpoints}
 
     def listen(self, callback: Listener, ids: Iterable[int]) -> None:
         """Have `callback` called with each message of these ids. Others are not even decoded."""
@@ -74,7 +98,7 @@ class MavlinkHub:
     # ------------------------------------------------------------ from the endpoints' threads
 
     def _wanted(self, message_id: int) -> bool:
-        return any(message_id in ids for _, ids in self._listeners)
+        return message_id == RADIO_STATUS or any(message_id in ids for _, ids in self._listeners)
 
     def _deliver(self, message: Any, link: str) -> None:
         number = message.get_msgId()  # `message.id` may be a field of the message

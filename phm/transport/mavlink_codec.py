@@ -43,6 +43,8 @@ class Codec:
 
     def __init__(self, system_id: int, component_id: int, wanted: Wanted) -> None:
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        # For weighing: packing with it changes no sequence and signs nothing.
+        self._scale = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._wanted = wanted
         self._recent: deque[bytes] = deque(maxlen=_RECENT_FRAMES)
         self._lock = threading.Lock()
@@ -55,6 +57,10 @@ class Codec:
         with self._lock:
             self._recent.append(frame)
         return frame
+
+    def size(self, message: Any) -> int:
+        """Bytes that the message's frame will have."""
+        return len(copy.copy(message).pack(self._scale))
 
     def sent(self, frame: bytes) -> bool:
         """Whether this very frame was sent here lately: then hearing it is an echo."""

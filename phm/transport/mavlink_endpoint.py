@@ -7,23 +7,21 @@ import logging
 import os
 import select
 import threading
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 from phm.clock import Clock
 from phm.facts import LinkFact
 from phm.settings import EndpointSettings
+from phm.transport.mavlink_budget import Class, Count
 from phm.transport.mavlink_channels import Channel
-from phm.transport.mavlink_codec import Codec, Counters
+from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_open import Opener
+from phm.transport.mavlink_outbox import Outbox
 
 logger = logging.getLogger(__name__)
 
-HEARTBEAT = 0
-OUTBOX_SIZE = 128
-OUTBOX_AGE_S = 30.0
-"""What could not be sent for so long is no news any more; the ground gets the full state when it is back."""
+RADIO_STATUS = 109
 BACKOFF_S = 0.2
 BACKOFF_MAX_S = 5.0
 STEADY_S = 5.0
@@ -32,49 +30,6 @@ SILENT_S = 10.0
 """A named peer that was not heard for so long is looked up again."""
 IDLE_S = 0.5
 FAREWELL_S = 0.3
-
-
-class Outbox:
-    """Messages that wait for one endpoint. Bounded: the oldest is dropped and counted."""
-
-    def __init__(self, clock: Clock, counters: Counters) -> None:
-        self._clock, self._counters = clock, counters
-        self._messages: deque[tuple[float, Any]] = deque()
-        self._lock = threading.Lock()
-
-    def __len__(self) -> int:
-        return len(self._messages)
-
-    def put(self, message: Any) -> None:
-        """A new HEARTBEAT replaces one that still waits: both together would say less."""
-        now = self._clock.mono()
-        with self._lock:
-            # Not `message.id`: STATUSTEXT has a field of that name, which hides the message's number.
-            if message.get_msgId() == HEARTBEAT:
-                self._messages = deque(entry for entry in self._messages if entry[1].get_msgId() != HEARTBEAT)
-            self._messages.append((now, message))
-            if len(self._messages) > OUTBOX_SIZE:
-                self._messages.popleft()
-                self._counters.dropped += 1
-
-    def take(self) -> tuple[float, Any] | None:
-        """When it was put and the oldest message that is still news, or None."""
-        oldest = self._clock.mono() - OUTBOX_AGE_S
-        with self._lock:
-            while self._messages:
-                entry = self._messages.popleft()
-                if entry[0] >= oldest:
-                    return entry
-                self._counters.dropped += 1
-        return None
-
-    def give_back(self, entry: tuple[float, Any]) -> None:
-        """What was taken could not be sent: it is first again, unless the outbox has filled up meanwhile."""
-        with self._lock:
-            if len(self._messages) < OUTBOX_SIZE:
-                self._messages.appendleft(entry)
-            else:
-                self._counters.dropped += 1
 
 
 class Endpoint:
@@ -93,7 +48,7 @@ class Endpoint:
         self.name = settings.key
         self.codec = codec
         self._clock, self._deliver, self._changed = clock, deliver, changed
-        self._outbox = Outbox(clock, codec.counters)
+        self._outbox = Outbox(clock, settings.budget or None)
         self._stopping = threading.Event()
         self._opener = Opener(settings, codec, clock, self._stopping)
         self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -104,10 +59,18 @@ class Endpoint:
     def start(self) -> None:
         self._thread.start()
 
-    def send(self, message: Any) -> None:
+    def send(self, message: Any, kind: Class, key: str, urgency: int) -> None:
         """Queue; never blocks."""
-        self._outbox.put(message)
+        self._outbox.put(message, self.codec.size(message), kind, key, urgency)
         self._ring()
+
+    def share(self, agents: int) -> None:
+        """So many agents use the link that this endpoint leads to."""
+        self._outbox.agents(agents)
+
+    def budget(self) -> tuple[dict[Class, Count], float]:
+        """What left, was replaced or dropped, by class; and by how much the radio slows it down now."""
+        return self._outbox.counts, self._outbox.slowed()
 
     def fact(self) -> LinkFact | None:
         """None until the first attempt to open has ended: nothing is known yet."""
@@ -149,6 +112,7 @@ class Endpoint:
             if channel.proven or self._fact is None:
                 self._tell(is_open=True)
             self._heard = self._clock.mono()
+            self._outbox.expire()
             while not self._stopping.is_set():
                 self._turn(channel, IDLE_S)
                 if self._clock.mono() - self._heard > SILENT_S:
@@ -175,15 +139,17 @@ class Endpoint:
             for message in channel.serve(fd, events):
                 self._heard = self._clock.mono()
                 self._tell(is_open=True)
+                if message.get_msgId() == RADIO_STATUS:
+                    self._outbox.txbuf(message.txbuf)
                 self._deliver(message, self.name)
         self._write(channel)
         if self._clock.mono() - self._looked >= IDLE_S:
             self._look()
 
     def _write(self, channel: Channel) -> None:
-        while channel.ready and (entry := self._outbox.take()) is not None:
+        while channel.ready and (item := self._outbox.take()) is not None:
             try:
-                frame = self.codec.pack(entry[1])
+                frame = self.codec.pack(item.message)
             except Exception:  # a message that cannot be packed is our defect; the link is well
                 self.codec.counters.dropped += 1
                 logger.exception("a MAVLink message could not be packed")
@@ -191,7 +157,7 @@ class Endpoint:
             try:
                 taken = channel.write(frame)
             except OSError:
-                self._outbox.give_back(entry)
+                self._outbox.give_back(item)
                 raise
             if taken:
                 self.codec.counters.sent += 1

@@ -9,6 +9,7 @@ from typing import Any
 
 from phm.facts import LinkFact
 from phm.transport.dialect import mavlink
+from phm.transport.mavlink_budget import Class
 
 LIMIT_S = 15.0
 
@@ -64,8 +65,16 @@ class FakePort:
         self.sent: list[Any] = []
         self._listeners: list[tuple[Callable[[Any, str], None], frozenset[int]]] = []
 
-    def send(self, message: Any) -> None:
+    agents = 1
+    to: Callable[[Any, Class, str, int], None] | None = None
+    """Where messages go as well, e.g. into an outbox."""
+
+    def send(
+        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+    ) -> None:
         self.sent.append(message)
+        if self.to is not None:
+            self.to(message, kind, key, urgency)
 
     def links(self) -> tuple[LinkFact, ...]:
         return ()

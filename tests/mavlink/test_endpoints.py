@@ -19,9 +19,10 @@ from phm.clock import SystemClock
 from phm.facts import LinkFact
 from phm.settings import MavlinkSettings
 from phm.testing import FakeClock
+from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
-from phm.transport.mavlink_codec import Counters
-from phm.transport.mavlink_endpoint import OUTBOX_AGE_S, OUTBOX_SIZE, Outbox
+from phm.transport.mavlink_budget import MAX_WAITING
+from phm.transport.mavlink_outbox import OUTBOX_AGE_S, Outbox
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
 
 WORD = 0x40025D55
@@ -35,7 +36,7 @@ def make_hub() -> Iterator[MakeHub]:
 
     def make(*urls: str) -> MavlinkHub:
         hub = MavlinkHub(
-            MavlinkSettings.model_validate({"endpoints": [{"url": url} for url in urls]}), 7, SystemClock()
+            MavlinkSettings.model_validate({"endpoints": [{"url": url, "budget": 0} for url in urls]}), 7, SystemClock()
         )
         hub.heard = []  # type: ignore[attr-defined]
         hub.listen(lambda message, link: hub.heard.append((message, link)), (0, 253))  # type: ignore[attr-defined]
@@ -389,47 +390,79 @@ def test_closing_sends_what_is_queued(make_hub: MakeHub) -> None:
 
 
 def drain(outbox: Outbox) -> list[Any]:
-    found = []
-    while (entry := outbox.take()) is not None:
-        found.append(entry[1])
-    return found
+    return [item.message for item in iter(outbox.take, None)]
+
+
+def put(outbox: Outbox, message: Any) -> None:
+    outbox.put(message, 63)
 
 
 def test_a_full_outbox_drops_its_oldest_and_counts() -> None:
     """What is newest matters most, and what was lost is known."""
-    counters = Counters()
-    outbox = Outbox(FakeClock(), counters)
-    for number in range(OUTBOX_SIZE + 5):
-        outbox.put(text(f"line {number}"))
-    assert counters.dropped == 5
-    assert [message.text for message in drain(outbox)] == [f"line {number}" for number in range(5, OUTBOX_SIZE + 5)]
+    outbox = Outbox(FakeClock())
+    for number in range(MAX_WAITING + 5):
+        put(outbox, text(f"line {number}"))
+    assert outbox.dropped == 5
+    assert [message.text for message in drain(outbox)] == [f"line {number}" for number in range(5, MAX_WAITING + 5)]
 
 
 def test_what_could_not_be_sent_is_first_again() -> None:
-    """A network that is gone for a moment costs no line and changes no order; a full outbox keeps what is newer."""
-    counters = Counters()
-    outbox = Outbox(FakeClock(), counters)
-    outbox.put(text("first"))
-    outbox.put(text("second"))
-    entry = outbox.take()
-    assert entry is not None
-    outbox.give_back(entry)
+    """A network that is gone for a moment costs no line and changes no order."""
+    outbox = Outbox(FakeClock())
+    put(outbox, text("first"))
+    put(outbox, text("second"))
+    item = outbox.take()
+    assert item is not None
+    outbox.give_back(item)
     assert [message.text for message in drain(outbox)] == ["first", "second"]
-    for number in range(OUTBOX_SIZE):
-        outbox.put(text(f"line {number}"))
-    outbox.give_back(entry)
-    assert (counters.dropped, len(outbox)) == (1, OUTBOX_SIZE)
 
 
 def test_waiting_heartbeats_are_replaced_and_old_lines_expire() -> None:
-    """After an outage the ground gets one heartbeat, and no line that is no news any more."""
-    clock, counters = FakeClock(), Counters()
-    outbox = Outbox(clock, counters)
-    outbox.put(text("old"))
-    outbox.put(heartbeat(1))
+    """After an outage the ground gets one heartbeat, first, and no line that is no news any more."""
+    clock = FakeClock()
+    outbox = Outbox(clock)
+    put(outbox, text("old"))
+    put(outbox, heartbeat(1))
     clock.advance(OUTBOX_AGE_S + 1)
-    outbox.put(text("new"))
-    outbox.put(heartbeat(2))
+    put(outbox, text("new"))
+    put(outbox, heartbeat(2))
+    outbox.expire()
     first, second = drain(outbox)
-    assert (first.text, second.custom_mode) == ("new", 2)
-    assert counters.dropped == 1
+    assert (first.custom_mode, second.text) == (2, "new")
+    assert outbox.dropped == 1
+
+
+def test_lines_wait_for_the_budget_and_heartbeats_do_not() -> None:
+    clock = FakeClock()
+    outbox = Outbox(clock, 10.0)
+    for number in range(20):
+        put(outbox, text(f"line {number}"))
+    burst = drain(outbox)
+    assert 0 < len(burst) < 20
+    put(outbox, heartbeat(1))
+    assert [message.get_type() for message in drain(outbox)] == ["HEARTBEAT"]
+    clock.advance(1000.0)
+    assert drain(outbox)[0].text == f"line {len(burst)}"
+
+
+def test_a_radio_that_fills_slows_its_own_link_down(make_hub: MakeHub) -> None:
+    """RADIO_STATUS by one endpoint: that one is slowed down, the other is not."""
+    peers = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+    for peer in peers:
+        peer.bind(("127.0.0.1", 0))
+        peer.settimeout(5.0)
+    radio, other = (f"udpout:127.0.0.1:{peer.getsockname()[1]}" for peer in peers)
+    hub = make_hub(radio, other)
+    hub.send(text("hello"))
+    _, address = peers[0].recvfrom(300)
+    full = Sender(51, 68)
+    status = mavlink.MAVLink_radio_status_message(100, 100, 5, 30, 30, 0, 0)
+
+    def slowed() -> bool:
+        peers[0].sendto(full.frame(status), address)
+        return hub.budgets()[radio][1] > 1.0
+
+    until(slowed)
+    assert hub.budgets()[other][1] == 1.0
+    for peer in peers:
+        peer.close()

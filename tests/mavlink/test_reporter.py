@@ -25,6 +25,8 @@ from phm.reporters.base import ReporterContext
 from phm.reporters.mavlink import Mavlink
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
+from phm.transport.mavlink_codec import Codec
+from phm.transport.mavlink_outbox import Outbox
 from phm.wire import status_word
 from tests.fakes.mavlink import FakePort, Sender, heartbeat
 
@@ -182,10 +184,15 @@ def test_the_refresh_comes_at_its_period_as_info() -> None:
     assert scene.port.lines() == [(6, "A01 FAIL -1---0-- 6 a dead")] * 3
 
 
-def test_the_refresh_takes_the_interval_by_default() -> None:
-    """Without `mavlink.refresh` the line comes with each pass."""
+def test_the_refresh_follows_the_size_of_the_swarm() -> None:
+    """Without `mavlink.refresh` the line comes every 10 s for a small swarm, every 60 s for a large one."""
     scene = Scene().running()
-    scene.pass_time(41.0)
+    scene.pass_time(21.0)
+    assert scene.port.lines() == [(6, "A01 OK -1---1--")] * 2
+    scene.port.agents = 100
+    scene.pass_time(10.0)  # the last one of the small swarm
+    scene.port.lines()
+    scene.pass_time(120.5)
     assert scene.port.lines() == [(6, "A01 OK -1---1--")] * 2
 
 
@@ -281,25 +288,23 @@ def test_other_senders_are_no_ground_station(system: int, kind: int) -> None:
     assert scene.port.lines() == []
 
 
-def test_many_changes_at_once_leave_at_ten_a_second_gravest_first() -> None:
-    """A storm of changes does not flood the radio, and each unit's newest word is what is sent."""
+def test_a_storm_of_changes_stays_within_the_budget_gravest_first() -> None:
+    """Through a real outbox: each unit's newest word is what is sent, mission functions before the rest."""
     scene = Scene().running()
+    outbox, codec = Outbox(scene.clock, 158.0), Codec(1, 193, lambda _: False)
+    scene.port.to = lambda message, kind, key, urgency: outbox.put(message, codec.size(message), kind, key, urgency)
     template = scene.units["nodes/a"]
-    for number in range(40):
+    for number in range(200):
         name = f"nodes/n{number}"
         scene.units[name] = replace(template, unit=name, slot=Slot.NODES if number % 2 else Slot.HOST)
         scene.become(name, Level.ERROR, f"n{number} dead")
         scene.become(name, Level.ERROR, f"n{number} gone")
-    first = scene.port.lines()
-    scene.pass_time(1.0)
-    second = scene.port.lines()
-    scene.pass_time(5.0)
-    rest = scene.port.lines()
-    assert len(first) <= 10
-    assert len(second) <= 11
-    assert [line[0] for line in second] == sorted(line[0] for line in second)
-    told = {words for _, words in first + second + rest}
-    assert all(any(f"n{number} gone" in words for words in told) for number in range(10, 40))
+    first = list(iter(outbox.take, None))
+    assert {message.severity for message in [item.message for item in first]} == {2}
+    assert all(item.message.text.endswith("gone") for item in first)
+    scene.pass_time(10.0)
+    later = list(iter(outbox.take, None))
+    assert 10 * 158 * 0.8 < sum(item.size for item in later) <= 10 * 158 + 63
 
 
 def test_lost_events_are_made_up_for_at_the_refresh() -> None:

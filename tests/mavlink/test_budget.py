@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from phm.reporters.mavlink_budget import (
+from phm.transport.mavlink_budget import (
     BURST_MIN,
     MAX_WAITING,
     SLOWEST,
@@ -25,6 +25,11 @@ items = st.builds(
 steps = st.lists(st.tuples(st.floats(0, 5), st.lists(items, max_size=5), st.integers(0, 100)), max_size=40)
 
 
+def taken(budget: Budget, now: float) -> list[Item]:
+    """All that may leave now."""
+    return list(iter(lambda: budget.next(now), None))
+
+
 @given(steps, st.integers(1, 100))
 def test_never_more_than_burst_and_rate(drawn: list[tuple[float, list[Item], int]], agents: int) -> None:
     """Over all of the time, whatever is put and whatever the radio says."""
@@ -35,7 +40,7 @@ def test_never_more_than_burst_and_rate(drawn: list[tuple[float, list[Item], int
         budget.flow.txbuf(txbuf, now)
         for item in put:
             budget.put(item)
-        left += sum(item.size for item in budget.take(now))
+        left += sum(item.size for item in taken(budget, now))
         assert left <= budget.burst + now * budget.rate + 1e-6
 
 
@@ -45,9 +50,9 @@ def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[Item]) -> None
     for item in put:
         budget.put(item)
     newest = {item.key: item for item in put}
-    taken = budget.take(0.0)
-    assert {item.key: item for item in taken} == newest
-    assert [(item.kind, item.urgency) for item in taken] == sorted((item.kind, item.urgency) for item in taken)
+    left = taken(budget, 0.0)
+    assert {item.key: item for item in left} == newest
+    assert [(item.kind, item.urgency) for item in left] == sorted((item.kind, item.urgency) for item in left)
     assert sum(count.coalesced for count in budget.counts.values()) == len(put) - len(newest)
 
 
@@ -56,9 +61,9 @@ def test_a_fault_leaves_before_what_repeats() -> None:
     budget.charge(int(BURST_MIN), 0.0)
     budget.put(Item("refresh", Class.REFRESH, 30, None, 6))
     budget.put(Item("node_1", Class.TRANSITION, 60, None, 2))
-    assert budget.take(5.9) == []  # 59 bytes would do for the refresh, which does not overtake
-    assert [item.key for item in budget.take(6.0)] == ["node_1"]
-    assert [item.key for item in budget.take(9.0)] == ["refresh"]
+    assert taken(budget, 5.9) == []  # 59 bytes would do for the refresh, which does not overtake
+    assert [item.key for item in taken(budget, 6.0)] == ["node_1"]
+    assert [item.key for item in taken(budget, 9.0)] == ["refresh"]
 
 
 def test_heartbeats_are_charged() -> None:
@@ -67,15 +72,15 @@ def test_heartbeats_are_charged() -> None:
     for _ in range(100):
         budget.charge(21, 0.0)
     budget.put(Item("a", Class.TRANSITION, 50, None))
-    assert budget.take(1.0) == []
-    assert budget.take(2 * BURST_MIN / 10)
+    assert taken(budget, 1.0) == []
+    assert taken(budget, 2 * BURST_MIN / 10)
 
 
 def test_a_link_without_limit_holds_nothing_back() -> None:
     budget = Budget(None, 0.0)
     for number in range(MAX_WAITING):
         budget.put(Item(str(number), Class.REQUEST, 280, None))
-    assert len(budget.take(0.0)) == MAX_WAITING
+    assert len(taken(budget, 0.0)) == MAX_WAITING
 
 
 def test_what_waits_is_capped_and_the_least_is_dropped() -> None:
@@ -85,15 +90,30 @@ def test_what_waits_is_capped_and_the_least_is_dropped() -> None:
     budget.put(Item("fault", Class.TRANSITION, 40, None))
     assert budget.waiting == MAX_WAITING
     assert budget.counts[Class.REQUEST].dropped == 1
-    assert budget.take(0.0)[0].key == "fault"
+    assert taken(budget, 0.0)[0].key == "fault"
 
 
-def test_what_is_no_longer_true_is_not_sent() -> None:
+def test_what_could_not_be_sent_is_first_again() -> None:
+    budget = Budget(10.0, 0.0)
+    for name in "ab":
+        budget.put(Item(name, Class.TRANSITION, 40, None))
+    first = budget.next(0.0)
+    assert first is not None
+    budget.give_back(first)
+    assert [item.key for item in taken(budget, 0.0)] == ["a", "b"]
+    assert budget.counts[Class.TRANSITION].sent == 2
+    budget.put(Item("a", Class.TRANSITION, 45, None))
+    budget.give_back(first)
+    assert [item.size for item in taken(budget, 0.0)] == [45]
+
+
+def test_what_is_no_news_any_more_is_dropped() -> None:
     budget = Budget(None, 0.0)
-    budget.put(Item("a", Class.TRANSITION, 40, None))
-    budget.withdraw("a")
-    budget.withdraw("never there")
-    assert budget.take(0.0) == []
+    budget.put(Item("old", Class.TRANSITION, 40, None, put_at=1.0))
+    budget.put(Item("new", Class.TRANSITION, 40, None, put_at=9.0))
+    budget.expire(5.0)
+    assert [item.key for item in taken(budget, 9.0)] == ["new"]
+    assert budget.counts[Class.TRANSITION].dropped == 1
 
 
 def test_a_full_radio_slows_down_and_an_empty_one_speeds_up() -> None:

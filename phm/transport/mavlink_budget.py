@@ -49,7 +49,8 @@ class Item:
     size: int
     message: Any
     urgency: int = 0
-    """Within a class the lowest leaves first: MAV_SEVERITY."""
+    """Within a class the lowest leaves first: MAV_SEVERITY. Of equals the oldest does."""
+    put_at: float = 0.0
 
 
 @dataclass(slots=True)
@@ -140,25 +141,34 @@ class Budget:
             del self._waiting[least.key]
             self.counts[least.kind].dropped += 1
 
-    def take(self, now: float) -> list[Item]:
-        """What leaves now, in order. Nothing small overtakes something graver that has to wait for credit."""
+    def next(self, now: float) -> Item | None:
+        """What leaves now, or None. Nothing small overtakes something graver that has to wait for credit."""
         self._earn(now)
-        leaving = []
-        for item in sorted(self._waiting.values(), key=_order):
-            if item.size > self._credit:
-                break
-            self._credit -= item.size
-            del self._waiting[item.key]
-            count = self.counts[item.kind]
-            count.sent, count.bytes = count.sent + 1, count.bytes + item.size
-            leaving.append(item)
-        return leaving
+        item = min(self._waiting.values(), key=_order, default=None)
+        if item is None or item.size > self._credit:
+            return None
+        self._credit -= item.size
+        del self._waiting[item.key]
+        count = self.counts[item.kind]
+        count.sent, count.bytes = count.sent + 1, count.bytes + item.size
+        return item
 
-    def withdraw(self, key: str) -> None:
-        """What it says is no longer true, and it has not left yet."""
-        item = self._waiting.pop(key, None)
-        if item is not None:
-            self.counts[item.kind].coalesced += 1
+    def give_back(self, item: Item) -> None:
+        """It could not be sent after all. It is first among its equals again, unless a newer one of its key waits."""
+        self._credit = min(self.burst, self._credit + item.size)
+        count = self.counts[item.kind]
+        count.sent, count.bytes = count.sent - 1, count.bytes - item.size
+        if item.key in self._waiting:
+            count.coalesced += 1
+            return
+        self._waiting[item.key] = item
+        self._waiting.move_to_end(item.key, last=False)
+
+    def expire(self, before: float) -> None:
+        """Drop what was put before this time."""
+        for item in [item for item in self._waiting.values() if item.put_at < before]:
+            del self._waiting[item.key]
+            self.counts[item.kind].dropped += 1
 
     @property
     def waiting(self) -> int:
