@@ -117,6 +117,29 @@ def test_an_unknown_middleware_takes_the_mounted_install(bench: Bench, applicati
     all_measured(bench.probe(WANTED, command=UNKNOWN_MIDDLEWARE, installs=installs), application.sent)
 
 
+def test_a_definition_that_differs_is_no_silence(bench: Bench, application: Application) -> None:
+    """Jazzy matches by name alone; Kilted keeps ends apart whose definitions differ, which is told and is no rate of 0."""
+    differing = (
+        "from phm.probes.ros import anytype, child\n"
+        "for library, (name, _) in anytype.KNOWN.items(): anytype.KNOWN[library] = (name, True)\n"
+        "raise SystemExit(child.main())"
+    )
+    application.start()
+    probe = bench.probe(WANTED, command=(sys.executable, "-c", differing))
+    if OWN_DISTRIBUTION == "jazzy":
+        all_measured(probe, application.sent)
+        return
+
+    def told(fact: RosFact) -> bool:
+        rates = [fact.topics[name].rate for name in TOPICS]
+        return all(rate is not None and "another definition of its type" in rate.problem for rate in rates)
+
+    seen(probe, told, "the reason")
+    rates = [topic.rate for topic in probe.look().topics.values()]
+    assert [(rate.hz, rate.silent_s) for rate in rates if rate is not None] == [(None, None)] * len(TOPICS)
+    assert probe.restarts == 0
+
+
 def test_without_any_way_the_graph_alone_is_told(bench: Bench, application: Application) -> None:
     """Publishers and types are there, no rate is, the reason is, and no child was lost over it."""
     application.start()

@@ -157,5 +157,5 @@ class Gauge:
         elif self._lonely_since_s is None:
             self._lonely_since_s = now_s
         if self._lonely_since_s is not None and now_s - self._lonely_since_s > MATCH_S:
-            return "QoS mismatch: the middleware does not connect PHM with the publisher (another partition?)"
+            return "QoS mismatch: the middleware does not connect PHM with the publisher (another partition, or another definition of its type?)"
         return ""
