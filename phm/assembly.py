@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from phm.clock import Clock
 from phm.facts import Attachment, CannotTell, LinkFact, RosFact, RosProbe, SelfFact, World
@@ -77,6 +78,10 @@ class Parts:
 
     def links(self) -> tuple[LinkFact, ...]:
         return self.mavlink.links() if self.mavlink is not None else ()
+
+    def link_reports(self) -> list[dict[str, Any]]:
+        """The MAVLink endpoints for `phm status`, see `MavlinkHub.report`."""
+        return self.mavlink.report() if self.mavlink is not None else []
 
     def remembered(self, container: str, network: str) -> Attachment | None:
         return self.docker.remembered(container, network)

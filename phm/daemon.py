@@ -131,7 +131,7 @@ class Daemon:
             "dropped": dict(fact.dropped),
             "problems": list(fact.problems),
             "ros_restarts": fact.ros_restarts,
-            "links": [{"name": link.name, "open": link.open, "error": link.error} for link in self.parts.links()],
+            "links": self.parts.link_reports(),
         }
 
     # ------------------------------------------------------------ wiring

@@ -172,13 +172,24 @@ def _health(health: Json) -> list[RenderableType]:
     parts: list[RenderableType] = []
     for link in health.get("links", ()):
         state = "open" if link["open"] else f"closed: {link['error']}"
-        parts.append(_plain(f"link {link['name']}: {state}", "" if link["open"] else "yellow"))
+        parts.append(_plain(f"link {link['name']}: {state}{_sent(link)}", "" if link["open"] else "yellow"))
     dropped = ", ".join(f"{name} {count}" for name, count in health.get("dropped", {}).items())
     counters = f"events dropped: {dropped or 'none'}; ROS child restarts: {health.get('ros_restarts', 0)}"
     parts.append(_plain(counters))
     parts += [_plain(f"overdue: {name}", "yellow") for name in health.get("overdue", ())]
     parts += [_plain(f"problem: {text}", "yellow") for text in health.get("problems", ())]
     return parts
+
+
+def _sent(link: Json) -> str:
+    """What left by a link: all of it, and what did not."""
+    counts = link.get("sent", {}).values()
+    lost = {word: sum(count.get(word, 0) for count in counts) for word in ("coalesced", "dropped")}
+    words = [f"{link['bytes_out']} bytes sent"] if "bytes_out" in link else []
+    words += [f"{number} {word}" for word, number in lost.items() if number]
+    if link.get("slowed", 1) > 1:
+        words.append(f"slowed down {link['slowed']:g} times by its radio")
+    return f" ({', '.join(words)})" if words else ""
 
 
 def _table(*columns: str) -> Table:

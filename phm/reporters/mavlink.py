@@ -9,12 +9,24 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import Any, ClassVar
 
-from phm.model import ActionEvent, Event, FaultClosed, FaultOpened, Level, Report, Transition, UnitState, worst_by_slot
+from phm.model import (
+    ActionEvent,
+    Event,
+    FaultClosed,
+    FaultOpened,
+    Level,
+    Report,
+    Slot,
+    Transition,
+    UnitState,
+    worst_by_slot,
+)
 from phm.reporters.base import MavlinkPort, Reporter, ReporterContext
+from phm.reporters.mavlink_flaps import Damper
 from phm.reporters.mavlink_lines import Line, Teller
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_budget import periods
-from phm.wire import status_word
+from phm.wire import status_line, status_word
 from phm.wire.status_line import MISSION_SLOTS
 
 MAX_GROUND_STATIONS = 16
@@ -35,7 +47,7 @@ class Mavlink(Reporter):
         self._context, self._port = context, port
         self._settings, self._agent = context.settings.mavlink, context.settings.agent.id
         now = context.clock.mono()
-        self._teller = Teller(self._agent)
+        self._teller, self._damper = Teller(self._agent), Damper()
         open_before = {fault.unit for fault in context.restored}
         self._teller.knows([state for state in context.states() if state.unit in open_before])
         self._heartbeat_at = now
@@ -51,9 +63,10 @@ class Mavlink(Reporter):
 
     def handle(self, event: Event) -> None:
         if isinstance(event, Transition):
-            self._say(self._teller.transition(event))
+            self._change(self._teller.transition(event), event.state.slot, status_line.brief_of(event.state))
         elif isinstance(event, (FaultOpened, FaultClosed)):
-            self._say(self._teller.fault(event))
+            fault = event.fault
+            self._change(self._teller.fault(event), fault.slot, fault.result.brief or fault.unit)
         elif isinstance(event, ActionEvent):
             self._say(self._teller.action(event, {state.unit: state for state in self._context.states()}))
         elif isinstance(event, Report) and self._refresh_at is None:
@@ -62,6 +75,7 @@ class Mavlink(Reporter):
     def tick(self) -> None:
         """Heartbeat, refresh and the answer to a new ground station, when due and while the engine lives."""
         now = self._context.clock.mono()
+        self._say(self._damper.calm(now))
         by_size_s = periods(self._port.agents)
         if self._context.alive():
             if now >= self._heartbeat_at:
@@ -96,6 +110,11 @@ class Mavlink(Reporter):
             self._ground.popitem(last=False)
         if heard is None or now - heard > self._settings.gcs_timeout:
             self.gcs_appeared()
+
+    def _change(self, lines: list[Line], slot: Slot, brief: str) -> None:
+        """Changes of one unit: told, unless it flaps."""
+        flapping = status_line.flapping(self._agent, slot, brief)
+        self._say(self._damper.through(lines, self._context.clock.mono(), flapping))
 
     def _say(self, lines: list[Line]) -> None:
         for line in lines:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from typing import Any
 
 from phm.clock import Clock
@@ -90,6 +91,21 @@ class MavlinkHub:
 
     def counters(self) -> dict[str, Counters]:
         return {endpoint.name: endpoint.codec.counters for endpoint in self._endpoints}
+
+    def report(self) -> list[dict[str, Any]]:
+        """Each endpoint for `phm status`, JSON-able. `slowed`: 1 to 10, by how much its radio slows it down; `sent`: by class
+        of message how many left, were replaced by newer ones, or were dropped, and bytes on the wire.
+        """
+        found = []
+        for endpoint in self._endpoints:
+            fact, (counts, slowed), counters = endpoint.fact(), endpoint.budget(), endpoint.codec.counters
+            by_class = {kind.name.lower(): asdict(count) for kind, count in counts.items() if count != Count()}
+            found.append({
+                "name": endpoint.name, "open": bool(fact and fact.open), "error": fact.error if fact else "",
+                "slowed": round(slowed, 2), "sent": by_class,
+                "bytes_out": counters.bytes_out, "bytes_in": counters.bytes_in,
+            })  # fmt: skip
+        return found
 
     def echo(self, frame: bytes) -> bool:
         """Whether one of the endpoints sent this very frame lately, so that it comes back from a router."""

@@ -9,6 +9,7 @@ The contract. Every line begins with the agent (``A01`` to ``A250``) and a word;
     A01 OK 6 restart fixed: node_1 dead       over, by what PHM did
     A01 OK 6 cleared itself: node_1 dead      a fault that ended without an action of PHM
     A01 OK 9 cleared: disk / 88%              a warning that is over
+    A01 WARN 6 flapping: node_1 dead          it fails and recovers again and again; told when it rests
     A01 ADVISE 2 restart ros_app              what PHM would do, and was told not to do
     A01 GAVE UP 2 ros_app exited              PHM cannot heal this: it is the operator's now
     A01 OK 11111111                           the refresh: all is well
@@ -74,6 +75,11 @@ def over(agent: int, slot: Slot, brief: str, by: str = "") -> str:
     """A unit is OK again. `by`: ``itself``, an action's name, or empty when it was only a warning."""
     how = {"": "cleared", "itself": "cleared itself"}.get(by, f"{_short(by, 12)} fixed")
     return _line(f"{agent_name(agent)} OK {slot:d} {how}:", brief)
+
+
+def flapping(agent: int, slot: Slot, brief: str) -> str:
+    """A unit fails and recovers again and again; it is not told each time."""
+    return _line(f"{agent_name(agent)} WARN {slot:d} flapping:", brief)
 
 
 def advise(agent: int, slot: Slot, action: str, target: str) -> str:

@@ -34,7 +34,21 @@ HEALTH = {
     "dropped": {"log": 3},
     "problems": ["log: no space left"],
     "ros_restarts": 2,
-    "links": [{"name": "gcs", "open": False, "error": "refused"}, {"name": "fc", "open": True, "error": ""}],
+    "links": [
+        {"name": "gcs", "open": False, "error": "refused"},
+        {
+            "name": "fc",
+            "open": True,
+            "error": "",
+            "slowed": 2.5,
+            "bytes_out": 421,
+            "bytes_in": 9,
+            "sent": {
+                "transition": {"sent": 3, "coalesced": 1, "dropped": 0, "bytes": 90},
+                "refresh": {"sent": 9, "coalesced": 1, "dropped": 4, "bytes": 252},
+            },
+        },
+    ],
 }
 
 
@@ -239,7 +253,7 @@ def test_status_shows_faults_first_then_units_links_and_counters(tmp_path: Path)
         "Host is calm",
         "Status Array: [-, -, -, -, -, 0, -, -]   1 OK, 0 WARN, 1 ERROR, 1 STALE",
         "link gcs: closed: refused",
-        "link fc: open",
+        "link fc: open (421 bytes sent, 2 coalesced, 4 dropped, slowed down 2.5 times by its radio)",
         "events dropped: log 3; ROS child restarts: 2",
         "problem: log: no space left",
     ]

@@ -307,6 +307,24 @@ def test_a_storm_of_changes_stays_within_the_budget_gravest_first() -> None:
     assert 10 * 158 * 0.8 < sum(item.size for item in later) <= 10 * 158 + 63
 
 
+def test_what_flaps_is_told_as_such_and_then_when_it_rests() -> None:
+    """Three failures in a minute, one warning, silence; then how it is."""
+    scene = Scene(refresh=600).running()
+    for _ in range(10):
+        scene.become("nodes/a", Level.ERROR, "a dead")
+        scene.pass_time(2.0)
+        scene.become("nodes/a", Level.OK)
+        scene.pass_time(2.0)
+    told = [words for severity, words in scene.port.lines() if severity < 6]
+    assert told == ["A01 FAIL 6 a dead", "A01 OK 6 cleared itself: a dead"] * 2 + [
+        "A01 FAIL 6 a dead", "A01 WARN 6 flapping: a dead"
+    ]  # fmt: skip
+    scene.pass_time(31.0)
+    assert scene.port.lines() == [(5, "A01 OK 6 cleared itself: a dead")]
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    assert scene.port.lines() == [(2, "A01 FAIL 6 a dead")]
+
+
 def test_lost_events_are_made_up_for_at_the_refresh() -> None:
     """A queue that overflowed must not leave a fault untold, nor one that is over standing."""
     scene = Scene(refresh=10).running()
