@@ -14,6 +14,7 @@ import pytest
 from phm.facts import EndpointFact, NameFact, RateFact, RosFact
 from phm.probes.ros.process import Limits
 from tests.fakes.ros_bench import Bench, gone, seen, stale, until
+from tests.fakes.ros_truth import within_2_percent
 
 TOPIC = "/agent_1/topic_1"
 STRING = "std_msgs/msg/String"
@@ -22,22 +23,6 @@ STRING = "std_msgs/msg/String"
 def rate_of(fact: RosFact) -> RateFact:
     """The rate of the only topic; one that knows nothing where there is none yet."""
     return fact.topics[TOPIC].rate or RateFact(None, None)
-
-
-def true_rate(path: Path, window_s: float) -> float:
-    """What the source really published, over the last `window_s`, on however busy a machine."""
-    lines = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
-    sent = [(int(words[0]), float(words[1])) for words in lines[:-1]]  # the last line may be half written
-    count, at_s = sent[-1]
-    first = next(entry for entry in sent if at_s - entry[1] <= window_s)
-    return (count - first[0]) / (at_s - first[1])
-
-
-def within_2_percent(fact: RosFact, path: Path) -> bool:
-    rate = rate_of(fact)
-    if rate.hz is None or rate.window_s < 2.0:
-        return False
-    return rate.hz == pytest.approx(true_rate(path, rate.window_s), rel=0.02)
 
 
 def test_a_killed_node_leaves_the_picture(bench: Bench) -> None:
@@ -135,7 +120,7 @@ def test_the_measured_rate_is_the_true_rate(bench: Bench, tmp_path: Path, hz: fl
     """Within 2 % of what was really published, at 10 and at 200 Hz."""
     bench.source(hz, tmp_path / "sent")
     probe = bench.probe([{"name": TOPIC, "rate": hz}])
-    seen(probe, lambda fact: within_2_percent(fact, tmp_path / "sent"), "a rate within 2 %")
+    seen(probe, lambda fact: within_2_percent(rate_of(fact), tmp_path / "sent"), "a rate within 2 %")
 
 
 def test_a_stopped_node_is_listed_and_silent(bench: Bench) -> None:

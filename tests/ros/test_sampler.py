@@ -12,6 +12,7 @@ import pytest
 
 from phm.facts import RateFact, RosFact
 from tests.fakes.ros_bench import ROOT, Bench, seen, until
+from tests.fakes.ros_truth import true_rate
 
 TOPIC = "/agent_1/topic_1"
 HIDE = (
@@ -56,14 +57,6 @@ def sent(path: Path) -> list[tuple[int, float, int]]:
         return []
     lines = [line.split() for line in path.read_text(encoding="ascii").splitlines()[:-1]]
     return [(int(words[0]), float(words[1]), int(words[2])) for words in lines]
-
-
-def true_rate(path: Path, window_s: float) -> float:
-    """What was really published over the last `window_s`, on however busy a machine."""
-    publications = sent(path)
-    count, at_s, _ = publications[-1]
-    first = next(entry for entry in publications if at_s - entry[1] <= window_s)
-    return (count - first[0]) / (at_s - first[1])
 
 
 def right(fact: RosFact, *paths: Path, within: float = 0.02) -> bool:
