@@ -1,150 +1,176 @@
-"""Slot 6: every configured ROS node is listed in the graph."""
+"""Slot 6: every configured ROS node is alive, by all evidence that there is (docs/ros.md)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 from phm import api
-from phm.api import Layer, Slot
+from phm.api import Layer, Level, Slot
+from phm_checks._liveness import Evidence, Judgement, Past, State, fuse
+from phm_checks._matching import Wanted
+from phm_checks._roster import NEVER, Roster
+from phm_checks._signs import TWICE_S, WAVERS, Ends, Signs
 from phm_checks._words import brief, did_you_mean, last, span
 
 OLD_PICTURE_S = 5.0
 """A picture of the graph older than this proves nothing."""
-TWICE_S = 30.0
-"""A restarted node is listed twice until its old lease ends, 20 s by default in Fast DDS; longer means two nodes."""
-
-SETTLE_S = 0.3
-"""Nodes that end in an orderly way leave the graph a moment before their container is seen to have exited."""
+_Words = tuple[Level, str, str, str]
+BUSY_S = 10.0
+"""A node that computes and has not answered for this long is told as busy: a WARN, for nobody knows that it is wrong."""
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """One configured node with the key of its container (empty when not known)."""
+class _Node:
+    """What is remembered of one node. state: as judged last. seen: whether it was alive in this life of its container."""
 
-    name: str
-    container: str
+    def __init__(self, wanted: Wanted, signs: Signs) -> None:
+        self.wanted, self.signs = wanted, signs
+        self.state: State | None = None
+        self.seen = False
+        self._life = ""
 
     @property
-    def unit(self) -> str:
-        return f"nodes/{api.topic_id(self.name)}"
+    def doubt(self) -> int:
+        """How much it is in doubt. What is told as bad is looked at until it is well."""
+        return self.signs.doubt if self.state in (State.ALIVE, None) else max(self.signs.doubt, WAVERS)
+
+    def judge(self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float) -> Judgement:
+        starting = now - began_at < grace_s
+        past = Past(self.state is State.ALIVE, self.seen, starting, self.signs.twice(now))
+        judgement = fuse(evidence, past)
+        self.state = judgement.state
+        return judgement
+
+    def live(self, life: str, began_at: float, now: float) -> None:
+        """Note whether it was alive in this life of its container. A name alone may be a dead node's, until its lease ends."""
+        if life != self._life:
+            self._life, self.seen = life, self.seen and not self._life
+        if self.state in (State.ALIVE, State.DUPLICATE) and (
+            not self.signs.blind or self.signs.appeared_at > began_at or now - began_at > TWICE_S
+        ):
+            self.seen = True
 
 
 class Nodes(api.Check):
-    """All configured nodes, one unit each, from one picture of the graph."""
+    """All configured nodes, one unit each, from one picture of the graph and the process lists of their containers."""
 
     name, slot, layer = "nodes", Slot.NODES, Layer.ROS
-    period_s = 1.0
+    period_s = 0.25
 
-    def __init__(self, wanted: Sequence[Wanted], units: Sequence[api.Unit], grace_s: float) -> None:
-        self._wanted = tuple(wanted)
-        self._units = tuple(units)
-        self._grace_s = grace_s
-        self._seen: set[str] = set()
-        self._listed_by_this_child: set[str] = set()
-        self._child_up_s = 0.0
-        self._lives: dict[str, str] = {}
-        self._twice_since: dict[str, float] = {}
+    def __init__(self, settings: api.Settings) -> None:
+        self._grace_s = settings.ros.grace
+        self._nodes: list[_Node] = []
+        for entry in settings.ros.nodes:
+            name = f"/{api.topic_id(entry.name)}"
+            wanted = Wanted(name, settings.container_of_node(name), tuple(entry.process))
+            self._nodes.append(_Node(wanted, Signs(name, Ends.of(name, settings.ros.topics), self._grace_s)))
+        self._rosters = {
+            key: Roster(key, [node.wanted for node in self._nodes if node.wanted.container == key], self._grace_s)
+            for key in dict.fromkeys(node.wanted.container for node in self._nodes if node.wanted.container)
+        }
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
-        wanted = [
-            Wanted(f"/{api.topic_id(node.name)}", settings.container_of_node(node.name)) for node in settings.ros.nodes
-        ]
-        grace_s = settings.ros.grace
-        units = []
-        for node in wanted:
-            key = node.container
-            needs = (f"container/{key}", f"network/{key}") if key else ()
-            units.append(api.Unit(node.unit, needs=needs, target=key, settle_s=SETTLE_S, grace_s=grace_s))
-        return [cls(wanted, units, grace_s)] if wanted else []
+        return [cls(settings)] if settings.ros.nodes else []
 
     @property
     def units(self) -> Sequence[api.Unit]:
-        return self._units
+        return [
+            api.Unit(
+                node.wanted.unit,
+                needs=(f"container/{key}", f"network/{key}") if key else (),
+                target=key,
+                grace_s=self._grace_s,
+            )
+            for node in self._nodes
+            for key in (node.wanted.container,)
+        ]
 
     @property
     def wakes(self) -> frozenset[str]:
-        keys = {node.container for node in self._wanted if node.container}
-        return frozenset({"ros", *(f"container:{key}" for key in keys)})
+        return frozenset({"ros", *(f"container:{key}" for key in self._rosters)})
 
     def run(self, world: api.World) -> Mapping[str, api.Result]:
-        """A result for each node; STALE for all when there is no picture to judge."""
-        try:
-            fact = world.ros.look()
-        except api.CannotTell as reason:
-            return {node.unit: api.stale(str(reason)) for node in self._wanted}
-        if fact.age_s > OLD_PICTURE_S:
-            words = f"the newest picture of the ROS graph is {span(fact.age_s)} old, too old to judge by"
-            return {node.unit: api.stale(words) for node in self._wanted}
-        if fact.up_s < self._child_up_s:
-            self._listed_by_this_child.clear()
-        self._child_up_s = fact.up_s
-        return {node.unit: self._judge(world, node, fact) for node in self._wanted}
-
-    def _judge(self, world: api.World, node: Wanted, fact: api.RosFact) -> api.Result:
-        count = fact.nodes.get(node.name, 0)
-        if count:
-            return self._listed(world, node, count)
-        self._twice_since.pop(node.name, None)
-        # A picture that once had the node and has it no more is proof, however young it is.
-        if fact.up_s < self._grace_s and node.name not in self._listed_by_this_child:
-            return api.stale(
-                f"node {node.name} is not listed yet; PHM has looked at the graph for {span(fact.up_s)} only"
-            )
-        self._forget_earlier_life(world, node.container)
-        seen = node.name in self._seen
-        where = f" in {node.container}" if node.container else ""
-        what = "is no longer running" if seen else "has not been seen since the start"
-        step = "restart it and see its log" if seen else "check its launch file, name, namespace and ROS_DOMAIN_ID"
-        return api.error(
-            f"Not all required nodes are running. Missing node: {api.topic_id(node.name)}; it {what}{where}, expected in the "
-            f"graph: {step}.{did_you_mean(node.name, self._strangers(fact))}",
-            brief=brief(last(node.name), "dead" if seen else "never started"),
-            condition="node_missing",
-            target=node.container,
-            listed=0,
-        )
-
-    def _strangers(self, fact: api.RosFact) -> list[str]:
-        """Listed nodes that are not configured: only one of these can be the missing one under another name."""
-        configured = {node.name for node in self._wanted}
-        return [name for name in fact.nodes if name not in configured]
-
-    def _listed(self, world: api.World, node: Wanted, count: int) -> api.Result:
-        self._listed_by_this_child.add(node.name)
-        if node.name not in self._seen:
-            self._forget_earlier_life(world, node.container)
-            self._seen.add(node.name)
-        if count < 2:
-            self._twice_since.pop(node.name, None)
-            return api.ok(f"Node {api.topic_id(node.name)} is running", listed=count)
+        """A result for each node; STALE for those of which nothing can be told."""
+        fact, why = _picture(world)
         now = world.clock.mono()
-        since = self._twice_since.setdefault(node.name, now)
-        if now - since <= TWICE_S:
-            return api.ok(f"Node {api.topic_id(node.name)} is running (an earlier one is still listed)", listed=count)
-        return api.warn(
-            f"node {node.name} is listed {count} times for more than {TWICE_S:.0f} s, expected once: two nodes of one name "
-            "disturb each other; stop one, or give each its own namespace",
-            brief=brief(last(node.name), "runs twice"),
-            condition="node_twice",
-            listed=count,
+        signs = {node.wanted.name: self._signs(node, fact, now) for node in self._nodes}
+        for roster in self._rosters.values():
+            own = [node for node in self._nodes if node.wanted.container == roster.key]
+            roster.look(world, max(node.doubt for node in own), blind=any(node.signs.blind for node in own))
+        now = world.clock.mono()
+        return {node.wanted.unit: self._result(node, signs[node.wanted.name], fact, why, now) for node in self._nodes}
+
+    def _signs(self, node: _Node, fact: api.RosFact | None, now: float) -> list[Evidence]:
+        roster, name = self._rosters.get(node.wanted.container), node.wanted.name
+        found = node.signs.look(fact, now, roster.began_at(name) if roster is not None else NEVER)
+        if roster is not None:
+            roster.forget(name, node.signs.appeared_at)
+        return found
+
+    def _result(
+        self, node: _Node, signs: Sequence[Evidence], fact: api.RosFact | None, why: str, now: float
+    ) -> api.Result:
+        roster, name = self._rosters.get(node.wanted.container), node.wanted.name
+        evidence, began_at, told = list(signs), NEVER, ""
+        if roster is not None:
+            pieces = (roster.container(now), roster.process(name, now))
+            evidence += [piece for piece in pieces if piece is not None]
+            began_at, told = roster.began_at(name), roster.told(name)
+        judgement = node.judge(evidence, began_at, now, self._grace_s)
+        node.live(roster.life if roster is not None else "", began_at, now)
+        level, words, short, condition = self._words(node, judgement, fact, why)
+        values: dict[str, api.Value] = {"listed": node.signs.count, "process": told}
+        target = node.wanted.container if level is Level.ERROR else ""
+        return api.Result(level, words, brief(last(name), short) if short else "", condition, target, values)
+
+    def _words(self, node: _Node, judgement: Judgement, fact: api.RosFact | None, why: str) -> _Words:
+        """Level, summary, the brief's end, and condition."""
+        name, evidence = node.wanted.name, judgement.words
+        subject, where = api.topic_id(name), f" in {node.wanted.container}" if node.wanted.container else ""
+        state = judgement.state
+        if state is State.ALIVE and judgement.busy_s < BUSY_S:
+            busy = f" and busy: {evidence}" if judgement.busy_s else ""
+            return Level.OK, f"Node {subject} is running{busy}", "", ""
+        if state is State.ALIVE:
+            words = (
+                f"node {name} is busy and has not answered for {span(judgement.busy_s)}: {evidence}; look for an endless loop "
+                "or too much work in a callback"
+            )
+            return Level.WARN, words, "busy", "node_busy"
+        if state is State.DUPLICATE:
+            words = (
+                f"node {name} is listed {node.signs.count} times for more than {TWICE_S:.0f} s, expected once: two nodes of "
+                "one name disturb each other; stop one, or give each its own namespace"
+            )
+            return Level.WARN, words, "runs twice", "node_twice"
+        if state is State.UNKNOWN:
+            looked = f"PHM has looked at the graph for {span(fact.up_s)} only" if fact is not None else why
+            words = f"it is not known yet whether node {name} is alive: {evidence or looked}"
+            return Level.STALE, words, "", ""
+        if state is State.HUNG:
+            words = f"Node {subject} hangs{where}: {evidence}. It was expected to answer: see its log, restart it"
+            return Level.ERROR, words, "hung", "node_hung"
+        dead = state is State.DEAD
+        what = "is no longer running" if dead else "has not been seen since PHM or its container started"
+        step = "restart it and see its log" if dead else "check its launch file, name, namespace and ROS_DOMAIN_ID"
+        words = (
+            f"Not all required nodes are running. Missing node: {subject}; it {what}{where}: {evidence}. It was expected "
+            f"to run: {step}.{did_you_mean(name, self._strangers(fact))}"
         )
+        return Level.ERROR, words, "dead" if dead else "never started", "node_missing"
 
-    def _forget_earlier_life(self, world: api.World, container: str) -> None:
-        """What was seen before the container started says nothing about its nodes now."""
-        life = self._life(world, container)
-        if life and self._lives.get(container) != life:
-            self._lives[container] = life
-            self._seen.difference_update(node.name for node in self._wanted if node.container == container)
+    def _strangers(self, fact: api.RosFact | None) -> list[str]:
+        """Listed nodes that are not configured: only one of these can be the missing one under another name."""
+        configured = {node.wanted.name for node in self._nodes}
+        return [name for name in fact.nodes if name not in configured] if fact is not None else []
 
-    @staticmethod
-    def _life(world: api.World, container: str) -> str:
-        """Which life of the container this is; empty when it cannot be told."""
-        if not container:
-            return ""
-        try:
-            fact = world.docker.container(container)
-        except api.CannotTell:
-            return ""
-        return fact.life if fact is not None else ""
+
+def _picture(world: api.World) -> tuple[api.RosFact | None, str]:
+    """The newest picture of the graph, or why there is none to judge by."""
+    try:
+        fact = world.ros.look()
+    except api.CannotTell as reason:
+        return None, str(reason)
+    if fact.age_s > OLD_PICTURE_S:
+        return None, f"the newest picture of the ROS graph is {span(fact.age_s)} old, too old to judge by"
+    return fact, ""

@@ -29,6 +29,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "address_silent": ("reconnect", "restart"),
     "sidecar_apart": ("join",),
     "node_missing": ("relaunch", "restart"),
+    "node_hung": ("restart",),
     "silent": ("relaunch", "restart"),
     "rate_low": ("relaunch", "restart"),
     "file_missing": ("restore",),

@@ -6,10 +6,10 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """Stops node_1. With the short leases of config/fastdds.xml it leaves the graph as a dead one does, after a second."""
+    """Stops node_1. Its topic falls silent, and with the short leases of config/fastdds.xml it leaves the graph, too."""
 
     name, title, unit = "node_stopped", "node hung (SIGSTOP)", "nodes/{agent}/node_1"
-    condition = "node_missing"
+    condition = "node_hung"
 
     _life = ""
 

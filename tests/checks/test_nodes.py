@@ -2,26 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from phm import api, testing
-from phm_checks.nodes import SETTLE_S, TWICE_S, Nodes
+from phm_checks._liveness import GOODBYE_S, HANG_S
+from phm_checks._roster import BLIND_S, OLD_S, QUIET_S
+from phm_checks._signs import TWICE_S
+from phm_checks.nodes import BUSY_S, Nodes
 
 NODE = "nodes/agent_1/node_1"
+NAME = "/agent_1/node_1"
+TOPIC = "/agent_1/topic_1"
+GRACE_S = 8.0
+ONE = api.ProcessFact(71, 1, "S", 5.0, "python -m sitl.node --name node_1 --namespace /agent_1")
+TWO = api.ProcessFact(72, 1, "S", 5.0, "python -m sitl.node --name node_2 --namespace /agent_1")
+MAIN = api.ProcessFact(70, 0, "S", 1.0, "python -m sitl.app")
+
+
+def flowing(silent_s: float = 0.0) -> dict[str, api.TopicFact]:
+    """The node's topic at 10 Hz, silent for so long."""
+    rate = api.RateFact(10.0, silent_s, limit_s=1.0)
+    return {TOPIC: api.TopicFact((api.EndpointFact(NAME, "std_msgs/msg/String"),), (), rate)}
+
+
+def beating(age_s: float = 0.1, late_s: float = 0.0) -> dict[str, api.BeaconFact]:
+    return {NAME: api.BeaconFact(age_s, 0.2, late_s, "a", 100)}
 
 
 class Bench:
-    """One node in one container, with the fakes at hand."""
+    """One node in one container, with the fakes at hand. Its process is listed, it has no beacon and no topic."""
 
-    def __init__(self, *, nodes: list[dict[str, Any]] | None = None) -> None:
+    def __init__(
+        self, *, nodes: list[dict[str, Any]] | None = None, topics: list[dict[str, Any]] | None = None, **ros: Any
+    ) -> None:
         settings = testing.settings(
-            containers=[{"name": "ros_app"}], ros={"nodes": nodes or [{"name": "agent_1/node_1"}], "grace": "8s"}
+            containers=[{"name": "ros_app"}],
+            ros={"nodes": nodes or [{"name": "agent_1/node_1"}], "topics": topics or [], "grace": GRACE_S, **ros},
         )
         (self.check,) = Nodes.build(settings)
-        self.clock, self.ros = testing.FakeClock(), testing.FakeRos(nodes={"/agent_1/node_1": 1})
+        self.clock, self.ros = testing.FakeClock(), testing.FakeRos(nodes={NAME: 1}, age_s=0.0)
         self.docker = testing.FakeDocker(testing.container("ros_app"))
+        self.processes(MAIN, ONE)
+
+    def processes(self, *facts: api.ProcessFact) -> None:
+        self.docker.lists["ros_app"] = facts
 
     def results(self) -> dict[str, api.Result]:
         results = self.check.run(testing.world(clock=self.clock, ros=self.ros, docker=self.docker))
@@ -30,6 +57,29 @@ class Bench:
 
     def result(self) -> api.Result:
         return self.results()[NODE]
+
+    def after(self, seconds: float, each: Callable[[float], None] = lambda passed: None) -> api.Result:
+        """Let time pass as it does, four runs a second; `each` gets how much has passed before each of them."""
+        result = self.result()
+        for number in range(1, round(seconds / 0.25) + 1):
+            self.clock.advance(0.25)
+            each(number * 0.25)
+            result = self.result()
+        return result
+
+    def restart_container(self, *processes: api.ProcessFact) -> None:
+        self.docker.change("ros_app", started_at=str(self.clock.mono()))
+        self.processes(*processes)
+
+
+def rated(**more: Any) -> Bench:
+    """A node that publishes at 10 Hz."""
+    bench = Bench(topics=[{"name": TOPIC, "rate": 10, "publishers": [NAME]}], **more)
+    bench.ros.change(topics=flowing())
+    return bench
+
+
+# ---------------------------------------------------------------- what is built, and what is well
 
 
 def test_no_nodes_no_check() -> None:
@@ -40,40 +90,55 @@ def test_no_nodes_no_check() -> None:
 def test_a_listed_node_is_ok() -> None:
     """Names match with and without their first slash."""
     bench = Bench()
-    assert bench.result().level is api.Level.OK
+    result = bench.result()
+    assert (result.level, result.summary) == (api.Level.OK, "Node agent_1/node_1 is running")
+    assert result.values == {"listed": 1, "process": "71 S"}
     (unit,) = bench.check.units
-    assert unit == api.Unit(
-        NODE, ("container/ros_app", "network/ros_app"), target="ros_app", settle_s=SETTLE_S, grace_s=8.0
-    )
+    assert unit == api.Unit(NODE, ("container/ros_app", "network/ros_app"), target="ros_app", grace_s=GRACE_S)
+
+
+def test_a_node_of_an_unknown_container_needs_none() -> None:
+    """With two containers and no word which one, there is nobody to blame or to restart, and no list of processes."""
+    settings = testing.settings(containers=[{"name": "a"}, {"name": "b"}], ros={"nodes": [{"name": "/n"}]})
+    (check,) = Nodes.build(settings)
+    assert check.units == [api.Unit("nodes/n", grace_s=GRACE_S)]
+    docker = testing.FakeDocker()
+    check.run(testing.world(docker=docker, ros=testing.FakeRos(nodes={"/n": 1})))
+    assert docker.calls == docker.listings == 0
+
+
+def test_each_node_is_judged_for_itself() -> None:
+    """One dead node is one fault."""
+    bench = Bench(nodes=[{"name": "/agent_1/node_1"}, {"name": "/agent_1/node_2"}])
+    levels = {unit: result.level for unit, result in bench.results().items()}
+    assert levels == {NODE: api.Level.OK, "nodes/agent_1/node_2": api.Level.ERROR}
+
+
+# ---------------------------------------------------------------- the graph
 
 
 def test_a_node_that_vanished_is_dead() -> None:
-    """Seen before, gone now."""
+    """Seen before, gone now, and for long enough that its container is not going with it."""
     bench = Bench()
+    bench.processes(MAIN)
     bench.result()
     bench.ros.change(nodes={})
+    assert bench.result().level is api.Level.OK
+    bench.clock.advance(GOODBYE_S + 0.01)
     result = bench.result()
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "node_missing", "node_1 dead")
     assert result.target == "ros_app"
-    assert "Missing node: agent_1/node_1" in result.summary
+    assert "Missing node: agent_1/node_1; it is no longer running in ros_app: it is not in the graph" in result.summary
 
 
 def test_a_node_never_seen_never_started() -> None:
     """The remedy is another: look at names and launch file."""
     bench = Bench()
+    bench.processes(MAIN)
     bench.ros.change(nodes={"/agent_1/nod_1": 1})
     result = bench.result()
-    assert result.brief == "node_1 never started"
+    assert (result.condition, result.brief) == ("node_missing", "node_1 never started")
     assert "/agent_1/nod_1" in result.summary
-
-
-def test_what_was_seen_before_the_container_restarted_does_not_count() -> None:
-    """After a restart the node has to start anew; until then it never did."""
-    bench = Bench()
-    bench.result()
-    bench.docker.change("ros_app", started_at="later")
-    bench.ros.change(nodes={})
-    assert bench.result().brief == "node_1 never started"
 
 
 def test_a_young_picture_proves_no_absence() -> None:
@@ -87,62 +152,387 @@ def test_an_old_picture_proves_nothing() -> None:
     """Neither presence nor absence."""
     bench = Bench()
     bench.ros.change(age_s=30.0)
-    assert bench.result().level is api.Level.STALE
+    result = bench.result()
+    assert result.level is api.Level.STALE
+    assert "30 s old" in result.summary or "its process 71 runs" in result.summary
 
 
 def test_no_picture_makes_every_node_stale() -> None:
     """A dead ROS child is PHM's trouble."""
     bench = Bench(nodes=[{"name": "/agent_1/node_1"}, {"name": "/agent_1/node_2"}])
+    bench.processes()
     bench.ros.fail("the ROS child is being replaced")
-    assert {unit: result.level for unit, result in bench.results().items()} == {
-        NODE: api.Level.STALE,
-        "nodes/agent_1/node_2": api.Level.STALE,
-    }
+    for result in bench.results().values():
+        assert (result.level, "the ROS child is being replaced" in result.summary) == (api.Level.STALE, True)
 
 
-def test_each_node_is_judged_for_itself() -> None:
-    """One dead node is one fault."""
-    bench = Bench(nodes=[{"name": "/agent_1/node_1"}, {"name": "/agent_1/node_2"}])
-    levels = {unit: result.level for unit, result in bench.results().items()}
-    assert levels == {NODE: api.Level.OK, "nodes/agent_1/node_2": api.Level.ERROR}
-
-
-def test_a_node_listed_twice_is_told_only_after_the_lease() -> None:
-    """A restarted node is listed beside its old self until the lease ends."""
+def test_without_a_picture_a_process_that_ended_is_still_a_dead_node() -> None:
+    """The process list needs no ROS."""
     bench = Bench()
-    bench.ros.change(nodes={"/agent_1/node_1": 2})
-    levels = [bench.result().level]
-    bench.clock.advance(TWICE_S + 1)
-    levels.append(bench.result().level)
-    bench.ros.change(nodes={"/agent_1/node_1": 1})
-    levels.append(bench.result().level)
-    assert levels == [api.Level.OK, api.Level.WARN, api.Level.OK]
-
-
-@pytest.mark.parametrize("gone", [True, False])
-def test_a_silent_engine_does_not_hide_a_dead_node(gone: bool) -> None:
-    """The container's life is asked for the wording alone."""
-    bench = Bench()
-    bench.docker.fail()
     bench.result()
-    if gone:
-        bench.ros.change(nodes={})
-    assert bench.result().level is (api.Level.ERROR if gone else api.Level.OK)
-
-
-def test_a_node_of_an_unknown_container_needs_none() -> None:
-    """With two containers and no word which one, there is nobody to blame or to restart."""
-    settings = testing.settings(containers=[{"name": "a"}, {"name": "b"}], ros={"nodes": [{"name": "/n"}]})
-    (check,) = Nodes.build(settings)
-    assert check.units == (api.Unit("nodes/n", settle_s=SETTLE_S, grace_s=8.0),)
+    bench.ros.fail("the ROS child is being replaced")
+    bench.processes(MAIN)
+    result = bench.after(1.0)
+    assert result.brief == "node_1 dead"
+    assert "its process 71 has ended" in result.summary
 
 
 def test_a_node_that_a_young_picture_had_and_lost_is_dead() -> None:
     """The warm-up protects nodes that were not found yet, not nodes that were found and are gone."""
     bench = Bench()
+    bench.processes()
     bench.ros.change(up_s=2.0)
     bench.result()
     bench.ros.change(nodes={}, up_s=3.0)
-    assert bench.result().level is api.Level.ERROR
+    assert bench.after(0.5).level is api.Level.ERROR
     bench.ros.change(up_s=0.5)
     assert bench.result().level is api.Level.STALE
+
+
+def test_after_a_restart_of_the_ros_child_nothing_is_told_until_it_has_looked() -> None:
+    """Its picture is empty at first: neither the names nor the beacons of before count."""
+    bench = rated()
+    bench.ros.change(beacons=beating())
+    bench.after(3.0)
+    levels = set()
+
+    def child(passed: float) -> None:
+        if passed <= 1.0:
+            bench.ros.fail("the ROS child is being replaced")
+        else:
+            bench.ros.work()
+            bench.ros.change(up_s=passed - 1.0, nodes={}, topics={}, beacons={})
+            if passed > 5.0:
+                bench.ros.change(nodes={NAME: 1}, topics=flowing(), beacons=beating())
+        levels.add(bench.result().level)
+
+    assert bench.after(8.0, child).level is api.Level.OK
+    assert levels == {api.Level.OK, api.Level.STALE}
+
+
+def test_a_node_listed_twice_is_told_only_after_the_lease() -> None:
+    """A restarted node is listed beside its old self until the lease ends."""
+    bench = Bench()
+    bench.result()
+    bench.ros.change(nodes={NAME: 2})
+    levels = [bench.result().level]
+    bench.clock.advance(TWICE_S + 1)
+    twice = bench.result()
+    levels.append(twice.level)
+    bench.ros.change(nodes={NAME: 1})
+    levels.append(bench.result().level)
+    assert levels == [api.Level.OK, api.Level.WARN, api.Level.OK]
+    assert (twice.condition, twice.brief) == ("node_twice", "node_1 runs twice")
+
+
+def test_a_name_that_lost_its_endpoints_is_not_alive() -> None:
+    """Where nobody knows the process; a node that never had the endpoints is the topic's affair."""
+    bench = Bench(topics=[{"name": TOPIC, "publishers": [NAME]}])
+    bench.processes()
+    bench.ros.change(topics={TOPIC: api.TopicFact()})
+    assert bench.after(20.0).level is api.Level.OK
+    bench.ros.change(topics={TOPIC: api.TopicFact((api.EndpointFact(NAME, ""),))})
+    assert bench.result().level is api.Level.OK
+    bench.ros.change(topics={TOPIC: api.TopicFact()})
+    assert bench.after(1.0).level is api.Level.STALE
+    result = bench.after(2.0)
+    assert (result.level, result.condition) == (api.Level.ERROR, "node_missing")
+    assert "none of its endpoints is in the graph" in result.summary
+
+
+# ---------------------------------------------------------------- the process
+
+
+def test_a_killed_node_is_dead_as_soon_as_its_topic_wavers() -> None:
+    """Still listed, silent for less than its limit: the list of processes is asked at once, and proves it."""
+    bench = rated()
+    bench.after(3.0)
+    bench.processes(MAIN)
+    bench.ros.change(topics=flowing(0.25))
+    bench.clock.advance(0.25)
+    result = bench.result()
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "node_missing", "node_1 dead")
+    assert ": its process 71 has ended; silent for 0.2 s: topic_1; " in result.summary
+
+
+def test_a_killed_node_is_dead_as_soon_as_its_beacon_wavers() -> None:
+    """Two beats missed: a reason to look, and the look proves it."""
+    bench = Bench()
+    bench.ros.change(beacons=beating())
+    bench.after(3.0)
+    bench.processes(MAIN)
+    bench.ros.change(beacons=beating(0.55))
+    bench.clock.advance(0.25)
+    assert bench.result().brief == "node_1 dead"
+
+
+def test_a_node_without_signs_is_looked_after_all_the_same() -> None:
+    """Killed, still listed for 20 s, no beacon, no topic: the list of processes is looked at every BLIND_S."""
+    bench = Bench()
+    bench.after(3.0)
+    bench.processes(MAIN)
+    assert bench.after(BLIND_S + 0.25).brief == "node_1 dead"
+
+
+@pytest.mark.parametrize("state", ["T", "t"])
+def test_a_stopped_node_hangs(state: str) -> None:
+    """SIGSTOP: the process is there, listed or not, and will not answer."""
+    bench = rated()
+    bench.after(3.0)
+    bench.processes(MAIN, api.ProcessFact(71, 1, state, 5.0, ONE.command))
+    bench.ros.change(topics=flowing(0.5))
+    bench.clock.advance(0.25)
+    result = bench.result()
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "node_hung", "node_1 hung")
+    assert result.target == "ros_app"
+    assert f"its process 71 is stopped (state {state}" in result.summary
+    bench.ros.change(nodes={}, topics={})
+    assert bench.after(5.0).condition == "node_hung"
+    bench.processes(MAIN, ONE)
+    bench.ros.change(nodes={NAME: 1}, topics=flowing())
+    assert bench.after(1.5).level is api.Level.OK
+
+
+@pytest.mark.parametrize("state", ["R", "S"])
+def test_a_busy_node_is_not_dead(state: str) -> None:
+    """A callback that computes for 5 s, on the main thread or on another: its beacon and its topic fall silent."""
+    bench = rated()
+    bench.ros.change(beacons=beating())
+    bench.after(3.0)
+    levels = []
+
+    def busy(passed: float) -> None:
+        bench.processes(MAIN, api.ProcessFact(71, 1, state, 5.0 + passed // 1, ONE.command))
+        bench.ros.change(topics=flowing(passed), beacons=beating(0.1, late_s=passed))
+        levels.append(bench.result().level)
+
+    result = bench.after(5.0, busy)
+    assert result.level is api.Level.OK
+    assert "its process 71 computes" in result.summary
+    assert api.Level.ERROR not in levels
+    assert bench.after(BUSY_S, lambda passed: busy(5.0 + passed)).condition == "node_busy"
+
+
+def test_an_executor_that_sleeps_hangs() -> None:
+    """A deadlock: the beacon beats and says so, the process sleeps. Not known before HANG_S, so that topics wait."""
+    bench = rated()
+    bench.ros.change(beacons=beating())
+    bench.after(3.0)
+    levels = []
+
+    def asleep(passed: float) -> None:
+        bench.ros.change(topics=flowing(passed), beacons=beating(0.1, late_s=passed))
+        levels.append(bench.result().level)
+
+    result = bench.after(HANG_S + 0.5, asleep)
+    assert (result.level, result.condition) == (api.Level.ERROR, "node_hung")
+    assert "its executor has not turned for" in result.summary
+    known = [level for level in levels if level is not api.Level.STALE]
+    assert known == sorted(known, key=lambda level: level is api.Level.ERROR)
+    assert levels[int(2.5 * 4)] is api.Level.STALE
+
+
+def test_a_silent_topic_of_a_living_node_is_not_the_nodes_fault() -> None:
+    """Its process runs, it is listed: the topic is told, for itself."""
+    bench = rated()
+    bench.after(3.0)
+    assert bench.after(60.0, lambda passed: bench.ros.change(topics=flowing(passed))).level is api.Level.OK
+
+
+def test_a_process_that_cannot_be_told_is_no_dead_one() -> None:
+    """An engine that lists nothing, refuses or is silent says nothing about nodes."""
+    bench = rated()
+    bench.after(3.0)
+    del bench.docker.lists["ros_app"]
+    assert bench.after(5.0, lambda passed: bench.ros.change(topics=flowing(passed))).level is api.Level.OK
+
+
+@pytest.mark.parametrize("gone", [True, False])
+def test_a_silent_engine_does_not_hide_a_dead_node(gone: bool) -> None:
+    """Then the graph decides alone."""
+    bench = Bench()
+    bench.docker.fail()
+    bench.result()
+    if gone:
+        bench.ros.change(nodes={})
+    assert bench.after(1.0).level is (api.Level.ERROR if gone else api.Level.OK)
+
+
+def test_a_beacon_decides_where_the_process_is_not_known() -> None:
+    """Silent for three beats: its thread is its own, so the process is dead or stopped."""
+    bench = Bench()
+    bench.processes(MAIN)
+    bench.ros.change(beacons=beating())
+    bench.after(3.0)
+    bench.ros.change(beacons=beating(0.75))
+    result = bench.result()
+    assert (result.level, result.condition) == (api.Level.ERROR, "node_missing")
+    assert ": its beacon has been silent for 0.8 s; it is listed in the graph" in result.summary
+
+
+def test_a_late_child_silences_nobody() -> None:
+    """When PHM's own child has not spoken for a while, nobody was heard: that is no silence of theirs."""
+    bench = rated()
+    bench.processes(MAIN)
+    bench.ros.change(beacons=beating())
+    bench.after(3.0)
+    bench.ros.change(age_s=2.0, beacons=beating(2.2), topics=flowing(2.0))
+    assert bench.result().level is api.Level.OK
+
+
+def test_another_publisher_is_no_sign_of_life() -> None:
+    """A topic that flows from elsewhere says nothing about the node."""
+    bench = rated()
+    bench.processes(MAIN)
+    bench.after(1.0)
+    other = api.TopicFact((api.EndpointFact("/agent_1/other", ""),), (), api.RateFact(10.0, 0.0))
+    bench.ros.change(nodes={}, topics={TOPIC: other})
+    assert bench.after(1.0).brief == "node_1 dead"
+
+
+# ---------------------------------------------------------------- lives
+
+
+def test_what_was_seen_before_the_container_restarted_does_not_count() -> None:
+    """After a restart the node has to start anew; until grace is over nothing is told, then that it never did."""
+    bench = Bench()
+    bench.after(1.0)
+    bench.restart_container(MAIN)
+    bench.ros.change(nodes={})
+    assert bench.after(GRACE_S - 1.0).level is api.Level.STALE
+    assert bench.after(2.0).brief == "node_1 never started"
+
+
+def test_a_node_that_died_in_a_later_life_is_dead() -> None:
+    """It was listed all the time over the restart of its container; it lived in the new life, too."""
+    bench = Bench()
+    bench.after(1.0)
+    bench.restart_container(MAIN, api.ProcessFact(81, 1, "S", 0.0, ONE.command))
+    bench.after(QUIET_S)
+    bench.ros.change(nodes={NAME: 2})
+    bench.after(1.0)
+    bench.ros.change(nodes={NAME: 1})
+    bench.after(TWICE_S)
+    bench.processes(MAIN)
+    bench.ros.change(nodes={})
+    assert bench.after(1.0).brief == "node_1 dead"
+
+
+def test_a_stale_graph_after_a_restart_raises_no_alarm() -> None:
+    """The old name stays listed, then goes before the new one comes: its process runs, so it is starting."""
+    bench = rated()
+    bench.after(3.0)
+    levels = []
+
+    def restart(passed: float) -> None:
+        if passed == 0.25:
+            bench.restart_container(MAIN, api.ProcessFact(81, 1, "R", 0.0, ONE.command))
+        bench.ros.change(topics=flowing(passed), nodes={NAME: 1} if passed < 1.5 or passed > 4.0 else {})
+        if passed > 4.0:
+            bench.ros.change(topics=flowing())
+        levels.append(bench.result().level)
+
+    assert bench.after(6.0, restart).level is api.Level.OK
+    assert api.Level.ERROR not in levels
+
+
+def test_a_stale_graph_after_a_restart_hides_no_dead_node() -> None:
+    """With a lease of 20 s the name stays; the process that was always found is not there."""
+    bench = rated()
+    bench.after(3.0)
+    bench.restart_container(MAIN)
+    result = bench.after(GRACE_S + 3.0, lambda passed: bench.ros.change(topics=flowing(passed)))
+    assert (result.level, result.condition) == (api.Level.ERROR, "node_missing")
+    assert "none of the processes in its container is its own" in result.summary
+
+
+def test_a_node_started_anew_beside_its_siblings_is_not_dead() -> None:
+    """Its process is another: the container goes on, the old name stays until its lease ends."""
+    bench = rated()
+    bench.after(3.0)
+    levels = []
+
+    def relaunched(passed: float) -> None:
+        bench.processes(MAIN, api.ProcessFact(95, 1, "S", 0.0, ONE.command))
+        bench.ros.change(topics=flowing(passed if passed < 2.0 else 0.0), nodes={} if 0.5 < passed < 2.0 else {NAME: 1})
+        levels.append(bench.result().level)
+
+    result = bench.after(5.0, relaunched)
+    assert (result.level, result.values["process"]) == (api.Level.OK, "95 S")
+    assert api.Level.ERROR not in levels
+
+
+def test_a_node_that_comes_back_as_an_unknown_process_is_alive() -> None:
+    """Started by hand with other words: it is in the graph anew, and what became of its old process is past."""
+    bench = Bench()
+    bench.after(3.0)
+    bench.processes(MAIN)
+    assert bench.after(3.0).brief == "node_1 dead"
+    bench.ros.change(nodes={})
+    bench.after(1.0)
+    bench.processes(MAIN, api.ProcessFact(99, 1, "S", 0.0, "gdb /opt/thing"))
+    bench.ros.change(nodes={NAME: 1})
+    assert bench.after(1.0).level is api.Level.OK
+
+
+@pytest.mark.parametrize(
+    ("status", "condition"), [("exited", "node_missing"), ("paused", "node_hung"), ("restarting", "node_missing")]
+)
+def test_a_container_that_does_not_run_is_named(status: str, condition: str) -> None:
+    """The node needs its container, so this is told at the container; the evidence is in the text all the same."""
+    bench = rated()
+    bench.after(3.0)
+    bench.docker.change("ros_app", status=status)
+    bench.ros.change(topics=flowing(0.5))
+    bench.clock.advance(0.25)
+    result = bench.result()
+    assert (result.condition, f"its container is {status}" in result.summary) == (condition, True)
+    bench.docker.change("ros_app", status="running", started_at="later")
+    bench.ros.change(topics=flowing())
+    assert bench.after(1.25).level is api.Level.OK
+
+
+# ---------------------------------------------------------------- cost
+
+
+def test_while_all_is_well_the_engine_is_left_alone() -> None:
+    """With a topic or a beacon as a quick sign, the list of processes is asked for every QUIET_S alone."""
+    bench = rated()
+    bench.after(60.0)
+    assert bench.docker.listings == 1 + 60 // QUIET_S
+    blind = Bench()
+    blind.after(60.0)
+    assert blind.docker.listings == 1 + 60 // BLIND_S
+
+
+def test_what_stays_in_doubt_is_asked_about_less_and_less() -> None:
+    """A topic that is silent for an hour must not cost a list of processes each second."""
+    bench = rated()
+    bench.after(3.0)
+    before = bench.docker.listings
+    bench.after(5.0, lambda passed: bench.ros.change(topics=flowing(passed)))
+    assert 6 <= bench.docker.listings - before <= 9
+    bench.after(120.0, lambda passed: bench.ros.change(topics=flowing(5.0 + passed)))
+    before = bench.docker.listings
+    bench.after(100.0, lambda passed: bench.ros.change(topics=flowing(125.0 + passed)))
+    assert bench.docker.listings - before == 100 // QUIET_S
+
+
+def test_a_jittering_topic_does_not_cost_a_list_each_time() -> None:
+    """It wavers and flows and wavers: that is one long doubt."""
+    bench = rated()
+    bench.after(120.0, lambda passed: bench.ros.change(topics=flowing(0.5 if passed % 1.0 else 0.0)))
+    before = bench.docker.listings
+    bench.after(100.0, lambda passed: bench.ros.change(topics=flowing(0.5 if passed % 1.0 else 0.0)))
+    assert bench.docker.listings - before <= 100 // QUIET_S + 1
+
+
+def test_a_list_that_grew_old_proves_nothing() -> None:
+    """Should the check be held up, what was seen before that does not count."""
+    bench = Bench()
+    bench.after(3.0)
+    bench.processes(MAIN)
+    bench.after(BLIND_S)
+    bench.docker.fail()
+    bench.clock.advance(OLD_S + 1)
+    assert bench.result().level is api.Level.OK

@@ -5,8 +5,8 @@ cause's own. The bounds below are the promises that the tracker's guarantee rest
 runs when, how long a run takes, which wake-ups are lost) is random.
 
 - A cause is seen by any run of its own check that looks at or after the moment of the fault. Its event may be lost.
-- Nodes disappear from 0.25 s before (they say goodbye first) to 2 s after the fault (the lease of
-  `config/fastdds.xml` ends); `settle_s` of nodes is 0.3 s.
+- Nodes are judged dead from 0.05 s (they say goodbye up to 0.25 s before, and their check waits for 0.3 s) to 2 s after
+  the fault (the lease of `config/fastdds.xml` ends).
 - The endpoints of a topic disappear from 1 s before to 1 s after their node; `settle_s` of topics is 1.5 s.
 - A topic is silent 0.5 s after the fault at the earliest; `settle_s` of rates is 2 s, so it is never told before its node
   is seen missing.
@@ -107,7 +107,7 @@ class World:
         rnd = self.random
         own = family == "node"
         gone = {
-            n: cause.begin if own else at + rnd.choice((rnd.uniform(-0.25, 0.2), rnd.uniform(0, 2.0))) for n in nodes
+            n: cause.begin if own else at + rnd.choice((rnd.uniform(0.05, 0.5), rnd.uniform(0, 2.0))) for n in nodes
         }
         back = {n: cause.back_s if own else rnd.uniform(0.3, 5.0) for n in nodes}
         if not own:

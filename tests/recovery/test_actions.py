@@ -147,6 +147,16 @@ def test_a_relaunch_done_twice_starts_one_copy(fake: FakeEngine, ask: Engine) ->
     assert len(fake.programs) == 1
 
 
+def test_the_name_of_a_dead_node_that_is_still_listed_is_no_return(fake: FakeEngine, ask: Engine) -> None:
+    """It was told as dead while listed, since its lease runs on: only a name that came once more is the node."""
+    made = ros(fake, ask)
+    made.nodes = {"/a/one": 1}
+    dead = fault("nodes/a/one", "node_missing", listed=1)
+    assert made.run(Relaunch, "app", dead).startswith("relaunched /a/one")
+    made.nodes = {"/a/one": 2}
+    assert made.run(Relaunch, "app", dead) == "/a/one is listed again"
+
+
 @pytest.mark.parametrize("condition", ["silent", "rate_low"])
 def test_a_hung_node_gets_no_second_copy(fake: FakeEngine, ask: Engine, condition: str) -> None:
     """Two nodes of one name disturb each other: the next rung restarts the container."""

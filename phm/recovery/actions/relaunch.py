@@ -39,11 +39,16 @@ class Relaunch(Action):
 
     @staticmethod
     def _listed(name: str, fault: Fault, context: ActionContext) -> bool:
-        """Where nobody can tell, a node that was reported missing counts as missing, and any other as there."""
+        """Where nobody can tell, a node that was reported missing counts as missing, and any other as there.
+
+        A node can be reported missing while it is listed: its name stays until its lease ends.
+        """
+        missing = fault.result.condition == "node_missing"
+        stale = fault.result.values.get("listed") if missing else None
         try:
-            return context.listed_nodes().get(name, 0) > 0
+            return context.listed_nodes().get(name, 0) > (stale if isinstance(stale, int) else 0)
         except CannotTell:
-            return fault.result.condition != "node_missing"
+            return not missing
 
 
 def _node(target: ContainerSettings, fault: Fault, settings: Settings) -> NodeSettings | None:

@@ -1,0 +1,210 @@
+"""The processes of one container over time: when to ask for them, and what they say about its nodes."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from phm import api
+from phm_checks._liveness import Evidence, Kind, Says
+from phm_checks._matching import Match, Wanted, match
+
+QUIET_S = 10.0
+"""Between two lists while nothing is in doubt: a node that was started anew has another process."""
+BLIND_S = 2.0
+"""The same while some node has neither a beacon nor a topic with a rate, by whose silence a death would be noticed."""
+SOON_S, SHARE = 0.5, 4.0
+"""While something is in doubt: every half second, then at a quarter of how long it has been so."""
+CALM_S = 5.0
+"""Doubt counts as over when there was none for so long: a jittering topic must not cost a list each time."""
+GAP_S = 0.2
+AGAIN_S = 1.0
+"""Between questions about a container that does not run, or whose processes cannot be told; where the engine itself does
+not answer, QUIET_S: it may take its whole deadline each time."""
+OLD_S = 3 * QUIET_S
+"""A list older than this proves nothing."""
+WINDOW_S, BUSY_SHARE = 3.0, 0.5
+"""A process that used this share of a processor over at least this time computes. `ps` gives whole seconds."""
+_KEPT = 12
+NEVER = float("-inf")
+
+
+@dataclass(slots=True)
+class Known:
+    """The process of one node. used: when it was looked at, with the processor time until then."""
+
+    match: Match
+    used: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    state: str = ""
+    ended_at: float = float("inf")
+    """When it was first missing."""
+
+    @property
+    def pid(self) -> int:
+        return self.match.process.pid
+
+    @property
+    def there(self) -> bool:
+        return self.ended_at == float("inf")
+
+    def look(self, now: float, process: api.ProcessFact | None) -> None:
+        if process is None:
+            self.ended_at = min(self.ended_at, now)
+            return
+        self.state = process.state
+        if process.cpu_s is not None:
+            self.used.append((now, process.cpu_s))
+            while len(self.used) > 2 and now - self.used[1][0] >= WINDOW_S:
+                self.used.popleft()
+
+    @property
+    def busy(self) -> bool:
+        """Its main thread is on a processor, or all of them together have used much of one."""
+        if self.state == "R":
+            return True
+        if not self.used:
+            return False
+        (first, before), (last, after) = self.used[0], self.used[-1]
+        return last - first >= WINDOW_S and after - before >= BUSY_SHARE * (last - first)
+
+
+class Roster:
+    """What is known of one container's processes. Invariant: `_known` holds processes of its present life alone."""
+
+    def __init__(self, key: str, nodes: Sequence[Wanted], grace_s: float) -> None:
+        self.key, self._grace_s = key, grace_s
+        self._nodes = tuple(nodes)
+        self._known: dict[str, Known] = {}
+        self._unclear: Mapping[str, int] = {}
+        self._matched: set[str] = set()
+        """Nodes whose process was found once, in any life: where there is none now, there is none."""
+        self._status = ""
+        self._life = ""
+        self._born_at = NEVER
+        self._began_at: dict[str, float] = {}
+        self._listed_at: float | None = None
+        self._asked_at = NEVER
+        self._again_s = QUIET_S
+        self._doubt, self._doubt_at, self._doubt_since = 0, NEVER, NEVER
+
+    # ------------------------------------------------------------ asking
+
+    def look(self, world: api.World, doubt: int, *, blind: bool) -> None:
+        """Ask the engine, if there is a reason. doubt: 0 for none; a stronger one is looked into at once."""
+        now = world.clock.mono()
+        if not self._due(now, doubt, blind):
+            return
+        self._asked_at = now
+        try:
+            fact = world.docker.container(self.key)
+        except api.CannotTell:
+            self._status, self._listed_at, self._again_s = "", None, QUIET_S
+            return
+        self._meet(fact, now)
+        self._listed_at, self._again_s = None, AGAIN_S
+        if fact is None or not fact.running:
+            return
+        try:
+            self._take(world.docker.processes(self.key), world.clock.mono())
+        except api.CannotTell:
+            return
+        self._again_s = 0.0
+
+    def _due(self, now: float, doubt: int, blind: bool) -> bool:
+        waited = now - self._asked_at
+        calm = now - self._doubt_at > CALM_S
+        if doubt:
+            if calm:
+                self._doubt, self._doubt_since = 0, now
+            self._doubt_at = now
+            if doubt > self._doubt and waited >= max(GAP_S, self._again_s):
+                self._doubt = doubt
+                return True
+        elif calm:
+            self._doubt = 0
+            return waited >= max(BLIND_S if blind else QUIET_S, self._again_s)
+        return waited >= max(SOON_S, min((now - self._doubt_since) / SHARE, QUIET_S), self._again_s)
+
+    def _meet(self, fact: api.ContainerFact | None, now: float) -> None:
+        self._status = fact.status if fact is not None else "missing"
+        life = fact.life if fact is not None else ""
+        if life and life != self._life:
+            # The first life that PHM meets may be old: nothing began then that it knows of.
+            if self._life:
+                self._born_at = now
+            self._life = life
+            self._known.clear()
+
+    def _take(self, processes: Sequence[api.ProcessFact], now: float) -> None:
+        self._listed_at = now
+        by_pid = {one.pid: one for one in processes}
+        wrappers = {name: known.match.wrappers for name, known in self._known.items()}
+        found, self._unclear = match(self._nodes, processes, wrappers)
+        for node in self._nodes:
+            known, matched = self._known.get(node.name), found.get(node.name)
+            if known is None or (known.pid not in by_pid and matched is not None):
+                if matched is None:
+                    continue
+                if known is not None:
+                    self._began_at[node.name] = now
+                known = self._known[node.name] = Known(matched)
+                self._matched.add(node.name)
+            known.look(now, by_pid.get(known.pid))
+
+    def forget(self, name: str, since: float) -> None:
+        """The node came into the graph at `since`: if its process had ended before, it runs as another now."""
+        known = self._known.get(name)
+        if known is not None and known.ended_at < since:
+            del self._known[name]
+            self._matched.discard(name)
+
+    # ------------------------------------------------------------ telling
+
+    @property
+    def life(self) -> str:
+        """Which life of the container was seen last; empty before the first look."""
+        return self._life
+
+    def began_at(self, name: str) -> float:
+        """When the node or its container was last seen to have begun, on the monotonic clock; -inf: not seen."""
+        return max(self._born_at, self._began_at.get(name, NEVER))
+
+    def container(self, now: float) -> Evidence | None:
+        """What the state of the container says of all its nodes; nothing while it runs."""
+        age_s = now - self._asked_at
+        if self._status in ("", "running") or age_s > OLD_S:
+            return None
+        says = Says.STOPPED if self._status == "paused" else Says.GONE
+        return Evidence(Kind.CONTAINER, says, f"its container is {self._status}", age_s)
+
+    def process(self, name: str, now: float) -> Evidence | None:
+        """What the newest list says of one node; nothing when it cannot be told."""
+        known = self._known.get(name)
+        if self._listed_at is None or now - self._listed_at > OLD_S:
+            return None
+        age_s = now - self._listed_at
+        if known is None:
+            words = "none of the processes in its container is its own"
+            return Evidence(Kind.PROCESS, Says.GONE, words, age_s) if self._vanished(name, now) else None
+        if not known.there:
+            words = f"its process {known.pid} has ended"
+            return Evidence(Kind.PROCESS, Says.GONE, words, age_s) if self._unclear.get(name, 0) < 2 else None
+        if known.state in ("T", "t"):
+            words = f"its process {known.pid} is stopped (state {known.state}: SIGSTOP or a debugger)"
+            return Evidence(Kind.PROCESS, Says.STOPPED, words, age_s)
+        if known.busy:
+            return Evidence(Kind.PROCESS, Says.BUSY, f"its process {known.pid} computes", age_s)
+        return Evidence(Kind.PROCESS, Says.ALIVE, f"its process {known.pid} runs", age_s)
+
+    def told(self, name: str) -> str:
+        """How it is with the node's process, for the values of a result."""
+        known, count = self._known.get(name), self._unclear.get(name, 0)
+        if known is not None:
+            return f"{known.pid} {known.state}".rstrip() if known.there else f"{known.pid} ended"
+        return f"{count} fit" if count > 1 else "none found"
+
+    def _vanished(self, name: str, now: float) -> bool:
+        """The node's process was found in an earlier life of the container, and in this one there is none."""
+        starting = now - self.began_at(name) < self._grace_s
+        return name in self._matched and not starting and not self._unclear.get(name)

@@ -1,0 +1,168 @@
+"""What the picture of the ROS graph says about one node, as evidence, with what must be remembered for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from phm import api
+from phm_checks._liveness import Evidence, Kind, Says
+from phm_checks._words import last, listed, span
+
+SILENT_PERIODS, SILENT_S = 3.0, 0.5
+"""A beacon that misses this many beats, and for no less than this time, is silent."""
+LATE_S = 1.5
+"""An executor that has not turned for this long is late. Below the time after which a silent topic is told."""
+WAVER_PERIODS = 2.0
+"""A beacon or topic that is silent for so many periods is no evidence yet, but a reason to look at the processes."""
+WAVER_S = 0.2
+LARGE_BPS, PAUSE_S = 0.8e6, 2.75
+"""Topics of so many bytes a second are listened to with such pauses (`phm.probes.ros.gauge`), so they seem to waver."""
+TWICE_S = 30.0
+"""A restarted node is listed twice until its old lease ends, 20 s by default in Fast DDS; longer means two nodes."""
+NONE, WAVERS, SILENT, GONE = 0, 1, 2, 3
+"""How much a node is in doubt."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """What the configuration says of one node's topics: those it alone publishes at a rate, and all that it uses."""
+
+    rates: tuple[tuple[str, float], ...] = ()
+    """(full name of the topic, Hz)."""
+    topics: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, node: str, topics: Iterable[api.TopicSettings]) -> Ends:
+        rates, used = [], []
+        for topic in topics:
+            name = f"/{api.topic_id(topic.name)}"
+            publishers = [f"/{api.topic_id(end)}" for end in topic.publishers]
+            if publishers == [node] and topic.rate:
+                rates.append((name, topic.rate))
+            if node in publishers or node in [f"/{api.topic_id(end)}" for end in topic.subscribers]:
+                used.append(name)
+        return cls(tuple(rates), tuple(used))
+
+
+class Signs:
+    """One node in the pictures of the graph. `doubt` and `count` (how often it is listed) are of the last look."""
+
+    def __init__(self, node: str, ends: Ends, grace_s: float) -> None:
+        self._node, self._ends, self._grace_s = node, ends, grace_s
+        self._up_s = 0.0
+        self._listed_by_this_child = False
+        self._gone_since: float | None = None
+        self._had_ends = False
+        self._bare_since: float | None = None
+        self._twice_since: float | None = None
+        self.appeared_at = float("-inf")
+        """When its name came into the graph, or came once more, on the monotonic clock."""
+        self.count = 0
+        self.doubt = NONE
+        self.blind = True
+        """Nothing but the graph tells of it: neither a beacon nor a topic with a rate."""
+
+    def look(self, fact: api.RosFact | None, now: float, began_at: float) -> list[Evidence]:
+        """Evidence in the newest picture; None: there is none. began_at: what is older is of an earlier node of the name."""
+        if fact is None:
+            self.doubt, self.blind = WAVERS, True
+            return []
+        if fact.up_s < self._up_s:
+            self._listed_by_this_child = False
+        self._up_s = fact.up_s
+        self.doubt = NONE
+        name = self._name(fact, now)
+        beacon = self._beacon(fact, now, max(began_at, self.appeared_at))
+        topics = self._topics(fact)
+        self.blind = beacon is None and topics is None
+        return [piece for piece in (beacon, topics, self._endpoints(fact, now), name) if piece is not None]
+
+    def twice(self, now: float) -> bool:
+        """Whether it has been listed more than once for longer than any lease."""
+        return self._twice_since is not None and now - self._twice_since > TWICE_S
+
+    # ------------------------------------------------------------ one kind each
+
+    def _beacon(self, fact: api.RosFact, now: float, began_at: float) -> Evidence | None:
+        beacon = fact.beacons.get(self._node)
+        if beacon is None or now - beacon.age_s < began_at:
+            return None
+        # While PHM's own child is late nobody was heard: that is no silence.
+        silent_s = max(0.0, beacon.age_s - fact.age_s)
+        if silent_s > max(SILENT_PERIODS * beacon.period_s, SILENT_S):
+            self._waver(SILENT)
+            words = f"its beacon has been silent for {span(silent_s)}"
+            return Evidence(Kind.BEACON, Says.SILENT, words, fact.age_s, silent_s)
+        if beacon.late_s > LATE_S:
+            self._waver(SILENT)
+            words = f"its executor has not turned for {span(beacon.late_s)}, says its beacon"
+            return Evidence(Kind.BEACON, Says.LATE, words, beacon.age_s, beacon.late_s)
+        if silent_s > WAVER_PERIODS * beacon.period_s:
+            self._waver(WAVERS)
+        return Evidence(Kind.BEACON, Says.ALIVE, "its beacon beats", beacon.age_s)
+
+    def _topics(self, fact: api.RosFact) -> Evidence | None:
+        """Those that this node alone publishes: one that flows is a sign of life, silence of all a reason to look."""
+        silent: list[tuple[float, str]] = []
+        limits = []
+        for topic, rate_hz in self._ends.rates:
+            seen = fact.topics.get(topic)
+            rate = seen.rate if seen is not None else None
+            if seen is None or rate is None or rate.silent_s is None or rate.problem:
+                continue
+            if any(end.node not in ("", self._node) for end in seen.publishers):
+                continue
+            known_s = max(0.0, rate.silent_s - fact.age_s)
+            if known_s <= _waver_s(rate, rate_hz):
+                return Evidence(Kind.TOPICS, Says.ALIVE, f"{last(topic)} flows", rate.silent_s)
+            silent.append((known_s, topic))
+            limits.append(rate.limit_s or 3.0 / rate_hz)
+        if not silent:
+            return None
+        shortest_s = min(silent)[0]
+        self._waver(SILENT if shortest_s > max(limits) else WAVERS)
+        words = f"silent for {span(shortest_s)}: {listed([last(topic) for _, topic in silent], 3)}"
+        return Evidence(Kind.TOPICS, Says.SILENT, words, fact.age_s, shortest_s)
+
+    def _endpoints(self, fact: api.RosFact, now: float) -> Evidence | None:
+        """Only of a name that is listed and had some: one that never had is remapped, or not through with its start."""
+        seen = (fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics)
+        if any(end.node == self._node for topic in seen for end in (*topic.publishers, *topic.subscribers)):
+            self._had_ends, self._bare_since = True, None
+            return Evidence(Kind.ENDPOINTS, Says.ALIVE, "its endpoints are there", fact.age_s)
+        if not self.count or not self._had_ends:
+            self._had_ends, self._bare_since = False, None
+            return None
+        self._bare_since = now if self._bare_since is None else self._bare_since
+        self._waver(SILENT)
+        lasted_s = now - self._bare_since
+        return Evidence(Kind.ENDPOINTS, Says.GONE, "none of its endpoints is in the graph", fact.age_s, lasted_s)
+
+    def _name(self, fact: api.RosFact, now: float) -> Evidence | None:
+        """A picture that never had the node proves its absence only when it is old enough."""
+        count = fact.nodes.get(self._node, 0)
+        if count > self.count:
+            self.appeared_at = now
+        self.count = count
+        if count:
+            self._listed_by_this_child, self._gone_since = True, None
+            self._twice_since = (self._twice_since or now) if count > 1 else None
+            if count > 1:
+                self._waver(WAVERS)
+            return Evidence(Kind.NAME, Says.ALIVE, "it is listed in the graph", fact.age_s)
+        self._waver(GONE)
+        self._twice_since = None
+        if fact.up_s < self._grace_s and not self._listed_by_this_child:
+            self._gone_since = None
+            return None
+        self._gone_since = now if self._gone_since is None else self._gone_since
+        return Evidence(Kind.NAME, Says.GONE, "it is not in the graph", fact.age_s, now - self._gone_since)
+
+    def _waver(self, how: int) -> None:
+        self.doubt = max(self.doubt, how)
+
+
+def _waver_s(rate: api.RateFact, expected_hz: float) -> float:
+    large = (rate.sample_bytes or 0.0) * (rate.hz or expected_hz) > LARGE_BPS
+    return max(WAVER_PERIODS / expected_hz, WAVER_S) + (PAUSE_S if large else 0.0)

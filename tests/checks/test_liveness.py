@@ -1,0 +1,204 @@
+"""The fusion of evidence: each rule by name, and that no order of evidence changes the verdict."""
+
+from __future__ import annotations
+
+import itertools
+from random import Random
+
+import pytest
+
+from phm_checks._liveness import (
+    BARE_S,
+    BLIND_HANG_S,
+    GOODBYE_S,
+    HANG_S,
+    LOST_S,
+    Evidence,
+    Kind,
+    Past,
+    Says,
+    State,
+    fuse,
+)
+
+
+def piece(kind: Kind, says: Says, lasted_s: float = 0.0, age_s: float = 0.1) -> Evidence:
+    return Evidence(kind, says, f"{kind.name.lower()} {says.value}", age_s, lasted_s)
+
+
+LISTED = piece(Kind.NAME, Says.ALIVE)
+UNLISTED = piece(Kind.NAME, Says.GONE, lasted_s=1.0)
+RUNS = piece(Kind.PROCESS, Says.ALIVE)
+COMPUTES = piece(Kind.PROCESS, Says.BUSY)
+ENDED = piece(Kind.PROCESS, Says.GONE)
+STOPPED = piece(Kind.PROCESS, Says.STOPPED)
+BEATS = piece(Kind.BEACON, Says.ALIVE)
+FLOWS = piece(Kind.TOPICS, Says.ALIVE)
+SILENT = piece(Kind.TOPICS, Says.SILENT, lasted_s=20.0)
+
+
+WELL = Past()
+
+
+def state(*evidence: Evidence, past: Past = WELL) -> State:
+    return fuse(evidence, past).state
+
+
+def test_without_evidence_nothing_is_known() -> None:
+    """Silence is never OK, and no death either."""
+    assert state() is State.UNKNOWN
+
+
+@pytest.mark.parametrize(("says", "verdict"), [(Says.GONE, State.DEAD), (Says.STOPPED, State.HUNG)])
+def test_nothing_lives_in_a_container_that_does_not_run(says: Says, verdict: State) -> None:
+    """Whatever the graph still lists."""
+    assert state(piece(Kind.CONTAINER, says), LISTED, BEATS) is verdict
+
+
+def test_a_process_that_ended_is_a_dead_node_although_it_is_listed() -> None:
+    """The list is stale until the lease ends, up to 20 s."""
+    assert state(ENDED, LISTED) is State.DEAD
+
+
+def test_a_stopped_process_is_a_hung_node() -> None:
+    """Listed or not: it is there and will not answer."""
+    assert state(STOPPED, LISTED) is State.HUNG
+    assert state(STOPPED, UNLISTED, piece(Kind.BEACON, Says.SILENT, lasted_s=9.0)) is State.HUNG
+
+
+@pytest.mark.parametrize("sign", [BEATS, FLOWS, piece(Kind.BEACON, Says.LATE, age_s=0.1)])
+@pytest.mark.parametrize("says", [Says.GONE, Says.STOPPED])
+def test_a_sign_of_life_newer_than_the_list_contradicts_it(sign: Evidence, says: Says) -> None:
+    """It was started anew as another process, or let go since."""
+    older, same = piece(Kind.PROCESS, says, age_s=1.0), piece(Kind.PROCESS, says, age_s=0.2)
+    assert state(older, sign, LISTED) is not fuse([same, sign, LISTED], Past()).state
+    assert state(same, sign, LISTED) in (State.DEAD, State.HUNG)
+
+
+def test_a_node_that_says_good_bye_may_go_with_its_container() -> None:
+    """For a moment only, and only one that was alive: a dead one that leaves the graph stays dead."""
+    left = piece(Kind.NAME, Says.GONE, lasted_s=GOODBYE_S / 2)
+    assert state(ENDED, left) is State.ALIVE
+    assert state(left) is State.ALIVE
+    assert state(ENDED, left, past=Past(alive=False)) is State.DEAD
+    assert state(left, past=Past(alive=False)) is State.DEAD
+    assert state(ENDED, UNLISTED) is State.DEAD
+
+
+@pytest.mark.parametrize("lasted_s", [0.7, HANG_S * 4])
+def test_a_silent_beacon_of_a_node_that_computes_is_no_death(lasted_s: float) -> None:
+    """A busy node is not a dead node, however long."""
+    judged = fuse([piece(Kind.BEACON, Says.SILENT, lasted_s), COMPUTES, LISTED, SILENT], Past())
+    assert (judged.state, judged.busy_s) == (State.ALIVE, lasted_s)
+
+
+def test_a_silent_beacon_with_flowing_topics_is_no_death() -> None:
+    """The beacon was closed, or is filtered."""
+    assert state(piece(Kind.BEACON, Says.SILENT, 60.0), FLOWS, RUNS, LISTED) is State.ALIVE
+
+
+def test_a_silent_beacon_of_a_sleeping_process_hangs_after_a_while() -> None:
+    """Not known at first, so that its topics wait for the answer."""
+    assert state(piece(Kind.BEACON, Says.SILENT, 1.0), RUNS, LISTED, SILENT) is State.UNKNOWN
+    assert state(piece(Kind.BEACON, Says.SILENT, HANG_S), RUNS, LISTED, SILENT) is State.HUNG
+
+
+def test_a_silent_beacon_is_a_death_where_nobody_knows_the_process() -> None:
+    """Its thread is the beacon's own, so that a hanging executor does not silence it; the list of names is old."""
+    assert state(piece(Kind.BEACON, Says.SILENT, 0.7), LISTED) is State.DEAD
+    assert state(piece(Kind.BEACON, Says.SILENT, 0.7), UNLISTED) is State.DEAD
+
+
+def test_an_executor_that_does_not_turn_hangs_if_its_process_sleeps() -> None:
+    """Slow is not hung: it has HANG_S, and longer where nobody knows whether it computes."""
+
+    def late(lasted_s: float) -> Evidence:
+        return piece(Kind.BEACON, Says.LATE, lasted_s)
+
+    assert state(late(2.0), RUNS, LISTED) is State.UNKNOWN
+    assert state(late(HANG_S), RUNS, LISTED) is State.HUNG
+    assert state(late(HANG_S), LISTED) is State.UNKNOWN
+    assert state(late(BLIND_HANG_S), LISTED) is State.HUNG
+    assert state(late(60.0), COMPUTES, LISTED) is State.ALIVE
+    assert state(late(60.0), FLOWS, RUNS, LISTED) is State.ALIVE
+
+
+@pytest.mark.parametrize("sign", [BEATS, FLOWS])
+def test_whoever_gives_signs_is_alive_whatever_the_graph_says(sign: Evidence) -> None:
+    """A picture of the graph may be behind."""
+    assert state(sign, UNLISTED) is State.ALIVE
+
+
+def test_a_name_that_is_gone_is_dead_or_never_started() -> None:
+    """By whether it was alive in this life of its container."""
+    assert state(UNLISTED) is State.DEAD
+    assert state(UNLISTED, past=Past(alive=False, seen=False)) is State.NEVER_STARTED
+
+
+def test_a_name_that_is_gone_while_its_process_runs_gets_time() -> None:
+    """A starved machine drops leases; a node that computes is the first to be starved."""
+
+    def gone(lasted_s: float) -> Evidence:
+        return piece(Kind.NAME, Says.GONE, lasted_s)
+
+    assert state(gone(1.0), RUNS) is State.UNKNOWN
+    assert state(gone(LOST_S), RUNS) is State.DEAD
+    assert state(gone(LOST_S * 4), COMPUTES) is State.UNKNOWN
+
+
+def test_a_node_that_starts_is_not_known_yet() -> None:
+    """After a restart of its container or of itself."""
+    assert state(UNLISTED, past=Past(alive=False, seen=False, starting=True)) is State.UNKNOWN
+    assert state(ENDED, UNLISTED, past=Past(alive=False, starting=True)) is State.DEAD
+
+
+def test_a_name_without_its_endpoints_is_not_alive() -> None:
+    """Unless its process is: then its topics are told, not the node."""
+
+    def bare(lasted_s: float) -> Evidence:
+        return piece(Kind.ENDPOINTS, Says.GONE, lasted_s)
+
+    assert state(bare(0.5), LISTED) is State.UNKNOWN
+    assert state(bare(BARE_S), LISTED) is State.DEAD
+    assert state(bare(BARE_S), LISTED, past=Past(starting=True)) is State.UNKNOWN
+    assert state(bare(BARE_S), LISTED, RUNS) is State.ALIVE
+
+
+@pytest.mark.parametrize("process", [(), (RUNS,), (COMPUTES,)])
+def test_silent_topics_alone_are_no_death(process: tuple[Evidence, ...]) -> None:
+    """A weak sign never stands against others that say alive; the topic is told for itself."""
+    assert state(SILENT, LISTED, *process) is State.ALIVE
+
+
+@pytest.mark.parametrize("sign", [(), (BEATS,), (FLOWS,)])
+def test_listed_twice_for_long_is_a_duplicate(sign: tuple[Evidence, ...]) -> None:
+    """Alive, but twice."""
+    assert state(LISTED, *sign, past=Past(twice=True)) is State.DUPLICATE
+
+
+def test_the_decisive_evidence_is_named_first() -> None:
+    """Then the rest, the best first."""
+    assert fuse([LISTED, SILENT, ENDED], Past()).words == "process gone; topics silent; name alive"
+    assert fuse([SILENT, RUNS, UNLISTED], Past(alive=False, seen=False)).words.startswith("name gone; process alive")
+
+
+def test_no_order_of_evidence_changes_the_verdict() -> None:
+    """Drawn sets of evidence, in every order."""
+    random = Random(4)
+    for _ in range(200):
+        kinds = random.sample(list(Kind), 4)
+        evidence = [
+            piece(kind, random.choice(list(Says)), random.uniform(0, 20), random.uniform(0, 5)) for kind in kinds
+        ]
+        past = Past(*(random.random() < 0.5 for _ in range(4)))
+        assert len({fuse(order, past) for order in itertools.permutations(evidence)}) == 1
+
+
+def test_a_node_that_beats_on_time_is_never_dead_or_hung() -> None:
+    """Whatever else is drawn, but for its container and for a list of processes that is newer than its last beat."""
+    random = Random(5)
+    for _ in range(2000):
+        others = [Kind.TOPICS, Kind.ENDPOINTS, Kind.NAME]
+        evidence = [piece(kind, random.choice(list(Says)), random.uniform(0, 20)) for kind in others]
+        process = piece(Kind.PROCESS, random.choice(list(Says)), random.uniform(0, 20), age_s=1.0)
+        assert state(BEATS, process, *evidence) is State.ALIVE

@@ -1,0 +1,122 @@
+"""Which process is which node."""
+
+from __future__ import annotations
+
+import pytest
+
+from phm.api import ProcessFact
+from phm_checks._matching import Wanted, match
+
+NODE = Wanted("/agent_1/node_1")
+
+
+def ps(*commands: str, parents: dict[int, int] | None = None) -> list[ProcessFact]:
+    """Processes 1, 2, ... with these commands."""
+    return [ProcessFact(pid, (parents or {}).get(pid, 0), "S", 0.0, words) for pid, words in enumerate(commands, 1)]
+
+
+def found(node: Wanted, processes: list[ProcessFact]) -> int:
+    """The process of one node, 0 for none or several."""
+    matches, _ = match([node], processes, {})
+    return matches[node.name].process.pid if node.name in matches else 0
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "/ws/install/pkg/lib/pkg/driver --ros-args -r __node:=node_1 -r __ns:=/agent_1",
+        "/ws/install/pkg/lib/pkg/driver --ros-args --remap __node:=node_1",
+        "python -m sitl.node --name node_1 --namespace /agent_1 --publish topic_1:10",
+        "python -m sitl.node --name=node_1",
+        "/ws/install/pkg/lib/pkg/node_1 --ros-args -r __ns:=/agent_1",
+        "/usr/bin/python3 /ws/install/pkg/lib/pkg/node_1",
+        "python3 /ws/node_1.py",
+        "node_1",
+    ],
+)
+def test_ways_to_be_known(command: str) -> None:
+    """By a remapped name, an option, or the bare name of the program."""
+    assert found(NODE, ps("/bin/init", command, "sleep 1")) == 2
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "",
+        "/ws/lib/pkg/node_10",
+        "/ws/lib/pkg/my_node_1",
+        "/ws/lib/pkg/node_1-helper",
+        "python3 /opt/ros/jazzy/bin/ros2 launch pkg node_1.launch.py",
+        "/usr/bin/launcher node_1.launch.py",
+        "/usr/bin/python3 /opt/ros/jazzy/bin/ros2 bag record /agent_1/node_1/out",
+        "/ws/lib/pkg/driver --ros-args -r __node:=node_1 -r __ns:=/agent_2",
+        "python -m sitl.node --name node_1 --namespace /agent_2",
+        "/ws/lib/pkg/node_1 --ros-args -r __node:=another",
+    ],
+)
+def test_what_is_another(command: str) -> None:
+    """Part of a word, a launch file, a tool of ROS, another namespace, another name."""
+    assert found(NODE, ps("/bin/init", command)) == 0
+
+
+def test_a_node_in_the_root_namespace() -> None:
+    """It has no namespace, so a process with one is not its own."""
+    assert found(Wanted("/node_1"), ps("x --name node_1 --namespace /agent_1")) == 0
+    assert found(Wanted("/node_1"), ps("x --name node_1")) == 1
+
+
+def test_two_of_the_same_are_nobodys() -> None:
+    """What is not certain is not answered; the count is told."""
+    processes = ps("x --name node_1", "x --name node_1")
+    assert match([NODE], processes, {}) == ({}, {NODE.name: 2})
+
+
+def test_the_best_way_wins() -> None:
+    """A remapped name is surer than a word."""
+    assert found(NODE, ps("cat /tmp/log/node_1", "x --ros-args -r __node:=node_1")) == 2
+
+
+def test_with_a_namespace_is_surer_than_without() -> None:
+    """Of several that fit, the one that says whose it is."""
+    assert found(NODE, ps("x --name node_1", "x --name node_1 --namespace /agent_1")) == 2
+
+
+def test_what_starts_a_node_is_not_the_node() -> None:
+    """An init, a shell and `ros2 run` carry the node's words, too: the innermost is meant, the others are remembered."""
+    words = "run pkg driver --ros-args -r __node:=node_1"
+    processes = ps(
+        f"/sbin/docker-init -- sh -c ros2 {words}", f"sh -c ros2 {words}", f"python3 /opt/bin/ros2 {words}",
+        "/lib/pkg/driver --ros-args -r __node:=node_1", parents={2: 1, 3: 2, 4: 3},
+    )  # fmt: skip
+    matches, _ = match([NODE], processes, {})
+    assert matches[NODE.name].process.pid == 4
+    assert matches[NODE.name].wrappers == {1, 2, 3}
+
+
+def test_what_started_it_is_not_taken_for_it_when_it_is_gone() -> None:
+    """A shell that starts the node again and again outlives it."""
+    processes = ps("sh -c while true; do driver --name node_1; done")
+    assert match([NODE], processes, {NODE.name: {1}})[0] == {}
+
+
+def test_parents_in_a_circle_do_no_harm() -> None:
+    """Process lists come from outside."""
+    assert found(NODE, ps("x --name node_1", "sh", parents={1: 2, 2: 1})) == 0
+    assert found(NODE, ps("x --name node_1", "sh", parents={1: 2, 2: 2})) == 1
+
+
+def test_one_process_for_two_nodes_is_nobodys_unless_the_user_says_so() -> None:
+    """Of two nodes of one short name one is dead; the process of the other is not its own. Composed nodes share one."""
+    nodes = [Wanted("/a/node_1"), Wanted("/b/node_1")]
+    processes = ps("/lib/pkg/node_1")
+    assert match(nodes, processes, {}) == ({}, {"/a/node_1": 1, "/b/node_1": 1})
+    shared = [Wanted(name, process=("pkg",)) for name in ("/a/one", "/a/two")]
+    assert {one.process.pid for one in match(shared, processes, {})[0].values()} == {1}
+
+
+def test_the_users_words_must_all_stand_in_it() -> None:
+    """Pieces of words are enough, and nothing else is tried."""
+    processes = ps("component_container --ros-args -r __node:=nav", "component_container -r __node:=vision", "node_1")
+    assert found(Wanted("/agent_1/node_1", process=("component_", "__node:=nav")), processes) == 1
+    assert found(Wanted("/agent_1/node_1", process=("component_",)), processes) == 0
+    assert found(Wanted("/agent_1/node_1", process=("no such",)), processes) == 0
