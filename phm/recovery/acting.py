@@ -56,8 +56,12 @@ class Acting:
                 return outcome[0]
             return Done(f"{self._action.name} has not come back within {self._action.deadline_s:g} s")
         finally:
-            self._given_up = True
-            self._shop.hands.let_go(self._target.key, self)
+            self.let_go()
+
+    def let_go(self) -> None:
+        """From now on, others may act on the target; what still runs begins nothing more."""
+        self._given_up = True
+        self._shop.hands.let_go(self._target.key, self)
 
     def _work(self) -> Done:
         context = replace(self._shop.context, holding=self._holding)

@@ -36,6 +36,7 @@ class Hands:
         self._holder: dict[str, object] = {}
         self._wants: dict[object, str] = {}
         self._held_by: dict[str, object] = {}
+        self._moved_at: dict[str, float] = {}
         self._lock = threading.Lock()
 
     def take(self, key: str, owner: object) -> bool:
@@ -52,10 +53,19 @@ class Hands:
     def on(self, key: str, owner: object, at_most_s: float) -> Iterator[None]:
         """Have one more container in hand, waiting for it at most so long. Raises InOtherHands."""
         self._wait_for(key, owner, at_most_s)
+        self._moved_at[key] = float("inf")
         try:
             yield
         finally:
+            self._moved_at[key] = self._clock.mono()
             self.let_go(key, owner)
+
+    def moved_at(self, key: str) -> float:
+        """When the container was last restarted for another's sake (monotonic seconds), infinite while it is, -inf: never.
+
+        What was found before says nothing about how it is now.
+        """
+        return self._moved_at.get(key, float("-inf"))
 
     def _wait_for(self, key: str, owner: object, at_most_s: float) -> None:
         end = self._clock.mono() + at_most_s

@@ -122,6 +122,11 @@ class Lives:
             self._lives[key] = replace(life, by=COUNTED)
             return life.since
 
+    def forget(self, key: str) -> None:
+        """No attempt counts any more: what happens from now on need not be told from what was. The next look is the first."""
+        with self._lock(key):
+            self._lives.pop(key, None)
+
     @contextlib.contextmanager
     def acting(self, key: str, who: str) -> Iterator[None]:
         """While it is entered, and until the outcome was seen, a new life of `key` is PHM's doing, for the sake of `who`."""

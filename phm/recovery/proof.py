@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from phm.model import Fault
 from phm.recovery.lives import ENGINE, Life, by_phm
@@ -14,6 +15,16 @@ POLL_S = 0.05
 LOOK_AGAIN_S = 0.5
 STILL_BAD_S = 2.0
 """A run that began this long after the action (beyond the unit's grace) and is still ERROR ends the wait."""
+
+
+class Seen(Protocol):
+    """What runs have found; `phm.pipeline.Pipeline` is one."""
+
+    def well_since(self, unit: str, mono: float) -> bool: ...
+
+    def bad_since(self, unit: str, mono: float) -> bool: ...
+
+    def suffering(self, unit: str, mono: float) -> tuple[str, ...]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,40 +41,61 @@ class Proof:
     excused: bool = False
 
 
-def prove(shop: Shop, fault: Fault, target: str, proof_s: float, stopping: Callable[[], bool]) -> Proof:
-    """Wait until runs that begin from now on have found the unit and all that needs it well.
+@dataclass(slots=True)
+class Proving:
+    """The proof of one action that was over at `done` (monotonic seconds). Pure.
 
-    The unit itself gets `recovery.verify`, less when it is surely still bad; what needs it gets its grace. `proof_s` is
-    the action's own (`phm.recovery.base.Action`). A life of the container that is not this action's doing ends the wait.
+    The unit itself gets `verify_s`, less when it is surely still bad; what needs it gets its grace. Runs count that began
+    `proof_s` after the action, which is the action's own (`phm.recovery.base.Action`).
     """
-    done = shop.clock.mono()
-    verify_s = shop.context.settings.recovery.verify
-    late = done + shop.grace_s(fault.unit) + STILL_BAD_S
+
+    unit: str
+    done: float
+    proof_s: float
+    verify_s: float
+    grace_s: Callable[[str], float]
+    waiting: tuple[str, ...] = ()
+    """Units that have not come back."""
+
+    def verdict(self, seen: Seen, now: float) -> Proof | None:
+        """None: to be seen."""
+        self.waiting = (self.unit,)
+        if not seen.well_since(self.unit, self.done):
+            late = self.done + self.grace_s(self.unit) + STILL_BAD_S
+            over = now - self.done > self.verify_s or seen.bad_since(self.unit, late)
+            return Proof(missing=self.unit) if over else None
+        suffering = seen.suffering(self.unit, self.done + self.proof_s)
+        if not suffering and seen.well_since(self.unit, self.done + self.proof_s):
+            return Proof()
+        self.waiting = suffering or self.waiting
+        longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.proof_s
+        return Proof(missing=self.waiting[0]) if now - self.done > longest_s else None
+
+
+def prove(shop: Shop, fault: Fault, target: str, proof_s: float, stopping: Callable[[], bool]) -> Proof:
+    """Wait for the verdict. A life of the container that is not this action's doing ends the wait."""
+    clock, pipeline = shop.clock, shop.pipeline
+    proving = Proving(fault.unit, clock.mono(), proof_s, shop.context.settings.recovery.verify, shop.grace_s)
     mine = shop.lives.look(target)
     asked = float("-inf")
-    waiting: tuple[str, ...] = (fault.unit,)
     while not stopping():
-        now = shop.clock.mono()
-        if now - asked >= LOOK_AGAIN_S:
+        now = clock.mono()
+        look_again = now - asked >= LOOK_AGAIN_S
+        if look_again:
             asked = now
-            overtaken = _overtaken(shop.lives.look(target), mine, target)
-            if overtaken is not None:
-                return overtaken
-            shop.pipeline.look_again(fault.unit, *waiting)
-        if shop.pipeline.well_since(fault.unit, done):
-            waiting = shop.pipeline.suffering(fault.unit, done + proof_s)
-            if not waiting and shop.pipeline.well_since(fault.unit, done + proof_s):
-                return Proof()
-            waiting = waiting or (fault.unit,)
-            if now - done > max(shop.grace_s(name) for name in waiting) + STILL_BAD_S + proof_s:
-                return Proof(missing=waiting[0])
-        elif now - done > verify_s or shop.pipeline.bad_since(fault.unit, late):
-            return Proof(missing=fault.unit)
-        shop.clock.wait(threading.Event(), POLL_S)
+            taken = overtaken(shop.lives.look(target), mine, target)
+            if taken is not None:
+                return taken
+        proof = proving.verdict(pipeline, now)
+        if proof is not None:
+            return proof
+        if look_again:
+            pipeline.look_again(fault.unit, *proving.waiting)
+        clock.wait(threading.Event(), POLL_S)
     return Proof(missing=fault.unit)
 
 
-def _overtaken(now: Life | None, mine: Life | None, target: str) -> Proof | None:
+def overtaken(now: Life | None, mine: Life | None, target: str) -> Proof | None:
     """The engine's own restart policy overtakes nobody: whether the container is well then is what is to be proven."""
     if now is None or mine is None or now.same(mine) or now.by in (ENGINE, by_phm(target)):
         return None

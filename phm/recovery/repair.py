@@ -50,6 +50,8 @@ class Repair:
         return True
 
     def release(self, *, worked: bool) -> None:
+        """End the hold, and let the target go if that has not happened."""
+        self._acting.let_go()
         self._shop.hands.release(self._target, self, worked=worked)
 
     def run(self, tell: Callable[[Phase, str], None], stopping: Callable[[], bool]) -> Verdict:

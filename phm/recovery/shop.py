@@ -6,11 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from phm.clock import Clock
-from phm.model import Event
+from phm.model import Event, Fault
 from phm.pipeline import Pipeline
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.hands import Hands
 from phm.recovery.lives import Lives
+from phm.recovery.policy import ladder_of
+from phm.settings import ContainerSettings
 
 
 def _nothing_below(unit: str) -> Mapping[str, frozenset[str]]:
@@ -45,3 +47,22 @@ class Shop:
     @property
     def free_actions(self) -> frozenset[str]:
         return frozenset(name for name, action in self.actions.items() if action.on_myself)
+
+    def usable(self, container: ContainerSettings | None, fault: Fault) -> frozenset[str] | None:
+        """The rungs of the fault's ladder that apply to it. One that is not installed stays, to be told as such."""
+        if container is None:
+            return None
+        return frozenset(
+            rung
+            for rung in self._ladder(fault)
+            if rung not in self.actions or self.actions[rung].applies(container, fault, self.context.settings)
+        )
+
+    def is_last(self, container: ContainerSettings | None, fault: Fault, action: str) -> bool:
+        """Whether no rung of the fault's ladder follows `action`."""
+        usable = self.usable(container, fault)
+        rungs = [rung for rung in self._ladder(fault) if usable is None or rung in usable]
+        return action not in rungs[:-1]
+
+    def _ladder(self, fault: Fault) -> tuple[str, ...]:
+        return ladder_of(fault.result.condition, self.context.settings.recovery)

@@ -17,7 +17,7 @@ from phm.model import ActionEvent, Fault, Phase
 from phm.recovery.cases import Case, Cases
 from phm.recovery.history import Attempt, History
 from phm.recovery.lives import Life, by_phm
-from phm.recovery.policy import CLEAN_S, Act, Advise, Decision, GiveUp, Leave, Wait, decide, ladder_of
+from phm.recovery.policy import CLEAN_S, Act, Advise, Decision, GiveUp, Leave, Wait, decide
 from phm.recovery.proof import LOOK_AGAIN_S, POLL_S
 from phm.recovery.repair import Repair, Verdict
 from phm.recovery.shop import Shop
@@ -137,8 +137,9 @@ class TargetWorker:
         for case in cases:
             if case.refused:
                 continue
-            if case.proof_from is not None and not self._shop.pipeline.bad_since(case.fault.unit, case.proof_from):
-                waits.append(self._wait_for_proof(case.fault.unit, case.proof_from))
+            proof_from = self._proof_from(case)
+            if proof_from is not None and not self._shop.pipeline.bad_since(case.fault.unit, proof_from):
+                waits.append(self._wait_for_proof(case.fault.unit, proof_from))
                 continue
             case.proof_from = None
             decision = self._decide(case.fault, approved=case.approved)
@@ -148,6 +149,14 @@ class TargetWorker:
             if again is not None:
                 waits.append(max(POLL_S, again - self._shop.clock.mono()))
         return min(waits, default=None)
+
+    def _proof_from(self, case: Case) -> float | None:
+        """A run that began then must have found the unit in ERROR before anything is done; None: it is known."""
+        moved_at = self._shop.hands.moved_at(self._target)
+        if moved_at == float("-inf"):
+            return case.proof_from
+        after_other = moved_at + self._shop.grace_s(case.fault.unit)
+        return after_other if case.proof_from is None else max(after_other, case.proof_from)
 
     def _wait_for_proof(self, unit: str, proof_from: float) -> float:
         left_s = proof_from - self._shop.clock.mono()
@@ -165,6 +174,8 @@ class TargetWorker:
             wronged = self._history.ease(units, down_from).intersection(given_up)
             self._shop.pipeline.judge_afresh(*wronged)
         if not given_up and not self._history.within(self._shop.clock.mono() - CLEAN_S):
+            self._shop.lives.forget(self._target)
+            self._life = None
             return False
         since = self._shop.lives.begun_anew(self._target)
         if since is not None and (self._history.begin_anew(since) or given_up):
@@ -186,17 +197,6 @@ class TargetWorker:
             if case.proof_from is None:
                 case.proof_from = now + self._shop.grace_s(case.fault.unit)
 
-    def _usable(self, fault: Fault) -> frozenset[str] | None:
-        """The rungs of the fault's ladder that apply to it. One that is not installed stays, to be told as such."""
-        if self._container is None:
-            return None
-        actions, settings = self._shop.actions, self._shop.context.settings
-        return frozenset(
-            rung
-            for rung in ladder_of(fault.result.condition, settings.recovery)
-            if rung not in actions or actions[rung].applies(self._container, fault, settings)
-        )
-
     def _decide(self, fault: Fault, *, approved: bool) -> Decision:
         shop = self._shop
         return decide(
@@ -207,7 +207,7 @@ class TargetWorker:
             armed=shop.armed(),
             settings=shop.context.settings.recovery,
             free_actions=shop.free_actions,
-            usable=self._usable(fault),
+            usable=shop.usable(self._container, fault),
             approved=approved,
         )
 
@@ -240,14 +240,15 @@ class TargetWorker:
 
     def _perform(self, case: Case, act: Act) -> float:
         """Seconds to wait before the next look."""
-        fault, kind = case.fault, self._shop.actions.get(act.action)
+        shop, fault = self._shop, case.fault
+        kind = shop.actions.get(act.action)
         if kind is None or self._container is None:
             what = f"no installed package provides the action {act.action!r}: correct recovery.ladders"
             self._once(case, act.action, Phase.FAILED, what)
             case.refused = True
             return 0
-        attempt = Attempt(self._shop.clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
-        repair = Repair(self._shop, self._container, fault, kind, last=not self._has_next_rung(fault, act.action))
+        attempt = Attempt(shop.clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
+        repair = Repair(shop, self._container, fault, kind, last=shop.is_last(self._container, fault, act.action))
         if not repair.begin():
             return LOOK_AGAIN_S  # another container's repair restarts this one: decided afresh when that is over
         case.approved = case.cut_short = False
@@ -278,12 +279,6 @@ class TargetWorker:
         """Counted before it is told: whoever kills PHM in between loses no attempt."""
         self._history.add(attempt)
         self._under_way = None
-
-    def _has_next_rung(self, fault: Fault, action: str) -> bool:
-        ladder = ladder_of(fault.result.condition, self._shop.context.settings.recovery)
-        usable = self._usable(fault)
-        rungs = [rung for rung in ladder if usable is None or rung in usable]
-        return action in rungs[:-1]
 
     def _publish(self, fault: Fault, action: str, phase: Phase, detail: str, attempt: int = 1) -> None:
         stamp = self._shop.clock.stamp()

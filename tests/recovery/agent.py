@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -61,7 +62,8 @@ class Containers:
 class Agent:
     """One life of PHM. `bad` maps units to the condition that their checks find; all others are well.
 
-    `behave` is what an action does to the container `key`; it starts it as `restart` does unless told otherwise.
+    `behave` is what an action does to the container `key`; it starts it as `restart` does unless told otherwise. Whatever
+    it waits for, it waits for with `pause`.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class Agent:
         self.bad: dict[str, str] = {}
         self.runs: list[tuple[str, str]] = []
         self.armed = False
+        self.acting: list[str] = []
         self.behave: Callable[[str, ActionContext, Fault], object] = lambda key, context, fault: containers.start(key)
         entries = [ContainerSettings(name=key, recover=key in opted_in) for key in containers.facts]
         base: dict[str, Any] = {"containers": entries, "recovery": {"ladders": {"broken": ["restart"]}, **recovery}}
@@ -115,7 +118,11 @@ class Agent:
 
             def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
                 agent.runs.append((target.key, fault.unit))
-                agent.behave(target.key, context, fault)
+                agent.acting.append(target.key)
+                try:
+                    agent.behave(target.key, context, fault)
+                finally:
+                    agent.acting.remove(target.key)
                 return "restarted"
 
         return Restart
@@ -136,9 +143,17 @@ class Agent:
         self._settle()
 
     def _settle(self) -> None:
-        """Wait until everybody has done what there is to do now: the bus's threads and recovery's sleep again."""
-        threads = len(self.bus._subscriptions) + len(self.executor._workers)
-        self.clock.wait_for_sleepers(threads)
+        """Wait until everybody has done what there is to do now: the bus's threads, recovery's and actions sleep again."""
+        end = time.monotonic() + LIMIT_S
+        while self.clock.sleepers < len(self.bus._subscriptions) + len(self.executor._workers) + len(self.acting):
+            assert time.monotonic() < end, "somebody does not come to rest"
+            time.sleep(0.0002)
+
+    def pause(self, until: Callable[[], object]) -> None:
+        """For actions: some time passes, and whatever more it takes."""
+        self.clock.wait(threading.Event(), STEP_S / 2)
+        while not until():
+            self.clock.wait(threading.Event(), STEP_S / 2)
 
     def until(self, condition: Callable[[], object], what: str = "it") -> None:
         """Let fake time run until something is seen."""

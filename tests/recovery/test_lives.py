@@ -196,3 +196,13 @@ def test_the_record_does_not_change_while_the_life_goes_on() -> None:
     life = follow(None, FIRST, 5.0, LASTING_S)
     assert follow(life, replace(FIRST, status="paused"), 50.0, LASTING_S) is life
     assert not counts_anew(Life("one", "t1", None, None, OTHERS), FIRST, 1e9, LASTING_S)
+
+
+def test_what_happened_while_nothing_counted_is_not_made_up_for() -> None:
+    """An operator restarted it hours ago, and nobody looked: the first attempt since then is made on this life."""
+    watch = Watch()
+    watch.anew()
+    watch.lives.forget("app")
+    watch.change(started_at="t2")
+    assert watch.by == FOUND
+    assert not watch.anew(after_s=LASTING_S)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,7 +15,6 @@ from tests.recovery.agent import Agent, Containers, Of
 
 UNITS = {name: Of(name.partition("/")[2]) for name in ("health/a", "health/b", "health/side")}
 RULES: dict[str, Any] = {"verify": 30.0, "backoff": 0.1}
-REAL_S = 10.0
 
 
 class Owners(Agent):
@@ -30,7 +28,7 @@ class Owners(Agent):
         self.within: list[str] = []
         self.seen: list[str] = []
         self.refused: list[str] = []
-        self.gate = threading.Event()
+        self.open = False
         self.behave = self._act
 
     def _act(self, key: str, context: ActionContext, fault: Fault) -> None:
@@ -50,9 +48,10 @@ class Owners(Agent):
         assert len(self.within) == 1, f"side is in the hands of {self.within}"
         self.seen.append(who)
         self.bad["health/side"] = "broken"  # as it is while it is restarted
-        self.gate.wait(REAL_S)
+        self.pause(lambda: self.open)
         self.containers.start("side")
         self.bad.pop("health/side", None)
+        self.pause(lambda: True)  # what was found in this step was found before
         self.within.remove(who)
 
 
@@ -61,7 +60,7 @@ def agents() -> Iterator[list[Owners]]:
     made: list[Owners] = []
     yield made
     for agent in made:
-        agent.gate.set()
+        agent.open = True
         agent.stop()
         agent.clock.advance(1000)
 
@@ -79,7 +78,7 @@ def test_two_owners_of_one_dependant_restart_it_one_after_the_other(agents: list
     agent.until(lambda: len(agent.runs) == 2, "both actions")
     agent.rest(2.0)
     assert len(agent.seen) == 1
-    agent.gate.set()
+    agent.open = True
     agent.until(lambda: agent.steps("a")[-1:] == agent.steps("b")[-1:] == [Phase.VERIFIED], "both proofs")
     assert sorted(agent.seen) == ["a", "b"]
     agent.rest(10.0)
@@ -95,7 +94,7 @@ def test_a_container_whose_own_repair_is_at_work_is_waited_for(agents: list[Owne
     agent.until(lambda: len(agent.runs) == 2, "the action on a")
     agent.rest(2.0)
     assert (agent.within, agent.seen) == (["side"], ["side"])
-    agent.gate.set()
+    agent.open = True
     agent.until(lambda: agent.steps("a")[-1:] == [Phase.VERIFIED], "the proof of a")
     assert agent.seen == ["side", "a"]
 
@@ -109,7 +108,7 @@ def test_its_own_repair_waits_while_another_restarts_it(agents: list[Owners]) ->
     agent.until(lambda: agent.within == ["a"], "the restart of side")
     agent.rest(5.0)
     assert agent.bad["health/side"] == "broken"
-    agent.gate.set()
+    agent.open = True
     agent.until(lambda: agent.steps("a")[-1:] == [Phase.VERIFIED], "the proof of a")
     agent.rest(10.0)
     assert agent.runs == [("a", "health/a")]
@@ -145,20 +144,19 @@ def test_a_proof_that_another_repair_overtakes_is_no_failure_of_the_target(agent
 def test_an_action_that_was_given_up_begins_nothing_more(agents: list[Owners]) -> None:
     """It comes back after its deadline: dependants are not restarted behind the next attempt's back."""
     agent = make(agents, same_failure=1)
-    late, over = threading.Event(), threading.Event()
+    late: list[str] = []
 
     def hang(key: str, context: ActionContext, fault: Fault) -> None:
-        late.wait(REAL_S)
+        agent.pause(lambda: late)
         try:
             with context.holding("side", fault, "restart", 30.0):
                 agent.seen.append(key)
         except CannotTell as error:
             agent.refused.append(str(error))
-        over.set()
 
     agent.behave = hang
     agent.bad["health/a"] = "broken"
     agent.until(lambda: Phase.ESCALATED in agent.steps("a"), "the deadline")
-    late.set()
-    assert over.wait(REAL_S)
+    late.append("now")
+    agent.until(lambda: not agent.acting, "the end of the action")
     assert (agent.seen, agent.refused) == ([], ["restart of a was given up meanwhile"])

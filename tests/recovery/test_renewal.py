@@ -194,3 +194,21 @@ def test_a_start_by_hand_counts_over_a_restart_of_phm(yard: Yard) -> None:
     second.rest(20.0)
     assert second.runs == []
     second.until(lambda: second.runs, "another attempt")
+
+
+def test_a_start_long_before_the_first_attempt_excuses_nothing(yard: Yard) -> None:
+    """Ten clean minutes lie between: nobody has watched its lives, and the attempt is made on the one at hand."""
+    agent = yard.phm(same_failure=1)
+    agent.rest(3.0)
+    agent.bad["health/app"] = "broken"
+    agent.behave = lambda key, context, fault: agent.bad.clear()
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the help")
+    yard.clock.advance(700.0)
+    agent.rest(3.0)
+    yard.containers.start("app")
+    yard.clock.advance(700.0)
+    agent.behave = lambda key, context, fault: None
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
+    agent.rest(30.0)
+    assert len(agent.runs) == 2

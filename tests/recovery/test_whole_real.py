@@ -1,0 +1,184 @@
+"""PHM as a whole on the real engine, within this process: whose doing a container's life is, and who restarts a dependant."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.daemon import Daemon
+from phm.model import ActionEvent, Event, FaultOpened, Level, Note, Phase
+from phm.testing import settings
+
+pytestmark = pytest.mark.engine
+
+LIMIT_S = 60.0
+NEEDED = "/needed"
+RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
+RULES: dict[str, Any] = {
+    "ladders": {"file_missing": ["restart"], "exited": ["start"]}, "same_failure": 2, "verify": "3s", "backoff": "100ms",
+    "stop_timeout": "2s", "budget": 20,
+}  # fmt: skip
+
+
+class Phm:
+    """A daemon, and what it said."""
+
+    def __init__(self, folder: Path, containers: list[dict[str, Any]], **recovery: Any) -> None:
+        self.events: list[Event] = []
+        made = settings(
+            interval=2, containers=containers, recovery={**RULES, **recovery}, state_dir=str(folder / "state"),
+            run_dir=str(folder / "run"), log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}},
+        )  # fmt: skip
+        self.daemon = Daemon(made)
+        self.daemon.bus.subscribe("test", self.events.append)
+
+    def start(self) -> None:
+        self.daemon.start()
+        self.until(
+            lambda: {state.level for state in self.daemon.pipeline.states()} == {Level.OK}, "everything to be well"
+        )
+
+    def until(self, condition: Callable[[], object], what: str) -> None:
+        end = time.monotonic() + LIMIT_S
+        while not condition():
+            assert time.monotonic() < end, f"waited {LIMIT_S:g} s for {what}; actions: {self.actions()}"
+            threading.Event().wait(0.02)
+
+    def actions(self) -> list[tuple[str, str, str]]:
+        return [
+            (event.target, event.phase.value, event.detail) for event in self.events if isinstance(event, ActionEvent)
+        ]
+
+    def count(self, phase: Phase) -> int:
+        return sum(entry[1] == phase.value for entry in self.actions())
+
+    def opened(self) -> list[str]:
+        return [event.fault.unit for event in self.events if isinstance(event, FaultOpened)]
+
+    def passes(self, number: int) -> None:
+        """PHM looks at everything anew so many times."""
+        seen = self.daemon.pipeline._pass_number
+        self.until(lambda: self.daemon.pipeline._pass_number >= seen + number, f"{number} passes")
+
+
+Start = Callable[..., Phm]
+
+
+@pytest.fixture
+def phm(tmp_path: Path) -> Iterator[Start]:
+    made: list[Phm] = []
+
+    def start(containers: list[dict[str, Any]], **recovery: Any) -> Phm:
+        made.append(Phm(tmp_path, containers, **recovery))
+        made[-1].start()
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.daemon.stop()
+
+
+def with_file(made: Any) -> dict[str, Any]:
+    return {"name": made.name, "alias": "app", "recover": True, "files": [{"path": NEEDED}]}
+
+
+def given_up(real: Any, phm: Start, **more: Any) -> tuple[Any, Phm]:
+    """A container that lacks a file, which no restart brings back: PHM has tried twice and said that it stops."""
+    made = real.container(RUN, **more)
+    made.exec_run(["touch", NEEDED])
+    daemon = phm([with_file(made)])
+    made.exec_run(["rm", NEEDED])
+    daemon.until(lambda: daemon.count(Phase.ESCALATED) == 1, "giving up")
+    assert daemon.count(Phase.STARTED) == 2
+    return made, daemon
+
+
+def test_recreated_by_somebody_else_it_is_acted_on_again(real: Any, phm: Start) -> None:
+    """A container of the same name and another id: two more attempts, and one more alarm."""
+    made, daemon = given_up(real, phm)
+    made.remove(force=True)
+    real.container(RUN, name=made.name)
+    daemon.until(lambda: daemon.count(Phase.ESCALATED) == 2, "giving up on the new one")
+    assert daemon.count(Phase.STARTED) == 4
+    assert daemon.opened().count("files/app") == 2
+
+
+def test_restarted_by_hand_it_is_acted_on_again_when_it_has_stayed(real: Any, phm: Start) -> None:
+    """`docker restart` of what PHM had given up on; PHM's own restarts before it did not count."""
+    made, daemon = given_up(real, phm)
+    daemon.passes(3)
+    assert daemon.count(Phase.STARTED) == 2
+    made.restart(timeout=1)
+    daemon.until(lambda: daemon.count(Phase.STARTED) > 2, "another attempt")
+    assert any("started again by somebody else" in event.text for event in daemon.events if isinstance(event, Note))
+
+
+def test_dockers_own_restart_policy_does_not_make_phm_begin_anew(real: Any, phm: Start) -> None:
+    """The process ends again and again, each time after `verify`; the engine restarts it and PHM, which gave up, watches."""
+    made, daemon = given_up(real, phm, restart_policy={"Name": "always"})
+    for _ in range(2):
+        before = real.client.api.inspect_container(made.id)["RestartCount"]
+        made.exec_run(["sh", "-c", "kill -KILL -1"])
+
+        def lived(count: int = before) -> bool:
+            answer = real.client.api.inspect_container(made.id)
+            return bool(answer["RestartCount"] > count and answer["State"]["Running"])
+
+        daemon.until(lived, "Docker to restart it")
+        daemon.passes(3)  # longer than `verify`
+    assert daemon.count(Phase.STARTED) == 2
+    assert daemon.opened().count("files/app") == 1
+
+
+class Restarts:
+    """Restarts of one container that PHM has asked for, with those that were under way at the same time."""
+
+    def __init__(self, daemon: Daemon, container: str) -> None:
+        self.made, self.at_once, self._now = 0, 0, 0
+        self._lock, engine = threading.Lock(), daemon.parts.engine
+        original = engine.restart
+
+        def restart(ref: str, stop_timeout_s: float = 5.0) -> None:
+            if ref != container:
+                original(ref, stop_timeout_s)
+                return
+            with self._lock:
+                self.made, self._now = self.made + 1, self._now + 1
+                self.at_once = max(self.at_once, self._now)
+            try:
+                original(ref, stop_timeout_s)
+            finally:
+                with self._lock:
+                    self._now -= 1
+
+        engine.restart = restart  # type: ignore[method-assign]
+
+
+def test_a_dependant_of_two_is_restarted_by_one_at_a_time(real: Any, phm: Start) -> None:
+    """Both owners are killed at once. `side` shares the network of the one and comes after the other; it is slow to stop."""
+    slow = "trap 'sleep 1; exit 0' TERM; while :; do sleep 0.1; done"
+    one, two = real.container(RUN), real.container(RUN)
+    side = real.container(slow, network_mode=f"container:{one.id}")
+    entries = [
+        {"name": one.name, "alias": "one", "recover": True},
+        {"name": two.name, "alias": "two", "recover": True},
+        {"name": side.name, "alias": "side", "recover": True, "after": ["two"]},
+    ]
+    daemon = phm(entries)
+    restarts = Restarts(daemon.daemon, side.id)
+    for owner in (one, two):
+        owner.kill()
+    daemon.until(lambda: daemon.count(Phase.VERIFIED) == 2, "both repairs")
+    daemon.until(lambda: not daemon.daemon.pipeline.open_faults(), "everything to be well")
+    assert restarts.at_once == 1
+    assert 1 <= restarts.made <= 2
+    assert sorted(daemon.opened()) == ["container/one", "container/two"]
+    started = {made.id: real.client.api.inspect_container(made.id)["State"]["StartedAt"] for made in (one, two, side)}
+    assert started[side.id] > max(started[one.id], started[two.id])
+    network = [made.exec_run(["readlink", "/proc/1/ns/net"]).output for made in (one, side)]
+    assert network[0] == network[1]
