@@ -15,7 +15,7 @@ LOOK_S = 2.0
 MAX_TOPICS = 200
 MAX_NODES = 8
 """Of one side of one topic: who is many is not misspelt."""
-MAX_READS = 20
+MAX_READS = 50
 """Topics whose endpoints are read in one look; the rest has its turn in the next."""
 _UNREAD = (-1, -1)
 _EVERYWHERE = ("/parameter_events", "/rosout")
