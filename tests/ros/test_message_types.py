@@ -169,18 +169,19 @@ def installs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
 
 
-def loaded(installs: list[Path], name: str) -> str:
-    """What a process of its own says of a type that it can only find in these folders."""
+def loaded(installs: list[Path], *names: str) -> str:
+    """What a process of its own says of types that it can only find in these folders."""
     code = (
         "import sys\nfrom phm.probes.ros import anytype, message_types\n"
         "anytype.KNOWN.clear()\n"
-        "try: kind = message_types.load_type(sys.argv[1])\n"
-        "except message_types.UnknownType as error: print(error)\n"
-        "else: print(kind.__module__, kind.__class__._TYPE_SUPPORT is not None)\n"
+        "for name in sys.argv[1:]:\n"
+        " try: kind = message_types.load_type(name)\n"
+        " except message_types.UnknownType as error: print(error)\n"
+        " else: print(kind.__module__, kind.__class__._TYPE_SUPPORT is not None)\n"
     )
     environ = {**os.environ, INSTALLS: os.pathsep.join(map(str, installs))}
     done = subprocess.run(
-        [sys.executable, "-c", code, name], env=environ, capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", code, *names], env=environ, capture_output=True, text=True, timeout=60, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
@@ -190,6 +191,20 @@ def loaded(installs: list[Path], name: str) -> str:
 def test_a_mounted_install_is_the_last_way(installs: dict[str, Path], names: tuple[str, ...]) -> None:
     """Merged or isolated, the application's folder gives the type with its support, and no variable needs to be set."""
     assert loaded([installs[name] for name in names], "sensor_msgs/msg/Imu") == "sensor_msgs.msg._imu True"
+
+
+def test_each_package_of_an_install_is_loaded_with_what_it_needs(installs: dict[str, Path], tmp_path: Path) -> None:
+    """A package that Python finds because another one of the same folder was loaded before is still loaded as a whole."""
+    second = tmp_path / "second_msgs" / "lib" / f"python{OWN_PYTHON}" / "site-packages" / "second_msgs"
+    (second / "msg").mkdir(parents=True)
+    (second / "__init__.py").touch()
+    (second / "msg" / "__init__.py").write_text("class Thing: pass\n")
+    shutil.copytree(installs["isolated"], tmp_path, dirs_exist_ok=True)
+    said = loaded([tmp_path], "sensor_msgs/msg/Imu", "second_msgs/msg/Thing")
+    assert said.startswith(
+        "sensor_msgs.msg._imu True\ntype unknown: second_msgs/msg/Thing is not installed beside PHM; "
+    )
+    assert "ros.installs has it, but it cannot be loaded" in said
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,8 @@ from phm.probes.ros.protocol import INSTALLS
 
 _NAME = re.compile(r"([a-z][a-z0-9_]{0,99})/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]{0,99})")
 _any_types = AnyTypes()
+_mounted: dict[str, Any] = {}
+"""What the application's folders gave, which has them searched once: a large topic is subscribed to every few seconds."""
 
 
 class UnknownType(Exception):
@@ -35,8 +37,9 @@ def load_type(name: str, publishers: Iterable[Any] = ()) -> Any:
     if match is None:
         raise UnknownType(f"type unknown: {name!r} is no name of a ROS type")
     package, kind, short = match.groups()
+    mounted = Mounted(os.environ.get(INSTALLS, "").split(os.pathsep))
     try:
-        return _installed(package, kind, short)
+        return _installed(package, kind, short, mounted)
     except NotHere as reason:
         reasons = [str(reason)]
     try:
@@ -44,18 +47,20 @@ def load_type(name: str, publishers: Iterable[Any] = ()) -> Any:
     except NotHere as reason:
         reasons.append(f"it cannot be read by its name alone, as {reason}")
     try:
-        return Mounted(os.environ.get(INSTALLS, "").split(os.pathsep)).load(package, kind, short)
+        if name not in _mounted:
+            _mounted[name] = mounted.load(package, kind, short)
+        return _mounted[name]
     except NotHere as reason:
         reasons.append(str(reason))
     raise UnknownType(f"type unknown: {name} {'; '.join(reasons)}")
 
 
-def _installed(package: str, kind: str, short: str) -> Any:
+def _installed(package: str, kind: str, short: str, mounted: Mounted) -> Any:
     """Names come from the network: nothing is imported that does not look like a package of messages."""
     try:
         spec = importlib.util.find_spec(package)
         folders = (spec.submodule_search_locations if spec else None) or ()
-        if any(Path(folder, kind).is_dir() for folder in folders):
+        if any(Path(folder, kind).is_dir() and not mounted.holds(folder) for folder in folders):
             return getattr(importlib.import_module(f"{package}.{kind}"), short)
     except (ImportError, AttributeError, ValueError) as error:
         raise NotHere(f"is not installed beside PHM ({error})") from error

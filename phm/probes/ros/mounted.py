@@ -30,6 +30,10 @@ class Mounted:
     def __init__(self, installs: Iterable[str]) -> None:
         self._installs = [Path(install) for install in installs if install]
 
+    def holds(self, folder: str) -> bool:
+        """Whether a folder is in one of these; after `load` Python finds their packages, too, but not all that they need."""
+        return any(Path(folder).is_relative_to(install) for install in self._installs)
+
     def load(self, package: str, kind: str, short: str) -> Any:
         """The class of `package/kind/short`. Raises NotHere."""
         if not self._installs:
