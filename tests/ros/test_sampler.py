@@ -94,6 +94,7 @@ def test_fast_publishers_are_told_apart(bench: Bench, tmp_path: Path) -> None:
     seen(probe, lambda fact: rate_of(fact).publishers == 2 and right(fact, *both, within=0.05), "the sum", 40.0)
 
 
+@pytest.mark.long
 def test_two_publishers_of_one_node_are_added_up(bench: Bench, tmp_path: Path) -> None:
     """They look like a node that was restarted, until their numbers are found mixed."""
     flows(bench, "source", tmp_path / "sent", "topic_1:10", "topic_1:10")
@@ -120,7 +121,9 @@ def test_without_sequence_numbers_samples_are_counted(bench: Bench, tmp_path: Pa
     seen(probe, lambda fact: right(fact, tmp_path / "sent"), "a rate within 2 %")
 
 
-@pytest.mark.parametrize("command", [NUMBERED, HIDDEN], ids=["numbered", "hidden"])
+@pytest.mark.parametrize(
+    "command", [pytest.param(NUMBERED, id="numbered"), pytest.param(HIDDEN, id="hidden", marks=pytest.mark.long)]
+)
 def test_a_large_topic_is_listened_to_in_windows(bench: Bench, tmp_path: Path, command: Sequence[str]) -> None:
     """4 MB/s: most of the time there is no subscription, the rate is exact all the same, and silence is found."""
     path = tmp_path / "sent"
