@@ -20,6 +20,7 @@ from phm.probes.files import Files
 from phm.probes.host import Host
 from phm.probes.links import Links
 from phm.probes.ros.process import RosProcess
+from phm.probes.swarm import Swarm
 from phm.settings import Settings
 from phm.transport.docker import Engine
 from phm.transport.mavlink import MavlinkHub
@@ -117,6 +118,7 @@ def assemble(
     watch = Watch(engine, settings, clock, happened) if settings.containers else None
     hub = MavlinkHub(settings.mavlink, settings.agent.id, clock)
     links = Links(hub, settings, clock, lambda: wake("link"))
+    swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"))
     ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None
     probe: RosProbe = ros if ros is not None else NoRos()
     world = World(
@@ -127,6 +129,7 @@ def assemble(
         host=Host(settings, clock),
         ros=probe,
         links=links,
+        swarm=swarm,
         myself=Myself(self_look, ros, links),
     )
     return Parts(engine, docker, watch, hub if settings.mavlink.endpoints else None, ros, world)

@@ -160,7 +160,7 @@ class Daemon:
     def _reporter_context(self) -> ReporterContext:
         return ReporterContext(
             self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink,
-            restored=self.pipeline.open_faults(), ros=self.parts.ros,
+            restored=self.pipeline.open_faults(), ros=self.parts.ros, swarm=self.parts.world.swarm, pilot=self._pilot_heard,
         )  # fmt: skip
 
     def _start_recovery(self) -> None:
@@ -194,6 +194,10 @@ class Daemon:
         if pilot is None or pilot.age_s > self.settings.mavlink.gcs_timeout:
             return self.settings.mavlink.autopilot
         return pilot.armed
+
+    def _pilot_heard(self) -> bool:
+        pilot = self.parts.world.links.autopilot()
+        return pilot is not None and pilot.age_s <= self.settings.mavlink.gcs_timeout
 
     def _join_networks(self) -> None:
         """Before ROS starts: DDS picks its interfaces when the participant is made. Nobody waits for this.

@@ -14,30 +14,19 @@ from typing import Protocol
 from phm.clock import Clock
 from phm.ros_facts import (
     BeaconFact as BeaconFact,
-)
-from phm.ros_facts import (
     DiagnosticFact as DiagnosticFact,
-)
-from phm.ros_facts import (
     EndpointFact as EndpointFact,
-)
-from phm.ros_facts import (
     NameFact as NameFact,
-)
-from phm.ros_facts import (
     NeighbourFact as NeighbourFact,
-)
-from phm.ros_facts import (
     RateFact as RateFact,
-)
-from phm.ros_facts import (
     RosFact as RosFact,
-)
-from phm.ros_facts import (
     RosProbe as RosProbe,
-)
-from phm.ros_facts import (
     TopicFact as TopicFact,
+)
+from phm.swarm_facts import (
+    PeerFact as PeerFact,
+    SwarmFact as SwarmFact,
+    SwarmProbe as SwarmProbe,
 )
 
 
@@ -310,4 +299,5 @@ class World:
     host: HostProbe
     ros: RosProbe
     links: LinkProbe
+    swarm: SwarmProbe
     myself: SelfProbe

@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator
 
 _UNITS: dict[str, dict[str, float]] = {
     "duration": {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0},
@@ -68,20 +68,23 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, str_strip_whitespace=True)
 
 
+def _not_a_radio(value: int) -> int:
+    if value == 51:
+        raise ValueError("51 is the system id of SiK radios: choose another of 1 to 250")
+    return value
+
+
+AgentId = Annotated[int, Field(ge=1, le=250), AfterValidator(_not_a_radio)]
+
+
 class AgentSettings(Section):
     """Who this agent is."""
 
     name: Name = "agent_1"
     """Name in logs; names the agent for people."""
-    id: Annotated[int, Field(ge=1, le=250)] = 1
+    id: AgentId = 1
     """Number in the swarm, 1 to 250 but not 51 (taken by SiK radios); the vehicle's MAVLink system id."""
 
-    @field_validator("id")
-    @classmethod
-    def _not_a_radio(cls, value: int) -> int:
-        if value == 51:
-            raise ValueError("51 is the system id of SiK radios: choose another of 1 to 250")
-        return value
 
 
 class FileSettings(Section):
@@ -294,6 +297,13 @@ class MavlinkSettings(Section):
     """True: this agent has an autopilot on these endpoints; not hearing it counts as armed for recovery."""
 
 
+class SwarmSettings(Section):
+    """The other agents, heard over MAVLink."""
+
+    agents: list[AgentId] = Field(default_factory=list, max_length=250)
+    """Ids of all agents of the swarm; one that is not heard is missed. Default: those that are heard belong to it."""
+
+
 class Limit(Section):
     """A pair of limits; `warn` must not be above `error`."""
 
@@ -407,6 +417,8 @@ class Settings(Section):
     """The ROS graph."""
     mavlink: MavlinkSettings = MavlinkSettings()
     """Links to the ground and the autopilot."""
+    swarm: SwarmSettings = SwarmSettings()
+    """The other agents."""
     host: HostSettings = HostSettings()
     """Limits for the companion computer."""
     recovery: RecoverySettings = RecoverySettings()

@@ -39,6 +39,8 @@ from phm.facts import (
     RosProbe,
     SelfFact,
     SelfProbe,
+    SwarmFact,
+    SwarmProbe,
     World,
 )
 from phm.model import Stamp
@@ -46,7 +48,7 @@ from phm.settings import Settings
 
 __all__ = [
     "FakeClock", "FakeDevices", "FakeDocker", "FakeFiles", "FakeHost", "FakeLinks", "FakeRos",
-    "FakeSelf", "container", "settings", "world",
+    "FakeSelf", "FakeSwarm", "container", "settings", "world",
 ]  # fmt: skip
 
 # An event may be set by any thread without telling the clock, so sleepers look at it this often (real seconds).
@@ -338,6 +340,21 @@ class FakeLinks(_Fake):
         return self.endpoints
 
 
+class FakeSwarm(_Fake):
+    """An agent that is alone."""
+
+    def __init__(self, **fields: Any) -> None:
+        super().__init__()
+        self.fact = dataclasses.replace(SwarmFact(own=1, members=1, living=1, up_s=600.0), **fields)
+
+    def change(self, **fields: Any) -> None:
+        self.fact = dataclasses.replace(self.fact, **fields)
+
+    def look(self) -> SwarmFact:
+        self._asked()
+        return self.fact
+
+
 class FakeSelf(_Fake):
     """A PHM that is well."""
 
@@ -362,6 +379,7 @@ def world(
     host: HostProbe | None = None,
     ros: RosProbe | None = None,
     links: LinkProbe | None = None,
+    swarm: SwarmProbe | None = None,
     myself: SelfProbe | None = None,
 ) -> World:
     """A world of fakes, with those parts replaced that are given."""
@@ -373,6 +391,7 @@ def world(
         host=host or FakeHost(),
         ros=ros or FakeRos(),
         links=links or FakeLinks(),
+        swarm=swarm or FakeSwarm(),
         myself=myself or FakeSelf(),
     )
 

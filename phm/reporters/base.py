@@ -16,6 +16,7 @@ from phm.facts import LinkFact
 from phm.model import Event, Fault, UnitState
 from phm.ros_facts import DiagnosticFact
 from phm.settings import Settings
+from phm.swarm_facts import SwarmProbe
 from phm.transport.mavlink_budget import Class
 
 
@@ -55,6 +56,7 @@ class ReporterContext:
     states: what the tracker publishes now, in configuration order.
     alive:  False when the engine has stalled; a dead man's switch for heartbeats.
     health: a snapshot of PHM's own condition for `phm status` (JSON-able).
+    swarm:  the other agents. pilot: whether this agent's autopilot is heard.
     restored: faults that were open before PHM was started again, and were told then.
     """
 
@@ -67,6 +69,8 @@ class ReporterContext:
     mavlink: MavlinkPort | None = None
     restored: tuple[Fault, ...] = ()
     ros: DiagnosticsPort | None = None
+    swarm: SwarmProbe | None = None
+    pilot: Callable[[], bool] | None = None
 
 
 class Reporter(ABC):

@@ -29,6 +29,8 @@ from phm.transport.mavlink_budget import periods
 from phm.wire import status_line, status_word
 from phm.wire.status_line import MISSION_SLOTS
 
+PEERS = "peers/"
+"""Units about other agents."""
 MAX_GROUND_STATIONS = 16
 FULL_EVERY_S = 5.0
 """Ground stations that come and go have the full state sent again at most this often."""
@@ -116,8 +118,15 @@ class Mavlink(Reporter):
         flapping = status_line.flapping(self._agent, slot, brief)
         self._say(self._damper.through(lines, self._context.clock.mono(), flapping))
 
+    def _speaks(self) -> bool:
+        """Whether this agent speaks for the swarm: each agent notices that another is lost, and one tells the ground."""
+        swarm = self._context.swarm
+        return swarm is None or swarm.look().speaker == self._agent
+
     def _say(self, lines: list[Line]) -> None:
         for line in lines:
+            if line.key.startswith(PEERS) and not self._speaks():
+                continue
             message = mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii"))
             self._port.send(message, line.kind, key=line.key, urgency=int(line.severity))
 

@@ -16,6 +16,7 @@ from enum import Enum
 from phm.swarm.peers import Peers
 from phm.wire.tunnel import Seen, View
 
+THERE = frozenset((Seen.ALIVE, Seen.LATE))
 SPLIT_S = 15.0
 """Agents that were lost within this time of each other vanished together."""
 
@@ -34,7 +35,9 @@ class State(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """About one agent. `heard_by`, `unheard_by`: observers; `gcs`: whether it hears a ground station, None unknown."""
+    """About one agent. `heard_by`, `unheard_by`: observers; where all agree, `heard_by` is all of them and may name the agent
+    itself. `gcs`: whether it hears a ground station, None unknown.
+    """
 
     state: State
     heard_by: tuple[int, ...] = ()
@@ -73,9 +76,19 @@ def agree(peers: Peers, now: float, own_gcs: bool) -> Consensus:
     """The swarm's state. own_gcs: whether this agent hears a ground station itself."""
     seen = peers.seen(now)
     views: dict[int, View] = {agent: view for agent, peer in peers.all().items() if (view := peer.votes(now))}
-    verdicts = {agent: _verdict(agent, how, views, peers, now) for agent, how in seen.items()}
+    observers = tuple(sorted((peers.own, *views)))
+    # Mostly all observers hear the same agents: those need no counting, and a hundred agents cost no ten thousand looks.
+    undisputed = frozenset(agent for agent, how in seen.items() if how in THERE).intersection(
+        *(view.there | {observer} for observer, view in views.items())
+    )
+    verdicts = {
+        agent: _unanimous(agent, how, observers, views, peers)
+        if agent in undisputed
+        else _verdict(agent, how, views, peers, now)
+        for agent, how in seen.items()
+    }
     lost = [agent for agent, verdict in verdicts.items() if verdict.state is State.LOST]
-    return Consensus(peers.own, verdicts, tuple(sorted((peers.own, *views))), _together(lost, peers))
+    return Consensus(peers.own, verdicts, observers, _together(lost, peers))
 
 
 def without_ground(consensus: Consensus, own_gcs: bool) -> tuple[int, ...]:
@@ -87,15 +100,21 @@ def without_ground(consensus: Consensus, own_gcs: bool) -> tuple[int, ...]:
     return tuple(sorted([*deaf, *([] if own_gcs else [consensus.own])]))
 
 
+def _unanimous(agent: int, how: Seen, observers: tuple[int, ...], views: Mapping[int, View], peers: Peers) -> Verdict:
+    peer, view = peers.peer(agent), views.get(agent)
+    assert peer is not None
+    state = State.LATE if how is Seen.LATE else State.ALIVE
+    return Verdict(state, observers, (), view.gcs if view is not None else None, peer.word)
+
+
 def _verdict(agent: int, how: Seen, views: Mapping[int, View], peers: Peers, now: float) -> Verdict:
     peer = peers.peer(agent)
     assert peer is not None
-    heard, unheard = ([peers.own], []) if how in (Seen.ALIVE, Seen.LATE) else ([], [peers.own])
+    heard, unheard = ([peers.own], []) if how in THERE else ([], [peers.own])
     for observer, view in views.items():
         if observer == agent:
             continue
-        there = view.peers.get(agent, Seen.NEVER) in (Seen.ALIVE, Seen.LATE)
-        (heard if there else unheard).append(observer)
+        (heard if agent in view.there else unheard).append(observer)
     own_word = views.get(agent)
     words = (tuple(sorted(heard)), tuple(sorted(unheard)), own_word.gcs if own_word else None, peer.word)
     if peer.leaving and how is Seen.LOST:

@@ -16,7 +16,7 @@ from collections.abc import Collection, Mapping
 from phm.model import Level, Slot
 from phm.swarm.consensus import Consensus, State
 from phm.wire import status_word
-from phm.wire.status_line import MAX_CHARS, agent_name
+from phm.wire.status_line import MAX_CHARS, Severity, agent_name, severity
 from phm.wire.tunnel import Digest
 
 _LAYERS: Mapping[Slot, str] = {
@@ -77,6 +77,31 @@ def line(told: Mapping[int, tuple[Level, str]]) -> str:
             return f"{text} +{left + 1}"
         text += piece
     return text
+
+
+def relay(agent: int, heard_by: Collection[int], word: int) -> str:
+    """What an agent would say that does not reach the ground, at most 50 characters, by its newest status word::
+
+    A03 no GCS radio, heard by A01 A02: 2 ERROR
+    A03 no GCS radio, heard by A01 A02 +5: OK
+    """
+    level, slot = worst(word)
+    how = (
+        "not known" if level is Level.STALE else "OK" if level is Level.OK or slot is None else f"{slot:d} {level.name}"
+    )
+    names = [agent_name(other) for other in sorted(heard_by) if other != agent]
+    for shown in range(min(len(names), 4), -1, -1):
+        more = f" +{len(names) - shown}" if shown < len(names) else ""
+        text = f"{agent_name(agent)} no GCS radio, heard by {' '.join(names[:shown])}{more}: {how}"
+        if len(text) <= MAX_CHARS:
+            return text
+    return text[:MAX_CHARS]
+
+
+def relay_severity(word: int) -> Severity:
+    """As the agent's own line would have; a radio that is lost is a warning by itself."""
+    level, slot = worst(word)
+    return severity(level, slot) if level.bad and slot is not None else Severity.WARNING
 
 
 def digest(consensus: Consensus, told: Mapping[int, tuple[Level, str]]) -> Digest:

@@ -17,10 +17,14 @@ LATE_PERIODS, LOST_PERIODS = 2.5, 5.0
 LEARN = 0.3
 """Weight of the newest gap in the estimate of a peer's period."""
 MAX_PERIOD_S = 60.0
-VIEW_LATE_PERIODS = 4.0
-"""A view is too old to vote when its sender has sent none for so many periods."""
-CLASHES, CLASH_S = 3, 20.0
-"""A view's sequence that falls back this often within this time comes from two senders of one id."""
+VIEW_LATE_PERIODS = 45.0
+"""A view is too old to vote when its sender has sent none for so many periods. Views come when something changes, twice,
+and every 20 heartbeats; while its sender lives and says nothing new, its view stands."""
+CLASHES, CLASH_PERIODS = 3, 30.0
+"""An id is used twice when the frames' sequence falls back this often within so many periods: a restart does it once."""
+REORDERED = 8
+"""Frames may overtake each other by so many."""
+MAX_LINKS = 16
 MAX_PEERS = 250
 
 
@@ -37,8 +41,17 @@ class Peer:
     alive_since: float | None = None
     view: View | None = None
     view_s: float | None = None
-    restarts: int = 0
     falls: deque[float] = field(default_factory=lambda: deque(maxlen=CLASHES))
+    frames: dict[str, int] = field(default_factory=dict)
+    """Newest frame number by link."""
+
+    def count(self, frame: int, link: str, now: float) -> None:
+        """Notice a sequence that falls back: a restart, or two senders with one id."""
+        last = self.frames.get(link, frame)
+        if 128 <= (frame - last) % 256 < 256 - REORDERED:
+            self.falls.append(now)
+        if link in self.frames or len(self.frames) < MAX_LINKS:
+            self.frames[link] = frame
 
     def seen(self, now: float) -> Seen:
         if self.heard_s is None:
@@ -69,11 +82,18 @@ class Peers:
         self._period_s = period_s
         self._peers = {agent: Peer(agent, period_s) for agent in expected if agent != own}
 
-    def heartbeat(self, agent: int, word: int, now: float, *, leaving: bool = False) -> bool:
-        """A heartbeat of another agent's PHM. True when how it is seen, or what it says, changed."""
+    def heartbeat(
+        self, agent: int, word: int, now: float, *, leaving: bool = False, frame: int | None = None, link: str = ""
+    ) -> bool:
+        """A heartbeat of another agent's PHM. True when how it is seen, or what it says, changed.
+
+        frame: the sequence number of its MAVLink frame, which counts all that this sender sends on the link.
+        """
         if agent == self.own:
             return False
         peer = self._peer(agent)
+        if frame is not None:
+            peer.count(frame, link, now)
         before = (peer.seen(now), peer.word, peer.leaving)
         if peer.heard_s is not None and before[0] in (Seen.ALIVE, Seen.LATE):
             gap_s = min(now - peer.heard_s, MAX_PERIOD_S)
@@ -91,9 +111,6 @@ class Peers:
             return False
         peer = self._peer(agent)
         old = peer.view
-        if old is not None and (view.sequence - old.sequence) % 256 > 128:
-            peer.falls.append(now)
-            peer.restarts += 1
         peer.view, peer.view_s = view, now
         return old is None or (old.gcs, old.autopilot, old.radio, old.peers) != (
             view.gcs, view.autopilot, view.radio, view.peers
@@ -110,11 +127,11 @@ class Peers:
         return self._peers
 
     def clashing(self, now: float) -> tuple[int, ...]:
-        """Ids that two agents use: the sequence of their views falls back again and again."""
+        """Ids that two agents use: the sequence of their frames falls back again and again."""
         return tuple(
             agent
             for agent, peer in sorted(self._peers.items())
-            if len(peer.falls) == CLASHES and now - peer.falls[0] <= CLASH_S
+            if len(peer.falls) == CLASHES and now - peer.falls[0] <= CLASH_PERIODS * peer.period_s
         )
 
     def _peer(self, agent: int) -> Peer:

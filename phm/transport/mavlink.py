@@ -67,11 +67,11 @@ class MavlinkHub:
         """How many agents share the links, this one included."""
         return self._agents
 
-    @agents.setter
-    def agents(self, count: int) -> None:
-        self._agents = max(1, count)
+    def share(self, agents: int, *, speaks: bool = False) -> None:
+        """So many agents share the links, this one included; whether it speaks for them."""
+        self._agents = max(1, agents)
         for endpoint in self._endpoints:
-            endpoint.share(self._agents)
+            endpoint.share(self._agents, speaks=speaks)
 
     def budgets(self) -> dict[str, tuple[dict[Class, Count], float]]:
         """For each endpoint: counts by class, and by how much its radio slows it down (1: not at all)."""

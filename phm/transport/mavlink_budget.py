@@ -18,6 +18,7 @@ SWARM_BYTES_S = RADIO_BYTES_S * SHARE
 BURST_S = 20.0
 BURST_MIN = 400.0
 """Bytes that an agent may always save up: the full state for a ground station that appears, of any swarm."""
+REST, SPEAKER = 0.2, 0.2
 TXBUF_STALE_S = 5.0
 SLOWEST = 10.0
 MAX_WAITING = 256
@@ -26,7 +27,7 @@ SIZES: tuple[tuple[int, float, float], ...] = ((8, 2.0, 10.0), (30, 5.0, 30.0), 
 
 
 class Class(IntEnum):
-    """What leaves first. Heartbeats are not here: they are sent on time, and charged."""
+    """What leaves first. Heartbeats are not here: they are sent on time."""
 
     TRANSITION = 0
     """A change: a fault, its end, an advice."""
@@ -101,15 +102,20 @@ class Flow:
 class Budget:
     """What may leave one link now. bytes_s: the whole swarm's share on it; None: the link has no limit.
 
-    Invariant: over any time t not more than `burst + t * rate` bytes leave, heartbeats included, as long as
-    heartbeats alone take less than the rate; they are charged and never held back, because silence means death.
+    Heartbeats are never held back, because silence means death; what they take is not there for the rest. At least
+    REST of the share is: where the heartbeats of a large swarm use all of it, faults must still be told.
+    Invariant: over any time t not more than `burst + t * rate` bytes leave besides the heartbeats.
     """
 
     bytes_s: float | None
     now: float
     agents: int = 1
+    speaks: bool = False
+    """This agent speaks for the swarm, and has a fifth of the swarm's share for that."""
     flow: Flow = field(default_factory=Flow)
     counts: dict[Class, Count] = field(default_factory=lambda: {kind: Count() for kind in Class})
+    _beat: tuple[float, float] = (float("-inf"), 0.0)
+    """When the last heartbeat left, and bytes a second of heartbeats."""
     _credit: float = 0.0
     _waiting: OrderedDict[str, Item] = field(default_factory=OrderedDict)
 
@@ -118,17 +124,20 @@ class Budget:
 
     @property
     def rate(self) -> float:
-        """Bytes a second of this agent, before the radio slows it down."""
-        return float("inf") if self.bytes_s is None else self.bytes_s / max(1, self.agents)
+        """Bytes a second of this agent besides its heartbeats, before the radio slows it down."""
+        if self.bytes_s is None:
+            return float("inf")
+        part = self.bytes_s / max(1, self.agents)
+        return max(part - self._beat[1], part * REST) + (self.bytes_s * SPEAKER if self.speaks else 0.0)
 
     @property
     def burst(self) -> float:
         return max(BURST_MIN, self.rate * BURST_S)
 
-    def charge(self, size: int, now: float) -> None:
-        """So many bytes left outside of the queue: a heartbeat. The credit may become negative, by one burst at most."""
-        self._earn(now)
-        self._credit = max(self._credit - size, -self.burst)
+    def heartbeat(self, size: int, now: float) -> None:
+        """A heartbeat of so many bytes left."""
+        last = self._beat[0]
+        self._beat = (now, size / (now - last) if now > last else self._beat[1])
 
     def put(self, item: Item) -> None:
         """The newest of a key waits. When too many wait, the least of the least class is dropped."""

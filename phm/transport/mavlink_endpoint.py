@@ -64,9 +64,9 @@ class Endpoint:
         self._outbox.put(message, self.codec.size(message), kind, key, urgency)
         self._ring()
 
-    def share(self, agents: int) -> None:
-        """So many agents use the link that this endpoint leads to."""
-        self._outbox.agents(agents)
+    def share(self, agents: int, *, speaks: bool) -> None:
+        """So many agents use the link that this endpoint leads to, and whether this one speaks for them."""
+        self._outbox.share(agents, speaks=speaks)
 
     def budget(self) -> tuple[dict[Class, Count], float]:
         """What left, was replaced or dropped, by class; and by how much the radio slows it down now."""

@@ -53,7 +53,7 @@ class Outbox:
             now = self._clock.mono()
             if self._heartbeat is not None:
                 item, self._heartbeat = self._heartbeat, None
-                self._budget.charge(item.size, now)
+                self._budget.heartbeat(item.size, now)
                 return item
             return self._budget.next(now)
 
@@ -75,10 +75,10 @@ class Outbox:
         with self._lock:
             self._budget.flow.txbuf(percent, self._clock.mono())
 
-    def agents(self, count: int) -> None:
-        """So many agents share the link."""
+    def share(self, agents: int, *, speaks: bool) -> None:
+        """So many agents share the link, and whether this one speaks for them."""
         with self._lock:
-            self._budget.agents = count
+            self._budget.agents, self._budget.speaks = agents, speaks
 
     def slowed(self) -> float:
         """1 to 10: by how much the radio slows this link down now."""

@@ -72,6 +72,12 @@ class View:
     autopilot: bool
     radio: bool
     peers: Mapping[int, Seen] = field(default_factory=dict)
+    there: frozenset[int] = field(init=False, compare=False, repr=False)
+    """Those that the sender hears: alive or late."""
+
+    def __post_init__(self) -> None:
+        there = frozenset(agent for agent, seen in self.peers.items() if seen in (Seen.ALIVE, Seen.LATE))
+        object.__setattr__(self, "there", there)
 
 
 @dataclass(frozen=True, slots=True)

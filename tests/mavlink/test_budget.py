@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from phm.transport.mavlink_budget import (
     BURST_MIN,
     MAX_WAITING,
+    REST,
     SLOWEST,
     SWARM_BYTES_S,
     TXBUF_STALE_S,
@@ -58,7 +58,8 @@ def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[Item]) -> None
 
 def test_a_fault_leaves_before_what_repeats() -> None:
     budget = Budget(10.0, 0.0)
-    budget.charge(int(BURST_MIN), 0.0)
+    budget.put(Item("first", Class.TRANSITION, int(BURST_MIN), None))
+    assert taken(budget, 0.0)
     budget.put(Item("refresh", Class.REFRESH, 30, None, 6))
     budget.put(Item("node_1", Class.TRANSITION, 60, None, 2))
     assert taken(budget, 5.9) == []  # 59 bytes would do for the refresh, which does not overtake
@@ -66,14 +67,18 @@ def test_a_fault_leaves_before_what_repeats() -> None:
     assert [item.key for item in taken(budget, 9.0)] == ["refresh"]
 
 
-def test_heartbeats_are_charged() -> None:
-    """What they take is not there for text; yet a pause after many of them ends."""
-    budget = Budget(10.0, 0.0)
-    for _ in range(100):
-        budget.charge(21, 0.0)
-    budget.put(Item("a", Class.TRANSITION, 50, None))
-    assert taken(budget, 1.0) == []
-    assert taken(budget, 2 * BURST_MIN / 10)
+def test_what_heartbeats_take_is_not_there_for_the_rest() -> None:
+    budget = Budget(20.0, 0.0)
+    for at in range(10):
+        budget.heartbeat(12, float(at))
+    assert budget.rate == pytest.approx(8.0)
+
+
+def test_heartbeats_of_a_large_swarm_leave_room_for_faults() -> None:
+    budget = Budget(20.0, 0.0)
+    for at in range(10):
+        budget.heartbeat(100, float(at))
+    assert budget.rate == pytest.approx(20.0 * REST)
 
 
 def test_a_link_without_limit_holds_nothing_back() -> None:

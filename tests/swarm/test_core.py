@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from phm.model import Level, Slot
 from phm.swarm import digest
@@ -157,15 +156,25 @@ def test_a_member_that_never_came_is_never_seen() -> None:
 
 
 def test_an_id_used_twice_is_noticed_and_a_restart_is_not() -> None:
+    """Two senders count their frames each for itself; a restart falls back once; loss and reordering never do."""
     peers = Peers(1, PERIOD_S)
-    peers.told(2, View(200, True, True, True), 0.0)
-    peers.told(2, View(0, True, True, True), 2.0)
-    assert peers.clashing(2.0) == ()
-    for turn in range(6):
-        peers.told(2, View(10 + turn, True, True, True), 4.0 + turn)
-        peers.told(2, View(90 + turn, True, True, True), 4.5 + turn)
-    assert peers.clashing(10.0) == (2,)
-    assert peers.clashing(100.0) == ()
+    for at, frame in enumerate((250, 252, 5, 4, 60, 61, 0, 1, 2)):  # lost, overtaken, restarted at 0
+        peers.heartbeat(2, WELL, 2.0 * at, frame=frame)
+    assert peers.clashing(18.0) == ()
+    for turn in range(4):
+        peers.heartbeat(2, WELL, 20.0 + turn, frame=10 + turn)
+        peers.heartbeat(2, WELL, 20.5 + turn, frame=90 + turn)
+    assert peers.clashing(24.0) == (2,)
+    assert peers.clashing(24.0 + 61 * PERIOD_S) == ()
+
+
+def test_the_same_frame_by_two_ways_is_no_clash() -> None:
+    """Routers hand a frame on by several links, each with a delay of its own."""
+    peers = Peers(1, PERIOD_S)
+    for frame in range(200):
+        peers.heartbeat(2, WELL, 2.0 * frame, frame=frame, link="radio")
+        peers.heartbeat(2, WELL, 2.0 * frame, frame=max(0, frame - 40), link="mesh")
+    assert peers.clashing(400.0) == ()
 
 
 def test_our_own_frames_are_no_peer() -> None:

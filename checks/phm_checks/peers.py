@@ -1,0 +1,154 @@
+"""Slot 12: the other agents live, as the swarm agrees; the network between them is whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from phm import api
+from phm.api import Layer, Level, Slot
+from phm_checks._words import brief, joined, span
+
+GRACE_S = 30.0
+"""Agents are switched on one after another: for so long after PHM's start nobody is missed."""
+SETTLE_S = 5.0
+"""Agents that vanish together are lost within seconds of each other: a split is told before single agents are."""
+WHOLE = "peers/swarm"
+
+
+class Peers(api.Check):
+    """One unit for each configured agent, and one for the swarm as a whole, which tells of all others."""
+
+    name, slot, layer = "peers", Slot.PEERS, Layer.LINK
+    period_s = 1.0
+
+    def __init__(self, agents: Sequence[int]) -> None:
+        self._agents = tuple(agents)
+        self._units = (
+            api.Unit(WHOLE, settle_s=1.0, grace_s=GRACE_S),
+            *(api.Unit(_unit(agent), needs=(WHOLE,), settle_s=SETTLE_S, grace_s=GRACE_S) for agent in self._agents),
+        )
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        if not settings.mavlink.endpoints:
+            return []
+        return [cls([agent for agent in dict.fromkeys(settings.swarm.agents) if agent != settings.agent.id])]
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        return self._units
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return frozenset({"swarm"})
+
+    def run(self, world: api.World) -> Mapping[str, api.Result]:
+        fact = world.swarm.look()
+        results = {_unit(agent): _agent(agent, fact) for agent in self._agents}
+        return {WHOLE: self._whole(fact), **results}
+
+    def _whole(self, fact: api.SwarmFact) -> api.Result:
+        """What concerns several agents, and agents that are not configured one by one."""
+        others = {agent: peer for agent, peer in fact.peers.items() if agent not in self._agents}
+        found = [*_clashes(fact), *_alone(fact), *_split(fact)]
+        if not found:
+            found = [result for agent in others if (result := _agent(agent, fact)).level.bad]
+        values: dict[str, api.Value] = {"members": fact.members, "living": fact.living, "speaker": fact.speaker}
+        if found:
+            first = api.worst(found)
+            words = joined([result.summary for result in found])
+            return api.Result(first.level, words, first.brief, first.condition, values=values)
+        if not fact.peers:
+            return api.bypass("no other agent was ever heard, and none is configured (swarm.agents)", **values)
+        return api.ok(f"{fact.living} of {fact.members} agents of the swarm live", **values)
+
+
+def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
+    peer = fact.peers.get(agent, api.PeerFact("never seen", None))
+    name = _name(agent)
+    values: dict[str, api.Value] = {
+        "state": peer.state,
+        "age_s": None if peer.age_s is None else round(peer.age_s, 1),
+        "heard_by": len(peer.heard_by),
+        "unheard_by": len(peer.unheard_by),
+    }
+    dissent = f", but {_names(peer.heard_by)} hear it" if peer.heard_by else ""
+    silent = "" if peer.age_s is None else f", here for {span(peer.age_s)}"
+    if peer.state == "lost":
+        words = (
+            f"agent {name} is lost: unheard by {_names(peer.unheard_by)}{silent}{dissent}; expected its heartbeat: look for the "
+            "vehicle, its power and its radio"
+        )
+        return api.Result(Level.ERROR, words, brief(name, "lost"), "peer_lost", values=values)
+    if peer.state == "never seen":
+        words = (
+            f"agent {name} was never heard; it is configured in swarm.agents: is it switched on, and on this network?"
+        )
+        return api.Result(Level.WARN, words, brief(name, "never seen"), "peer_never_seen", values=values)
+    if peer.state == "unheard by some":
+        words = (
+            f"agent {name} lives, heard by {_names(peer.heard_by)}, and is unheard by {_names(peer.unheard_by)}: the network "
+            "between these is broken or at the edge of its range"
+        )
+        short = brief(name, f"unheard by {_names(peer.unheard_by, 3)}")
+        return api.Result(Level.WARN, words, short, "peer_partly", values=values)
+    if peer.state == "left":
+        return api.bypass(f"agent {name} was stopped on purpose", **values)
+    return api.ok(f"agent {name} is {peer.state}", **values)
+
+
+def _clashes(fact: api.SwarmFact) -> list[api.Result]:
+    if not fact.clashing:
+        return []
+    return [
+        api.error(
+            f"two agents use the id of {_names(fact.clashing)}: their reports mix; give each agent.id a number of its own",
+            brief=brief(_names(fact.clashing, 3), "id used twice"),
+            condition="id_clash",
+        )
+    ]
+
+
+def _alone(fact: api.SwarmFact) -> list[api.Result]:
+    """All others at once: it is this agent's own radio, as far as it can know, and one fault."""
+    lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost"]
+    here = [agent for agent, peer in fact.peers.items() if peer.state != "left"]
+    if len(lost) < 2 or len(lost) < len(here):
+        return []
+    return [
+        api.error(
+            f"no other agent is heard any more, {_names(lost)} are lost together: check this agent's own link to them first",
+            brief=brief("all peers", "lost"),
+            condition="alone",
+        )
+    ]
+
+
+def _split(fact: api.SwarmFact) -> list[api.Result]:
+    lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost"]
+    if not fact.split or len(lost) >= len(fact.peers):
+        return []
+    here = sorted({fact.own, *(agent for agent, peer in fact.peers.items() if peer.state in ("alive", "late"))})
+    return [
+        api.error(
+            f"the swarm is split: {_names(fact.split)} vanished together and {_names(here)} are here: a network between them is "
+            "broken, or something happened to all of those",
+            brief=brief(f"split {len(here)}/{fact.members}", f"lost {_names(fact.split, 3)}"),
+            condition="split",
+        )
+    ]
+
+
+def _names(agents: Iterable[int], most: int = 8) -> str:
+    """`A01 A02`, and `+3` for those beyond `most`."""
+    ids = sorted(agents)
+    more = f" +{len(ids) - most}" if len(ids) > most else ""
+    return " ".join(_name(agent) for agent in ids[:most]) + more
+
+
+def _name(agent: int) -> str:
+    return f"A{agent:02d}"
+
+
+def _unit(agent: int) -> str:
+    return f"peers/{_name(agent)}"

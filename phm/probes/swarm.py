@@ -1,0 +1,139 @@
+"""The other agents, heard on the MAVLink links: heartbeats of their PHM and their views; what all agree on."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from phm.clock import Clock
+from phm.settings import Settings
+from phm.swarm.consensus import Consensus, agree, without_ground
+from phm.swarm.peers import Peers
+from phm.swarm.speaker import Election
+from phm.swarm_facts import PeerFact, SwarmFact
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink import MavlinkHub
+from phm.transport.mavlink_budget import periods
+from phm.wire import status_word, tunnel
+
+FRESH_S = 0.5
+LINK_S = 60.0
+"""A link on which no other agent was heard for so long leads to none."""
+
+
+class Swarm:
+    """A `phm.facts.SwarmProbe`. `on_wake` is called when the picture changes, be it by silence; it must not wait.
+
+    gcs_age_s: seconds since a ground station was heard, None for never. Frames come in the endpoints' threads.
+    """
+
+    def __init__(
+        self,
+        hub: MavlinkHub,
+        settings: Settings,
+        clock: Clock,
+        gcs_age_s: Callable[[], float | None],
+        on_wake: Callable[[], None],
+    ) -> None:
+        self._hub, self._clock, self._on_wake, self._gcs_age_s = hub, clock, on_wake, gcs_age_s
+        self._own, self._component = settings.agent.id, settings.mavlink.component_id
+        self._gcs_timeout_s = settings.mavlink.gcs_timeout
+        expected = settings.swarm.agents
+        heartbeat_s = settings.mavlink.heartbeat or periods(len(expected))[0]
+        self._peers = Peers(self._own, heartbeat_s, expected)
+        self._election = Election()
+        self._links: dict[str, float] = {}
+        self._began = clock.mono()
+        self._shown: object = None
+        self._fresh: tuple[float, SwarmFact | None] = (0.0, None)
+        self._lock = threading.Lock()
+        hub.share(len({*expected, self._own}))
+        hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_TUNNEL))
+        hub.watch(self.wake_if_changed)
+
+    def look(self) -> SwarmFact:
+        """Computed anew at most every FRESH_S, and when a frame said something new: a hundred views cost milliseconds."""
+        at, fact = self._fresh
+        if fact is None or self._clock.mono() - at >= FRESH_S:
+            fact = self._look()
+            self._fresh = (self._clock.mono(), fact)
+        return fact
+
+    def _look(self) -> SwarmFact:
+        now, gcs = self._clock.mono(), self._hears_ground()
+        with self._lock:
+            agreed = agree(self._peers, now, gcs)
+            speaker = self._election.speaker(agreed, gcs, now)
+            clashing = self._peers.clashing(now)
+            links = tuple(sorted(name for name, at in self._links.items() if now - at <= LINK_S))
+            peers = {agent: self._peer(agent, agreed, now) for agent in agreed.verdicts}
+        return SwarmFact(
+            self._own, agreed.members, len(agreed.living), peers, agreed.split, without_ground(agreed, gcs), clashing,
+            speaker, gcs, now - self._began, links,
+        )  # fmt: skip
+
+    def wake_if_changed(self) -> None:
+        """Look; wake the check when it would judge differently. The number of agents sets the links' budgets."""
+        fact = self.look()
+        self._hub.share(fact.members, speaks=fact.speaker == self._own)
+        picture = (
+            {agent: (peer.state, peer.heard_by, peer.gcs) for agent, peer in fact.peers.items()},
+            fact.split, fact.deaf, fact.clashing, fact.speaker,
+        )  # fmt: skip
+        with self._lock:
+            changed, self._shown = picture != self._shown, picture
+        if changed:
+            self._on_wake()
+
+    # ------------------------------------------------------------ from the endpoints' threads
+
+    def _hear(self, message: Any, link: str) -> None:
+        agent = message.get_srcSystem()
+        if agent == self._own or message.get_srcComponent() != self._component:
+            return
+        beat = message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+        heard = self._heartbeat(agent, message, link) if beat else self._tunnel(agent, message)
+        if heard is None:
+            return
+        with self._lock:
+            self._links[link] = self._clock.mono()
+        if heard:
+            self._fresh = (0.0, None)
+            self._on_wake()
+
+    def _heartbeat(self, agent: int, message: Any, link: str) -> bool | None:
+        """Whether it says something new; None for a heartbeat that is not PHM's."""
+        if message.type != mavlink.MAV_TYPE_ONBOARD_CONTROLLER:
+            return None
+        try:
+            if message.custom_mode == 0 or status_word.decode(message.custom_mode) is None:
+                return None  # an all-zero word is every other program's
+        except ValueError:
+            return None
+        leaving = message.system_status == mavlink.MAV_STATE_POWEROFF
+        with self._lock:
+            return self._peers.heartbeat(
+                agent, message.custom_mode, self._clock.mono(), leaving=leaving, frame=message.get_seq(), link=link
+            )
+
+    def _tunnel(self, agent: int, message: Any) -> bool | None:
+        if message.payload_type != tunnel.PAYLOAD_TYPE or message.target_system not in (0, self._own):
+            return None
+        try:
+            told = tunnel.decode(bytes(message.payload[: message.payload_length]))
+        except tunnel.TunnelError:
+            return None
+        if not isinstance(told, tunnel.View):
+            return None
+        with self._lock:
+            return self._peers.told(agent, told, self._clock.mono())
+
+    def _hears_ground(self) -> bool:
+        age_s = self._gcs_age_s()
+        return age_s is not None and age_s <= self._gcs_timeout_s
+
+    def _peer(self, agent: int, agreed: Consensus, now: float) -> PeerFact:
+        verdict, peer = agreed.verdicts[agent], self._peers.peer(agent)
+        age_s = None if peer is None or peer.heard_s is None else now - peer.heard_s
+        return PeerFact(verdict.state.value, age_s, verdict.heard_by, verdict.unheard_by, verdict.gcs, verdict.word)

@@ -1,0 +1,53 @@
+"""What the swarm probe says about the other agents. Part of `phm.facts`, and imported from there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class PeerFact:
+    """One other agent, as the swarm agrees on it.
+
+    state: alive, late, unheard by some, lost, never seen, or left (stopped on purpose). age_s: since this agent heard it,
+    None when it never did. heard_by, unheard_by: ids of the agents whose view counted, this one included. gcs: whether
+    it hears a ground station by its own word; None when it has not said so lately. word: its newest status word.
+    """
+
+    state: str
+    age_s: float | None
+    heard_by: tuple[int, ...] = ()
+    unheard_by: tuple[int, ...] = ()
+    gcs: bool | None = None
+    word: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmFact:
+    """The swarm as this agent computes it from all views, its own included.
+
+    peers: by agent id, without this agent. members, living: how many, with it. split: agents that vanished together.
+    deaf: living agents that hear no ground station while others do. clashing: ids that two agents use. speaker: who
+    speaks for the swarm; None while nobody hears the ground.
+    """
+
+    own: int
+    members: int
+    living: int
+    peers: Mapping[int, PeerFact] = field(default_factory=dict)
+    split: tuple[int, ...] = ()
+    deaf: tuple[int, ...] = ()
+    clashing: tuple[int, ...] = ()
+    speaker: int | None = None
+    gcs: bool = False
+    up_s: float = 0.0
+    """How long this agent has listened: absence proves nothing before."""
+    links: tuple[str, ...] = ()
+    """Names of the links on which another agent was heard lately."""
+
+
+class SwarmProbe(Protocol):
+    def look(self) -> SwarmFact:
+        """Never fails: what is not known is said as such."""

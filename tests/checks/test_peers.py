@@ -1,0 +1,100 @@
+"""Slot 12: who is missed, and how several missed at once are one fault."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from phm import testing
+from phm.api import Level, PeerFact, Result
+from phm_checks.peers import WHOLE, Peers
+
+ALIVE = PeerFact("alive", 1.0, (1, 2), ())
+LOST = PeerFact("lost", 20.0, (), (1, 2))
+
+
+def judge(peers: dict[int, PeerFact], agents: tuple[int, ...] = (2, 3, 4), **fields: Any) -> dict[str, Result]:
+    living = 1 + sum(peer.state != "lost" for peer in peers.values())
+    swarm = testing.FakeSwarm(peers=peers, members=1 + len(peers), living=living, **fields)
+    return dict(Peers(agents).run(testing.world(swarm=swarm)))
+
+
+def test_all_live() -> None:
+    results = judge(dict.fromkeys((2, 3, 4), ALIVE))
+    assert {result.level for result in results.values()} == {Level.OK}
+    assert results[WHOLE].summary == "4 of 4 agents of the swarm live"
+
+
+def test_one_that_is_lost_is_told_by_its_own_unit() -> None:
+    results = judge({2: ALIVE, 3: LOST, 4: ALIVE})
+    assert (results["peers/A03"].level, results["peers/A03"].condition) == (Level.ERROR, "peer_lost")
+    assert results["peers/A03"].brief == "A03 lost"
+    assert results[WHOLE].level is Level.OK
+
+
+def test_who_still_hears_the_lost_one_is_named() -> None:
+    results = judge({2: ALIVE, 3: PeerFact("lost", 20.0, (4,), (1, 2)), 4: ALIVE})
+    assert "unheard by A01 A02, here for 20 s, but A04 hear it" in results["peers/A03"].summary
+
+
+@pytest.mark.parametrize(
+    ("peer", "level", "condition"),
+    [
+        (PeerFact("never seen", None), Level.WARN, "peer_never_seen"),
+        (PeerFact("unheard by some", 2.0, (1,), (2,)), Level.WARN, "peer_partly"),
+        (PeerFact("late", 7.0), Level.OK, ""),
+        (PeerFact("left", 70.0), Level.OK, ""),
+    ],
+)
+def test_other_states(peer: PeerFact, level: Level, condition: str) -> None:
+    result = judge({2: ALIVE, 3: peer, 4: ALIVE})["peers/A03"]
+    assert (result.level, result.condition) == (level, condition)
+
+
+def test_an_agent_that_nobody_ever_heard_is_missed_too() -> None:
+    """Configured, and not even known to the probe."""
+    assert judge({2: ALIVE}, (2, 9))["peers/A09"].condition == "peer_never_seen"
+
+
+def test_a_split_is_one_fault_and_the_cause_of_the_single_ones() -> None:
+    check = Peers((2, 3, 4))
+    assert all(unit.needs == (WHOLE,) for unit in check.units if unit.id != WHOLE)
+    result = judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[WHOLE]
+    assert (result.level, result.condition) == (Level.ERROR, "split")
+    assert "A03 A04 vanished together and A01 A02 are here" in result.summary
+
+
+def test_all_lost_at_once_is_ones_own_radio() -> None:
+    result = judge({2: LOST, 3: LOST, 4: LOST}, split=(2, 3, 4))[WHOLE]
+    assert (result.condition, result.brief) == ("alone", "all peers lost")
+
+
+def test_the_only_other_agent_lost_is_lost() -> None:
+    results = judge({2: LOST}, (2,))
+    assert results[WHOLE].level is Level.OK
+    assert results["peers/A02"].level is Level.ERROR
+
+
+def test_an_id_used_twice_is_told_first() -> None:
+    result = judge({2: ALIVE}, clashing=(2,))[WHOLE]
+    assert (result.condition, result.brief) == ("id_clash", "A02 id used twice")
+
+
+def test_without_configuration_the_heard_ones_are_missed() -> None:
+    result = judge({2: ALIVE, 3: LOST}, ())[WHOLE]
+    assert (result.level, result.brief) == (Level.ERROR, "A03 lost")
+
+
+def test_alone_and_nobody_expected_is_well() -> None:
+    result = judge({}, ())[WHOLE]
+    assert result.level is Level.OK
+    assert result.bypass
+
+
+def test_without_links_there_is_no_such_check() -> None:
+    assert Peers.build(testing.settings()) == []
+    (check,) = Peers.build(
+        testing.settings(mavlink={"endpoints": [{"url": "udpout:127.0.0.1:1"}]}, swarm={"agents": [1, 2, 2, 3]})
+    )
+    assert [unit.id for unit in check.units] == [WHOLE, "peers/A02", "peers/A03"]

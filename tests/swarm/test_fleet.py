@@ -1,0 +1,113 @@
+"""Whole swarms with the real probe, reporters and budgets: who speaks, what the ground reads, what it costs."""
+
+from __future__ import annotations
+
+import pytest
+
+from phm.model import Level
+from phm.transport.mavlink_budget import BURST_MIN, SWARM_BYTES_S
+from tests.swarm.fleet import Fleet
+
+
+def test_one_agent_speaks_and_its_line_is_not_repeated_aloud() -> None:
+    fleet = Fleet(8)
+    fleet.run(60)
+    assert {agent.probe.look().speaker for agent in fleet.agents.values()} == {1}
+    assert fleet.lines(5) == []
+    fleet.run(20)
+    assert {text for text in fleet.lines() if text.startswith("SWARM")} == {"SWARM 8/8 OK"}
+
+
+def test_a_lost_speaker_is_replaced_and_told() -> None:
+    fleet = Fleet(8)
+    fleet.run(60)
+    fleet.lines()
+    fleet.down = {1}
+    fleet.run(40)
+    assert {fleet.agents[number].probe.look().speaker for number in range(2, 9)} == {2}
+    assert "SWARM 7/8 FAIL A01:lost" in fleet.lines()
+
+
+def test_an_agent_without_its_ground_radio_is_told_through_its_peers() -> None:
+    """Its own lines do not reach the ground; its status word reaches its peers."""
+    fleet = Fleet(4)
+    fleet.deaf = {3}
+    fleet.run(60)
+    assert "A03 no GCS radio, heard by A01 A02 A04: OK" in fleet.lines(4)
+    fleet.agents[3].become("container/app", Level.ERROR, "app exited")
+    fleet.run(20)
+    assert fleet.lines(3) == ["A03 no GCS radio, heard by A01 A02 A04: 2 ERROR"]
+    fleet.run(60)
+    assert fleet.lines(4) == []
+
+
+def test_a_radio_that_comes_back_takes_the_word_back() -> None:
+    fleet = Fleet(4)
+    fleet.deaf = {3}
+    fleet.run(60)
+    fleet.deaf = set()
+    fleet.run(30)
+    assert fleet.agents[1].probe.look().deaf == ()
+    fleet.lines()
+    fleet.run(20)
+    assert "SWARM 4/4 OK" in fleet.lines()
+
+
+def test_both_sides_of_a_split_speak_for_themselves() -> None:
+    fleet = Fleet(6)
+    fleet.run(60)
+    fleet.cut = {pair for a in (1, 2) for b in (3, 4, 5, 6) for pair in ((a, b), (b, a))}
+    fleet.run(60)
+    assert fleet.agents[1].probe.look().split == (3, 4, 5, 6)
+    assert fleet.agents[6].probe.look().split == (1, 2)
+    assert (fleet.agents[2].probe.look().speaker, fleet.agents[6].probe.look().speaker) == (1, 3)
+    fleet.cut = set()
+    fleet.run(60)
+    assert {agent.probe.look().speaker for agent in fleet.agents.values()} == {1}
+    assert {agent.probe.look().living for agent in fleet.agents.values()} == {6}
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.1])
+def test_a_lossy_network_loses_nobody(loss: float) -> None:
+    """Ten minutes with a tenth of all frames gone: no agent is ever agreed to be lost."""
+    fleet = Fleet(8, loss=loss)
+    lost = set()
+    for _ in range(60):
+        fleet.run(10)
+        lost |= {
+            number
+            for agent in fleet.agents.values()
+            for number, peer in agent.probe.look().peers.items()
+            if peer.state == "lost"
+        }
+    assert lost == set()
+
+
+@pytest.mark.parametrize("count", [1, 8, 30])
+def test_an_idle_swarm_stays_within_its_share(count: int) -> None:
+    """Two minutes after it has settled and used up what it saved at its start, all frames of all agents on one link."""
+    fleet = Fleet(count)
+    fleet.run(180)
+    before = sum(agent.port.bytes_out for agent in fleet.agents.values())
+    fleet.run(120)
+    rate = (sum(agent.port.bytes_out for agent in fleet.agents.values()) - before) / 120
+    assert rate <= 1.05 * SWARM_BYTES_S  # what was saved for a burst may leave within the two minutes
+
+
+def test_a_hundred_agents_agree_and_stay_within_budget() -> None:
+    """A hundred agents, three die, one loses its radio: all that live agree, the ground reads it in one line."""
+    fleet = Fleet(100)
+    fleet.run(60)
+    assert {agent.probe.look().living for agent in fleet.agents.values()} == {100}
+    before = sum(agent.port.bytes_out for agent in fleet.agents.values())
+    fleet.down, fleet.deaf = {5, 50, 95}, {7}
+    fleet.lines()
+    fleet.run(80)
+    living = {agent.probe.look().living for number, agent in fleet.agents.items() if number not in fleet.down}
+    assert living == {97}
+    lines = fleet.lines()
+    assert "SWARM 96/100 FAIL A05:lost A50:lost A95:lost +1" in lines
+    assert any(line.startswith("A07 no GCS radio, heard by A01 A02") for line in lines)
+    rate = (sum(agent.port.bytes_out for agent in fleet.agents.values()) - before) / 80
+    # Heartbeats alone are 6.6 % of a 64 kbit/s radio, and a fifth of the share each is left to the rest and to the speaker; see docs/mavlink.md.
+    assert rate <= 100 * 21 / 10 + 0.4 * SWARM_BYTES_S + 100 * BURST_MIN / 80
