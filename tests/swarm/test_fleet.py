@@ -94,6 +94,7 @@ def test_an_idle_swarm_stays_within_its_share(count: int) -> None:
     assert rate <= 1.05 * SWARM_BYTES_S  # what was saved for a burst may leave within the two minutes
 
 
+@pytest.mark.long
 def test_a_hundred_agents_agree_and_stay_within_budget() -> None:
     """A hundred agents, three die, one loses its radio: all that live agree, the ground reads it in one line."""
     fleet = Fleet(100)
