@@ -47,6 +47,7 @@ class Bench:
         }
         self.notes: list[str] = []
         self.changes = 0
+        self.on_change: Callable[[], object] = lambda: None
         self._closing = contextlib.ExitStack()
 
     def node(self, name: str, *arguments: str, module: str = "sitl.node") -> subprocess.Popen[bytes]:
@@ -90,6 +91,7 @@ class Bench:
 
     def _changed(self) -> None:
         self.changes += 1
+        self.on_change()
 
     def close(self) -> None:
         self._closing.close()

@@ -1,0 +1,88 @@
+"""The nodes check against real containers: what the engine's process list says of nodes that the graph still lists."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from phm import api, testing
+from phm.clock import SystemClock
+from phm.probes.docker import Docker
+from phm.transport.docker import Engine
+from phm_checks.nodes import Nodes
+
+Until = Callable[[Callable[[], object], str], None]
+FAKE = "bash -c 'while :; do sleep 1; done' fake --name node_{} --namespace /agent_1"
+
+
+class Agent:
+    """Two fake nodes of one real container, beside the graph of a ROS that does not notice anything."""
+
+    def __init__(self, name: str, engine: Engine, until: Until) -> None:
+        nodes = [{"name": f"/agent_1/node_{number}"} for number in (1, 2)]
+        settings = testing.settings(
+            containers=[{"name": name, "alias": "ros_app"}], ros={"nodes": nodes, "grace": "2s"}
+        )
+        (self.check,) = Nodes.build(settings)
+        ros = testing.FakeRos(nodes={node["name"]: 1 for node in nodes})
+        self.docker = Docker(engine, settings, SystemClock())
+        self.world = testing.world(clock=SystemClock(), docker=self.docker, ros=ros)
+        self._until = until
+
+    def results(self) -> dict[str, api.Result]:
+        results = self.check.run(self.world)
+        assert not isinstance(results, api.Result)
+        return {unit.rpartition("/")[2]: result for unit, result in results.items()}
+
+    def shows(self, node: str, condition: str, process: str) -> None:
+        """Until the node is judged so, and its process is told so; the other one is well all the time."""
+
+        def shown() -> bool:
+            results = self.results()
+            other = results["node_2" if node == "node_1" else "node_1"]
+            assert other.level in (api.Level.OK, api.Level.STALE), other.summary
+            return results[node].condition == condition and process in str(results[node].values["process"])
+
+        self._until(shown, f"{node} as {condition or 'well'}, process {process}")
+
+
+@pytest.fixture
+def made(real: Any) -> Any:
+    return real.container(f"{FAKE.format(1)} & {FAKE.format(2)} & wait; exec sleep 600")
+
+
+def test_a_stopped_and_then_killed_process(made: Any, engine: Engine, until: Until) -> None:
+    """Hung while it is stopped, well when it is let go, dead when it is killed, although its name is listed throughout."""
+    agent = Agent(made.name, engine, until)
+    agent.shows("node_1", "", " S")
+    for signal, condition, process in (
+        ("STOP", "node_hung", " T"),
+        ("CONT", "", " S"),
+        ("KILL", "node_missing", " ended"),
+    ):
+        made.exec_run(["pkill", f"-{signal}", "-f", "^bash.*node_1"])
+        agent.shows("node_1", condition, process)
+
+
+def test_a_restarted_container_has_other_processes(made: Any, engine: Engine, until: Until) -> None:
+    """The processes of before are gone with their life: no node is told as dead, and the new ones are found."""
+    agent = Agent(made.name, engine, until)
+    agent.shows("node_1", "", " S")
+    before = agent.results()["node_1"].values["process"]
+    made.restart(timeout=0)
+    agent.docker.invalidate()  # as the engine's event does
+    until(
+        lambda: agent.results()["node_1"].values["process"] not in (before, "none found"), "the process of the new life"
+    )
+    assert {result.level for result in agent.results().values()} == {api.Level.OK}
+
+
+def test_a_container_that_ended_takes_its_nodes_along(made: Any, engine: Engine, until: Until) -> None:
+    """Its state is the evidence; the tracker then tells it at the container."""
+    agent = Agent(made.name, engine, until)
+    agent.shows("node_1", "", " S")
+    made.kill()
+    agent.docker.invalidate()
+    until(lambda: "its container is exited" in agent.results()["node_1"].summary, "the end of the container")

@@ -1,0 +1,252 @@
+"""Real nodes that die, stop, compute, come back and double, judged by the real checks and the real tracker."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from phm import plan, testing
+from phm.bus import Bus
+from phm.clock import SystemClock
+from phm.engine import Batch, Engine
+from phm.facts import CannotTell, ProcessFact
+from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Transition, UnitState
+from phm.pipeline import Pipeline
+from phm.probes.docker_processes import FORMS, processes
+from phm.tracker import Tracker
+from phm_checks import _signs
+from phm_checks.nodes import Nodes
+from phm_checks.rates import Rates
+from phm_checks.topics import Topics
+from tests.fakes.ros_bench import Bench, seen, until
+
+APP = "ros_app"
+NODE, TOPIC, RATE = "nodes/agent_1/node_1", "topics/agent_1/topic_1", "rates/agent_1/topic_1"
+
+
+class HostList(testing.FakeDocker):
+    """One running container whose processes are those of this machine that the test started."""
+
+    def __init__(self) -> None:
+        super().__init__(testing.container(APP))
+        self.started: list[subprocess.Popen[bytes]] = []
+        self.permitted = True
+
+    def processes(self, name: str) -> tuple[ProcessFact, ...]:
+        self.listings += 1
+        if not self.permitted:
+            raise CannotTell("not permitted")
+        pids = ",".join(str(process.pid) for process in self.started) or "1"
+        done = subprocess.run(["ps", *FORMS[0].split(), f"-q{pids}"], capture_output=True, text=True, check=False)
+        titles, *rows = (line.split(None, 4) for line in done.stdout.splitlines())
+        return processes({"Titles": titles, "Processes": rows})
+
+
+class Agent:
+    """Nodes, topics and rates of one agent, judged as in the daemon: engine, tracker, wake-ups. Kept: all its events."""
+
+    def __init__(self, bench: Bench, *, grace: str = "8s", nodes: int = 1) -> None:
+        self.bench, self.docker = bench, HostList()
+        topics = [{"name": "/agent_1/topic_1", "rate": 10, "publishers": ["/agent_1/node_1"]}]
+        ros = {"nodes": [{"name": f"/agent_1/node_{n + 1}"} for n in range(nodes)], "topics": topics, "grace": grace}
+        settings = testing.settings(containers=[{"name": APP}], ros={**ros, "silence": "1s"})
+        self.probe = bench.probe(topics, nodes=ros["nodes"], silence="1s")
+        self.clock, self.events = SystemClock(), list[Event]()
+        made = plan.make(settings, {"nodes": Nodes, "topics": Topics, "rates": Rates})
+        self.bus = Bus(self.clock)
+        self.pipeline = Pipeline(Tracker(made.tracked, self.clock.stamp()), self.bus, self.clock)
+        world = testing.world(clock=self.clock, ros=self.probe, docker=self.docker)
+        self.engine = Engine(made.scheduled, world, self.clock, self._take)
+        self.pipeline.attach(self.engine.wake_units)
+        bench.on_change = lambda: self.engine.wake_subject("ros")
+        self.bus.subscribe("test", self.events.append, kinds=(Transition, FaultOpened, FaultClosed))
+        self.engine.start()
+
+    def _take(self, batch: Batch) -> None:
+        self.pipeline.observe(dict(batch.units), batch.started, batch.duration_s, overdue=batch.overdue)
+
+    def start(self, name: str = "node_1", *arguments: str, **more: Any) -> subprocess.Popen[bytes]:
+        node = self.bench.node(name, *(arguments or ("--publish", "topic_1:10")), **more)
+        self.docker.started.append(node)
+        return node
+
+    def state(self, unit: str) -> UnitState:
+        return next(state for state in self.pipeline.states() if state.unit == unit)
+
+    def until(self, condition: Callable[[], Any], what: str, limit_s: float = 30.0) -> Any:
+        """Let time pass, as the daemon's heart does, until something is so."""
+
+        def ticked() -> Any:
+            self.pipeline.tick()
+            return condition()
+
+        return until(ticked, what, limit_s)
+
+    def well(self) -> None:
+        """Until the node and its topic have been well for long enough that grace is over."""
+        self.until(lambda: self.state(NODE).level is Level.OK, "a node that is OK")
+        self.until(lambda: self.state(RATE).level is Level.OK, "a rate that is OK")
+        self.until(lambda: not self.pipeline.undecided(), "the end of grace")
+        self.events.clear()
+
+    def told(self) -> Fault:
+        """The first fault."""
+        self.until(lambda: self.faults, "a fault")
+        return self.faults[0]
+
+    def blames(self, unit: str) -> None:
+        """Until the topic's rate is told as a consequence of `unit`, and it is the only fault."""
+        self.until(lambda: self.state(RATE).blocked_by == unit, f"the rate blocked by {unit}")
+        assert [fault.unit for fault in self.faults] == [unit]
+
+    def rests(self, seconds: float) -> None:
+        """Let time pass: what must not happen has had the time to."""
+        end = self.clock.mono() + seconds
+        self.until(lambda: self.clock.mono() >= end, "the end", seconds + 10)
+
+    @property
+    def faults(self) -> list[Fault]:
+        return [event.fault for event in self.events if isinstance(event, FaultOpened)]
+
+    def close(self) -> None:
+        self.engine.stop()
+        self.bus.close()
+
+
+@pytest.fixture
+def agent(bench: Bench) -> Iterator[Agent]:
+    made = Agent(bench)
+    yield made
+    made.close()
+
+
+def test_a_killed_node_is_told_by_its_process(agent: Agent) -> None:
+    """SIGKILL: still listed, but its process has ended. One alarm; the silence of its topic follows from it."""
+    node = agent.start()
+    agent.well()
+    node.kill()
+    fault = agent.told()
+    assert (fault.unit, fault.result.condition) == (NODE, "node_missing")
+    assert f"its process {node.pid} has ended" in fault.result.summary
+    assert "it is listed in the graph" in fault.result.summary
+    agent.blames(NODE)
+
+
+def test_a_killed_node_is_told_by_the_graph_alone(agent: Agent) -> None:
+    """Without any list of processes, as soon as its lease of one second is over. One alarm."""
+    agent.docker.permitted = False
+    node = agent.start()
+    agent.well()
+    node.kill()
+    fault = agent.told()
+    assert (fault.unit, fault.result.condition) == (NODE, "node_missing")
+    assert "it is not in the graph" in fault.result.summary
+    agent.blames(NODE)
+
+
+def test_a_stopped_node_hangs_and_goes_on(agent: Agent) -> None:
+    """SIGSTOP: state T in the list of processes. One alarm, closed when it is let go."""
+    node = agent.start()
+    agent.well()
+    node.send_signal(signal.SIGSTOP)
+    fault = agent.told()
+    assert (fault.unit, fault.result.condition) == (NODE, "node_hung")
+    assert f"its process {node.pid} is stopped" in fault.result.summary
+    agent.blames(NODE)
+    node.send_signal(signal.SIGCONT)
+    agent.until(lambda: any(isinstance(event, FaultClosed) for event in agent.events), "its end")
+    agent.until(lambda: agent.state(RATE).level is Level.OK, "the rate again")
+    assert len(agent.faults) == 1
+
+
+def test_a_busy_node_is_not_called_dead(agent: Agent) -> None:
+    """A callback computes for 5 s: the topic is silent and told, the node is not, with its process as the reason."""
+    node = agent.start("node_1", "--seconds", "5", module="tests.fakes.ros_busy")
+    agent.well()
+    node.send_signal(signal.SIGUSR1)
+    agent.until(lambda: agent.state(RATE).level is Level.ERROR, "the silence of its topic")
+    assert agent.state(NODE).level is Level.OK
+    agent.until(lambda: agent.state(RATE).level is Level.OK, "the end of its work")
+    assert [fault.unit for fault in agent.faults] == [RATE]
+
+
+def test_a_silent_topic_of_a_living_node_is_told_at_the_topic(agent: Agent) -> None:
+    """Its process runs and it is listed: the node is well."""
+    node = agent.start()
+    agent.well()
+    node.send_signal(signal.SIGUSR1)
+    assert (agent.told().unit, agent.state(NODE).level) == (RATE, Level.OK)
+
+
+def test_a_node_that_says_good_bye_is_dead(agent: Agent) -> None:
+    """SIGTERM: gone from the graph and from the list of processes."""
+    node = agent.start()
+    agent.well()
+    node.terminate()
+    fault = agent.told()
+    assert (fault.unit, fault.result.brief) == (NODE, "node_1 dead")
+
+
+def test_a_node_that_never_started(bench: Bench) -> None:
+    """Its neighbour runs; the picture is old enough to prove the absence."""
+    agent = Agent(bench, grace="3s", nodes=2)
+    agent.start()
+    agent.until(lambda: agent.faults, "a fault")
+    assert [(fault.unit, fault.result.brief) for fault in agent.faults] == [
+        ("nodes/agent_1/node_2", "node_2 never started")
+    ]
+    agent.close()
+
+
+def test_a_node_that_runs_twice(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both alive: a warning, and nothing worse, when it lasts longer than a lease (shortened here)."""
+    monkeypatch.setattr(_signs, "TWICE_S", 2.0)
+    agent.start()
+    agent.well()
+    agent.start()
+    agent.until(lambda: agent.state(NODE).level is Level.WARN, "the warning")
+    assert agent.state(NODE).result.condition == "node_twice"
+    assert agent.faults == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_node_that_is_restarted_is_neither_twice_nor_left_behind(agent: Agent, number: signal.Signals) -> None:
+    """Started anew at once: whatever is told of the gap, it ends well, and no double is told before the old lease ends."""
+    node = agent.start()
+    agent.well()
+    node.send_signal(number)
+    node.wait()
+    again = agent.start()
+    agent.until(lambda: agent.state(NODE).result.values.get("process") == f"{again.pid} S", "its new process")
+    agent.until(lambda: agent.state(RATE).level is Level.OK and agent.state(NODE).level is Level.OK, "its return")
+    agent.rests(2.0)
+    assert agent.state(NODE).level is Level.OK
+    briefs = {event.state.result.brief for event in agent.events if isinstance(event, Transition)}
+    assert "node_1 runs twice" not in briefs
+    assert {fault.unit for fault in agent.faults} <= {NODE}
+
+
+def test_a_restarted_ros_child_raises_no_alarm(agent: Agent) -> None:
+    """Its first pictures are empty: nothing is told from them, and afterwards all is as before."""
+    agent.start()
+    agent.well()
+    agent.probe.renew("the test wants it")
+    agent.until(lambda: agent.state(NODE).level is Level.STALE, "STALE in between")
+    agent.until(lambda: agent.state(NODE).level is Level.OK and agent.state(RATE).level is Level.OK, "all as before")
+    assert agent.faults == []
+
+
+@pytest.mark.long
+def test_the_list_of_processes_is_asked_for_rarely_while_all_is_well(agent: Agent) -> None:
+    """A node with a topic of 10 Hz: fewer than one list in three seconds."""
+    agent.start()
+    agent.well()
+    seen(agent.probe, lambda fact: fact.nodes, "the node")
+    agent.rests(5.5)
+    before, runs = agent.docker.listings, agent.clock.mono()
+    agent.rests(9.0)
+    assert agent.docker.listings - before <= (agent.clock.mono() - runs) / 3
