@@ -12,6 +12,15 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from phm.clock import Clock
+from phm.link_facts import (
+    AutopilotFact as AutopilotFact,
+    GcsFact as GcsFact,
+    LineFact as LineFact,
+    LinkFact as LinkFact,
+    LinkProbe as LinkProbe,
+    RadioFact as RadioFact,
+    SenderFact as SenderFact,
+)
 from phm.ros_facts import (
     BeaconFact as BeaconFact,
     DiagnosticFact as DiagnosticFact,
@@ -240,34 +249,7 @@ class HostProbe(Protocol):
     def read(self) -> HostFact: ...
 
 
-# ---------------------------------------------------------------- links and PHM itself
-
-
-@dataclass(frozen=True, slots=True)
-class AutopilotFact:
-    """Of the last HEARTBEAT of the vehicle's autopilot component."""
-
-    age_s: float
-    armed: bool
-    custom_mode: int = 0
-    system_status: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class LinkFact:
-    name: str
-    open: bool
-    error: str = ""
-
-
-class LinkProbe(Protocol):
-    def gcs_age_s(self) -> float | None:
-        """Since the last HEARTBEAT of any ground station; None when none was ever heard."""
-
-    def autopilot(self) -> AutopilotFact | None:
-        """None when no autopilot was ever heard."""
-
-    def links(self) -> tuple[LinkFact, ...]: ...
+# ---------------------------------------------------------------- PHM itself and all together
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,7 +86,6 @@ class AgentSettings(Section):
     """Number in the swarm, 1 to 250 but not 51 (taken by SiK radios); the vehicle's MAVLink system id."""
 
 
-
 class FileSettings(Section):
     """One file or directory that the application needs."""
 
@@ -160,6 +159,8 @@ class NodeSettings(Section):
     """Words that all stand in the command line of its process, and of no other in its container; default: found by itself."""
     relaunch: list[str] = Field(default_factory=list)
     """Command, word by word, that starts this node inside its container; tried before the container is restarted."""
+    commands: bool = False
+    """True: commands from the ground pass through this node on their way to the autopilot; it is part of their path."""
 
 
 class TopicSettings(Section):
@@ -258,10 +259,19 @@ class EndpointSettings(Section):
     of what a 64 kbit/s telemetry radio carries."""
     name: Name | None = None
     """What logs call it; default: the url."""
+    leads_to: Literal["both", "ground", "autopilot"] = "both"
+    """What is at its other end. `both`: through a router, or through the autopilot to the ground."""
+    radio: Literal["auto", "required", "off"] = "auto"
+    """Whether a telemetry radio that sends RADIO_STATUS is behind it; `auto`: once it was heard it must be there."""
 
     @property
     def key(self) -> str:
         return self.name or self.url
+
+    @property
+    def serial(self) -> bool:
+        """Whether it is a serial port; else it is a socket."""
+        return self.url.startswith("/")
 
     @field_validator("url")
     @classmethod
@@ -294,7 +304,17 @@ class MavlinkSettings(Section):
     gcs_timeout: Annotated[Seconds, Field(ge=1)] = 10.0
     """A ground station once heard and silent for longer is reported as lost."""
     autopilot: bool = False
-    """True: this agent has an autopilot on these endpoints; not hearing it counts as armed for recovery."""
+    """True: this agent has an autopilot on these endpoints; not hearing it is a fault, and counts as armed for recovery."""
+    autopilot_timeout: Annotated[Seconds, Field(ge=2, le=60)] = 3.5
+    """An autopilot once heard and silent for longer is reported as lost. It sends a HEARTBEAT a second."""
+    radio_timeout: Annotated[Seconds, Field(ge=2, le=120)] = 5.0
+    """A radio without RADIO_STATUS for longer, and for longer than 2.5 of its own periods, is reported as lost."""
+    radio_margin: Annotated[float, Field(ge=0, le=254, allow_inf_nan=False)] = 15.0
+    """WARN below this margin of signal over noise at either end, in the radio's units (SiK: 1.9 to a dB)."""
+    radio_errors: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = 5.0
+    """WARN above so many damaged packets a second (RADIO_STATUS.rxerrors); 0: not judged."""
+    loss: Percent = 20.0
+    """WARN when more of the frames are lost that the neighbour on a serial port sends, by gaps in its sequence numbers."""
 
 
 class SwarmSettings(Section):

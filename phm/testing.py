@@ -30,11 +30,13 @@ from phm.facts import (
     DockerProbe,
     FileFact,
     FileProbe,
+    GcsFact,
     HostFact,
     HostProbe,
     LinkFact,
     LinkProbe,
     ProcessFact,
+    RadioFact,
     RosFact,
     RosProbe,
     SelfFact,
@@ -317,27 +319,46 @@ class FakeRos(_Fake):
 
 
 class FakeLinks(_Fake):
-    """What was heard on the MAVLink endpoints."""
+    """What was heard on the MAVLink endpoints. `busy` holds the programs that have a serial port open, by its path."""
 
     def __init__(
-        self, gcs_age_s: float | None = 1.0, autopilot: AutopilotFact | None = None, links: tuple[LinkFact, ...] = ()
+        self,
+        gcs_age_s: float | None = 1.0,
+        autopilot: AutopilotFact | None = None,
+        links: tuple[LinkFact, ...] = (),
+        radios: tuple[RadioFact, ...] = (),
     ) -> None:
         super().__init__()
         self.gcs_age = gcs_age_s
+        self.gcs_link = ""
         self.pilot = autopilot
         self.endpoints = links
+        self.radio_facts = radios
+        self.busy: dict[str, tuple[str, ...]] = {}
 
     def gcs_age_s(self) -> float | None:
         self._asked()
         return self.gcs_age
 
+    def gcs(self) -> GcsFact | None:
+        self._asked()
+        return None if self.gcs_age is None else GcsFact(self.gcs_age, 255, 190, self.gcs_link)
+
     def autopilot(self) -> AutopilotFact | None:
         self._asked()
         return self.pilot
 
+    def radios(self) -> tuple[RadioFact, ...]:
+        self._asked()
+        return self.radio_facts
+
     def links(self) -> tuple[LinkFact, ...]:
         self._asked()
         return self.endpoints
+
+    def users(self, path: str) -> tuple[str, ...]:
+        self._asked()
+        return self.busy.get(path, ())
 
 
 class FakeSwarm(_Fake):

@@ -18,4 +18,21 @@ if float(mavlink.WIRE_PROTOCOL_VERSION) != 2.0:
         f"pymavlink speaks MAVLink {mavlink.WIRE_PROTOCOL_VERSION}, PHM needs 2.0: it was imported earlier"
     )
 
-__all__ = ["mavlink"]
+RADIO = 166
+"""RADIO_STATUS as radios with firmware from before 2014 number it; the fields are the same (dialect ardupilotmega)."""
+
+
+class _Radio(mavlink.MAVLink_radio_status_message):  # type: ignore[misc]  # pymavlink has no types
+    """A RADIO, which passes for the RADIO_STATUS that it is."""
+
+    id, msgname, crc_extra = RADIO, "RADIO", 21
+
+    def get_msgId(self) -> int:
+        return int(mavlink.MAVLINK_MSG_ID_RADIO_STATUS)
+
+
+mavlink.mavlink_map[RADIO] = _Radio
+SAME = {RADIO: mavlink.MAVLINK_MSG_ID_RADIO_STATUS}
+"""Numbers on the wire that stand for others."""
+
+__all__ = ["SAME", "mavlink"]

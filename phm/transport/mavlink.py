@@ -17,6 +17,7 @@ from phm.settings import MavlinkSettings
 from phm.transport.mavlink_budget import Class, Count
 from phm.transport.mavlink_codec import Codec, Counters
 from phm.transport.mavlink_endpoint import RADIO_STATUS, Endpoint
+from phm.transport.mavlink_traffic import Traffic
 
 logger = logging.getLogger(__name__)
 
@@ -88,6 +89,14 @@ class MavlinkHub:
     def links(self) -> tuple[LinkFact, ...]:
         """Endpoints that were tried at least once."""
         return tuple(fact for endpoint in self._endpoints if (fact := endpoint.fact()) is not None)
+
+    def traffic(self) -> dict[str, Traffic]:
+        """What went over each endpoint since the start."""
+        return {endpoint.name: endpoint.traffic() for endpoint in self._endpoints}
+
+    def reopen(self, link: str, timeout_s: float) -> bool:
+        """Close the endpoint of this name and open it anew; whether it was open again in time. Blocks for so long at most."""
+        return any(endpoint.reopen(timeout_s) for endpoint in self._endpoints if endpoint.name == link)
 
     def counters(self) -> dict[str, Counters]:
         return {endpoint.name: endpoint.codec.counters for endpoint in self._endpoints}

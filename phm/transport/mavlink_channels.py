@@ -16,6 +16,7 @@ from typing import Any
 
 from phm.clock import Clock
 from phm.transport.mavlink_codec import Codec, Parser
+from phm.transport.serial_line import LineCount
 
 MAX_PEERS = 16
 PEER_EXPIRES_S = 60.0
@@ -50,6 +51,10 @@ class Channel(ABC):
     @abstractmethod
     def write(self, frame: bytes) -> int:
         """Take a frame while `ready`; to how many it went."""
+
+    def line(self) -> LineCount | None:
+        """Errors on the line, where there is one whose driver counts them."""
+        return None
 
     @abstractmethod
     def close(self) -> None: ...

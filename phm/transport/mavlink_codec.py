@@ -14,7 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from phm.transport.dialect import mavlink
+from phm.transport.dialect import SAME, mavlink
+from phm.transport.mavlink_traffic import Senders
 
 V1, V2 = 0xFE, 0xFD
 _MARKERS = frozenset((V1, V2))
@@ -49,6 +50,7 @@ class Codec:
         self._recent: deque[bytes] = deque(maxlen=_RECENT_FRAMES)
         self._lock = threading.Lock()
         self.counters = Counters()
+        self.senders = Senders()
 
     def pack(self, message: Any) -> bytes:
         """The frame of a message. Packing writes into the message, and other endpoints pack it too: use a copy."""
@@ -68,14 +70,14 @@ class Codec:
             return frame in self._recent
 
     def parser(self) -> Parser:
-        return Parser(self._mav, self._wanted, self.counters)
+        return Parser(self._mav, self._wanted, self.counters, self.senders)
 
 
 class Parser:
     """Finds frames in one stream of bytes. Nothing that comes in raises; at most one frame is kept waiting."""
 
-    def __init__(self, mav: Any, wanted: Wanted, counters: Counters) -> None:
-        self._mav, self._wanted, self._counters = mav, wanted, counters
+    def __init__(self, mav: Any, wanted: Wanted, counters: Counters, senders: Senders) -> None:
+        self._mav, self._wanted, self._counters, self._senders = mav, wanted, counters, senders
         self._buffer = bytearray()
         self.verified = 0
         """Frames whose checksum was computed and is right."""
@@ -100,6 +102,8 @@ class Parser:
             good, message = self._judge(at, length, verify) if length else (False, None)
             if good:
                 self._counters.received += 1
+                number, system, component = self._head(at)
+                self._senders.heard(system, component, number)
                 if message is not None:
                     messages.append(message)
             elif not garbage:
@@ -108,6 +112,11 @@ class Parser:
             at += length if good else 1
         del self._buffer[:at]
         return messages
+
+    def _head(self, at: int) -> tuple[int, int, int]:
+        """Sequence number, system and component of the frame that starts here."""
+        first = at + (2 if self._buffer[at] == V1 else 4)
+        return self._buffer[first], self._buffer[first + 1], self._buffer[first + 2]
 
     def _length(self, at: int) -> int:
         """Bytes of the frame that starts here; 0 when none does; -1 when more bytes are needed to know."""
@@ -127,8 +136,8 @@ class Parser:
         """Whether these bytes are a frame, and its message when somebody wants it."""
         frame = self._buffer[at : at + length]
         number = frame[5] if frame[0] == V1 else int.from_bytes(frame[7:10], "little")
-        known = number in mavlink.mavlink_map
-        if not known or not (verify or self._wanted(number)):
+        known, wanted = number in mavlink.mavlink_map, self._wanted(SAME.get(number, number))
+        if not known or not (verify or wanted):
             # No checksum without the message's definition; a frame is believed when another one follows it.
             end = at + length
             return end == len(self._buffer) or self._buffer[end] in _MARKERS, None
@@ -137,4 +146,4 @@ class Parser:
         except Exception:  # pymavlink's decoders raise many kinds on hostile bytes
             return False, None
         self.verified += 1
-        return True, message if self._wanted(number) else None
+        return True, message if wanted else None

@@ -18,6 +18,8 @@ from phm.transport.mavlink_channels import Channel
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_open import Opener
 from phm.transport.mavlink_outbox import Outbox
+from phm.transport.mavlink_traffic import Traffic
+from phm.transport.serial_line import LineCount
 
 logger = logging.getLogger(__name__)
 
@@ -30,6 +32,7 @@ SILENT_S = 10.0
 """A named peer that was not heard for so long is looked up again."""
 IDLE_S = 0.5
 FAREWELL_S = 0.3
+REOPEN_POLL_S = 0.05
 
 
 class Endpoint:
@@ -53,6 +56,9 @@ class Endpoint:
         self._opener = Opener(settings, codec, clock, self._stopping)
         self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._fact: LinkFact | None = None
+        self._line: LineCount | None = None
+        self._again = threading.Event()
+        self._opened = 0
         self._heard = self._looked = 0.0
         self._thread = threading.Thread(target=self._loop, name=f"phm-mavlink-{self.name}"[:60], daemon=True)
 
@@ -76,6 +82,21 @@ class Endpoint:
         """None until the first attempt to open has ended: nothing is known yet."""
         return self._fact
 
+    def traffic(self) -> Traffic:
+        counters = self.codec.counters
+        return Traffic(
+            counters.bytes_in, counters.bytes_out, counters.received, counters.bad, self.codec.senders.now(), self._line
+        )
+
+    def reopen(self, timeout_s: float) -> bool:
+        """Have the thread close what is open and open it anew; whether it was open again within `timeout_s`."""
+        before, end = self._opened, self._clock.mono() + timeout_s
+        self._again.set()
+        self._ring()
+        while self._opened == before and self._clock.mono() < end and not self._stopping.is_set():
+            self._clock.wait(self._stopping, REOPEN_POLL_S)
+        return self._opened != before
+
     def stop(self) -> None:
         """Ask the thread to send what is queued, at most FAREWELL_S long, and to end."""
         self._stopping.set()
@@ -96,7 +117,7 @@ class Endpoint:
                 was_open, opened = True, self._clock.mono()
                 self._live(channel)
             except OSError as error:
-                self._tell(is_open=False, error=error.strerror or str(error))
+                self._tell(is_open=False, error=error.strerror or str(error), code=error.errno or 0)
             except Exception as error:  # a defect of ours must not end this link for ever
                 logger.exception("MAVLink endpoint %s failed unexpectedly", self.name)
                 self._tell(is_open=False, error=f"{type(error).__name__}: {error}")
@@ -107,14 +128,18 @@ class Endpoint:
             self._look()
 
     def _live(self, channel: Channel) -> None:
-        """Serve an open channel until PHM stops. Raises OSError when it is lost."""
+        """Serve an open channel until PHM stops or wants it opened anew. Raises OSError when it is lost."""
         try:
             if channel.proven or self._fact is None:
                 self._tell(is_open=True)
             self._heard = self._clock.mono()
             self._outbox.expire()
+            self._again.clear()
+            self._opened += 1
             while not self._stopping.is_set():
                 self._turn(channel, IDLE_S)
+                if self._again.is_set():
+                    return
                 if self._clock.mono() - self._heard > SILENT_S:
                     self._heard = self._clock.mono()
                     if self._opener.moved():
@@ -144,6 +169,7 @@ class Endpoint:
                 self._deliver(message, self.name)
         self._write(channel)
         if self._clock.mono() - self._looked >= IDLE_S:
+            self._line = channel.line()
             self._look()
 
     def _write(self, channel: Channel) -> None:
@@ -164,8 +190,8 @@ class Endpoint:
                 self.codec.counters.bytes_out += len(frame)
                 self._tell(is_open=True)
 
-    def _tell(self, *, is_open: bool, error: str = "") -> None:
-        fact = LinkFact(self.name, is_open, error)
+    def _tell(self, *, is_open: bool, error: str = "", code: int = 0) -> None:
+        fact = LinkFact(self.name, is_open, error, code)
         old, self._fact = self._fact, fact
         if old is None or old.open != is_open:
             if not is_open:

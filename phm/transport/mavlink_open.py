@@ -16,6 +16,7 @@ from phm.settings import EndpointSettings
 from phm.transport.mavlink_channels import Channel, StreamChannel, TcpServer, UdpIn, UdpOut, tune
 from phm.transport.mavlink_codec import Codec
 from phm.transport.resolve import Address, Resolver
+from phm.transport.serial_line import LineCount, count, keep_dtr
 
 CONNECT_LIMIT_S = 5.0
 RESOLVE_LIMIT_S = 5.0
@@ -123,6 +124,7 @@ class Opener:
             port = serial.Serial(self._settings.url, self._settings.baud, timeout=0, write_timeout=0, exclusive=True)
         except ValueError as error:  # a baud rate that the driver refuses
             raise OSError(f"{self._settings.url}: {error}") from error
+        keep_dtr(port.fileno())
         return SerialChannel(port, port.fileno(), self._codec)
 
 
@@ -137,6 +139,9 @@ def _closed_on_failure(sock: socket.socket) -> Iterator[None]:
 
 class SerialChannel(StreamChannel):
     """A serial port. What was not sent is thrown away at the end: a stuck port keeps `close` waiting for it."""
+
+    def line(self) -> LineCount | None:
+        return count(self._owner.fileno())
 
     def close(self) -> None:
         with contextlib.suppress(OSError, termios.error):  # the port may be gone, and is closed either way

@@ -1,0 +1,78 @@
+"""A telemetry radio by its RADIO_STATUS. Pure; the caller brings time.
+
+A SiK radio reports in answer to each HEARTBEAT that it is given to send, as its firmware has it, so that PHM's own
+heartbeats keep its reports coming, no more often than they leave; whether the other radio is there does not matter.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import pairwise
+from statistics import fmean, median
+from typing import Any
+
+from phm.link_facts import RadioFact
+
+UNKNOWN = 255
+KEPT = 9
+ENOUGH = 4
+"""So many pauses between reports say how often they come."""
+MEAN_OF = 5
+
+
+class Radio:
+    """The radio that one endpoint leads to. Not thread-safe."""
+
+    def __init__(self, link: str) -> None:
+        self._link = link
+        self._times: deque[float] = deque(maxlen=KEPT)
+        self._counts: deque[tuple[float, int, int]] = deque(maxlen=MEAN_OF + 1)
+        self._margins: deque[float] = deque(maxlen=MEAN_OF)
+        self._remmargins: deque[float] = deque(maxlen=MEAN_OF)
+        self._newest: Any = None
+        self._asked_s = 0.0
+
+    def hear(self, now: float, message: Any, asked_s: float) -> None:
+        """A RADIO_STATUS. asked_s: seconds between PHM's own heartbeats."""
+        if asked_s != self._asked_s:
+            self._times.clear()
+            self._asked_s = asked_s
+        self._times.append(now)
+        self._counts.append((now, message.rxerrors, message.fixed))
+        for margins, signal, noise in (
+            (self._margins, message.rssi, message.noise),
+            (self._remmargins, message.remrssi, message.remnoise),
+        ):
+            if UNKNOWN not in (signal, noise):
+                margins.append(float(signal - noise))
+        self._newest = message
+
+    def fact(self, now: float) -> RadioFact | None:
+        """None: never heard."""
+        if self._newest is None:
+            return None
+        newest, rates = self._newest, self._rates()
+        return RadioFact(
+            self._link, now - self._times[-1], self._due_s(),
+            _known(newest.rssi), _known(newest.remrssi), _known(newest.noise), _known(newest.remnoise), newest.txbuf,
+            fmean(self._margins) if self._margins else None, fmean(self._remmargins) if self._remmargins else None, *rates,
+        )  # fmt: skip
+
+    def _due_s(self) -> float:
+        pauses = [after - before for before, after in pairwise(self._times)]
+        return median(pauses) if len(pauses) >= ENOUGH else self._asked_s
+
+    def _rates(self) -> tuple[float | None, float | None]:
+        """Of rxerrors and fixed. Counters that went back began anew: the radio was restarted."""
+        span_s = self._counts[-1][0] - self._counts[0][0]
+        if span_s <= 0.0:
+            return None, None
+        damaged, fixed = (
+            sum(new - old if new >= old else new for old, new in pairwise(values))
+            for values in ([count[1] for count in self._counts], [count[2] for count in self._counts])
+        )
+        return damaged / span_s, fixed / span_s
+
+
+def _known(value: int) -> int | None:
+    return None if value == UNKNOWN else value

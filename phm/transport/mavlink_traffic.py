@@ -1,0 +1,69 @@
+"""What goes over one MAVLink endpoint, counted: bytes, frames, and for each sender the gaps in its sequence numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from phm.transport.serial_line import LineCount
+
+MAX_SENDERS = 64
+"""Whoever can send on a link can make up senders; of too many, those with the fewest frames are forgotten."""
+ANEW = 64
+"""A larger gap counts as a sender that began anew, or a long pause, and not as loss: the number has eight bits."""
+LATE = 16
+"""A frame that is so little behind was overtaken, or came by two ways."""
+
+
+@dataclass(slots=True)
+class Sender:
+    """Since it was first heard. `lost` may go down: a frame that was overtaken is not lost."""
+
+    frames: int = 0
+    lost: int = 0
+    sequence: int = 0
+
+
+class Senders:
+    """By system and component. The endpoint's thread writes; `now` may be asked by any."""
+
+    def __init__(self) -> None:
+        self._of: dict[tuple[int, int], Sender] = {}
+
+    def heard(self, system: int, component: int, sequence: int) -> None:
+        """A frame came."""
+        key = (system, component)
+        sender = self._of.get(key)
+        if sender is None:
+            if len(self._of) >= MAX_SENDERS:
+                del self._of[min(self._of, key=lambda other: self._of[other].frames)]
+            self._of[key] = Sender(1, 0, sequence)
+            return
+        behind = (sender.sequence - sequence) & 0xFF
+        if behind == 0:
+            return
+        sender.frames += 1
+        if behind <= LATE:
+            sender.lost = max(0, sender.lost - 1)
+            return
+        gap = (sequence - sender.sequence - 1) & 0xFF
+        if gap < ANEW:
+            sender.lost += gap
+        sender.sequence = sequence
+
+    def now(self) -> dict[tuple[int, int], tuple[int, int]]:
+        """Frames and lost frames of each."""
+        # A copy of a dict with such keys is made in one step of the interpreter.
+        return {key: (sender.frames, sender.lost) for key, sender in dict(self._of).items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """Of one endpoint since PHM's start; only `line` begins anew when a serial port is opened again."""
+
+    bytes_in: int = 0
+    bytes_out: int = 0
+    frames: int = 0
+    bad: int = 0
+    senders: Mapping[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
+    line: LineCount | None = None

@@ -1,0 +1,44 @@
+"""What Linux knows of a serial port beyond its bytes: errors on the line, and a DTR that stays up. Never raises."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import struct
+import termios
+from dataclasses import dataclass
+
+TIOCGICOUNT = 0x545D
+"""As in asm-generic/ioctls.h, which x86 and ARM use."""
+_COUNTERS = struct.Struct("20i")
+"""struct serial_icounter_struct: cts, dsr, rng, dcd, rx, tx, frame, overrun, parity, brk, buf_overrun, and nine spare."""
+_FRAME, _OVERRUN, _PARITY, _BUFFER_OVERRUN = 6, 7, 8, 10
+_CFLAG = 2
+
+
+@dataclass(frozen=True, slots=True)
+class LineCount:
+    """Errors since the driver was loaded. overrun: bytes lost in the chip or in the kernel."""
+
+    framing: int
+    overrun: int
+    parity: int
+
+
+def count(fd: int) -> LineCount | None:
+    """None where the driver does not count: pseudo terminals, and some USB adapters."""
+    try:
+        raw = fcntl.ioctl(fd, TIOCGICOUNT, bytes(_COUNTERS.size))
+    except OSError:
+        return None
+    found = _COUNTERS.unpack(raw)
+    return LineCount(found[_FRAME], found[_OVERRUN] + found[_BUFFER_OVERRUN], found[_PARITY])
+
+
+def keep_dtr(fd: int) -> None:
+    """Closing this port does not drop DTR, so opening it again does not raise it: some autopilots and radios take that edge
+    for a reset. The driver remembers it, so it also holds for a PHM that is started again."""
+    with contextlib.suppress(termios.error, OSError):
+        attributes = termios.tcgetattr(fd)
+        attributes[_CFLAG] &= ~termios.HUPCL
+        termios.tcsetattr(fd, termios.TCSANOW, attributes)
