@@ -213,6 +213,7 @@ def test_a_node_that_runs_twice(agent: Agent, monkeypatch: pytest.MonkeyPatch) -
     assert agent.faults == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_node_that_is_restarted_is_neither_twice_nor_left_behind(agent: Agent, number: signal.Signals) -> None:
     """Started anew at once: whatever is told of the gap, it ends well, and no double is told before the old lease ends."""
@@ -240,6 +241,7 @@ def test_a_restarted_ros_child_raises_no_alarm(agent: Agent) -> None:
     assert agent.faults == []
 
 
+@pytest.mark.long
 @pytest.mark.long
 def test_the_list_of_processes_is_asked_for_rarely_while_all_is_well(agent: Agent) -> None:
     """A node with a topic of 10 Hz: fewer than one list in three seconds."""
