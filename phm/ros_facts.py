@@ -77,10 +77,14 @@ class NameFact:
 
 @dataclass(frozen=True, slots=True)
 class NeighbourFact:
-    """What one node's beacon says about another node that has a beacon. age_s: as that node measured it."""
+    """What one node's beacon says about another node that has a beacon. age_s: as that node measured it.
+
+    late_s: how late the other's executor is, as that node was told.
+    """
 
     alive: bool
     age_s: float
+    late_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +92,9 @@ class BeaconFact:
     """The newest beacon of one node (`phm.beacon`).
 
     period_s: how often it means to send. late_s: how late its executor ran its newest beat, by its own word.
-    birth: changes when the node is started anew. beats: how many it has sent in this life. views: what it
-    says about its neighbours, by full node name.
+    birth: changes when the node is started anew. beats: how many it has sent in this life, as of a second ago at most.
+    views: what it says about its neighbours, by full node name. turns: how often its executor turned in this life; 0:
+    never yet, or it is not watched, and late_s means nothing. witness: the process that speaks; its nodes hear as one.
     """
 
     age_s: float
@@ -98,6 +103,13 @@ class BeaconFact:
     birth: str = ""
     beats: int = 0
     views: Mapping[str, NeighbourFact] = field(default_factory=dict)
+    turns: int = 0
+    witness: str = ""
+
+    @property
+    def missed(self) -> float:
+        """Periods since the last beat."""
+        return self.age_s / self.period_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +134,8 @@ class RosFact:
     second old does not prove absence. nodes: full name -> how often it is listed. topics: those that
     the configuration names, by full name. beacons: by full node name, those heard since this child began.
     diagnostics: by the name of the status, likewise. others: topics that the configuration does not name, by full
-    name, as of a few seconds ago; not all of them where there are very many.
+    name, as of a few seconds ago; not all of them where there are very many. refused: messages on the beacons' topic that
+    were none, or were too many, since this child began.
     """
 
     age_s: float
@@ -132,6 +145,7 @@ class RosFact:
     beacons: Mapping[str, BeaconFact] = field(default_factory=dict)
     diagnostics: Mapping[str, DiagnosticFact] = field(default_factory=dict)
     others: Mapping[str, NameFact] = field(default_factory=dict)
+    refused: int = 0
 
 
 class RosProbe(Protocol):

@@ -5,7 +5,8 @@
 SIGUSR1 silences its topics and lets them speak again, SIGUSR2 halves their rate and gives it back: the process
 and its place in the graph stay as they are.
 
-Imports rclpy, std_msgs and the standard library alone, so that it runs in any ROS image.
+It has a beacon, unless `--no-beacon` says otherwise. Imports rclpy, std_msgs, the one file phm/beacon.py and the standard
+library alone, so that it runs in any ROS image.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
+
+from phm.beacon import Beacon
 
 LOOK_S = 0.5
 """How often an idle node looks whether it has been told to end."""
@@ -45,6 +48,8 @@ def main(argv: list[str] | None = None) -> int:
     # rclpy's own handlers end `spin` on SIGTERM, so that the node says good-bye to the graph.
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.ALL)
     node = rclpy.create_node(options.name, namespace=options.namespace)
+    if options.beacon:
+        Beacon(node)
     voice = Voice()
     voice.listen()
     for topic, rate_hz in options.publish:
@@ -72,6 +77,7 @@ def _options(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--namespace", default="/")
     parser.add_argument("--publish", action="append", default=[], type=topic_rate, metavar="TOPIC:HZ")
     parser.add_argument("--subscribe", action="append", default=[], metavar="TOPIC")
+    parser.add_argument("--no-beacon", action="store_false", dest="beacon")
     return parser.parse_args(argv)
 
 

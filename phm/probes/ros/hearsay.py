@@ -21,17 +21,30 @@ class Hearsay:
 
     beacons: Mapping[str, tuple[float, BeaconFact]] = field(default_factory=dict)
     diagnostics: Mapping[str, tuple[float, DiagnosticFact]] = field(default_factory=dict)
+    refused: int = 0
+    """Messages on the beacons' topic that were none."""
 
     def with_news(self, news: Heard, now_s: float) -> Hearsay:
         beacons = {**self.beacons, **{name: (now_s, fact) for name, fact in news.beacons.items()}}
+        for name, age_s in news.ages.items():
+            if name in beacons:
+                beacons[name] = (now_s, replace(beacons[name][1], age_s=age_s))
         diagnostics = {**self.diagnostics, **{name: (now_s, fact) for name, fact in news.diagnostics.items()}}
-        return Hearsay(_newest(beacons), _newest(diagnostics))
+        return Hearsay(_newest(beacons), _newest(diagnostics), max(self.refused, news.refused))
 
     def differs(self, news: Heard) -> bool:
-        """Whether a status in `news` has another level than before, or is new and not OK: worth a look at once."""
-        return any(
+        """Whether there is news worth a look at once.
+
+        A status with another level than before, or a new one that is not OK; a beacon that is new, wavers, or comes back.
+        """
+        if any(
             fact.level != (self.diagnostics[name][1].level if name in self.diagnostics else 0)
             for name, fact in news.diagnostics.items()
+        ):
+            return True
+        return any(
+            name not in self.beacons or _state(fact) != _state(self.beacons[name][1])
+            for name, fact in news.beacons.items()
         )
 
     def since(self, now_s: float) -> tuple[dict[str, BeaconFact], dict[str, DiagnosticFact]]:
@@ -40,6 +53,11 @@ class Hearsay:
             {name: replace(fact, age_s=fact.age_s + now_s - at) for name, (at, fact) in self.beacons.items()},
             {name: replace(fact, age_s=fact.age_s + now_s - at) for name, (at, fact) in self.diagnostics.items()},
         )
+
+
+def _state(fact: BeaconFact) -> tuple[str, bool, bool, int]:
+    """What must not change unnoticed: the life, whether two or three beats are missing, how late the executor is, roughly."""
+    return fact.birth, fact.missed > 2.0, fact.missed > 3.0, int(fact.late_s).bit_length()
 
 
 def _newest(told: dict[str, tuple[float, _Fact]]) -> dict[str, tuple[float, _Fact]]:

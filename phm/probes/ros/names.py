@@ -18,7 +18,7 @@ MAX_NODES = 8
 MAX_READS = 50
 """Topics whose endpoints are read in one look; the rest has its turn in the next."""
 _UNREAD = (-1, -1)
-_EVERYWHERE = ("/parameter_events", "/rosout")
+_EVERYWHERE = ("/parameter_events", "/rosout", "/phm/beacon", "/phm/hello")
 
 
 class Names:

@@ -316,7 +316,8 @@ def wanted(settings: Settings) -> Wanted:
         WantedTopic(f"/{topic.name.lstrip('/')}", topic.rate, ros.silence if topic.silence is None else topic.silence)
         for topic in ros.topics
     )
-    return Wanted(agent=settings.agent.name, domain=ros.domain, topics=topics, listen=_listen(settings))
+    nodes = tuple(f"/{node.name.lstrip('/')}" for node in ros.nodes)
+    return Wanted(agent=settings.agent.name, domain=ros.domain, topics=topics, listen=_listen(settings), nodes=nodes)
 
 
 def _listen(settings: Settings) -> tuple[str, ...]:

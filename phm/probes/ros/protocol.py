@@ -43,7 +43,7 @@ class WantedTopic:
 class Wanted:
     """What the child is to look at. domain: None leaves it to ROS_DOMAIN_ID. tick_s: between two looks.
 
-    listen: topics of diagnostic_msgs/DiagnosticArray to read.
+    listen: topics of diagnostic_msgs/DiagnosticArray to read. nodes: full names of those that are configured.
     """
 
     agent: str
@@ -52,6 +52,7 @@ class Wanted:
     tick_s: float = 0.25
     full_s: float = 1.0
     listen: tuple[str, ...] = ()
+    nodes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +74,15 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What the application said of itself since the last message of this kind; whoever said nothing is left out."""
+    """What the application said of itself since the last message of this kind; whoever said nothing is left out.
+
+    ages: of beacons about which there is nothing else that is new. refused: see RosFact, so far.
+    """
 
     beacons: Mapping[str, BeaconFact] = field(default_factory=dict)
     diagnostics: Mapping[str, DiagnosticFact] = field(default_factory=dict)
+    ages: Mapping[str, float] = field(default_factory=dict)
+    refused: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +132,8 @@ def decode_wanted(line: bytes | str) -> Wanted:
     try:
         data = _parsed(line)
         topics = tuple(WantedTopic(**topic) for topic in data.pop("topics"))
-        listen = tuple(data.pop("listen"))
-        return Wanted(topics=topics, listen=listen, **data)
+        listen, nodes = tuple(data.pop("listen")), tuple(data.pop("nodes"))
+        return Wanted(topics=topics, listen=listen, nodes=nodes, **data)
     except (AttributeError, KeyError, TypeError) as error:
         raise ProtocolError(f"not a configuration: {error}") from error
 

@@ -34,7 +34,7 @@ class View:
         return view
 
     def changed_by(self, message: Message) -> bool:
-        """Whether checks are to look at once: nodes, endpoints, whether topics flow, a level in the diagnostics."""
+        """Whether checks are to look at once: nodes, endpoints, whether topics flow, beacons, a level in the diagnostics."""
         if isinstance(message, Heard):
             return self.hearsay.differs(message)
         return isinstance(message, Picture) and (self.picture is None or _shape(self.picture) != _shape(message))
@@ -44,7 +44,7 @@ class View:
         age_s = max(0.0, now_s - self.heard_s)
         topics = {name: _older(topic, age_s) for name, topic in picture.topics.items()}
         hearsay = self.hearsay.since(now_s)
-        return RosFact(age_s, picture.up_s + age_s, picture.nodes, topics, *hearsay, self.others)
+        return RosFact(age_s, picture.up_s + age_s, picture.nodes, topics, *hearsay, self.others, self.hearsay.refused)
 
 
 def _older(topic: TopicFact, age_s: float) -> TopicFact:

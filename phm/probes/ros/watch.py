@@ -13,6 +13,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from phm.probes.ros.beacons import Beacons
 from phm.probes.ros.diagnostics import Diagnostics
 from phm.probes.ros.gauge import Gauge
 from phm.probes.ros.graph import Graph
@@ -43,6 +44,7 @@ class Watch:
         }
         self._names = Names(self._node, {topic.name for topic in wanted.topics})
         self._diagnostics = Diagnostics(self._node, wanted.listen)
+        self._beacons = Beacons(self._node, frozenset(wanted.nodes))
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
         self._states: dict[str, tuple[bool, str]] = {}
@@ -52,7 +54,7 @@ class Watch:
         messages: list[Message] = [self._picture()]
         if self._names.look(time.monotonic()):
             messages.append(Others(self._names.names))
-        return messages + self._diagnostics.look()
+        return messages + self._beacons.look() + self._diagnostics.look()
 
     def obey(self, order: Publish) -> None:
         """Called as soon as the daemon has said so."""

@@ -1,0 +1,336 @@
+"""A beacon for rclpy nodes: one line makes a node tell PHM that it lives, that its executor turns, and whom it hears.
+
+    from phm.beacon import Beacon      # or `from beacon import Beacon`, with this one file copied beside the node
+
+    Beacon(node)
+
+It needs rclpy alone, from Humble on. All nodes of a process share one thread and one hidden ROS node. Five times a
+second they beat on `/phm/beacon`, which PHM hears; less often they greet each other on `/phm/hello`, and the beat tells
+what came of it. The messages are `rcl_interfaces/msg/Log`, which comes with rclpy itself; docs/ros.md has their text.
+
+The thread is not the executor's: a process whose executor hangs still beats, and says for how long it has hung,
+while one that is dead or stopped is silent. Nothing here blocks the application, and nothing is raised into it but
+ValueError for a wrong argument. `PHM_BEACON=off` in the environment turns every beacon off.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import json
+import os
+import re
+import threading
+import time
+import uuid
+import weakref
+from collections.abc import Iterator
+from typing import Any
+
+from rcl_interfaces.msg import Log
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+
+BEACON, BEACON_FORMAT = "/phm/beacon", "phm.beacon/1"
+HELLO, HELLO_FORMAT = "/phm/hello", "phm.hello/1"
+
+PERIOD_S = 0.2
+PERIODS_S = (0.05, 10.0)
+"""Allowed periods."""
+TURN_S = 1.0
+"""How often the executor is asked to turn. Each time wakes it up, and it costs more the more the node has."""
+VIEWS_S = 1.0
+"""How often a beat tells of the neighbours."""
+HELLO_S = 0.4
+HELLO_SHARE_S = 0.05
+"""A greeting every HELLO_S, or HELLO_SHARE_S for each process where that is longer: so whoever listens never hears more
+than 20 a second. Each costs about 0.1 ms with all that the middleware does for it."""
+SILENT_HELLOS = 3.0
+"""A neighbour that is silent for so many of its periods is not alive."""
+FORGET_S = 60.0
+MAX_NODES = 50
+"""In one message; a process with more sends several."""
+MAX_NEIGHBOURS = 50
+MAX_TEXT = 40_000
+NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+MAX_NAME = 255
+MAX_LATE_S = 1e6
+QUEUE = 64
+"""More greetings than come between two looks."""
+
+
+class Beacon:
+    """Makes `node` known to PHM until it is destroyed, its context is shut down, or `close` is called. Need not be kept.
+
+    period_s: between two beats, 0.05 to 10; the nodes of a process share the shortest. watch_executor: False for
+    a node that is spun at times only, and would look hung in between. A node that is never spun never looks hung.
+
+    Raises ValueError for a period that is not allowed. Any other trouble is one warning in the node's log.
+    """
+
+    def __init__(self, node: Any, *, period_s: float = PERIOD_S, watch_executor: bool = True) -> None:
+        if not PERIODS_S[0] <= period_s <= PERIODS_S[1]:
+            raise ValueError(f"period_s is {period_s!r}, allowed are {PERIODS_S[0]:g} to {PERIODS_S[1]:g} seconds")
+        self._life: _Life | None = None
+        if os.environ.get("PHM_BEACON", "").strip().lower() in ("off", "0", "no", "false"):
+            return
+        try:
+            self._life = _join(node, period_s, watch_executor)
+        except Exception as error:  # a node without a beacon is better than no node
+            _warn(node, f"this node has no PHM beacon: {error!r}")
+
+    def close(self) -> None:
+        """Fall silent; the node goes on. Safe to call twice."""
+        if self._life is not None:
+            self._life.close()
+
+
+class _Life:
+    """One node with a beacon. Written by its executor (`_turn`) and read by the hub's thread."""
+
+    def __init__(self, node: Any, birth: str, watch_executor: bool) -> None:
+        self.name: str = node.get_fully_qualified_name()
+        self._birth = birth
+        self._node = weakref.ref(node)
+        self._beats = self._turns = 0
+        self._turned_s = 0.0
+        self._closed = False
+        self._timer: Any = None
+        if watch_executor:
+            # In the node's default group, so that a callback that never returns there is seen under an executor with
+            # several threads too. The steady clock: simulated time may stand still.
+            clock = Clock(clock_type=ClockType.STEADY_TIME)
+            self._timer = node.create_timer(TURN_S, self._turn, clock=clock)
+
+    def _turn(self) -> None:
+        self._turned_s = time.monotonic()
+        self._turns += 1
+
+    @property
+    def over(self) -> bool:
+        node = self._node()
+        if node is None or self._closed:
+            return True
+        try:
+            with node.handle:  # raises once the node is being destroyed
+                return False
+        except Exception:
+            return True
+
+    def forgive(self, seconds: float) -> None:
+        """The whole process stood still for so long, which is not its executor's fault."""
+        self._turned_s += seconds
+
+    def late_s(self, now_s: float) -> float:
+        return round(min(max(0.0, now_s - self._turned_s - TURN_S), MAX_LATE_S), 3) if self._turns else 0.0
+
+    def beat(self, now_s: float) -> dict[str, Any]:
+        self._beats += 1
+        return {"birth": self._birth, "beats": self._beats, "turns": self._turns, "late_s": self.late_s(now_s)}
+
+    def close(self) -> None:
+        self._closed = True
+        node, timer, self._timer = self._node(), self._timer, None
+        if node is not None and timer is not None:
+            with contextlib.suppress(Exception):
+                node.destroy_timer(timer)
+
+
+class _Neighbours:
+    """Who was heard greeting. What comes in is from outside: anything that is not a greeting is passed over."""
+
+    def __init__(self, witness: str) -> None:
+        self._witness = witness
+        self._heard: dict[str, tuple[str, float, float, float]] = {}
+        """By full name: witness, when (monotonic), the period in which it greets, lateness of its executor."""
+
+    @property
+    def processes(self) -> int:
+        return len({witness for witness, *_ in self._heard.values()})
+
+    def hear(self, format_name: str, text: str, at_s: float) -> None:
+        if format_name != HELLO_FORMAT or len(text) > MAX_TEXT:
+            return
+        try:
+            said = json.loads(text)
+            witness, period_s, nodes = str(said["witness"])[:40], float(said["period_s"]), dict(said["nodes"])
+            if witness == self._witness or not 0.0 < period_s <= 60.0 or len(nodes) > MAX_NODES:
+                return
+            for name, late_s in nodes.items():
+                known = name in self._heard or len(self._heard) < MAX_NEIGHBOURS
+                if known and NAME.fullmatch(name) and len(name) <= MAX_NAME and 0.0 <= late_s <= MAX_LATE_S:
+                    self._heard[name] = (witness, at_s, period_s, float(late_s))
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
+            return
+
+    def views(self, now_s: float) -> dict[str, dict[str, Any]]:
+        """By full name; whoever has been silent for long is forgotten."""
+        for name in [name for name, heard in self._heard.items() if now_s - heard[1] > FORGET_S]:
+            del self._heard[name]
+        return {
+            name: {
+                "alive": now_s - at_s <= SILENT_HELLOS * period_s + VIEWS_S / 4,
+                "age_s": round(max(0.0, now_s - at_s), 3),
+                "late_s": late_s,
+            }
+            for name, (_, at_s, period_s, late_s) in self._heard.items()
+        }
+
+
+class _Hub:
+    """The thread and the hidden node that speak and listen for all nodes of one context (so, of one process).
+
+    Invariant: it is in `_hubs` exactly as long as it takes nodes, and only its own thread touches its ROS node.
+    """
+
+    def __init__(self, context: Any) -> None:
+        self._context = context
+        self._witness = uuid.uuid4().hex[:12]
+        self._neighbours = _Neighbours(self._witness)
+        self._lives: list[_Life] = []
+        self._births = 0
+        self._period_s = PERIODS_S[1]
+        self._next_hello_s = self._listened_s = 0.0
+        self._has_news = False
+        # Nobody spins this node: what comes waits in a short queue until the thread looks, and wakes no executor.
+        self._node: Any = Node(
+            f"_phm_beacon_{self._witness}",
+            context=context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        self._beacon = self._node.create_publisher(Log, BEACON, _qos(1))
+        self._hello = self._node.create_publisher(Log, HELLO, _qos(1))
+        self._ear = self._node.create_subscription(Log, HELLO, _never_called, _qos(QUEUE))
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="phm-beacon", daemon=True)
+
+    def add(self, node: Any, period_s: float, watch_executor: bool) -> _Life:
+        """Call with `_lock` held."""
+        self._births += 1
+        life = _Life(node, f"{self._witness}.{self._births}", watch_executor)
+        self._lives.append(life)
+        self._period_s = min(self._period_s, period_s)
+        if self._births == 1:
+            self._thread.start()
+        return life
+
+    def stop(self, patience_s: float) -> None:
+        self._stop.set()
+        self._thread.join(patience_s)
+
+    def _run(self) -> None:
+        warned = False
+        due_s = time.monotonic()
+        while self._has_nodes() and not self._stop.wait(max(0.0, due_s - time.monotonic())):
+            now_s = time.monotonic()
+            try:
+                self._beat(now_s, overslept_s=now_s - due_s)
+            except Exception as error:
+                if not warned and self._context.ok():
+                    _warn(self._node, f"the PHM beacon failed and goes on trying: {error!r}")
+                    warned = True
+            due_s = max(due_s + self._period_s, now_s)
+        with contextlib.suppress(Exception):
+            self._node.destroy_node()
+
+    def _has_nodes(self) -> bool:
+        with _lock:
+            self._lives = [life for life in self._lives if not life.over] if self._context.ok() else []
+            if not self._lives or self._stop.is_set():
+                _hubs.pop(id(self._context), None)
+            return bool(self._lives)
+
+    def _beat(self, now_s: float, overslept_s: float) -> None:
+        """The beat first: it must come, whatever becomes of the rest."""
+        lives = self._lives
+        if overslept_s > TURN_S / 2:
+            for life in lives:
+                life.forgive(overslept_s)
+        views = {"views": self._neighbours.views(now_s)} if self._has_news else {}
+        self._has_news = False
+        for some in _portions(lives):
+            nodes = {life.name: life.beat(now_s) for life in some}
+            said = {"witness": self._witness, "period_s": self._period_s, "nodes": nodes, **views}
+            self._beacon.publish(_message(BEACON_FORMAT, said))
+        if now_s >= self._next_hello_s:
+            self._greet(now_s, lives)
+        if now_s - self._listened_s >= VIEWS_S - self._period_s / 2:
+            self._listen(now_s)
+
+    def _greet(self, now_s: float, lives: list[_Life]) -> None:
+        period_s = max(HELLO_S, self._period_s, HELLO_SHARE_S * (1 + self._neighbours.processes))
+        self._next_hello_s = now_s + period_s - self._period_s / 2
+        for some in _portions(lives):
+            nodes = {life.name: life.late_s(now_s) for life in some}
+            said = {"witness": self._witness, "period_s": round(period_s, 3), "nodes": nodes}
+            self._hello.publish(_message(HELLO_FORMAT, said))
+
+    def _listen(self, now_s: float) -> None:
+        """Take what has come since the last look, oldest first."""
+        longest_s, self._listened_s = now_s - self._listened_s, now_s
+        self._has_news = True
+        wall_ns = time.time_ns()
+        ear = self._ear.handle
+        with ear:
+            for _ in range(QUEUE):
+                taken = ear.take_message(Log, False)
+                if taken is None:
+                    return
+                # The middleware's stamp is of a clock that may be set: it counts within what is possible.
+                age_s = (wall_ns - int(taken[1]["received_timestamp"])) / 1e9
+                self._neighbours.hear(taken[0].name, taken[0].msg, now_s - min(max(age_s, 0.0), longest_s))
+
+
+_lock = threading.Lock()
+_hubs: dict[int, _Hub] = {}
+"""By id of the context, which the hub keeps alive."""
+
+
+def _join(node: Any, period_s: float, watch_executor: bool) -> _Life:
+    with _lock:
+        hub = _hubs.get(id(node.context))
+        if hub is None:
+            hub = _hubs[id(node.context)] = _Hub(node.context)
+        return hub.add(node, period_s, watch_executor)
+
+
+def _portions(lives: list[_Life]) -> Iterator[list[_Life]]:
+    return (lives[at : at + MAX_NODES] for at in range(0, len(lives), MAX_NODES))
+
+
+def _message(format_name: str, said: dict[str, Any]) -> Any:
+    return Log(level=Log.INFO, name=format_name, msg=json.dumps(said, separators=(",", ":")))
+
+
+def _qos(depth: int) -> Any:
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.VOLATILE,
+    )
+
+
+def _warn(node: Any, text: str) -> None:
+    with contextlib.suppress(Exception):
+        node.get_logger().warning(text)
+
+
+def _never_called(_: object) -> None:
+    """rclpy wants a callback; without an executor nobody calls it."""
+
+
+def _farewell() -> None:
+    """Before Python takes itself apart under a thread that is inside the middleware."""
+    for hub in list(_hubs.values()):
+        hub.stop(0.5)
+
+
+atexit.register(_farewell)
+# A forked process has no hub's thread; its own beacons begin anew.
+os.register_at_fork(after_in_child=_hubs.clear)

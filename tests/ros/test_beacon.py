@@ -1,0 +1,296 @@
+"""The beacon in real processes, heard by the real child: what lives beats, what hangs says so, what is dead is silent."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from phm.facts import BeaconFact, RosFact
+from phm.probes.ros.process import RosProcess
+from tests.fakes.ros_bench import ROOT, Bench, seen, until
+
+A, B, C = "/agent_1/a", "/agent_1/b", "/agent_1/c"
+SCRIPT = "ros_beaconed.py"
+HUNG_S = 1.5
+
+
+def beats(fact: RosFact, *names: str) -> bool:
+    """All of them beat and turn."""
+    return all(name in fact.beacons and fact.beacons[name].missed < 2 and fact.beacons[name].turns for name in names)
+
+
+def agree(fact: RosFact, *names: str) -> bool:
+    """Each of them hears all others."""
+    return all(
+        fact.beacons[name].views.get(other) is not None and fact.beacons[name].views[other].alive
+        for name in names
+        for other in names
+        if name in fact.beacons and name != other
+    ) and beats(fact, *names)
+
+
+def beacon(probe: RosProcess, name: str) -> BeaconFact:
+    return probe.look().beacons[name]
+
+
+def test_nodes_with_a_beacon_are_heard_and_hear_each_other(bench: Bench) -> None:
+    """One line in each node: PHM hears all, each hears the others, and a hidden node is all that is added to the graph."""
+    for name in ("a", "b", "c"):
+        bench.script(SCRIPT, name)
+    probe = bench.probe()
+    fact = seen(probe, lambda fact: agree(fact, A, B, C) and fact, "three nodes that hear each other")
+    assert set(fact.nodes) == {A, B, C}
+    assert "/phm/beacon" not in fact.others and fact.refused == 0
+    assert {beacon.period_s for beacon in fact.beacons.values()} == {0.2}
+    assert len({beacon.witness for beacon in fact.beacons.values()}) == 3
+    assert all(beacon.late_s == 0.0 for beacon in fact.beacons.values())
+
+
+def test_a_killed_node_falls_silent_and_checks_are_woken(bench: Bench) -> None:
+    """SIGKILL: no beat comes any more; the probe says so by itself, and the neighbour says so too."""
+    node = bench.script(SCRIPT, "a")
+    bench.script(SCRIPT, "b")
+    probe = bench.probe()
+    seen(probe, lambda fact: agree(fact, A, B), "both nodes")
+    doubts: list[float] = []
+    bench.on_change = lambda: doubts.append(beacon(probe, A).missed)
+    node.kill()
+    until(lambda: any(missed > 3 for missed in doubts), "a wake-up for its silence")
+    seen(probe, lambda fact: not fact.beacons[B].views[A].alive, "its neighbour's word")
+    assert beats(probe.look(), B)
+
+
+def test_a_stopped_node_is_silent_and_goes_on_as_the_same(bench: Bench) -> None:
+    """SIGSTOP and SIGCONT: silence, then the same life; the time that it stood still is not held against its executor."""
+    node = bench.script(SCRIPT, "a")
+    probe = bench.probe()
+    before = seen(probe, lambda fact: beats(fact, A) and fact.beacons[A], "the node")
+    node.send_signal(signal.SIGSTOP)
+    seen(probe, lambda fact: fact.beacons[A].age_s > 3.0, "its silence")
+    lateness: list[float] = []
+    bench.on_change = lambda: lateness.append(beacon(probe, A).late_s)
+    node.send_signal(signal.SIGCONT)
+    after = seen(probe, lambda fact: beats(fact, A) and fact.beacons[A], "its return")
+    assert after.birth == before.birth
+    assert lateness and max(lateness) < 1.0
+
+
+@pytest.mark.parametrize("executor", ["single", "multi"])
+def test_a_deadlocked_executor_is_told_by_a_process_that_lives(bench: Bench, executor: str) -> None:
+    """A callback that never returns: beats go on, lateness grows, and the neighbour passes it on. The same with several threads."""
+    node = bench.script(SCRIPT, "a", "--executor", executor)
+    bench.script(SCRIPT, "b")
+    probe = bench.probe()
+    seen(probe, lambda fact: agree(fact, A, B), "both nodes")
+    node.send_signal(signal.SIGUSR1)
+    fact = seen(probe, lambda fact: fact.beacons[A].late_s > HUNG_S and fact, "its lateness")
+    assert fact.beacons[A].missed < 3
+    seen(probe, lambda fact: fact.beacons[B].views[A].late_s > HUNG_S, "its neighbour's word")
+    assert beacon(probe, B).late_s == 0.0
+
+
+def test_a_hanging_callback_group_of_its_own_is_no_hanging_executor(bench: Bench) -> None:
+    """With several threads, what hangs in a group of its own stops nobody else: the node's other callbacks run on."""
+    node = bench.script(SCRIPT, "a", "--executor", "multi", "--hang", "own")
+    probe = bench.probe()
+    seen(probe, lambda fact: beats(fact, A), "the node")
+    node.send_signal(signal.SIGUSR1)
+    turns = beacon(probe, A).turns
+    seen(probe, lambda fact: fact.beacons[A].turns > turns + 4, "the turns that go on")
+    assert beacon(probe, A).late_s == 0.0
+
+
+def test_a_restarted_node_has_another_birth(bench: Bench) -> None:
+    """As a process, and as a node that is made anew in the same process: one more life, of the same witness there."""
+    process = bench.script(SCRIPT, "a")
+    bench.script(SCRIPT, "b", "c")
+    probe = bench.probe()
+    before = seen(probe, lambda fact: agree(fact, A, B) and dict(fact.beacons), "both processes")
+    process.kill()
+    bench.script(SCRIPT, "a")
+    after = seen(probe, lambda fact: fact.beacons[A].birth != before[A].birth and fact.beacons[A], "another birth")
+    assert after.witness != before[A].witness
+    assert after.beats < before[A].beats + 20
+
+
+def test_a_node_that_is_destroyed_falls_silent_and_its_successor_is_another(bench: Bench) -> None:
+    """destroy_node ends its beacon, while the other node of the process beats on."""
+    process = bench.script(SCRIPT, "a", "b")
+    probe = bench.probe()
+    before = seen(probe, lambda fact: beats(fact, A, B) and dict(fact.beacons), "both nodes")
+    assert before[A].witness == before[B].witness and before[A].birth != before[B].birth
+    process.send_signal(signal.SIGUSR2)
+    after = seen(probe, lambda fact: fact.beacons[A].birth != before[A].birth and dict(fact.beacons), "its successor")
+    assert after[A].witness == before[A].witness
+    assert after[B].birth == before[B].birth
+    seen(probe, lambda fact: beats(fact, A, B), "both nodes")
+
+
+def test_a_split_is_seen_by_those_who_are_split(bench: Bench) -> None:
+    """Two and two that do not hear each other, while PHM hears all."""
+    for name in ("a", "b"):
+        bench.script(SCRIPT, name)
+    for name in ("c", "d"):
+        bench.script(SCRIPT, name, "--hello", "/elsewhere")
+    probe = bench.probe()
+    names = {A, B, C, "/agent_1/d"}
+    fact = seen(probe, lambda fact: agree(fact, A, B) and agree(fact, C, "/agent_1/d") and fact, "two groups")
+    assert set(fact.beacons) == names
+    assert set(fact.beacons[A].views) == {B} and set(fact.beacons["/agent_1/d"].views) == {C}
+
+
+def test_ten_nodes_hear_each_other(bench: Bench) -> None:
+    """Five processes with two nodes each: everyone knows of everyone in another process."""
+    for first in range(0, 10, 2):
+        bench.script(SCRIPT, f"n{first}", f"n{first + 1}")
+    probe = bench.probe()
+    names = [f"/agent_1/n{number}" for number in range(10)]
+
+    def complete(fact: RosFact) -> bool:
+        if not beats(fact, *names):
+            return False
+        processes = {name: fact.beacons[name].witness for name in names}
+        return all(
+            {other for other in names if processes[other] != processes[name]}
+            == {other for other, view in fact.beacons[name].views.items() if view.alive}
+            for name in names
+        )
+
+    seen(probe, complete, "ten nodes, each with eight others in its view", limit_s=60.0)
+
+
+@pytest.mark.parametrize("option", ["--lifecycle", "--sim-time"])
+def test_lifecycle_nodes_and_simulated_time_make_no_difference(bench: Bench, option: str) -> None:
+    """An inactive lifecycle node lives and turns; and so does one whose clock stands still."""
+    bench.script(SCRIPT, "a", option)
+    seen(
+        bench.probe(), lambda fact: beats(fact, A) and fact.beacons[A].turns > 2 and fact.beacons[A].late_s == 0, option
+    )
+
+
+@pytest.mark.parametrize("option", ["--no-spin", "--no-watch"])
+def test_a_node_that_is_never_spun_or_not_watched_never_looks_hung(bench: Bench, option: str) -> None:
+    """Its process is all that its beacon vouches for."""
+    bench.script(SCRIPT, "a", option)
+    fact = seen(bench.probe(), lambda fact: A in fact.beacons and fact.beacons[A].beats > 10 and fact, option)
+    assert (fact.beacons[A].turns, fact.beacons[A].late_s) == (0, 0.0)
+
+
+def test_other_periods_are_told_and_kept(bench: Bench) -> None:
+    """A slow beacon is not silent between its beats."""
+    bench.script(SCRIPT, "a", "--period", "1.0")
+    fact = seen(bench.probe(), lambda fact: A in fact.beacons and fact.beacons[A].beats > 3 and fact, "the node")
+    assert fact.beacons[A].period_s == 1.0
+    assert fact.beacons[A].missed < 2
+
+
+STANDS_ALONE = """
+import sys, time
+import rclpy
+from beacon import Beacon
+for module in sys.modules:
+    assert module.partition(".")[0] not in ("phm", "std_msgs", "diagnostic_msgs"), module
+rclpy.init(args=[])
+node = rclpy.create_node("alone")
+for wrong in (0.0, 11.0, float("nan")):
+    try:
+        Beacon(node, period_s=wrong)
+    except ValueError:
+        continue
+    raise AssertionError(wrong)
+beacon = Beacon(node)
+end = time.monotonic() + 60
+print("up", flush=True)
+while sys.argv[1] == "wait" and time.monotonic() < end:
+    rclpy.spin_once(node, timeout_sec=0.1)
+if sys.argv[1] == "close":
+    beacon.close()
+    beacon.close()
+if sys.argv[1] in ("destroy", "all"):
+    node.destroy_node()
+if sys.argv[1] in ("shutdown", "all"):
+    rclpy.shutdown()
+if sys.argv[1] == "again":
+    for _ in range(3):
+        rclpy.shutdown()
+        rclpy.init(args=[])
+        other = rclpy.create_node("alone")
+        Beacon(other)
+        for _ in range(3):
+            rclpy.spin_once(other, timeout_sec=0.1)
+if sys.argv[1] == "broken":
+    Beacon(object())
+if sys.argv[1] == "late":
+    Beacon(node)
+    rclpy.shutdown()
+    Beacon(node)
+"""
+
+
+def alone(bench: Bench, folder: Path, how: str, **environ: str) -> subprocess.Popen[bytes]:
+    """A program with the one file beside it, and nothing else of PHM."""
+    (folder / "beacon.py").write_bytes((ROOT / "phm" / "beacon.py").read_bytes())
+    (folder / "node.py").write_text(STANDS_ALONE, encoding="ascii")
+    environ = {**bench.environ, "PYTHONPATH": "", **environ}
+    return subprocess.Popen(
+        [sys.executable, str(folder / "node.py"), how], env=environ, cwd=folder, stderr=subprocess.PIPE
+    )
+
+
+def test_the_file_stands_alone(bench: Bench, tmp_path: Path) -> None:
+    """Copied beside a node it is all that is needed: neither PHM nor std_msgs is imported."""
+    process = alone(bench, tmp_path, "wait")
+    try:
+        seen(bench.probe(), lambda fact: beats(fact, "/alone"), "the node")
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("how", ["return", "close", "destroy", "shutdown", "all", "again", "broken", "late"])
+def test_programs_end_as_they_would_without_it(bench: Bench, tmp_path: Path, how: str) -> None:
+    """However a program leaves, with code 0 and no complaint; a beacon that cannot be is not the program's end."""
+    _, errors = (process := alone(bench, tmp_path, how)).communicate(timeout=60)
+    assert process.returncode == 0, errors.decode()
+    assert b"Traceback" not in errors and b"terminate" not in errors, errors.decode()
+
+
+def test_the_environment_turns_it_off(bench: Bench, tmp_path: Path) -> None:
+    """PHM_BEACON=off: the node runs without."""
+    process = alone(bench, tmp_path, "wait", PHM_BEACON="off")
+    try:
+        probe = bench.probe()
+        seen(probe, lambda fact: "/alone" in fact.nodes and fact.up_s > 5, "the node")
+        assert not probe.look().beacons
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_forked_process_does_not_join_the_parents_beacon(bench: Bench, tmp_path: Path) -> None:
+    """The parent's thread does not exist in it, so a beacon that joined it would be silent."""
+    script = tmp_path / "fork.py"
+    script.write_text(
+        "import os, rclpy\nfrom phm import beacon\nrclpy.init(args=[])\nnode = rclpy.create_node('a')\n"
+        "beacon.Beacon(node)\npid = os.fork()\nif pid == 0:\n    os._exit(len(beacon._hubs))\n"
+        "raise SystemExit(10 * len(beacon._hubs) + os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))\n",
+        encoding="ascii",
+    )
+    assert subprocess.run([sys.executable, "-W", "ignore", str(script)], env=bench.environ, timeout=60).returncode == 10
+
+
+def test_what_strangers_send_is_refused_and_counted(bench: Bench) -> None:
+    """Other texts, other types of content, forged names of living nodes: nothing breaks and nobody is displaced."""
+    bench.script(SCRIPT, "a")
+    probe = bench.probe()
+    before = seen(probe, lambda fact: beats(fact, A) and fact.beacons[A], "the node")
+    forger = bench.script("ros_forger.py", A)
+    fact = seen(probe, lambda fact: fact.refused > 20 and fact, "refused messages")
+    assert forger.poll() is None
+    assert set(fact.beacons) == {A}
+    assert fact.beacons[A].birth == before.birth
+    assert beats(probe.look(), A)

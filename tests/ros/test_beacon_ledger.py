@@ -1,0 +1,206 @@
+"""What the child makes of beacons: parsed or refused, told when there is news, nobody displaced."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from phm.beacon import BEACON_FORMAT, HELLO_FORMAT, MAX_NEIGHBOURS, MAX_NODES, _Neighbours
+from phm.probes.ros.beacons import FORGET_S, MAX_STRANGERS, Ledger, beacons_in
+from phm.probes.ros.hearsay import Hearsay
+from phm.probes.ros.protocol import Heard
+from phm.ros_facts import BeaconFact, NeighbourFact
+
+A, B = "/agent_1/a", "/agent_1/b"
+
+
+def node(birth: str = "w.1", late_s: float = 0.0, beats: int = 5) -> dict[str, Any]:
+    return {"birth": birth, "beats": beats, "turns": 3, "late_s": late_s}
+
+
+def text(nodes: dict[str, Any] | None = None, *, witness: str = "w", views: object = None) -> str:
+    said: dict[str, Any] = {"witness": witness, "period_s": 0.2, "nodes": nodes or {A: node(f"{witness}.1")}}
+    if views is not None:
+        said["views"] = views
+    return json.dumps(said)
+
+
+def ledger(*names: str) -> Ledger:
+    return Ledger(frozenset(names))
+
+
+def heard(book: Ledger, now_s: float) -> Heard:
+    news = book.news(now_s)
+    assert news is not None
+    return news
+
+
+VIEWS = {B: {"alive": True, "age_s": 0.4, "late_s": 0.0}}
+
+
+def test_a_beacon_is_read() -> None:
+    """Every field arrives."""
+    ((name, fact, has_views),) = beacons_in(text(views=VIEWS))
+    assert (name, has_views) == (A, True)
+    assert fact == BeaconFact(0.0, 0.2, 0.0, "w.1", 5, {B: NeighbourFact(True, 0.4, 0.0)}, 3, "w")
+
+
+WRONG: list[Any] = [
+    "", "{", "[]", "7", "null", "{}", "[" * 100_000, "x" * 90_000,
+    text(views=[1]), text(views={"b": VIEWS[B]}), text(views={B: {**VIEWS[B], "alive": 1}}),
+    text(views={B: {**VIEWS[B], "age_s": -1}}), text(views={f"/n{i}": VIEWS[B] for i in range(MAX_NEIGHBOURS + 1)}),
+    text(witness=""), text(witness="w" * 61), text(witness="a\nb"),
+    text({"a": node()}), text({"/" + "a" * 300: node()}), text({"/a\x1b[2J": node()}), text({A: 5}), text({A: {}}),
+    text({A: node(late_s=float("nan"))}), text({A: node(late_s=-1)}), text({A: node(late_s=True)}),
+    text({A: node(beats=-1)}), text({A: {**node(), "beats": 1.5}}), text({A: {**node(), "birth": 7}}),
+    text({f"/n{i}": node() for i in range(MAX_NODES + 1)}), text().replace("0.2", "0"), text().replace("0.2", "1e9"),
+    text().replace("0.2", '"0.2"'), json.dumps({"witness": "w", "period_s": 0.2, "nodes": {}}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_whatever_is_no_beacon_is_refused_and_counted(wrong: str) -> None:
+    """Nothing of it is kept, and nothing is raised."""
+    book = ledger(A)
+    book.add(BEACON_FORMAT, wrong, 1.0)
+    assert book.news(1.0) == Heard(refused=1)
+    assert book.news(1.1) is None
+
+
+def test_another_format_is_refused() -> None:
+    """A version that this PHM does not know shows as a count, not as nonsense."""
+    book = ledger(A)
+    book.add("phm.beacon/2", text(), 1.0)
+    assert book.refused == 1
+
+
+def test_the_first_beat_is_told_whole_and_the_next_by_its_age() -> None:
+    """What a beat costs on the pipe is one number, unless there is news in it."""
+    book = ledger(A)
+    book.add(BEACON_FORMAT, text(), 1.0)
+    assert set(heard(book, 1.1).beacons) == {A}
+    book.add(BEACON_FORMAT, text(), 1.2)
+    assert book.news(1.25) == Heard(ages={A: 0.05})
+    assert book.news(1.3) is None
+
+
+@pytest.mark.parametrize("news", [text({A: node(late_s=2.0)}), text({A: node("w.2")}), text(views=VIEWS)])
+def test_news_is_told_whole(news: str) -> None:
+    """Lateness, another life, a view."""
+    book = ledger(A)
+    book.add(BEACON_FORMAT, text(), 1.0)
+    book.news(1.0)
+    book.add(BEACON_FORMAT, news, 1.2)
+    assert set(heard(book, 1.2).beacons) == {A}
+
+
+def test_a_view_is_kept_until_the_next() -> None:
+    """Views come once a second, beats five times."""
+    book = ledger(A)
+    book.add(BEACON_FORMAT, text(views=VIEWS), 1.0)
+    book.add(BEACON_FORMAT, text(), 1.2)
+    assert set(heard(book, 1.2).beacons[A].views) == {B}
+    book.add(BEACON_FORMAT, text(views={}), 1.4)
+    assert heard(book, 1.4).beacons[A].views == {}
+
+
+def test_silence_is_told_when_it_begins_and_when_it_ends() -> None:
+    """After two missed beats, after three, and not again; then when it beats anew."""
+    book = ledger(A)
+    book.add(BEACON_FORMAT, text(), 1.0)
+    book.news(1.0)
+    assert book.news(1.35) is None
+    assert heard(book, 1.41).beacons[A].age_s == 0.41
+    assert heard(book, 1.61).beacons[A].age_s == 0.61
+    assert book.news(2.0) is None
+    book.add(BEACON_FORMAT, text(), 2.1)
+    assert set(heard(book, 2.1).beacons) == {A}
+
+
+def test_a_second_one_of_a_name_takes_its_place_only_when_it_is_silent() -> None:
+    """A forged or doubled node cannot hide that the first one lives, nor that it is dead for long."""
+    book = ledger(A)
+    book.add(BEACON_FORMAT, text(), 1.0)
+    book.add(BEACON_FORMAT, text(witness="v"), 1.1)
+    assert heard(book, 1.1).beacons[A].birth == "w.1"
+    book.add(BEACON_FORMAT, text(witness="v"), 1.61)
+    assert heard(book, 1.61).beacons[A].birth == "v.1"
+
+
+def test_configured_nodes_have_room_whatever_strangers_do() -> None:
+    """Strangers fill what is theirs, are refused then, and are forgotten when they are silent."""
+    book = ledger(A)
+    for number in range(MAX_STRANGERS + 5):
+        book.add(BEACON_FORMAT, text({f"/x{number}": node()}), 1.0)
+    book.add(BEACON_FORMAT, text(), 1.0)
+    news = heard(book, 1.0)
+    assert (len(news.beacons), news.refused) == (MAX_STRANGERS + 1, 5)
+    assert A in news.beacons
+    book.news(2.0)
+    book.news(1.1 + FORGET_S)
+    book.add(BEACON_FORMAT, text({"/y": node()}), 2.0 + FORGET_S)
+    assert set(heard(book, 2.0 + FORGET_S).beacons) == {"/y"}
+
+
+def test_the_daemon_keeps_the_newest_and_its_age() -> None:
+    """An age alone makes a known beacon young again; an unknown name is passed over."""
+    kept = Hearsay().with_news(Heard(beacons={A: BeaconFact(0.1, 0.2)}, refused=2), 10.0)
+    kept = kept.with_news(Heard(ages={A: 0.05, B: 0.05}, refused=2), 10.5)
+    beacons, _ = kept.since(10.6)
+    assert beacons[A].age_s == pytest.approx(0.15)
+    assert set(beacons) == {A}
+    assert kept.refused == 2
+
+
+@pytest.mark.parametrize(
+    ("fact", "differs"),
+    [
+        (BeaconFact(0.1, 0.2, 0.0, "w.1"), False),
+        (BeaconFact(0.41, 0.2, 0.0, "w.1"), True),
+        (BeaconFact(0.0, 0.2, 0.9, "w.1"), False),
+        (BeaconFact(0.0, 0.2, 2.1, "w.1"), True),
+        (BeaconFact(0.0, 0.2, 0.0, "w.2"), True),
+    ],
+)
+def test_checks_are_woken_by_what_matters(fact: BeaconFact, differs: bool) -> None:
+    """Silence, lateness, another life; not by each beat."""
+    kept = Hearsay().with_news(Heard(beacons={A: BeaconFact(0.1, 0.2, 0.0, "w.1")}), 10.0)
+    assert kept.differs(Heard(beacons={A: fact})) is differs
+    assert Hearsay().differs(Heard(beacons={A: fact}))
+    assert not kept.differs(Heard(ages={A: 0.1}))
+
+
+def hello(witness: str, name: str, period_s: float = 0.4) -> str:
+    return json.dumps({"witness": witness, "period_s": period_s, "nodes": {name: 0.0}})
+
+
+def test_a_neighbour_is_alive_until_it_has_missed_three_greetings() -> None:
+    """By the period that it said itself; then not alive, and forgotten after a minute."""
+    neighbours = _Neighbours("me")
+    neighbours.hear(HELLO_FORMAT, hello("w", A), 10.0)
+    neighbours.hear(HELLO_FORMAT, hello("me", B), 10.0)
+    assert neighbours.views(11.2) == {A: {"alive": True, "age_s": 1.2, "late_s": 0.0}}
+    assert not neighbours.views(11.5)[A]["alive"]
+    assert neighbours.views(71.0) == {}
+
+
+@pytest.mark.parametrize(
+    "wrong", ["", "[]", "{}", "null", "x" * 90_000, hello("w", A).replace("0.4", "1e9"), "[" * 10_000]
+)
+def test_what_is_no_greeting_is_passed_over(wrong: str) -> None:
+    """In the application's own process nothing that comes from outside may raise, or be passed on so that PHM refuses it."""
+    neighbours = _Neighbours("me")
+    neighbours.hear(HELLO_FORMAT, wrong, 1.0)
+    neighbours.hear("other", hello("w", A), 1.0)
+    assert neighbours.views(1.0) == {} and neighbours.processes == 0
+
+
+def test_neighbours_are_no_more_than_a_message_can_tell() -> None:
+    """The first ones stay."""
+    neighbours = _Neighbours("me")
+    for number in range(MAX_NEIGHBOURS + 9):
+        neighbours.hear(HELLO_FORMAT, hello(f"w{number}", f"/n{number}"), 1.0)
+    assert len(neighbours.views(1.0)) == MAX_NEIGHBOURS == neighbours.processes
+    assert "/n0" in neighbours.views(1.0)
