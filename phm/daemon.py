@@ -18,13 +18,14 @@ from phm.clock import Clock, SystemClock
 from phm.control import Control
 from phm.engine import WATCH_S, Batch, Engine
 from phm.facts import CannotTell
+from phm.inbound.desk import Desk, Powers
 from phm.model import ActionEvent, Event, Phase, UnitState
 from phm.pipeline import Pipeline
 from phm.plan import Plan, make
 from phm.probes.docker_watch import DockerEvent
 from phm.recovery.actions import join
 from phm.recovery.base import Action, ActionContext
-from phm.recovery.executor import Executor
+from phm.recovery.executor import Executor, NotNow
 from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
 from phm.reporters.base import Reporter, ReporterContext
@@ -71,6 +72,7 @@ class Daemon:
         self.reporters = Installed(self.bus)
         self.executor: Executor | None = None
         self.control: Control | None = None
+        self.desk: Desk | None = None
         self.memory = Memory(settings, self.pipeline, self.bus, self.clock)
         self._stop = threading.Event()
         self._heart = threading.Thread(target=self._beat_on, name="phm-heart", daemon=True)
@@ -108,6 +110,8 @@ class Daemon:
         self.pipeline.note("PHM", "PHM is stopping")
         if self.control is not None:
             self.control.close()
+        if self.desk is not None:
+            self.desk.close()
         if self.executor is not None:
             self.executor.stop()
         self.engine.stop()
@@ -175,6 +179,20 @@ class Daemon:
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
         self.control = Control(self.settings.run_dir, self.executor.approve, self.pipeline.note)
         self.control.start()
+        self._start_desk(self.executor)
+
+    def _start_desk(self, executor: Executor) -> None:
+        """What the ground may ask for by MAVLink."""
+        if self.parts.mavlink is None:
+            return
+        pipeline = self.pipeline
+        powers = Powers(
+            pipeline.states, pipeline.open_faults, pipeline.recent_faults, lambda: pipeline.complete, self.alive,
+            look=lambda: pipeline.look_again(*(state.unit for state in pipeline.states())),
+            approve=executor.approve, restart=executor.restart, note=pipeline.note, later=NotNow,
+        )  # fmt: skip
+        self.desk = Desk(self.parts.mavlink, powers, self.settings, self.clock)
+        self.desk.start()
 
     def _action_context(self) -> ActionContext:
         docker = self.parts.world.docker

@@ -213,7 +213,7 @@ class ActionEvent:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A line for the log that is no judgement: kind DOCKER, INJECT or PHM."""
+    """A line for the log that is no judgement: kind DOCKER, INJECT, COMMAND or PHM."""
 
     at: Stamp
     kind: str

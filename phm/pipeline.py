@@ -31,6 +31,8 @@ class Pipeline:
         self._recent: list[Fault] = []
         self.last_batch = clock.mono()
         """When a check last came back by itself (monotonic seconds): the engine's sign of life."""
+        self.complete = False
+        """Whether a first report is done."""
 
     def attach(self, wake_units: WakeUnits) -> None:
         """Tell the pipeline how to have units run again."""
@@ -169,4 +171,4 @@ class Pipeline:
     def _finish_pass(self, now: Stamp) -> None:
         if self._pass_started is not None and not self._outstanding:
             self._bus.publish(Report(now, self._pass_number, self._pass_started, self._tracker.states()))
-            self._pass_started = None
+            self._pass_started, self.complete = None, True

@@ -291,7 +291,7 @@ class EndpointSettings(Section):
 
 
 class MavlinkSettings(Section):
-    """How the ground is told."""
+    """How the ground is told, and what it may ask."""
 
     endpoints: list[EndpointSettings] = Field(default_factory=list)
     """Connections; each is reopened when lost. None: nothing is sent."""
@@ -315,6 +315,8 @@ class MavlinkSettings(Section):
     """WARN above so many damaged packets a second (RADIO_STATUS.rxerrors); 0: not judged."""
     loss: Percent = 20.0
     """WARN when more of the frames are lost that the neighbour on a serial port sends, by gaps in its sequence numbers."""
+    commands: list[Literal["status", "details", "check", "approve", "restart"]] = Field(default=["status", "details"])
+    """What the ground may ask for by MAVLink commands; the first two only read. `docs/mavlink.md` says how."""
 
 
 class SwarmSettings(Section):

@@ -6,12 +6,13 @@ import threading
 from collections.abc import Iterable
 
 from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Outcome, Transition
+from phm.recovery.asked import NotAllowed, NotNow
 from phm.recovery.history import History
 from phm.recovery.shop import Shop
 from phm.recovery.state import Case, RecoveryState, State
 from phm.recovery.worker import NotApprovable, TargetWorker
 
-__all__ = ["Executor", "NotApprovable", "Shop"]
+__all__ = ["Executor", "NotAllowed", "NotApprovable", "NotNow", "Shop"]
 
 
 class Executor:
@@ -134,6 +135,12 @@ class Executor:
         if worker is None:
             raise NotApprovable(f"{fault_id} ({fault.unit}) is only reported: no container can be acted on for it")
         return worker.approve(fault_id)
+
+    def restart(self, target: str, by: str) -> str:
+        """An operator wants a container restarted; what will be done. Raises NotAllowed, and NotNow when it may be later."""
+        if self._shop.context.settings.container(target) is None:
+            raise NotAllowed(f"there is no container {target!r} in the configuration")
+        return self._worker(target).restart(by)
 
     def stop(self) -> None:
         for worker in self._workers.values():

@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import partial
 
 from phm.model import ActionEvent, Fault, Phase
+from phm.recovery.asked import NotAllowed, NotNow, permit, stand_in
 from phm.recovery.cases import Case, Cases
 from phm.recovery.history import Attempt, History
 from phm.recovery.lives import Life, by_phm
@@ -50,6 +51,7 @@ class TargetWorker:
         self._history = history
         self._life: Life | None = None
         self._under_way: UnderWay | None = None
+        self._asked: Fault | None = None
         self._cases = Cases()
         self._eased: list[tuple[Collection[str], float]] = []
         self._lock = threading.Lock()
@@ -112,11 +114,43 @@ class TargetWorker:
         self._wake.set()
         return detail
 
+    def restart(self, by: str) -> str:
+        """An operator wants it restarted: what will be done now. Raises NotAllowed, and NotNow when it may be later."""
+        self._permit()
+        unit = f"container/{self._target}"
+        state = next((state for state in self._shop.pipeline.states() if state.unit == unit), None)
+        if state is None:
+            raise NotAllowed(f"the check of {unit} is off: nobody could tell whether the restart helped")
+        with self._lock:
+            if self._asked is not None or self._under_way is not None:
+                raise NotNow(f"{self._target} is being acted on")
+            self._asked = stand_in(state, self._target, by, self._shop.clock.stamp())
+        self._wake.set()
+        return f"restart {self._target}, asked for by {by}"
+
     def stop(self) -> None:
         self._stopping = True
         self._wake.set()
 
     # ------------------------------------------------------------ deciding
+
+    def _permit(self) -> None:
+        shop = self._shop
+        settings = shop.context.settings.recovery
+        permit(self._container, self._history, shop.clock.mono(), armed=shop.armed(), settings=settings)
+
+    def _as_asked(self, fault: Fault) -> float:
+        """As `_perform`. Judged again: the autopilot may have been armed since, or another action used the budget up."""
+        try:
+            self._permit()
+        except (NotAllowed, NotNow) as error:
+            self._publish(fault, "restart", Phase.REFUSED, str(error))
+            self._asked = None
+            return 0
+        wait_s = self._perform(Case(fault), Act("restart", 1))
+        if wait_s == 0:
+            self._asked = None
+        return wait_s
 
     def _loop(self) -> None:
         while not self._stopping:
@@ -134,6 +168,8 @@ class TargetWorker:
         # The tracker knows first what is over; its event may still be on its way through the bus.
         cases = self._cases.only({fault.id for fault in self._shop.pipeline.open_faults()})
         waits = [LIFE_S] if self._take_note(cases) else []
+        if self._asked is not None:
+            return self._as_asked(self._asked)
         for case in cases:
             if case.refused:
                 continue

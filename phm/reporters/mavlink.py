@@ -14,7 +14,6 @@ from phm.model import (
     Event,
     FaultClosed,
     FaultOpened,
-    Level,
     Report,
     Slot,
     Transition,
@@ -27,7 +26,6 @@ from phm.reporters.mavlink_lines import Line, Teller
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_budget import periods
 from phm.wire import status_line, status_word
-from phm.wire.status_line import MISSION_SLOTS
 
 PEERS = "peers/"
 """Units about other agents."""
@@ -132,15 +130,7 @@ class Mavlink(Reporter):
 
     def _heartbeat(self) -> None:
         states = self._context.states()
-        self._send_heartbeat(states, self._system_status(states))
-
-    def _system_status(self, states: tuple[UnitState, ...]) -> int:
-        if self._refresh_at is None:
-            return int(mavlink.MAV_STATE_BOOT)
-        if any(state.level is Level.ERROR and state.slot in MISSION_SLOTS for state in states):
-            return int(mavlink.MAV_STATE_EMERGENCY)
-        bad = any(state.level.bad for state in states)
-        return int(mavlink.MAV_STATE_CRITICAL if bad else mavlink.MAV_STATE_ACTIVE)
+        self._send_heartbeat(states, status_word.system_status(states, complete=self._refresh_at is not None))
 
     def _send_heartbeat(self, states: tuple[UnitState, ...], system_status: int) -> None:
         word = status_word.encode(worst_by_slot(states))

@@ -31,6 +31,7 @@ class MavlinkHub:
 
     def __init__(self, settings: MavlinkSettings, system_id: int, clock: Clock) -> None:
         self.system_id, self.component_id = system_id, settings.component_id
+        self.signs = False
         self._listeners: tuple[tuple[Listener, frozenset[int]], ...] = ()
         self._watchers: tuple[Callable[[], None], ...] = ()
         self._errors = 0

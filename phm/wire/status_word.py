@@ -14,11 +14,14 @@ Example: slots 1 to 8 OK but slot 6 ERROR, slot 9 WARN: ``0x40025D55``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
-from phm.model import Level, Slot
+from phm.model import Level, Slot, UnitState
+from phm.wire.status_line import MISSION_SLOTS
 
 VERSION = 1
+BOOT, ACTIVE, CRITICAL, EMERGENCY = 1, 4, 5, 6
+"""The part of MAV_STATE that is used while PHM runs."""
 
 _VERSION_SHIFT = 30
 _CODE = {Level.STALE: 0, Level.OK: 1, Level.WARN: 2, Level.ERROR: 3}
@@ -47,3 +50,13 @@ def decode(word: int) -> dict[Slot, Level]:
         raise ValueError(f"0x{word:08X} is a status word of version {version}; this program reads version {VERSION}")
     codes = {slot: word >> 2 * (slot - 1) & 3 for slot in Slot}
     return {slot: _LEVEL[code] for slot, code in codes.items() if code}
+
+
+def system_status(states: Iterable[UnitState], *, complete: bool) -> int:
+    """HEARTBEAT's `system_status` that goes with the word. complete: a first report is done."""
+    if not complete:
+        return BOOT
+    bad = [state for state in states if state.level.bad]
+    if any(state.level is Level.ERROR and state.slot in MISSION_SLOTS for state in bad):
+        return EMERGENCY
+    return CRITICAL if bad else ACTIVE

@@ -148,8 +148,15 @@ CHOICES = [path for path, field in FIELDS.items() if field.annotation is bool or
 def test_a_choice_is_documented_with_all_it_allows(path: tuple[str, ...]) -> None:
     """The prose lists exactly the words that the model takes."""
     field, allowed = FIELDS[path], DOCUMENTED[path].partition("Allowed: ")[2].partition("Default")[0]
-    words = ["true", "false"] if field.annotation is bool else list(get_args(field.annotation))
+    words = ["true", "false"] if field.annotation is bool else _words(field.annotation)
     assert QUOTED.findall(allowed) == words
+
+
+def _words(annotation: Any) -> list[str]:
+    """The words of a Literal, also of one in a list."""
+    return [
+        word for part in get_args(annotation) for word in ([part] if isinstance(part, str) else _words(part))
+    ]  # fmt: skip
 
 
 def test_every_commented_key_may_be_uncommented() -> None:

@@ -68,7 +68,8 @@ class Agent:
 
     def __init__(
         self, units: Mapping[str, Of], containers: Containers, clock: testing.FakeClock, *,
-        folder: Path | None = None, opted_in: tuple[str, ...] = ("app",), **recovery: Any,
+        folder: Path | None = None, opted_in: tuple[str, ...] = ("app",),
+        critical: tuple[str, ...] = (), **recovery: Any,
     ) -> None:  # fmt: skip
         self.clock, self.containers = clock, containers
         self.events: list[Event] = []
@@ -77,7 +78,10 @@ class Agent:
         self.armed = False
         self.acting: list[str] = []
         self.behave: Callable[[str, ActionContext, Fault], object] = lambda key, context, fault: containers.start(key)
-        entries = [ContainerSettings(name=key, recover=key in opted_in) for key in containers.facts]
+        entries = [
+            ContainerSettings(name=key, recover=key in opted_in, flight_critical=key in critical)
+            for key in containers.facts
+        ]
         base: dict[str, Any] = {"containers": entries, "recovery": {"ladders": {"broken": ["restart"]}, **recovery}}
         self.settings = Settings.model_validate({**base, **({"state_dir": str(folder)} if folder else {})})
         tracked = tuple(

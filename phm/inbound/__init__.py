@@ -1,0 +1,1 @@
+"""What comes in from the ground: commands, judged, carried out and acknowledged."""

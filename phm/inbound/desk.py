@@ -1,0 +1,286 @@
+"""Takes commands from the links, has them judged, carries them out and acknowledges each to its asker.
+
+A command passes: addressed to us? known? signed, allowed, well-formed (`judge`)? not too many (`Gate`)? not done before
+(`Memory`)? Only then is anything done. The endpoints' threads judge and queue; the rest is the desk's own thread.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from phm.clock import Clock
+from phm.inbound import answers
+from phm.inbound.gate import Gate, Memory
+from phm.inbound.judge import Do, Ignore, Refuse, addressed, judge
+from phm.model import Fault, UnitState
+from phm.settings import Settings
+from phm.transport.mavlink_budget import Class
+from phm.wire import command
+from phm.wire.command import (
+    COMMAND_INT,
+    COMMAND_LONG,
+    HEARTBEAT,
+    Approve,
+    Asked,
+    Look,
+    Repeat,
+    Restart,
+    Result,
+    Send,
+    Tell,
+    Wish,
+)  # fmt: skip
+
+logger = logging.getLogger(__name__)
+
+KIND = "COMMAND"
+MAX_WAITING = 64
+MAX_REPEATS = 64
+CHECK_EVERY_S = 2.0
+HEARTBEAT_EVERY_S = 1.0
+"""HEARTBEATs are not held back by the budget, so asking for them must not become a way around it."""
+DROPS_TOLD_EVERY_S = 60.0
+IDLE_S = 1.0
+CLOSING_S = 2.0
+
+
+class Port(Protocol):
+    """The MAVLink endpoints (`phm.transport.mavlink.MavlinkHub`)."""
+
+    system_id: int
+    component_id: int
+    signs: bool
+    """Signing is on: only what is signed is obeyed."""
+
+    def send(
+        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+    ) -> None: ...
+
+    def listen(self, callback: Callable[[Any, str], None], ids: Iterable[int]) -> None: ...
+
+
+@dataclass(frozen=True)
+class Powers:
+    """What commands may reach; each answers at once, in words or with an exception that says why not.
+
+    complete: whether a first report is done. alive: whether the engine lives.
+    approve:  the fault's id. restart: the container's key, and who asks.
+    later:    what `approve` and `restart` raise when the same may be asked again later.
+    remember: called before a signed command is obeyed, so that it is not obeyed again after a restart of PHM.
+    """
+
+    states: Callable[[], tuple[UnitState, ...]]
+    open_faults: Callable[[], tuple[Fault, ...]]
+    recent_faults: Callable[[], tuple[Fault, ...]]
+    complete: Callable[[], bool]
+    alive: Callable[[], bool]
+    look: Callable[[], None]
+    approve: Callable[[str], str]
+    restart: Callable[[str, str], str]
+    note: Callable[[str, str], None]
+    later: type[Exception]
+    remember: Callable[[], None] = lambda: None
+
+
+class Desk:
+    """See the module. Making it listens; `start` begins to answer."""
+
+    def __init__(self, port: Port, powers: Powers, settings: Settings, clock: Clock) -> None:
+        self._port, self._powers, self._settings, self._clock = port, powers, settings, clock
+        self._allowed = frozenset(settings.mavlink.commands)
+        self._gate, self._memory = Gate(), Memory()
+        self._waiting: deque[tuple[Asked, bytes, Do | Refuse]] = deque()
+        self._dropped = self._dropped_told = 0
+        self._told_at = float("-inf")
+        self._repeats: dict[tuple[str, int], tuple[float, float]] = {}
+        self._looked = self._beat = float("-inf")
+        self._lock = threading.Lock()
+        self._wake, self._stop = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="phm-inbound", daemon=True)
+        port.listen(self.hear, (COMMAND_LONG, COMMAND_INT))
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread; waits at most CLOSING_S."""
+        self._stop.set()
+        self._wake.set()
+        if self._thread.ident is not None:
+            self._thread.join(CLOSING_S)
+
+    # ------------------------------------------------------------ the endpoints' threads
+
+    def hear(self, message: Any, link: str) -> None:
+        """A COMMAND_LONG or COMMAND_INT. Queues and never waits."""
+        ours = (self._port.system_id, self._port.component_id)
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        if sender == ours or not addressed(message.target_system, message.target_component, *ours):
+            return
+        asked = Asked(
+            message.command, (message.param1, message.param2), getattr(message, "confirmation", 0), *sender, link,
+            bool(message.get_signed()), whole=message.target_component == 0,
+        )  # fmt: skip
+        verdict = judge(asked, self._allowed, signing=self._port.signs)
+        if isinstance(verdict, Ignore):
+            return
+        with self._lock:
+            lets = self._gate.lets(link, *sender, asked.signed, self._clock.mono())
+            if not lets or len(self._waiting) >= MAX_WAITING:
+                self._dropped += 1
+                return
+            self._waiting.append((asked, bytes(message.get_msgbuf()), verdict))
+        self._wake.set()
+
+    # ------------------------------------------------------------ the desk's thread
+
+    def _loop(self) -> None:
+        while not self._stop.is_set():
+            self._wake.clear()
+            try:
+                wait_s = self.turn()
+            except Exception:  # one command must not end the answering of all
+                logger.exception("a command stumbled")
+                wait_s = IDLE_S
+            self._clock.wait(self._wake, wait_s)
+
+    def turn(self) -> float:
+        """Answer what waits and send what is due; seconds until something is due again."""
+        while not self._stop.is_set():
+            with self._lock:
+                if not self._waiting:
+                    break
+                asked, frame, verdict = self._waiting.popleft()
+            self._answer(asked, frame, verdict)
+        self._tell_drops()
+        return self._repeat()
+
+    def _answer(self, asked: Asked, frame: bytes, verdict: Do | Refuse) -> None:
+        now = self._clock.mono()
+        before = self._memory.before(asked, frame, now)
+        if before is not None:
+            self._acknowledge(asked, before)
+            return
+        if isinstance(verdict, Refuse):
+            result, words = verdict.result, verdict.why
+        else:
+            result, words = self._carry_out(verdict.wish, asked)
+        self._memory.did(asked, frame, result, now)
+        self._acknowledge(asked, result)
+        signed = "signed" if asked.signed else "unsigned"
+        self._powers.note(
+            KIND,
+            f"{result.name.lower()}: {_shown(asked, verdict)} from {asked.sender} by {asked.link}, {signed}: {words}",
+        )
+
+    def _acknowledge(self, asked: Asked, result: Result) -> None:
+        key = f"ack {asked.sender} {asked.command}"
+        self._port.send(answers.ack(asked, result), Class.REQUEST, key=key, link=asked.link)
+
+    def _carry_out(self, wish: Wish, asked: Asked) -> tuple[Result, str]:
+        """Do it; the result and what to note. Whatever goes wrong is FAILED, with the reason."""
+        try:
+            if asked.signed:
+                self._powers.remember()
+            return self._do(wish, asked)
+        except self._powers.later as error:
+            return Result.TEMPORARILY_REJECTED, str(error)
+        except Exception as error:
+            return Result.FAILED, str(error) or type(error).__name__
+
+    def _do(self, wish: Wish, asked: Asked) -> tuple[Result, str]:
+        if isinstance(wish, Send):
+            return self._send(wish.message, asked.link)
+        if isinstance(wish, Tell):
+            return self._details(wish.fault, asked)
+        if isinstance(wish, Repeat):
+            return self._keep_sending(wish, asked.link)
+        if isinstance(wish, Look):
+            return self._look()
+        if isinstance(wish, Approve):
+            faults = _numbered(self._powers.open_faults(), wish.fault)
+            if len(faults) != 1:
+                return Result.FAILED, f"{'no' if not faults else 'more than one'} open fault has number {wish.fault}"
+            return Result.ACCEPTED, self._powers.approve(faults[0].id)
+        return self._restart(wish, asked)
+
+    def _restart(self, wish: Restart, asked: Asked) -> tuple[Result, str]:
+        containers = self._settings.containers
+        if wish.place > len(containers):
+            return Result.FAILED, f"there is no container {wish.place}: {len(containers)} are configured"
+        return Result.ACCEPTED, self._powers.restart(containers[wish.place - 1].key, asked.sender)
+
+    def _look(self) -> tuple[Result, str]:
+        now = self._clock.mono()
+        if now - self._looked < CHECK_EVERY_S:
+            return Result.TEMPORARILY_REJECTED, f"checks were asked for less than {CHECK_EVERY_S:g} s ago"
+        self._looked = now
+        self._powers.look()
+        return Result.ACCEPTED, "all checks run now"
+
+    def _details(self, number: int, asked: Asked) -> tuple[Result, str]:
+        open_now = self._powers.open_faults()
+        if number:
+            found: Sequence[Fault] = _numbered((*self._powers.recent_faults(), *open_now), number)
+        else:
+            found = sorted(open_now, key=lambda fault: fault.opened.mono)
+        if not found:
+            return Result.FAILED, f"fault {number} is not known" if number else "no fault is open"
+        for part, message in enumerate(answers.details(found[-1], asked)):
+            key = f"detail {asked.sender} {found[-1].id} {part}"
+            self._port.send(message, Class.REQUEST, key=key, urgency=2, link=asked.link)
+        return Result.ACCEPTED, f"details of {found[-1].id} are sent"
+
+    # ------------------------------------------------------------ status, once or again and again
+
+    def _send(self, message: int, link: str) -> tuple[Result, str]:
+        if not self._powers.alive():
+            return Result.FAILED, "PHM's checks have stalled: what it would say is old"
+        now = self._clock.mono()
+        if message == HEARTBEAT:
+            if now - self._beat < HEARTBEAT_EVERY_S:
+                return Result.TEMPORARILY_REJECTED, f"a heartbeat was asked for less than {HEARTBEAT_EVERY_S:g} s ago"
+            self._beat = now
+        built = answers.status(
+            message, self._settings.agent.id, self._powers.states(), complete=self._powers.complete(), mono=now,
+            utc=self._clock.utc(),
+        )  # fmt: skip
+        self._port.send(built, Class.REQUEST, key=f"asked {message}", urgency=1, link=link)
+        return Result.ACCEPTED, f"message {message} is sent"
+
+    def _keep_sending(self, wish: Repeat, link: str) -> tuple[Result, str]:
+        key = (link, wish.message)
+        self._repeats.pop(key, None)
+        if wish.every_s == 0:
+            return Result.ACCEPTED, f"message {wish.message} is no longer sent"
+        if len(self._repeats) >= MAX_REPEATS:
+            return Result.TEMPORARILY_REJECTED, "too many messages are sent again and again"
+        self._repeats[key] = (wish.every_s, self._clock.mono())
+        return Result.ACCEPTED, f"message {wish.message} is sent every {wish.every_s:g} s"
+
+    def _repeat(self) -> float:
+        now = self._clock.mono()
+        for (link, message), (every_s, due) in list(self._repeats.items()):
+            if now >= due:
+                self._repeats[link, message] = (every_s, now + every_s)
+                self._send(message, link)
+        return max(0.0, min([IDLE_S, *(due - now for _every_s, due in self._repeats.values())]))
+
+    def _tell_drops(self) -> None:
+        now, dropped = self._clock.mono(), self._dropped
+        if dropped > self._dropped_told and now - self._told_at >= DROPS_TOLD_EVERY_S:
+            count, self._dropped_told, self._told_at = dropped - self._dropped_told, dropped, now
+            self._powers.note(KIND, f"{count} commands were dropped unread: too many came at once")
+
+
+def _numbered(faults: Iterable[Fault], number: int) -> list[Fault]:
+    return [fault for fault in faults if command.number(fault.id) == number]
+
+
+def _shown(asked: Asked, verdict: Do | Refuse) -> str:
+    return str(verdict.wish) if isinstance(verdict, Do) else f"command {asked.command} {asked.params}"

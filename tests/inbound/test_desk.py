@@ -1,0 +1,300 @@
+"""The desk as a whole without sockets: a command in, an acknowledgement to its asker out, and what it did."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from phm.inbound import answers
+from phm.inbound.desk import CHECK_EVERY_S, MAX_WAITING, Desk, Powers
+from phm.inbound.gate import BURST
+from phm.model import Fault, Layer, Level, Result as Found, Slot, Stamp, UnitState
+from phm.testing import FakeClock, settings
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink_budget import Class
+from phm.wire import status_word, tunnel
+from phm.wire.command import Result
+from tests.fakes.mavlink import Sender, until
+
+ALL = ["status", "details", "check", "approve", "restart"]
+
+
+class Later(Exception):
+    pass
+
+
+def fault(number: int, opened: float, words: str = "node_1 is dead") -> Fault:
+    found = Found(Level.ERROR, words, "node_1 dead", "node_missing", "app")
+    return Fault(
+        f"ab12-{number}", "nodes/node_1", Slot.NODES, Layer.ROS, found, Stamp(1e9, opened), consequences=("topics",)
+    )
+
+
+class Scene:
+    """Agent 7 and what its desk may reach; `did` is what was done, `notes` what was logged."""
+
+    def __init__(self, *allowed: str, signs: bool = False) -> None:
+        self.clock, self.sent, self.did, self.notes = FakeClock(), [], [], []  # type: ignore[var-annotated]
+        self.system_id, self.component_id, self.signs = 7, 193, signs
+        self.faults: tuple[Fault, ...] = ()
+        self.raises: Exception | None = None
+        self.lives = True
+        values = {"cpu_percent": 41.6, "memory_percent": 50.0, "temperature_c": None}
+        host = UnitState(
+            "host/cpu",
+            "host",
+            Slot.HOST,
+            Layer.COMPANION,
+            Level.OK,
+            Found(Level.OK, "well", values=values),
+            Stamp(0, 0),
+        )
+        powers = Powers(
+            lambda: (host,), lambda: self.faults, lambda: (), lambda: True, lambda: self.lives,
+            look=lambda: self.did.append("look"), approve=lambda name: self._do(f"approve {name}"),
+            restart=lambda key, by: self._do(f"restart {key} for {by}"),
+            note=lambda kind, text: self.notes.append(f"{kind}: {text}"), later=Later,
+            remember=lambda: self.did.append("remember"),
+        )  # fmt: skip
+        chosen = settings(
+            agent={"id": 7}, containers=[{"name": "app"}, {"name": "db"}], mavlink={"commands": list(allowed)}
+        )
+        self.desk = Desk(self, powers, chosen, self.clock)
+        self.ground = Sender(255, 190)
+
+    def _do(self, what: str) -> str:
+        if self.raises is not None:
+            raise self.raises
+        self.did.append(what)
+        return what
+
+    def send(
+        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+    ) -> None:
+        assert kind is Class.REQUEST
+        self.sent.append((message, link))
+
+    def listen(self, callback: Any, ids: Any) -> None:
+        assert set(ids) == {75, 76}
+
+    def ask(self, message: Any, *, link: str = "radio", signed: bool = False, by: Sender | None = None) -> list[Any]:
+        """The messages that follow."""
+        heard = (by or self.ground).received(message)
+        heard._signed = signed
+        self.sent.clear()
+        self.desk.hear(heard, link)
+        self.desk.turn()
+        assert {on for _message, on in self.sent} <= {link}
+        return [message for message, _link in self.sent]
+
+    def result(self, message: Any, **how: Any) -> Result:
+        acks = [sent for sent in self.ask(message, **how) if sent.get_type() == "COMMAND_ACK"]
+        assert len(acks) == 1
+        assert (acks[0].command, acks[0].target_system, acks[0].target_component) == (message.command, 255, 190)
+        return Result(acks[0].result)
+
+
+def long(command: int, first: float = 0, second: float = 0, *, to: tuple[int, int] = (7, 193), again: int = 0) -> Any:
+    return mavlink.MAVLink_command_long_message(*to, command, again, first, second, 0, 0, 0, 0, 0)
+
+
+def test_a_command_int_is_a_command_too() -> None:
+    """Both forms, the same answer."""
+    scene = Scene(*ALL)
+    assert (
+        scene.result(mavlink.MAVLink_command_int_message(7, 193, 0, 31010, 0, 0, 1, 0, 0, 0, 0, 0, 0))
+        is Result.ACCEPTED
+    )
+    assert scene.did == ["look"]
+
+
+@pytest.mark.parametrize("to", [(8, 193), (7, 1), (0, 0), (0, 193), (7, 194)])
+def test_what_is_for_others_is_not_answered(to: tuple[int, int]) -> None:
+    """Another system, another component, or all systems."""
+    scene = Scene(*ALL)
+    assert scene.ask(long(31010, 3, 1, to=to)) == []
+    assert (scene.did, scene.notes) == ([], [])
+
+
+def test_our_own_identity_commands_nothing() -> None:
+    """Whoever uses it, the echo of a router above all."""
+    scene = Scene(*ALL)
+    assert scene.ask(long(31010, 1), by=Sender(7, 193)) == []
+    assert scene.did == []
+
+
+def test_the_default_only_reads() -> None:
+    """The shipped setting denies whatever acts, and notes who asked."""
+    scene = Scene(*settings().mavlink.commands)
+    for operation in (1, 2, 3):
+        assert scene.result(long(31010, operation, 1)) is Result.DENIED
+    assert scene.result(long(512, 253)) is Result.ACCEPTED
+    assert scene.did == []
+    assert scene.notes[0].startswith(
+        "COMMAND: denied: command 31010 (1.0, 1.0) from 255/190 by radio, unsigned: 'check'"
+    )
+
+
+def test_with_signing_only_signed_commands_are_obeyed() -> None:
+    """Reading is a command too; and what is obeyed is remembered first."""
+    scene = Scene(*ALL, signs=True)
+    assert scene.result(long(31010, 1)) is Result.DENIED
+    assert scene.result(long(512, 253)) is Result.DENIED
+    assert scene.did == []
+    assert scene.result(long(31010, 1), signed=True) is Result.ACCEPTED
+    assert scene.did == ["remember", "look"]
+
+
+def test_the_status_line_is_sent_on_request() -> None:
+    """One line with the array, on the link that asked."""
+    line, ack = Scene("status").ask(long(512, 253))
+    assert (line.severity, line.text) == (6, "A07 OK --------")
+    assert ack.result == Result.ACCEPTED
+
+
+def test_a_heartbeat_on_request_has_the_status_word() -> None:
+    """As the periodic one; not more than one a second, since the budget does not hold heartbeats back."""
+    scene = Scene("status")
+    heartbeat, _ack = scene.ask(long(512, 0))
+    assert status_word.decode(heartbeat.custom_mode) == {Slot.HOST: Level.OK}
+    assert heartbeat.system_status == mavlink.MAV_STATE_ACTIVE
+    assert scene.result(long(512, 0)) is Result.TEMPORARILY_REJECTED
+
+
+def test_the_computers_figures_are_those_of_the_host_check() -> None:
+    """What is not known is marked as not known."""
+    computer, _ack = Scene("status").ask(long(512, 390))
+    assert computer.cpu_combined == [42, *[255] * 9]
+    assert computer.temperature_core == [127] * 8
+    assert abs(computer.ram_usage - computer.ram_total / 2) <= 1
+    assert computer.storage_usage == [2**32 - 1] * 4
+    nothing = answers.computer((), mono=1.5, utc=0.0)
+    assert (nothing.cpu_combined, nothing.ram_usage, nothing.ram_total) == ([255] * 10, 2**32 - 1, 2**32 - 1)
+    assert nothing.uptime == 1500
+
+
+def test_nothing_is_said_of_checks_that_have_stalled() -> None:
+    """The dead man's switch holds for requests, too."""
+    scene = Scene("status")
+    scene.lives = False
+    sent = scene.ask(long(512, 0))
+    assert [message.get_type() for message in sent] == ["COMMAND_ACK"]
+    assert sent[0].result == Result.FAILED
+
+
+def told(sent: list[Any]) -> tuple[str, str]:
+    """Fault id and text of the details among what was sent."""
+    parts = [tunnel.decode(bytes(m.payload[: m.payload_length])) for m in sent if m.get_type() == "TUNNEL"]
+    assert all(isinstance(part, tunnel.Detail) for part in parts)
+    assert [part.part for part in parts] == list(range(parts[0].parts))
+    return parts[0].fault, b"".join(part.text for part in parts).decode()
+
+
+def test_the_details_of_a_fault_come_in_parts_to_the_asker() -> None:
+    """The newest open one, or one by its number; long texts are cut at the contract's end."""
+    scene = Scene("details")
+    scene.faults = (fault(3, 5.0), fault(17, 9.0, "x" * 5000))
+    assert told(scene.ask(long(512, 385, 3))) == (
+        "ab12-3", "nodes/node_1: node_1 is dead; open since 01:46:40 UTC; blocks topics"
+    )  # fmt: skip
+    sent = scene.ask(long(512, 385))
+    name, text = told(sent)
+    assert name == "ab12-17"
+    assert len(sent) == tunnel.MAX_PARTS + 1
+    assert text.startswith("nodes/node_1: xxx")
+    assert {(m.target_system, m.target_component) for m in sent} == {(255, 190)}
+    assert scene.result(long(512, 385, 4)) is Result.FAILED
+
+
+def test_checks_are_run_at_most_every_two_seconds() -> None:
+    """Asking more often is not refused for good."""
+    scene = Scene("check")
+    assert scene.result(long(31010, 1)) is Result.ACCEPTED
+    assert scene.result(long(31010, 1)) is Result.TEMPORARILY_REJECTED
+    scene.clock.advance(CHECK_EVERY_S)
+    assert scene.result(long(31010, 1)) is Result.ACCEPTED
+    assert scene.did == ["look", "look"]
+
+
+def test_a_fault_is_approved_by_its_number() -> None:
+    """Unless it is not open, or two have that number (of two runs of PHM)."""
+    scene = Scene("approve")
+    scene.faults = (fault(3, 5.0), fault(17, 9.0))
+    assert scene.result(long(31010, 2, 17)) is Result.ACCEPTED
+    assert scene.did == ["approve ab12-17"]
+    assert scene.result(long(31010, 2, 4)) is Result.FAILED
+    scene.faults = (fault(5, 5.0), fault(5, 9.0))
+    assert scene.result(long(31010, 2, 5)) is Result.FAILED
+    assert scene.did == ["approve ab12-17"]
+
+
+def test_a_container_is_restarted_by_its_place() -> None:
+    """From 1, as it stands in the configuration."""
+    scene = Scene("restart")
+    assert scene.result(long(31010, 3, 2)) is Result.ACCEPTED
+    assert scene.did == ["restart db for 255/190"]
+    assert scene.result(long(31010, 3, 3)) is Result.FAILED
+
+
+@pytest.mark.parametrize(("raised", "result"), [(Later("armed"), 1), (RuntimeError("no"), 4), (KeyError(), 4)])
+def test_what_cannot_be_done_is_said_with_its_reason(raised: Exception, result: int) -> None:
+    """Not now, or not at all."""
+    scene = Scene("restart")
+    scene.raises = raised
+    assert scene.result(long(31010, 3, 1)) == result
+    assert scene.did == []
+    assert len(scene.notes) == 1
+
+
+def test_a_command_that_comes_again_is_answered_and_not_done_again() -> None:
+    """The acknowledgement was lost: the ground asks with a higher confirmation."""
+    scene = Scene("restart")
+    for again in range(3):
+        assert scene.result(long(31010, 3, 1, again=again)) is Result.ACCEPTED
+    assert scene.did == ["restart app for 255/190"]
+    assert scene.result(long(31010, 3, 1)) is Result.ACCEPTED
+    assert len(scene.did) == 2
+
+
+def test_a_message_is_sent_again_and_again_until_it_is_not_wanted() -> None:
+    """SET_MESSAGE_INTERVAL, on the link that asked."""
+    scene = Scene("status")
+
+    def lines(seconds: int) -> int:
+        scene.sent.clear()
+        for _ in range(seconds):
+            scene.clock.advance(1.0)
+            scene.desk.turn()
+        return len([m for m, link in scene.sent if m.get_type() == "STATUSTEXT" and link == "radio"])
+
+    assert scene.result(long(511, 253, 5e6)) is Result.ACCEPTED
+    assert lines(20) == 4
+    scene.lives = False
+    assert lines(20) == 0
+    scene.lives = True
+    assert scene.result(long(511, 253, 1e6)) is Result.DENIED
+    assert scene.result(long(511, 253, -1)) is Result.ACCEPTED
+    assert lines(20) == 0
+
+
+def test_a_flood_is_bounded_and_told_once() -> None:
+    """What is too much is dropped unread."""
+    scene = Scene("status")
+    for n in range(1000):
+        scene.desk.hear(scene.ground.received(long(512, 253, n)), "radio")
+    assert len(scene.desk._waiting) == BURST <= MAX_WAITING
+    scene.desk.turn()
+    assert [note for note in scene.notes if "dropped unread" in note] == [
+        "COMMAND: 990 commands were dropped unread: too many came at once"
+    ]
+
+
+def test_the_desk_answers_from_its_own_thread() -> None:
+    """`hear` only queues; the thread ends when it is told to."""
+    scene = Scene("status")
+    scene.desk.start()
+    scene.desk.hear(scene.ground.received(long(512, 253)), "radio")
+    until(lambda: len(scene.sent) == 2, "the answer")
+    scene.desk.close()
+    assert not scene.desk._thread.is_alive()

@@ -1,0 +1,123 @@
+"""A restart that an operator asks for: carried out like any other, and bound by the same rules."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from phm.model import ActionEvent, Phase
+from phm.recovery.executor import NotAllowed, NotNow
+from phm.testing import FakeClock
+from tests.recovery.agent import Agent, Containers, Of
+
+
+@pytest.fixture
+def agents() -> Iterator[list[Agent]]:
+    made: list[Agent] = []
+    yield made
+    for agent in made:
+        agent.stop()
+
+
+def agent(agents: list[Agent], *keys: str, **options: object) -> Agent:
+    names = keys or ("app",)
+    units = {f"container/{key}": Of(key) for key in names}
+    made = Agent(units, Containers(*names), FakeClock(), **options)  # type: ignore[arg-type]
+    agents.append(made)
+    made.step()
+    return made
+
+
+def phases(made: Agent) -> list[Phase]:
+    return [event.phase for event in made.of(ActionEvent)]
+
+
+def test_it_is_restarted_and_proven_and_no_fault_is_opened(agents: list[Agent]) -> None:
+    """The whole way: started, done, verified; it counts in the budget."""
+    made = agent(agents)
+    assert made.executor.restart("app", "255/190") == "restart app, asked for by 255/190"
+    made.rest(5.0)
+    assert made.runs == [("app", "container/app")]
+    assert phases(made) == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+    assert "asked for by 255/190" in made.of(ActionEvent)[0].detail
+    assert made.opened() == []
+    assert [attempt.condition for attempt in made.executor.kept().attempts["app"]] == ["asked"]
+
+
+def test_a_container_that_has_not_opted_in_is_left_alone(agents: list[Agent]) -> None:
+    """Nobody's asking makes up for `recover: true`."""
+    made = agent(agents, opted_in=())
+    with pytest.raises(NotAllowed, match="has not opted in"):
+        made.executor.restart("app", "255/190")
+    made.rest(2.0)
+    assert made.runs == []
+
+
+def test_recovery_that_is_off_stays_off(agents: list[Agent]) -> None:
+    """Mode `off` means that PHM touches nothing; `advise` leaves it to the operator, who has decided."""
+    off, advise = agent(agents, mode="off"), agent(agents, mode="advise")
+    with pytest.raises(NotAllowed, match="recovery is off"):
+        off.executor.restart("app", "255/190")
+    advise.executor.restart("app", "255/190")
+    advise.rest(3.0)
+    assert (off.runs, advise.runs) == ([], [("app", "container/app")])
+
+
+def test_the_budget_holds(agents: list[Agent]) -> None:
+    """What is used up is used up, and the answer says for how long."""
+    made = agent(agents, budget=2)
+    for _ in range(2):
+        made.executor.restart("app", "255/190")
+        made.rest(5.0)
+    with pytest.raises(NotNow, match="budget of 2 actions"):
+        made.executor.restart("app", "255/190")
+    made.rest(2.0)
+    assert len(made.runs) == 2
+
+
+def test_a_flight_critical_container_is_left_alone_in_the_air(agents: list[Agent]) -> None:
+    """Also when the autopilot is armed between the question and the deed."""
+    made = agent(agents, critical=("app",))
+    made.armed = True
+    with pytest.raises(NotNow, match="flight-critical"):
+        made.executor.restart("app", "255/190")
+    made.rest(2.0)
+    made.armed = False
+    made.executor.restart("app", "255/190")
+    made.rest(5.0)
+    assert made.runs == [("app", "container/app")]
+
+
+def test_one_restart_at_a_time(agents: list[Agent]) -> None:
+    """While one is under way another is for later."""
+    made = agent(agents)
+    made.executor.restart("app", "255/190")
+    with pytest.raises(NotNow, match="being acted on"):
+        made.executor.restart("app", "255/190")
+
+
+def test_a_container_that_is_not_configured_cannot_be_named(agents: list[Agent]) -> None:
+    """And no thread is made for it."""
+    made = agent(agents)
+    with pytest.raises(NotAllowed, match="no container 'other'"):
+        made.executor.restart("other", "255/190")
+    assert "other" not in made.executor._workers
+
+
+def test_a_restart_that_does_not_help_becomes_a_fault_of_the_container(agents: list[Agent]) -> None:
+    """It ends and stays so: told as failed, and then healed by its own ladder."""
+    made = agent(agents)
+
+    def behave(key: str, context: object, fault: object) -> None:
+        made.bad.clear()
+        if len(made.runs) == 1:
+            made.bad["container/app"] = "broken"
+        made.pause(lambda: True)  # what was found before the action ended proves nothing
+
+    made.behave = behave
+    made.executor.restart("app", "255/190")
+    made.rest(60.0)
+    assert Phase.FAILED in phases(made)
+    assert phases(made)[-1] is Phase.VERIFIED
+    assert len(made.runs) == 2
