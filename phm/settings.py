@@ -159,6 +159,8 @@ class NodeSettings(Section):
     """Words that all stand in the command line of its process, and of no other in its container; default: found by itself."""
     relaunch: list[str] = Field(default_factory=list)
     """Command, word by word, that starts this node inside its container; tried before the container is restarted."""
+    beacon: Literal["auto", "required"] = "auto"
+    """`required`: it is an error when the node runs and no beacon of it (`phm.beacon`) is heard."""
     commands: bool = False
     """True: commands from the ground pass through this node on their way to the autopilot; it is part of their path."""
 

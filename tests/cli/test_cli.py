@@ -222,7 +222,7 @@ def test_the_graph_of_needs_is_a_tree() -> None:
     assert "host/disk (possible cause of anything, blocks nobody)" in lines
     [network] = [row for row in rows if row["unit"] == "network/ros_app"]
     assert network["needs"] == ["container/ros_app"]
-    assert {unit.partition("/")[0] for unit in network["blocks"]} == {"nodes", "topics", "rates"}
+    assert {unit.partition("/")[0] for unit in network["blocks"]} == {"nodes", "consensus", "topics", "rates"}
 
 
 def test_no_checks_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

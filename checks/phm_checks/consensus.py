@@ -1,0 +1,181 @@
+"""Slot 6: the nodes agree on who is alive: nobody hears less than the others do, and the nodes are not split.
+
+That a node is dead or hangs is told by the check `nodes`; here is told what only the nodes themselves can know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from phm import api
+from phm.api import Layer, Level, Slot
+from phm_checks._quorum import Agreement, Verdict, agree
+from phm_checks._words import brief, joined, last, listed, span
+
+OLD_PICTURE_S = 5.0
+"""A picture of the graph older than this proves nothing."""
+FORGET_S = 60.0
+"""A beacon silent for longer is none any more: its node was changed, or its beacon closed."""
+LOST_S = 10.0
+"""A beacon that is required and silent for longer, while its node is listed, is missing."""
+FRESH_S = 5.0
+"""A diagnostic status younger than this is a sign of life; diagnostic_updater sends one a second."""
+SETTLE_S = 3.0
+"""After a death or a start the neighbours' views differ for a moment."""
+REMEDY = (
+    "check the network and ROS_DOMAIN_ID between them; nodes in different containers that share no /dev/shm need "
+    "FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
+)
+
+
+class Consensus(api.Check):
+    """One unit for all configured nodes. Blocked by their faults, which the views only repeat."""
+
+    name, slot, layer = "consensus", Slot.NODES, Layer.ROS
+    period_s = 1.0
+
+    def __init__(self, settings: api.Settings) -> None:
+        self._grace_s = settings.ros.grace
+        self._nodes = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes]
+        self._required = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes if node.beacon == "required"]
+        keys = list(dict.fromkeys(filter(None, (settings.container_of_node(node) for node in self._nodes))))
+        needs = [f"{check}/{key}" for key in keys for check in ("container", "network")]
+        needs += [f"nodes/{api.topic_id(node)}" for node in self._nodes]
+        target = keys[0] if len(keys) == 1 else ""
+        self._unit = api.Unit(self.name, tuple(needs), target, settle_s=SETTLE_S, grace_s=self._grace_s)
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        return [cls(settings)] if settings.ros.nodes else []
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        return (self._unit,)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return frozenset({"ros"})
+
+    def run(self, world: api.World) -> api.Result:
+        try:
+            fact = world.ros.look()
+        except api.CannotTell as reason:
+            return api.stale(str(reason))
+        if fact.age_s > OLD_PICTURE_S:
+            return api.stale(f"the newest picture of the ROS graph is {span(fact.age_s)} old, too old to judge by")
+        beacons = {
+            name: fact.beacons[name]
+            for name in self._nodes
+            if name in fact.beacons and fact.beacons[name].age_s <= FORGET_S
+        }
+        lacking = self._lacking(fact, beacons)
+        if lacking is not None:
+            return lacking
+        if not beacons:
+            return self._nobody(fact)
+        others = {name: hears(fact, name, self._nodes) for name in self._nodes if name not in beacons}
+        return self._judge(agree(beacons, others, fact.age_s), fact, beacons)
+
+    def _lacking(self, fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Result | None:
+        """A required beacon that is not there, of a node that is."""
+        lacking = [
+            name
+            for name in self._required
+            if name in fact.nodes and (name not in beacons or beacons[name].age_s > LOST_S)
+        ]
+        if not lacking:
+            return None
+        if fact.up_s < self._grace_s:
+            return api.stale(
+                f"the beacon of {_names(lacking)} is not heard yet; PHM has listened for {span(fact.up_s)} only"
+            )
+        return api.error(
+            f"no beacon of {_names(lacking)} is heard, and it is required: add Beacon(node) to the node (phm/beacon.py), and "
+            f"see that PHM_BEACON is not off{_refused(fact)}",
+            brief=brief(last(lacking[0]), "has no beacon"),
+            condition="beacon_missing",
+            refused=fact.refused,
+        )
+
+    def _nobody(self, fact: api.RosFact) -> api.Result:
+        if fact.refused:
+            return api.warn(
+                f"no beacon of the configured nodes is heard{_refused(fact)}",
+                brief="beacons refused",
+                condition="beacons_refused",
+                refused=fact.refused,
+            )
+        return api.bypass("No beacon of the configured nodes is heard: PHM is their only observer")
+
+    def _judge(self, agreement: Agreement, fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Result:
+        hung = [item.node for item in agreement.opinions if item.verdict is Verdict.HUNG]
+        values: dict[str, api.Value] = {
+            "nodes": len(self._nodes),
+            "alive": len(agreement.alive),
+            "hung": len(hung),
+            "observers": len(agreement.observers),
+            "beacons": len(beacons),
+            "refused": fact.refused,
+        }
+        if len(agreement.observers) == 1:
+            return api.stale("no beacon is heard at the moment: nobody is left to agree")
+        if agreement.split:
+            sides = sorted(agreement.sides, key=len, reverse=True)
+            count = "|".join(str(len(side)) for side in sides)
+            words = [
+                f"the nodes are split: {' | '.join(map(_names, sides))} do not hear each other, while PHM hears "
+                f"them all: {REMEDY}",
+                *_dissents(agreement),
+            ]
+            return api.Result(Level.WARN, joined(words), brief("nodes split", count), "split", "", values)
+        dissents = _dissents(agreement)
+        if dissents:
+            first = agreement.dissents[0]
+            short = brief(last(first.node), f"unheard by {last(first.unheard_by[0])}"[:30])
+            return api.Result(Level.WARN, joined([*dissents, REMEDY]), short, "dissent", "", values)
+        stuck = f"; the executor of {_names(hung)} does not turn" if hung else ""
+        return api.ok(f"{_agreed(agreement)}{_alone(agreement, beacons)}{stuck}", **values)
+
+
+def hears(fact: api.RosFact, node: str, nodes: Iterable[str]) -> bool:
+    """Whether PHM hears a node that has no beacon: through a topic that it alone publishes, or its diagnostics."""
+    for topic in fact.topics.values():
+        if topic.rate is not None and {end.node for end in topic.publishers} == {node} and topic.rate.hz:
+            return True
+    # diagnostic_updater names a status `node: task`, without the namespace.
+    names = [node, node[1:]] + [last(node)] * (sum(last(other) == last(node) for other in nodes) == 1)
+    return any(status.age_s <= FRESH_S and name.partition(":")[0] in names for name, status in fact.diagnostics.items())
+
+
+def _agreed(agreement: Agreement) -> str:
+    nodes = len(agreement.opinions)
+    return f"{len(agreement.alive)} of {nodes} nodes are alive by the word of {_names(agreement.observers)}"
+
+
+def _alone(agreement: Agreement, beacons: Mapping[str, api.BeaconFact]) -> str:
+    """Those without a beacon: what is known of them is PHM's word alone."""
+    told = [item.node for item in agreement.opinions if item.node not in beacons and item.heard_by]
+    untold = [item.node for item in agreement.opinions if item.node not in beacons and not item.heard_by]
+    words = f"; {_names(told)} without a beacon, by PHM's word alone" if told else ""
+    return words + (f"; of {_names(untold)} nobody tells" if untold else "")
+
+
+def _dissents(agreement: Agreement) -> list[str]:
+    return [
+        f"{_names([item.node])} is not heard by {_names(item.unheard_by)}, but by {_names(item.heard_by)}"
+        f"{'; most do not hear it' if item.verdict is Verdict.DEAD else ''}"
+        for item in agreement.dissents
+    ]
+
+
+def _names(nodes: Iterable[str]) -> str:
+    return listed(map(api.topic_id, nodes))
+
+
+def _refused(fact: api.RosFact) -> str:
+    if not fact.refused:
+        return ""
+    return (
+        f"; {fact.refused} messages on /phm/beacon were refused: they are of another version, give the nodes this PHM's "
+        "phm/beacon.py"
+    )

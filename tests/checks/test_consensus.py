@@ -1,0 +1,296 @@
+"""Slot 6: rules of the consensus: quorum, dissent, split, and what it leaves to the check of nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from phm import api, testing
+from phm_checks._quorum import PHM, Agreement, Verdict, agree
+from phm_checks.consensus import Consensus
+
+A, B, C, D = "/agent_1/a", "/agent_1/b", "/agent_1/c", "/agent_1/d"
+ALL = (A, B, C, D)
+
+
+def beacon(hears: Mapping[str, bool] | None = None, **fields: Any) -> api.BeaconFact:
+    """A beacon that beats, of a node that has lived for 100 s."""
+    views = {name: api.NeighbourFact(alive, 0.3) for name, alive in (hears or {}).items()}
+    given: dict[str, Any] = {"age_s": 0.1, "period_s": 0.2, "birth": "w.1", "beats": 500, "views": views, "turns": 100}
+    return api.BeaconFact(**{**given, **fields})
+
+
+def matrix(*names: str, deaf: tuple[tuple[str, str], ...] = ()) -> dict[str, api.BeaconFact]:
+    """Nodes that all hear each other, except for (who, whom)."""
+    return {
+        name: beacon({other: (name, other) not in deaf for other in names if other != name}, witness=name)
+        for name in names
+    }
+
+
+def both(*pairs: tuple[str, str]) -> tuple[tuple[str, str], ...]:
+    return (*pairs, *((there, here) for here, there in pairs))
+
+
+def opinions(agreement: Agreement) -> dict[str, Verdict]:
+    return {item.node: item.verdict for item in agreement.opinions}
+
+
+# ---------------------------------------------------------------- the quorum
+
+
+def test_all_hear_all() -> None:
+    """Everyone is alive by everyone's word, PHM's included."""
+    agreement = agree(matrix(A, B, C), {})
+    assert opinions(agreement) == dict.fromkeys((A, B, C), Verdict.ALIVE)
+    assert agreement.observers == (A, B, C, PHM)
+    assert not agreement.split and not agreement.dissents
+
+
+def test_a_node_that_nobody_hears_is_dead_without_dissent() -> None:
+    """Nor is it an observer: what it said last does not count."""
+    beacons = matrix(A, B, C, deaf=((A, C), (B, C)))
+    beacons[C] = beacon({A: False, B: False}, age_s=5.0, witness=C)
+    agreement = agree(beacons, {})
+    assert opinions(agreement) == {A: Verdict.ALIVE, B: Verdict.ALIVE, C: Verdict.DEAD}
+    assert agreement.observers == (A, B, PHM)
+    assert not agreement.split and not agreement.dissents
+
+
+def test_the_majority_decides_against_phm() -> None:
+    """PHM alone does not hear it: the node lives, and PHM is the one that dissents."""
+    beacons = matrix(A, B, C)
+    beacons[C] = beacon({}, age_s=5.0, witness=C)
+    (dissent,) = agree(beacons, {}).dissents
+    assert (dissent.node, dissent.verdict, dissent.heard_by, dissent.unheard_by) == (C, Verdict.ALIVE, (A, B), (PHM,))
+
+
+def test_the_majority_decides_for_phm() -> None:
+    """One of three does not hear it."""
+    (dissent,) = agree(matrix(A, B, C, deaf=((A, B),)), {}).dissents
+    assert (dissent.node, dissent.verdict, dissent.heard_by, dissent.unheard_by) == (B, Verdict.ALIVE, (C, PHM), (A,))
+
+
+def test_a_tie_decides_nothing() -> None:
+    """Two observers, two opinions."""
+    agreement = agree(matrix(A, B, deaf=((A, B),)), {})
+    assert opinions(agreement) == {A: Verdict.ALIVE, B: Verdict.UNDECIDED}
+    assert not agreement.split, "one direction still works"
+
+
+def test_nodes_of_one_process_are_one_observer() -> None:
+    """Five nodes that share their ears do not outvote two that do not."""
+    names = [f"/agent_1/n{number}" for number in range(5)]
+    beacons = {name: beacon({A: False, B: True}, witness="one") for name in names}
+    beacons[A] = beacon({**dict.fromkeys(names, True), B: True}, witness="a")
+    beacons[B] = beacon({**dict.fromkeys(names, True), A: True}, witness="b")
+    (dissent,) = agree(beacons, {}).dissents
+    assert (dissent.verdict, dissent.heard_by, dissent.unheard_by) == (Verdict.ALIVE, (B, PHM), (names[0],))
+
+
+def test_who_has_not_had_the_time_to_meet_has_no_opinion() -> None:
+    """A node that started a second ago is not yet unheard; after ten seconds it is."""
+    beacons = {A: beacon({}, witness=A), B: beacon({A: True}, witness=B, beats=5)}
+    assert not agree(beacons, {}).dissents
+    beacons[B] = beacon({A: True}, witness=B, beats=50)
+    assert [item.node for item in agree(beacons, {}).dissents] == [B]
+
+
+def test_while_phm_itself_is_late_nobody_is_silent() -> None:
+    """The age of the picture is taken off."""
+    beacons = {name: beacon({}, age_s=2.1, witness=name, beats=5) for name in (A, B)}
+    assert opinions(agree(beacons, {}, late_s=2.0)) == {A: Verdict.ALIVE, B: Verdict.ALIVE}
+    assert opinions(agree(beacons, {})) == {A: Verdict.DEAD, B: Verdict.DEAD}
+
+
+def test_an_executor_that_does_not_turn_is_hung_and_still_an_observer() -> None:
+    """Its ears are another thread's."""
+    beacons = matrix(A, B)
+    beacons[B] = beacon({A: True}, witness=B, late_s=6.0)
+    agreement = agree(beacons, {})
+    assert opinions(agreement) == {A: Verdict.ALIVE, B: Verdict.HUNG}
+    assert B in agreement.observers and B in agreement.alive
+
+
+@pytest.mark.parametrize(
+    ("deaf", "sides"),
+    [
+        (both((A, C), (A, D), (B, C), (B, D)), ((A, B), (C, D))),
+        (both((A, B), (A, C), (A, D)), ((A,), (B, C, D))),
+        (both((A, B), (A, C), (A, D), (B, C), (B, D), (C, D)), ((A,), (B,), (C,), (D,))),
+        (both((A, B), (C, D)), ((A, B, C, D),)),
+        (((A, C), (A, D), (B, C), (B, D)), ((A, B, C, D),)),
+    ],
+)
+def test_sides_are_groups_that_do_not_hear_each_other(
+    deaf: tuple[tuple[str, str], ...], sides: tuple[tuple[str, ...], ...]
+) -> None:
+    """In neither direction, not even through others; and what a split explains is no dissent besides."""
+    agreement = agree(matrix(*ALL, deaf=deaf), {})
+    assert agreement.sides == sides
+    assert bool(agreement.dissents) is not agreement.split
+
+
+def test_a_node_without_a_beacon_is_heard_by_phm_alone() -> None:
+    """Heard it is alive; not heard it is undecided, for it cannot be heard by others."""
+    agreement = agree(matrix(A, B), {C: True, D: False})
+    assert opinions(agreement) == {A: Verdict.ALIVE, B: Verdict.ALIVE, C: Verdict.ALIVE, D: Verdict.UNDECIDED}
+    assert not agreement.dissents
+
+
+# ---------------------------------------------------------------- the check
+
+
+def build(*names: str, container: bool = True, **node: Any) -> Consensus:
+    settings = testing.settings(
+        containers=[{"name": "ros_app"}] if container else [],
+        ros={"nodes": [{"name": name, **node} for name in names or (A, B, C)]},
+    )
+    (check,) = Consensus.build(settings)
+    assert isinstance(check, Consensus)
+    return check
+
+
+def judge(beacons: Mapping[str, api.BeaconFact], check: Consensus | None = None, **ros: Any) -> api.Result:
+    given: dict[str, Any] = {"up_s": 60.0, "nodes": dict.fromkeys(ALL, 1), **ros}
+    return (check or build()).run(testing.world(ros=testing.FakeRos(beacons=beacons, **given)))
+
+
+def test_agreement_is_ok() -> None:
+    """It says by whose word."""
+    result = judge(matrix(A, B, C))
+    assert result.level is api.Level.OK and not result.bypass
+    assert result.summary == "3 of 3 nodes are alive by the word of agent_1/a, agent_1/b, agent_1/c, PHM"
+    assert dict(result.values) == {"nodes": 3, "alive": 3, "hung": 0, "observers": 4, "beacons": 3, "refused": 0}
+
+
+def test_it_needs_its_nodes_and_their_container() -> None:
+    """A dead or hung node is told by `nodes`, and what the neighbours then say follows from it."""
+    (unit,) = build(A, B).units
+    assert unit.needs == ("container/ros_app", "network/ros_app", "nodes/agent_1/a", "nodes/agent_1/b")
+    assert (unit.id, unit.target, unit.settle_s, unit.grace_s) == ("consensus", "ros_app", 3.0, 8.0)
+    assert build(A, container=False).units[0].needs == ("nodes/agent_1/a",)
+
+
+def test_without_nodes_there_is_no_check() -> None:
+    """Nothing is configured, so nothing is built."""
+    assert not list(Consensus.build(testing.settings()))
+
+
+def test_without_beacons_there_is_nothing_to_agree_on() -> None:
+    """A BYPASS: beacons are an offer."""
+    assert judge({}).bypass
+    assert judge({A: beacon(age_s=61.0)}).bypass, "one that was closed long ago"
+
+
+def test_dissent_is_a_warning_that_names_everyone() -> None:
+    """Who is not heard, by whom, and who hears it."""
+    result = judge(matrix(A, B, C, deaf=((A, B),)))
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "dissent", "b unheard by a")
+    assert result.summary.startswith("agent_1/b is not heard by agent_1/a, but by agent_1/c, PHM. ")
+    assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
+
+
+def test_a_split_is_a_warning_that_names_the_sides() -> None:
+    """The larger side first."""
+    result = judge(matrix(*ALL, deaf=both((A, B), (A, C), (A, D))), build(*ALL))
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "split", "nodes split 3|1")
+    assert "agent_1/b, agent_1/c, agent_1/d | agent_1/a do not hear each other" in result.summary
+
+
+def test_a_hung_node_is_mentioned_and_no_second_alarm() -> None:
+    """The check of nodes tells it."""
+    beacons = {**matrix(A, B, C), C: beacon({A: True, B: True}, witness=C, late_s=9.0)}
+    result = judge(beacons)
+    assert result.level is api.Level.OK
+    assert result.summary.endswith("; the executor of agent_1/c does not turn")
+    assert result.values["hung"] == 1
+
+
+def test_a_dead_node_is_no_second_alarm() -> None:
+    """All agree that it is dead."""
+    beacons = matrix(A, B, C, deaf=((A, C), (B, C)))
+    beacons[C] = beacon({}, age_s=5.0, witness=C)
+    result = judge(beacons)
+    assert result.level is api.Level.OK
+    assert result.summary.startswith("2 of 3 nodes are alive")
+
+
+def test_strangers_do_not_vote() -> None:
+    """Nodes that are not configured, another agent's among them, are no observers and are not judged."""
+    stranger = beacon({A: False, B: False}, witness="s")
+    result = judge({**matrix(A, B), "/agent_2/x": stranger}, build(A, B))
+    assert result.level is api.Level.OK and "agent_2" not in result.summary
+
+
+def test_when_all_are_silent_nobody_can_tell() -> None:
+    """STALE, while the check of nodes has its say."""
+    assert judge({A: beacon(age_s=3.0), B: beacon(age_s=3.0)}).level is api.Level.STALE
+
+
+@pytest.mark.parametrize("ros", [{"age_s": 5.5}, None])
+def test_without_a_fresh_picture_nothing_is_told(ros: dict[str, Any] | None) -> None:
+    """STALE: PHM's own eyes are shut."""
+    if ros is not None:
+        assert judge(matrix(A, B, C), **ros).level is api.Level.STALE
+        return
+    blind = testing.FakeRos()
+    blind.fail("no child")
+    result = build().run(testing.world(ros=blind))
+    assert (result.level, result.summary) == (api.Level.STALE, "no child")
+
+
+def flowing(node: str, hz: float = 10.0) -> dict[str, api.TopicFact]:
+    return {"/t": api.TopicFact((api.EndpointFact(node, "std_msgs/msg/String"),), (), api.RateFact(hz, 0.1))}
+
+
+@pytest.mark.parametrize(
+    ("ros", "words"),
+    [
+        ({"topics": flowing(C)}, "; agent_1/c without a beacon, by PHM's word alone"),
+        ({"topics": flowing(C, 0.0)}, "; of agent_1/c nobody tells"),
+        (
+            {"diagnostics": {"c: loop": api.DiagnosticFact(1.0, 0)}},
+            "; agent_1/c without a beacon, by PHM's word alone",
+        ),
+        (
+            {"diagnostics": {"/agent_1/c: x": api.DiagnosticFact(1.0, 2)}},
+            "; agent_1/c without a beacon, by PHM's word alone",
+        ),
+        ({"diagnostics": {"c: loop": api.DiagnosticFact(9.0, 0)}}, "; of agent_1/c nobody tells"),
+        ({"diagnostics": {"cc: loop": api.DiagnosticFact(1.0, 0)}}, "; of agent_1/c nobody tells"),
+        ({}, "; of agent_1/c nobody tells"),
+    ],
+)
+def test_nodes_without_a_beacon_take_part_by_topics_and_diagnostics(ros: dict[str, Any], words: str) -> None:
+    """By a topic that only they publish, or a status that begins with their name."""
+    result = judge(matrix(A, B), **ros)
+    assert result.level is api.Level.OK
+    assert result.summary.endswith(words)
+
+
+def test_a_name_that_two_nodes_share_proves_nothing() -> None:
+    """diagnostic_updater leaves the namespace out."""
+    other = "/agent_2/c"
+    result = judge(matrix(A, B), build(A, B, C, other), diagnostics={"c: loop": api.DiagnosticFact(1.0, 0)})
+    assert result.summary.endswith("; of agent_1/c, agent_2/c nobody tells")
+
+
+def test_a_required_beacon_that_is_not_there_is_an_error() -> None:
+    """Of a node that runs: one that is dead is the check of nodes' to tell."""
+    check = build(A, B, beacon="required")
+    result = judge({A: beacon({}, witness=A)}, check)
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "beacon_missing", "b has no beacon")
+    assert judge({A: beacon({}, witness=A)}, check, nodes={A: 1}).level is api.Level.OK
+    assert judge({**matrix(A, B), B: beacon(age_s=11.0)}, check).condition == "beacon_missing"
+    assert judge({}, check, up_s=3.0).level is api.Level.STALE
+
+
+def test_beacons_of_another_version_are_a_warning() -> None:
+    """Something is there, and this PHM cannot read it."""
+    result = judge({}, refused=12)
+    assert (result.level, result.condition) == (api.Level.WARN, "beacons_refused")
+    assert "12 messages on /phm/beacon were refused" in result.summary
+    assert judge(matrix(A, B, C), refused=12).level is api.Level.OK
