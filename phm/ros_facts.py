@@ -58,6 +58,8 @@ class RateFact:
     """Publishers seen to begin anew, by their sequence numbers or by one that took another's place."""
     sample_bytes: float | None = None
     """Size of a sample, serialized, averaged over those looked at."""
+    error_hz: float | None = None
+    """Standard deviation of `hz` that comes from the publisher's own unevenness. None until it is known."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,8 @@ STAY = 0.9
 MEASURED_S = 1.0
 """A silence is seen this much after its limit at the latest: the sampler looks, and the check runs, once a second."""
 _BLOCKS = "a firewall, or shared memory without a shared /dev/shm: set FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
+DOUBTS = 2.5
+"""A rate is off only by what goes beyond so many standard deviations of it: the publisher's own unevenness is no fault."""
 WITNESSES = 2
 """Nodes of one container of which nothing at all is heard: so many at once do not all have nothing to say."""
 
@@ -123,7 +125,7 @@ class Rates(api.Check):
             )
         if hz is None:
             return api.stale(f"{name} is received; its rate is being measured", brief="", **values)
-        return self._rate(case, hz, memory, now)
+        return self._rate(case, hz, seen.rate, memory, now)
 
     def _latched(self, name: str, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
         """Judged by its publishers; a sample that they keep for whoever comes must come to PHM, too."""
@@ -205,12 +207,12 @@ class Rates(api.Check):
                 nodes |= _nodes(seen)
         return set() if nodes & fact.beacons.keys() else nodes
 
-    def _rate(self, case: _Case, hz: float, memory: _Memory, now: float) -> api.Result:
+    def _rate(self, case: _Case, hz: float, measured: api.RateFact, memory: _Memory, now: float) -> api.Result:
         off = abs(hz - case.rate) / case.rate * 100
-        tolerance = case.topic.tolerance
+        doubt = DOUBTS * 100 * (measured.error_hz or 0.0) / case.rate
         before = memory.told.level if memory.told is not None else Level.OK
-        warn = tolerance * (STAY if before.bad else 1.0)
-        error = case.topic.error_limit * (STAY if before is Level.ERROR else 1.0)
+        warn = (case.topic.tolerance + doubt) * (STAY if before.bad else 1.0)
+        error = (case.topic.error_limit + doubt) * (STAY if before is Level.ERROR else 1.0)
         # Rounding of a measured rate must not count: 10.000001 % is 10 %.
         if off <= warn + 1e-6:
             memory.off_since = None
@@ -218,7 +220,7 @@ class Rates(api.Check):
             return api.ok(f"{case.name}: {hz:.3f}", **case.values)
         if memory.off_since is None:
             memory.off_since = now
-        if now - memory.off_since < CONFIRM_S:
+        if not _confirmed(case, measured, now - memory.off_since):
             if memory.told is not None and memory.told.level is not Level.STALE:
                 return memory.told
             return api.stale(f"{case.name} was measured once at {hz:.3f} Hz; measuring again", brief="", **case.values)
@@ -228,7 +230,8 @@ class Rates(api.Check):
             "rate_low" if low else "rate_high",
             f"{self._hz.show(case.name, hz):.3g} Hz, not {case.rate:g}",
             f"{case.name}: {hz:.3f} Hz, {off:.0f} % too {'low' if low else 'high'}, expected {case.rate:g} Hz within "
-            f"{tolerance:g} %: {'look for load or loss at its node' if low else 'look for a second publisher'}",
+            f"{case.topic.tolerance:g} %{_why_doubt(doubt)}: "
+            f"{'look for load or loss at its node' if low else 'look for a second publisher'}",
             case,
         )
 
@@ -241,6 +244,7 @@ def _values(topic: api.TopicSettings, rate: api.RateFact) -> dict[str, api.Value
     return {
         "hz": _rounded(rate.hz, 3),
         "expected_hz": topic.rate,
+        "error_hz": _rounded(rate.error_hz, 4),
         "silent_s": _rounded(rate.silent_s, 2),
         "silent_limit_s": _rounded(rate.limit_s, 2),
         "jitter_s": _rounded(rate.jitter_s, 4),
@@ -251,6 +255,18 @@ def _values(topic: api.TopicSettings, rate: api.RateFact) -> dict[str, api.Value
         "publishers": rate.publishers,
         "restarts": rate.restarts,
     }
+
+
+def _confirmed(case: _Case, measured: api.RateFact, off_s: float) -> bool:
+    """Whether a rate has been off for long enough. Where one sample more or less in the window is more than the tolerance,
+    that is longer than the window, and how uneven the publisher is must be known."""
+    if 100 / (case.rate * max(measured.window_s, 1.0)) <= case.topic.tolerance:
+        return off_s >= CONFIRM_S
+    return measured.error_hz is not None and off_s >= max(CONFIRM_S, measured.window_s)
+
+
+def _why_doubt(doubt: float) -> str:
+    return f", and {doubt:.0f} % for its unevenness" if doubt >= 1 else ""
 
 
 def _rounded(number: float | None, digits: int) -> float | None:

@@ -11,6 +11,7 @@ from phm_checks.rates import CONFIRM_S, Rates
 
 NAME = "/agent_1/topic_1"
 UNIT = "rates/agent_1/topic_1"
+WINDOW_S = 3.0
 TALKER = (api.EndpointFact("/agent_1/node_1", "std_msgs/msg/String"),)
 KEEPER = (api.EndpointFact("/agent_1/node_2", "std_msgs/msg/String", "reliable", "transient_local"),)
 
@@ -25,8 +26,17 @@ class Bench:
         (self.check,) = Rates.build(settings)
         self.clock, self.ros = testing.FakeClock(), testing.FakeRos()
 
-    def judge(self, hz: float | None = None, silent_s: float | None = 0.1, problem: str = "", **ros: Any) -> api.Result:
-        rate = api.RateFact(hz, silent_s, window_s=5.0, samples=5, problem=problem, limit_s=1.5, publishers=1)
+    def judge(
+        self,
+        hz: float | None = None,
+        silent_s: float | None = 0.1,
+        problem: str = "",
+        error_hz: float | None = 0.0,
+        **ros: Any,
+    ) -> api.Result:
+        rate = api.RateFact(
+            hz, silent_s, WINDOW_S, samples=5, problem=problem, limit_s=1.5, publishers=1, error_hz=error_hz
+        )
         return self.see(api.TopicFact(TALKER, (), rate), **ros)
 
     def see(self, fact: api.TopicFact, **ros: Any) -> api.Result:
@@ -35,11 +45,11 @@ class Bench:
         assert not isinstance(results, api.Result)
         return results[UNIT]
 
-    def twice(self, hz: float) -> api.Result:
-        """Two measurements a second apart; the second one decides."""
-        self.judge(hz)
-        self.clock.advance(CONFIRM_S + 0.1)
-        return self.judge(hz)
+    def twice(self, hz: float, apart_s: float = WINDOW_S + 0.1, **rate: Any) -> api.Result:
+        """Two measurements; the second one decides."""
+        self.judge(hz, **rate)
+        self.clock.advance(apart_s)
+        return self.judge(hz, **rate)
 
 
 def test_topics_without_a_rate_have_no_unit() -> None:
@@ -90,14 +100,37 @@ def test_each_topic_has_its_own_limits(hz: float, level: api.Level) -> None:
 
 def test_one_measurement_outside_is_not_told() -> None:
     """What was told before stands until a second measurement agrees; an early second look is none."""
-    bench = Bench()
-    bench.judge(1.0)
-    assert bench.judge(0.5).level is api.Level.OK
+    bench = Bench(10.0)
+    bench.judge(10.0)
+    assert bench.judge(5.0).level is api.Level.OK
     bench.clock.advance(0.1)
-    assert bench.judge(0.5).level is api.Level.OK
+    assert bench.judge(5.0).level is api.Level.OK
     bench.clock.advance(1.0)
-    assert bench.judge(1.0).level is api.Level.OK
-    assert bench.judge(0.5).level is api.Level.OK
+    assert bench.judge(10.0).level is api.Level.OK
+    assert bench.judge(5.0).level is api.Level.OK
+    bench.clock.advance(CONFIRM_S + 0.01)
+    assert bench.judge(5.0).level is api.Level.ERROR
+
+
+def test_where_one_sample_matters_the_second_measurement_shares_none_with_the_first() -> None:
+    """Three samples of a 1 Hz topic in a window: one odd period must not be told as a wrong rate."""
+    assert Bench(1.0).twice(0.5, CONFIRM_S).level is not api.Level.ERROR
+    assert Bench(1.0).twice(0.5, WINDOW_S + 0.01).level is api.Level.ERROR
+
+
+def test_the_unevenness_of_a_publisher_is_no_wrong_rate() -> None:
+    """Only what is beyond it counts, on both limits; the sentence says so."""
+    assert Bench(1.0).twice(0.75, error_hz=0.1).level is api.Level.OK
+    result = Bench(1.0).twice(0.6, error_hz=0.1)
+    assert result.level is api.Level.WARN
+    assert "40 % too low, expected 1 Hz within 10 %, and 25 % for its unevenness" in result.summary
+    assert Bench(1.0).twice(0.5, error_hz=0.1).level is api.Level.ERROR
+
+
+def test_a_slow_topic_whose_unevenness_is_not_known_yet_is_not_judged() -> None:
+    """Its first three samples prove nothing; those of a fast one do."""
+    assert Bench(1.0).twice(0.5, error_hz=None).level is api.Level.STALE
+    assert Bench(10.0).twice(5.0, error_hz=None).level is api.Level.ERROR
 
 
 def test_a_first_measurement_outside_is_not_known_yet() -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from phm.probes.ros.meter import ALONE, Listening, Meter
 from phm.probes.ros.track import Sample
 from phm.ros_facts import RateFact
 
 TICK_S = 0.25
+TRACES = Path(__file__).resolve().parents[1] / "ros" / "traces"
 EPOCH_S = 1.7e9
 """What the publishers' clocks show at 0."""
 
@@ -24,6 +27,30 @@ class Publication:
     sequence: int | None
     writer: bytes | None = None
     size: int = 100
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Publications of a real process as they were received, in seconds from the first one."""
+
+    hz: float
+    publications: list[Publication]
+
+    @property
+    def end_s(self) -> float:
+        return self.publications[-1].received_s
+
+
+def trace(name: str) -> Trace:
+    """See `traces/record.py` for the form."""
+    data = json.loads((TRACES / f"{name}.json").read_text("utf-8"))
+    at_s, number, publications = 0.0, 1, []
+    for place, delay in enumerate(data["delays"]):
+        publications.append(Publication(at_s + delay / 1e4, at_s, number))
+        if place < len(data["gaps"]):
+            at_s += data["gaps"][place] / 1e4
+            number += 1 + data["lost"].get(str(place), 0)
+    return Trace(data["hz"], publications)
 
 
 def even(

@@ -15,11 +15,16 @@ from dataclasses import dataclass
 
 from phm.probes.ros.silence import Silence
 from phm.probes.ros.sorter import Sorter
+from phm.probes.ros.spread import Spread
 from phm.probes.ros.track import Sample, Track
 from phm.ros_facts import RateFact
 
-WINDOW_S = 3.0
-"""A rate is measured over this time, or three expected periods where that is longer."""
+WINDOW_S, PERIODS = 3.0, 3
+"""A rate is measured over this time, or so many expected periods where that is longer."""
+WIDE_S, WIDE_PERIODS, WIDE_MOST_S = 10.0, 10, 60.0
+"""The same for an uneven publisher, but not over more than WIDE_MOST_S because of the periods."""
+UNEVEN = 0.1
+"""Share of the expected rate by which a rate must stray for that."""
 COUNTED = 20
 """Samples of several publishers that a rate is counted from, at least: they come in no even beat."""
 STALL_S = 1.0
@@ -60,7 +65,11 @@ class Meter:
     """
 
     def __init__(self, expected_hz: float, silence_s: float) -> None:
-        self._window_s = max(WINDOW_S, 3.0 / expected_hz) if expected_hz else WINDOW_S
+        self._expected_hz = expected_hz
+        self._narrow_s = max(WINDOW_S, PERIODS / expected_hz) if expected_hz else WINDOW_S
+        wide_s = min(WIDE_MOST_S, WIDE_PERIODS / expected_hz) if expected_hz else 0.0
+        self._wide_s = max(WIDE_S, wide_s, self._narrow_s)
+        self._spread = Spread(self._narrow_s)
         self._counted_over_s = max(WINDOW_S, COUNTED / expected_hz) if expected_hz else WINDOW_S
         self._silence = Silence(expected_hz, max(3.0 / expected_hz, silence_s)) if expected_hz else None
         self._tracks: dict[bytes | None, Track] = {}
@@ -71,6 +80,7 @@ class Meter:
         self._held: tuple[float, float] | None = None
         self._restarts = 0
         self._samples = 0
+        self._uneven = False
         self.sample_bytes: float | None = None
 
     def look(self, now_s: float, samples: Sequence[Sample], listening: Listening = ALONE) -> RateFact:
@@ -103,6 +113,7 @@ class Meter:
     def forget(self) -> None:
         """Measure anew."""
         self._held = None
+        self._spread.forget()
         for track in self._tracks.values():
             track.forget()
 
@@ -138,10 +149,11 @@ class Meter:
         track = self._tracks.get(sample.writer)
         new = track is None
         if track is None:
-            track = self._tracks[sample.writer] = Track(self._window_s)
+            track = self._tracks[sample.writer] = Track(self._narrow_s)
         if self.sample_bytes is None:
             self.sample_bytes = float(sample.size)
         self.sample_bytes += _SHARE * (sample.size - self.sample_bytes)
+        track.window_s = self._wide_s if self._uneven else self._narrow_s
         restarts = track.restarts
         continues = track.add(sample)
         self._restarts += track.restarts - restarts
@@ -173,6 +185,7 @@ class Meter:
             hz = None
         elif silent:
             hz = 0.0
+        error_hz = self._error_hz(now_s, hz, window_s)
         newest = max(self._tracks.values(), key=lambda track: track.at_s, default=None)
         return RateFact(
             _rounded(hz),
@@ -187,7 +200,15 @@ class Meter:
             listening.matched,
             self._restarts,
             _rounded(self.sample_bytes),
+            _rounded(error_hz),
         )
+
+    def _error_hz(self, now_s: float, hz: float | None, window_s: float) -> float | None:
+        if not hz:
+            return None
+        self._spread.add(now_s, hz, window_s)
+        self._uneven = (self._spread.error_hz(self._narrow_s) or 0.0) > UNEVEN * self._expected_hz
+        return self._spread.error_hz(window_s)
 
     def _sum(self) -> float | None:
         """Of all publishers together, or None while one of them is not known."""

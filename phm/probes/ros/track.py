@@ -45,7 +45,7 @@ class Track:
     """
 
     def __init__(self, window_s: float) -> None:
-        self._window_s = window_s
+        self.window_s = window_s
         self._kept: deque[Sample] = deque(maxlen=10_000)
         self._counted = 0
         self._falls: deque[float] = deque(maxlen=FALLS)
@@ -71,7 +71,7 @@ class Track:
         if not continues:
             self._kept.clear()
         self._kept.append(sample)
-        while sample.at_s - self._kept[0].at_s > self._window_s and len(self._kept) > 2:
+        while sample.at_s - self._kept[0].at_s > self.window_s and len(self._kept) > 2:
             self._kept.popleft()
         self._quickest.add(-sample.delay_s, sample.at_s)
         self.last = sample

@@ -1,0 +1,132 @@
+"""How far a rate may be off by unevenness alone: the rule, and what the check makes of recorded traces with it."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+
+import pytest
+
+from phm import api, testing
+from phm.probes.ros.meter import WIDE_S, Meter
+from phm.probes.ros.spread import Spread
+from phm_checks.rates import Rates
+from tests.fakes.ros_flow import Publication, even, feed, looks, trace
+
+SETTLE_S = 2.0
+"""`settle_s` of the rates check: what is over before is told to nobody."""
+LOOKS_A_RUN = 4
+"""The check runs once a second, and at once when a topic falls silent."""
+
+
+def told(
+    name: str, phase_s: float, publications: Sequence[Publication] | None = None
+) -> list[tuple[float, float, str]]:
+    """What the check finds bad in a trace, for long enough to be told: when it began, when it ended, and what it was."""
+    recorded = trace(name)
+    publications = recorded.publications if publications is None else publications
+    topic = {"name": "/t", "rate": round(recorded.hz, 1)}
+    (check,) = Rates.build(testing.settings(containers=[{"name": "ros_app"}], ros={"topics": [topic]}))
+    clock, ros = testing.FakeClock(), testing.FakeRos()
+    meter, ends = Meter(topic["rate"], 3.0), (api.EndpointFact("/n", "std_msgs/msg/String"),)
+    spans: list[tuple[float, float, str]] = []
+    began_s: float | None = None
+    for number, (now_s, samples) in enumerate(looks(publications, phase_s - 1.0, publications[-1].received_s)):
+        rate = meter.look(now_s, samples)
+        clock.advance(0.25)
+        if rate.silent_s is None or (number % LOOKS_A_RUN and rate.hz != 0.0):
+            continue
+        ros.change(topics={"/t": api.TopicFact(ends, (), rate)}, up_s=60.0)
+        results = check.run(testing.world(clock=clock, ros=ros))
+        assert not isinstance(results, api.Result)
+        result = results["rates/t"]
+        if result.level.bad:
+            began_s, condition = (now_s if began_s is None else began_s), result.condition
+        elif began_s is not None:
+            spans.append((began_s, now_s, condition))
+            began_s = None
+    if began_s is not None:
+        spans.append((began_s, now_s, condition))
+    return [span for span in spans if span[1] - span[0] >= SETTLE_S]
+
+
+def halved(name: str, at_s: float, end_s: float) -> list[Publication]:
+    """The trace, with every second sample from `at_s` on left out."""
+    publications = trace(name).publications
+    rest = [publication for publication in publications if at_s <= publication.received_s < end_s][::2]
+    before = [publication for publication in publications if publication.received_s < at_s]
+    first = len(before) + 1
+    renumbered = [
+        Publication(publication.received_s, publication.published_s, first + place)
+        for place, publication in enumerate(rest)
+    ]
+    return before + renumbered
+
+
+@pytest.mark.parametrize("phase_s", [0.0, 0.12])
+@pytest.mark.parametrize("name", ["steady", "lognormal", "bursty", "stalling"])
+def test_no_recorded_trace_raises_an_alarm(name: str, phase_s: float) -> None:
+    """45 minutes each, with the default tolerance of 10 %: jitter, bursts and stalls are no wrong rate and no silence."""
+    assert told(name, phase_s) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "within_s"), [("steady", 8.0), ("stalling", 8.0), ("lognormal", 40.0), ("bursty", 40.0)]
+)
+def test_half_the_rate_is_still_told(name: str, within_s: float) -> None:
+    """Of a steady topic after its window; of an uneven one when it is beyond its unevenness."""
+    for at_s in (300.0, 600.0, 1000.0):
+        began_s, _, condition = told(name, 0.0, halved(name, at_s, at_s + 100.0))[0]
+        assert condition in ("rate_low", "silent")
+        assert at_s < began_s <= at_s + within_s
+
+
+def test_a_steady_rate_has_no_error() -> None:
+    """The looks' own unevenness is not the publisher's."""
+    fact = feed(Meter(10.0, 3.0), even(10.0, 100.0, 30.0), 100.0, 130.0)
+    assert fact.error_hz == pytest.approx(0.0, abs=1e-6)
+    assert fact.window_s == pytest.approx(3.0, abs=0.3)
+
+
+def test_the_error_is_not_known_before_two_windows_were_compared() -> None:
+    """None is not zero."""
+    assert feed(Meter(10.0, 3.0), even(10.0, 100.0, 5.0), 100.0, 105.0).error_hz is None
+
+
+def test_an_uneven_topic_is_measured_over_a_longer_window() -> None:
+    """With an error that fits what its rate really does."""
+    rnd, at_s, publications = random.Random(1), 100.0, []
+    for number in range(600):
+        at_s += rnd.lognormvariate(-0.08, 0.4)
+        publications.append(Publication(at_s, at_s, number))
+    meter, rates, errors = Meter(1.0, 3.0), [], []
+    for now_s, samples in looks(publications, 100.0, 600.0):
+        fact = meter.look(now_s, samples)
+        if now_s > 200.0 and fact.hz and fact.error_hz:
+            rates.append(fact.hz)
+            errors.append(fact.error_hz)
+    assert fact.window_s == pytest.approx(WIDE_S, rel=0.3)
+    mean = sum(rates) / len(rates)
+    spread = (sum((hz - mean) ** 2 for hz in rates) / len(rates)) ** 0.5
+    assert sum(errors) / len(errors) == pytest.approx(spread, rel=0.5)
+
+
+def test_a_rate_that_changes_once_is_no_unevenness() -> None:
+    """From 10 to 5 Hz: the error stays far below the change, so that it is told."""
+    meter = Meter(10.0, 3.0)
+    feed(meter, even(10.0, 100.0, 60.0), 100.0, 160.0)
+    fact = feed(meter, even(5.0, 160.0, 6.0, first=601), 160.0, 166.0)
+    assert fact.hz == pytest.approx(5.0, rel=0.01)
+    assert (fact.error_hz or 0.0) < 1.0
+
+
+def test_what_comes_after_a_silence_is_not_compared_with_what_was_before() -> None:
+    """`forget` begins anew, and keeps what is known of the unevenness."""
+    spread = Spread(3.0)
+    for look in range(100):
+        spread.add(look * 0.25, 10.0, 3.0)
+    assert spread.error_hz(3.0) == 0.0
+    spread.forget()
+    for look in range(100, 112):
+        spread.add(look * 0.25, 5.0, 3.0)
+    assert spread.error_hz(3.0) == 0.0
