@@ -2,19 +2,23 @@
 
 The graph is the shipped configuration's, with the installed checks; `tests/fakes/agent_world.py` simulates the agent and
 states the bounds of time within which evidence of a cause and of its consequences may interleave. Within them the
-order of runs, lost wake-ups, slow answers and flickers are drawn anew in each of more than 1000 examples.
+order of runs, lost wake-ups, slow answers and flickers are drawn anew in each of more than 1000 examples. Where recovery
+is at work it is the real one (`tests/fakes/healer.py`); what its actions do, and what others do meanwhile, is drawn.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from phm.api import error, stale
 from phm.model import FaultClosed, FaultOpened, Level, Outcome
-from tests.fakes.agent_world import CAUSES, Healer, Sim, shipped
+from tests.fakes.agent_world import CAUSES, NODES, TARGET, Sim, shipped
+from tests.fakes.healer import Healer
 
 SEEDS = st.integers(0, 2**32)
 KINDS = st.sampled_from(sorted(CAUSES))
@@ -33,6 +37,15 @@ def independent(one: str, other: str) -> bool:
 
 
 PAIRS = st.sampled_from([(a, b) for a in sorted(CAUSES) for b in sorted(CAUSES) if a < b and independent(a, b)])
+
+
+@contextmanager
+def healing(sim: Sim, **more: Any) -> Iterator[Healer]:
+    healer = Healer(sim, **more)
+    try:
+        yield healer
+    finally:
+        healer.stop()
 
 
 def assert_attributed(sim: Sim, causes: set[str]) -> None:
@@ -90,46 +103,110 @@ def test_independent_faults_are_each_told_once(pair: tuple[str, str], seed: int,
     assert_over(sim, units)
 
 
-@examples(250)
-@given(KINDS, SEEDS)
-def test_a_healed_fault_is_told_once_and_closed_once(kind: str, seed: int) -> None:
-    """What the repair itself breaks for a moment, and what comes back slowly after it, is no alarm."""
-    sim = Sim(seed)
-    healer = Healer(sim)
-    sim.world.inject(kind, sim.now + 1.5)
-    sim.run(5.0)
-    sim.ask(CAUSES[kind][0])
-    sim.run(15.0)
-    if kind in sim.world.active:
-        sim.world.repair(kind, sim.now)
-        sim.ask(CAUSES[kind][0])
-    sim.run(20.0)
-    assert_over(sim, {CAUSES[kind][0]})
-    assert len(healer.acted) <= 1 + (kind == "paused")
-
-
 @examples(120)
-@given(st.lists(KINDS, min_size=1, max_size=4), SEEDS, st.floats(0.0, 0.9), st.booleans())
-def test_actions_respect_budget_hold_and_arming(kinds: list[str], seed: int, helps: float, critical: bool) -> None:
-    """However often repairs fail: one action at a time, none beyond the budget, none armed on what is flight-critical."""
+@given(PAIRS, SEEDS, st.floats(0.0, 8.0))
+def test_independent_faults_are_each_told_once_while_recovery_is_at_work(
+    pair: tuple[str, str], seed: int, apart_s: float
+) -> None:
+    """A repair may heal both before the second is told; none is told twice, and nobody else."""
     sim = Sim(seed)
-    armed = [(begin := sim.random.uniform(0, 60), begin + sim.random.uniform(0, 20)) for _ in range(2)]
+    with healing(sim):
+        sim.world.inject(pair[0], sim.now + 1.5)
+        sim.world.inject(pair[1], sim.now + 1.5 + apart_s)
+        sim.run(45.0)
+        for kind in pair:
+            sim.world.repair(kind, sim.now)
+            sim.ask(CAUSES[kind][0])
+        sim.run(25.0)
+    units = {CAUSES[kind][0] for kind in pair}
+    told = set(sim.opened)
+    assert units >= told >= {unit for unit in units if unit not in sim.touched}
+    assert told
+    assert_over(sim, told)
 
-    def is_armed(now: float) -> bool:
-        return any(begin <= now < end for begin, end in armed)
 
-    healer = Healer(sim, helps=helps, armed=is_armed)
-    assert healer.container is not None
-    healer.container = healer.container.model_copy(update={"flight_critical": critical})
-    healer.recovery = healer.recovery.model_copy(update={"budget": 3, "window": 40.0, "same_failure": 10})
-    for kind in kinds:
-        if kind not in sim.world.active:
-            sim.world.inject(kind, sim.now + sim.random.uniform(1.5, 20.0))
-    sim.run(60.0)
-    begun = [began for began, _, _, _ in healer.acted]
-    assert all(ended <= began for (_, ended, _, _), (began, _, _, _) in pairwise(healer.acted))
-    assert all(sum(first <= other < first + 40.0 for other in begun) <= 3 for first in begun)
-    assert not critical or not any(is_armed(began) for began in begun)
+@examples(130)
+@given(KINDS, SEEDS, st.booleans())
+def test_a_healed_fault_is_told_once_and_closed_once(kind: str, seed: int, in_part: bool) -> None:
+    """What the repair itself breaks for a moment, and what comes back slowly after it, is no alarm; nor is what the first
+    step of a ladder leaves lost, for which the next follows."""
+    sim = Sim(seed)
+    with healing(sim, in_part=float(in_part)) as healer:
+        sim.world.inject(kind, sim.now + 1.5)
+        sim.run(5.0)
+        sim.ask(CAUSES[kind][0])
+        sim.run(35.0)
+        if kind in sim.world.active:
+            sim.world.repair(kind, sim.now)
+            sim.ask(CAUSES[kind][0])
+        sim.run(20.0)
+    assert_over(sim, {CAUSES[kind][0]})
+    assert len(healer.acted) <= 1 + in_part
+
+
+BY_OTHERS = ("hand", "policy", "recreate")
+HAPPENINGS = st.lists(
+    st.tuples(st.sampled_from([*sorted(CAUSES), *BY_OTHERS]), st.floats(6.5, 50.0)), min_size=1, max_size=6
+)
+
+
+@examples(150)
+@given(HAPPENINGS, SEEDS, st.floats(0.0, 1.0), st.booleans())
+def test_recovery_respects_budget_hold_and_arming(
+    happenings: list[tuple[str, float]], seed: int, helps: float, critical: bool
+) -> None:
+    """Whatever breaks, comes back or is started again by others, and however often repairs fail: one cause, one alarm.
+
+    `Healer` asserts that one action is at work at a time, none beyond the budget, none that is not held, and none while
+    armed on what is flight-critical. In the end all is repaired, and well.
+    """
+    sim = Sim(seed)
+    sim.ask(f"container/{TARGET}")  # PHM has seen the life that others end
+    sim.run(1.0)
+    rules = {"budget": 3, "window": 40.0, "same_failure": 2, "verify": 6.0}
+    causes: Counter[str] = Counter()
+    with healing(sim, helps=helps, in_part=0.3, armed=drawn(sim), critical=critical, **rules) as healer:
+        for what, at in sorted(happenings, key=lambda happening: happening[1]):
+            sim.run(max(0.0, at - sim.now))
+            causes.update(happen(sim, what))
+        sim.run(25.0)
+        for kind in list(sim.world.active):
+            sim.world.repair(kind, sim.now)
+        for state in sim.tracker.states():
+            sim.ask(state.unit)
+        sim.run(40.0)
+    # What a repair left lost is told as what it is when no next step may follow in time.
+    causes.update(dict.fromkeys(NODES.values(), healer.left_lost))
+    assert not Counter(sim.opened) - (causes + reasons_to_tell_again(sim))
+    assert sim.told(Level.OK) == {state.unit for state in sim.tracker.states()}
+
+
+def reasons_to_tell_again(sim: Sim) -> Counter[str]:
+    """Each start was a moment in which the container did not run; a fault may be told again after it was found to follow
+    from another, and after it was given up when somebody else began anew."""
+    again = Counter({f"container/{TARGET}": len(sim.world.lives) - 1})
+    again.update(event.fault.unit for event in sim.closed if event.fault.outcome is Outcome.REATTRIBUTED)
+    again.update(sim.afresh)
+    return again
+
+
+def drawn(sim: Sim) -> Callable[[float], bool]:
+    """Two spans of time in which the vehicle is armed."""
+    spans = [(begin := sim.random.uniform(0, 60), begin + sim.random.uniform(0, 20)) for _ in range(2)]
+    return lambda now: any(begin <= now < end for begin, end in spans)
+
+
+def happen(sim: Sim, what: str) -> list[str]:
+    """A cause appears, or is over if it was there, or others start the container; units with a new cause."""
+    now, spans = sim.now, sim.world.active.get(what)
+    if what in BY_OTHERS:
+        sim.world.restart(now + 0.05, what)
+    elif spans is None:
+        sim.world.inject(what, now + 0.05)
+        return [CAUSES[what][0]]
+    elif now - spans[0].begin > 3.0:  # what is over before all that follows from it has begun is no cause
+        sim.world.repair(what, now)
+    return []
 
 
 @examples(120)

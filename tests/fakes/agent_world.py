@@ -24,12 +24,11 @@ from functools import cache
 from pathlib import Path
 from random import Random
 
-from phm import plan, registry
+from phm import plan, registry, testing
 from phm.config import load
-from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Result, Stamp, Transition
+from phm.facts import ContainerFact
+from phm.model import LIFE, Event, FaultClosed, FaultOpened, Level, Result, Stamp, Transition
 from phm.plan import Plan
-from phm.recovery.history import Attempt, History
-from phm.recovery.policy import Act, decide
 from phm.settings import Settings
 from phm.tracker import SURE_S, Step, Tracker
 
@@ -46,9 +45,10 @@ CAUSES = {
     "paused": ("container/ros_app", "paused"),
     "unhealthy": ("health/ros_app", "unhealthy"),
     "network": ("network/ros_app", "disconnected"),
-    "file": ("files/ros_app", "missing"),
-    "device": ("devices/ros_app", "missing"),
+    "file": ("files/ros_app", "file_missing"),
+    "device": ("devices/ros_app", "device_missing"),
     "disk": ("host/disk", "disk_full"),
+    "engine": ("engine", "unreachable"),
     **{f"node_{n}": (NODES[n], "node_missing") for n in NODES},
     **{f"silent_{n}": (RATES[n], "silent") for n in RATES},
 }
@@ -59,8 +59,12 @@ FIXES = {
     "reconnect": {"network"},
     "restore": {"file"},
     "relaunch": {"node_1", "node_2", "node_3", "silent_1", "silent_2", "silent_3"},
-    "restart": set(CAUSES) - {"file", "device", "disk"},
+    "restart": set(CAUSES) - {"file", "device", "disk", "engine"},
 }
+LOST = "lost"
+"""Not a cause: nodes that a repair has left cut off."""
+BY_ENGINE = ("container/", "health/", "files/", "network/")
+"""Units that nobody can tell anything about while the engine does not answer."""
 
 
 @cache
@@ -68,6 +72,12 @@ def shipped() -> tuple[Settings, Plan]:
     """The shipped configuration and its plan, made from the installed checks."""
     settings = load(str(ROOT / "config" / "phm.yaml"), environ={})
     return settings, plan.make(settings, registry.checks())
+
+
+@cache
+def targeted() -> frozenset[str]:
+    """Units of the container."""
+    return frozenset(entry.unit.id for entry in shipped()[1].tracked if entry.unit.target == TARGET)
 
 
 @dataclass(slots=True)
@@ -80,15 +90,29 @@ class Bad:
     back_s: float
     end: float = float("inf")
 
+    def covers(self, at: float) -> bool:
+        return self.begin <= at < self.end
+
+
+@dataclass(frozen=True, slots=True)
+class Life:
+    """The container has been started `at`, by whom its id and its restart count tell."""
+
+    at: float
+    number: int
+    made: int = 0
+    restarts: int = 0
+
 
 @dataclass(slots=True)
 class World:
-    """What is true when. `down` lists the spans in which the container does not run."""
+    """What is true when: spans in which units are bad, lives of the container, and the faults that nobody has repaired."""
 
     random: Random
     bad: dict[str, list[Bad]] = field(default_factory=dict)
     active: dict[str, list[Bad]] = field(default_factory=dict)
     ghosts: list[tuple[float, float]] = field(default_factory=list)
+    lives: list[Life] = field(default_factory=lambda: [Life(float("-inf"), 0)])
 
     def inject(self, kind: str, at: float) -> None:
         """Make a primary fault true at `at`, with all its consequences."""
@@ -130,26 +154,69 @@ class World:
         if kind in ("container", "paused"):
             self.ghosts.append((at, at + self.random.uniform(0.0, 1.0)))
 
-    def restart(self, at: float) -> float:
-        """An action stops the container and starts it; when it runs again."""
+    def repair_in_part(self, kind: str, at: float) -> None:
+        """The cause itself is no more; what follows from it stays lost until the container is restarted."""
+        cause, *rest = self.active.pop(kind)
+        cause.end = max(cause.begin, at)
+        if rest:
+            self.active.setdefault(LOST, []).extend(rest)
+
+    def restart(self, at: float, by: str = "phm") -> float:
+        """Somebody stops the container and starts it, or makes a new one; when it runs again.
+
+        by: phm, hand, policy (the engine's own, after the process has ended) or recreate.
+        """
         up = at + self.random.uniform(0.2, 1.0)
+        for kind in ("container", "paused", LOST):
+            self.repair(kind, at)
         self.inject("container", at)
+        if by == "policy":
+            self.active["container"][0].condition = "restarting"
         self.repair("container", up)
+        self.begin_life(up, by)
         return up
+
+    def begin_life(self, at: float, by: str = "phm") -> None:
+        last = self.lives[-1]
+        restarts = last.restarts + 1 if by == "policy" else 0
+        self.lives.append(Life(at, last.number + 1, last.made + (by == "recreate"), restarts))
+
+    def fact(self, at: float) -> ContainerFact:
+        """What the engine says about the container."""
+        life = next(life for life in reversed(self.lives) if life.at <= at)
+        status = next(
+            (span.condition for span in self.bad.get(f"container/{TARGET}", ()) if span.covers(at)), "running"
+        )
+        return testing.container(
+            TARGET, id=f"id{life.made}", started_at=f"t{life.number:06}", restart_count=life.restarts, status=status
+        )
 
     def result(self, unit: str, at: float) -> Result:
         """What a run of the unit's check finds at `at`."""
+        if unit.startswith(BY_ENGINE) and self._is_bad("engine", at):
+            return Result(Level.STALE, "the engine does not answer")
         if unit in ("network/ros_app", "health/ros_app") and self._is_bad("container/ros_app", at):
             return Result(Level.STALE, "not judged while the container does not run")
-        if unit.startswith(("nodes/", "topics/")) and any(begin <= at < end for begin, end in self.ghosts):
+        if self._is_ghost(unit, at):
             return OK
+        values = {LIFE: self.fact(at).life} if unit == f"container/{TARGET}" else {}
+        target = TARGET if unit in targeted() else ""
         for span in self.bad.get(unit, ()):
-            if span.begin <= at < span.end:
-                return Result(Level.ERROR, f"{unit} {span.condition}", span.condition, span.condition, TARGET)
-        return OK
+            if span.covers(at):
+                if span.condition == "restarting":
+                    return Result(Level.STALE, "the engine is about to restart it", values=values)
+                condition = span.condition
+                return Result(Level.ERROR, f"{unit} {condition}", condition, condition, target, values)
+        return Result(Level.OK, "well", values=values)
+
+    def _is_ghost(self, unit: str, at: float) -> bool:
+        """Listed from memory; what was missing already before the container ended leaves none."""
+        missing = any(span.covers(at) for spans in self.active.values() for span in spans if span.unit == unit)
+        listed = any(begin <= at < end for begin, end in self.ghosts)
+        return listed and not missing and unit.startswith(("nodes/", "topics/"))
 
     def _is_bad(self, unit: str, at: float) -> bool:
-        return any(span.begin <= at < span.end for span in self.bad.get(unit, ()))
+        return any(span.covers(at) for span in self.bad.get(unit, ()))
 
     def changes(self, unit: str) -> Iterable[float]:
         for span in self.bad.get(unit, ()):
@@ -170,11 +237,11 @@ class Sim:
         self.watch: list[Callable[[], None]] = []
         self.wakes_lost = wakes_lost
         self.held: str = ""
+        self.afresh: list[str] = []
         self.granted: dict[str, float] = {entry.unit.id: 0.0 for entry in self.plan.tracked}
         self.well_from: dict[str, float] = {}
         self.sure: dict[str, float] = {}
-        own = {entry.unit.id for entry in self.plan.tracked if entry.unit.target == TARGET}
-        self.touched = own.union(*(self.tracker.needs.downstream(unit) for unit in own))
+        self.touched = targeted().union(*(self.tracker.needs.downstream(unit) for unit in targeted()))
         self._graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
         self._checks = [entry.units for entry in self.plan.scheduled]
         self._periods = [entry.period_s for entry in self.plan.scheduled]
@@ -242,6 +309,9 @@ class Sim:
             changed = any(begin <= change < end for unit in units for change in self.world.changes(unit))
             if changed and self.random.random() >= self.wakes_lost:
                 self._wake(index, 0.1)
+        for life in self.world.lives:
+            if begin <= life.at < end and self.random.random() >= self.wakes_lost:
+                self.take(self.tracker.started(TARGET, self.stamp()))
 
     def _wake(self, index: int, within_s: float) -> None:
         after = self.now + self.random.uniform(0.0, within_s)
@@ -265,15 +335,22 @@ class Sim:
 
     def take(self, step: Step) -> None:
         for event in step.events:
-            self.events.append((self.now, event))
-            if isinstance(event, FaultOpened):
-                self._opened(event)
-            if isinstance(event, Transition) and event.new is Level.OK and event.old is Level.ERROR:
-                self.grant(self.tracker.needs.downstream(event.unit))
-            for listener in self.listeners:
-                listener(event)
-        for unit in sorted(step.rerun):
-            self._wake(self._of_unit[unit], 0.9)
+            self.hear(event)
+        self.wake(step.rerun, 0.9)
+
+    def hear(self, event: Event) -> None:
+        """One event for the bus."""
+        self.events.append((self.now, event))
+        if isinstance(event, FaultOpened):
+            self._opened(event)
+        if isinstance(event, Transition) and event.new is Level.OK and event.old is Level.ERROR:
+            self.grant(self.tracker.needs.downstream(event.unit))
+        for listener in self.listeners:
+            listener(event)
+
+    def wake(self, units: Iterable[str], within_s: float) -> None:
+        for unit in sorted(units):
+            self._wake(self._of_unit[unit], within_s)
 
     def grant(self, units: Iterable[str]) -> None:
         """From now on these units have grace: what was seen of them before must not be told."""
@@ -311,72 +388,3 @@ class Sim:
                 return unit
             unit = above
         raise AssertionError(f"blocked in a circle: {unit}")
-
-
-class Healer:
-    """A virtual executor for the one container: the real policy decides, the world obeys or does not.
-
-    `acted` holds (begin, end, action, fault) of each action; `ends` is when the action at work is over.
-    """
-
-    def __init__(self, sim: Sim, *, helps: float = 1.0, armed: Callable[[float], bool] = lambda now: False) -> None:
-        self.sim, self.helps, self.armed = sim, helps, armed
-        self.recovery = sim.settings.recovery
-        self.container = sim.settings.container(TARGET)
-        self.history = History()
-        self.cases: dict[str, Fault] = {}
-        self.acted: list[tuple[float, float, str, Fault]] = []
-        self._at_work: tuple[Fault, str, float, float, int] | None = None
-        sim.listeners.append(self.hear)
-        sim.watch.append(self.look)
-
-    def hear(self, event: Event) -> None:
-        if isinstance(event, FaultOpened) and event.fault.result.target == TARGET:
-            self.cases[event.fault.unit] = event.fault
-        elif isinstance(event, FaultClosed):
-            self.cases.pop(event.fault.unit, None)
-
-    def look(self) -> None:
-        if self._at_work is not None:
-            self._verify(*self._at_work)
-            return
-        for fault in sorted(self.cases.values(), key=lambda fault: fault.slot):
-            decision = decide(
-                fault,
-                self.history,
-                self.sim.now,
-                container=self.container,
-                armed=self.armed(self.sim.now),
-                settings=self.recovery,
-            )
-            if isinstance(decision, Act):
-                self._begin(fault, decision.action)
-                return
-
-    def _begin(self, fault: Fault, action: str) -> None:
-        sim = self.sim
-        assert not sim.held, "two actions at once"
-        sim.held = fault.unit
-        sim.take(sim.tracker.hold(TARGET, fault.unit, action, sim.stamp(), 60.0))
-        acts = sim.now + sim.random.uniform(0.1, 1.0)
-        done = sim.world.restart(acts) if action == "restart" else acts
-        helped = sim.random.random() < self.helps
-        for kind in list(sim.world.active):
-            if kind in FIXES[action] and helped:
-                sim.world.repair(kind, done)
-        verify_s = self.recovery.verify if helped else 3.0
-        self._at_work = (fault, action, sim.now, done, int(verify_s))
-
-    def _verify(self, fault: Fault, action: str, began: float, done: float, verify_s: int) -> None:
-        sim = self.sim
-        state = sim.tracker.state(fault.unit)
-        worked = state.level is Level.OK and sim.tracker.last_started(fault.unit) >= done
-        if not worked and sim.now - done < verify_s:
-            if sim.now > done and sim.random.random() < 0.2:
-                sim.ask(fault.unit)
-            return
-        self._at_work, sim.held = None, ""
-        self.acted.append((began, sim.now, action, fault))
-        self.history.add(Attempt(began, fault.unit, fault.result.condition, action, worked))
-        sim.grant(sim.touched)
-        sim.take(sim.tracker.release(TARGET, sim.stamp(), worked=worked))

@@ -13,7 +13,7 @@ from phm.model import ActionEvent, Fault, Phase
 from phm.recovery.base import ActionContext
 from tests.recovery.agent import Agent, Containers, Of
 
-UNITS = {name: Of(name.partition("/")[2]) for name in ("health/a", "health/b", "health/side")}
+UNITS = {name: Of(name.partition("/")[2], grace_s=2.0) for name in ("health/a", "health/b", "health/side")}
 RULES: dict[str, Any] = {"verify": 30.0, "backoff": 0.1}
 
 
@@ -113,6 +113,43 @@ def test_its_own_repair_waits_while_another_restarts_it(agents: list[Owners]) ->
     agent.rest(10.0)
     assert agent.runs == [("a", "health/a")]
     assert agent.pipeline.open_faults() == ()
+
+
+def test_what_was_found_while_another_restarted_it_is_no_reason_to_act(agents: list[Owners]) -> None:
+    """`side` needs a second to come up after `a` has restarted it; the fault that it had before waits for its grace."""
+    agent = make(agents)
+    agent.open = True
+    agent.bad["health/side"] = "odd"
+    agent.until(lambda: agent.opened() == ["health/side"], "the fault of side")
+
+    def slow(key: str, context: ActionContext, fault: Fault) -> None:
+        agent.bad.pop("health/a", None)
+        with context.holding("side", fault, "restart", 30.0):
+            agent.bad["health/side"] = "broken"
+            agent.containers.start("side")
+            agent.pause(lambda: True)
+
+    agent.behave = slow
+    agent.bad["health/a"] = "broken"
+    agent.until(lambda: Phase.VERIFIED in agent.steps("a"), "the proof of a")
+    agent.rest(1.0)
+    del agent.bad["health/side"]
+    agent.rest(5.0)
+    assert agent.runs == [("a", "health/a")]
+
+
+def test_what_is_in_other_hands_is_not_acted_on(agents: list[Owners]) -> None:
+    """Whoever has it; nothing is counted as an attempt meanwhile."""
+    agent = make(agents)
+    agent.open = True
+    other = object()
+    assert agent.executor._shop.hands.take("a", other)
+    agent.bad["health/a"] = "broken"
+    agent.rest(10.0)
+    assert agent.steps("a") == []
+    agent.executor._shop.hands.let_go("a", other)
+    agent.until(lambda: Phase.VERIFIED in agent.steps("a"), "the repair")
+    assert len(agent.runs) == 1
 
 
 def test_a_proof_that_another_repair_overtakes_is_no_failure_of_the_target(agents: list[Owners]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,8 @@ class Yard:
         self.folder, self.clock, self.containers = folder, testing.FakeClock(), Containers("app")
         self.agents: list[Agent] = []
 
-    def phm(self, **recovery: Any) -> Agent:
-        agent = Agent(UNITS, self.containers, self.clock, folder=self.folder, **{**RULES, **recovery})
+    def phm(self, units: Mapping[str, Of] = UNITS, **recovery: Any) -> Agent:
+        agent = Agent(units, self.containers, self.clock, folder=self.folder, **{**RULES, **recovery})
         self.agents.append(agent)
         return agent
 
@@ -57,6 +57,15 @@ def test_what_was_given_up_is_acted_on_again_when_the_container_was_recreated(ya
     agent.rest(20.0)
     assert (len(agent.runs), agent.opened()) == (4, ["health/app"] * 2)
     assert any("started again by somebody else" in note for note in agent.notes())
+
+
+def test_what_is_judged_afresh_gets_its_grace(yard: Yard) -> None:
+    """The new container has just been started: what it lacks yet is not known to be a fault."""
+    agent = yard.given_up(units={"health/app": Of("app", grace_s=6.0)})
+    yard.containers.recreate("app")
+    recreated = yard.clock.mono()
+    agent.until(lambda: len(agent.opened()) == 2, "the second alarm")
+    assert yard.clock.mono() - recreated >= 6.0
 
 
 def test_after_a_start_by_hand_it_is_acted_on_again_once_the_container_has_stayed(yard: Yard) -> None:
@@ -149,8 +158,9 @@ def test_docker_restarting_it_does_not_end_the_proof(yard: Yard) -> None:
     agent.rest(3.0)
     agent.bad["health/app"] = "broken"
     agent.until(lambda: Phase.DONE in agent.steps(), "the action")
-    agent.rest(1.5)
+    agent.rest(1.0)
     yard.containers.start("app", by_policy=True)
+    agent.rest(1.0)
     agent.bad.clear()
     agent.until(lambda: Phase.VERIFIED in agent.steps(), "the proof")
     assert Phase.FAILED not in agent.steps()
@@ -194,6 +204,26 @@ def test_a_start_by_hand_counts_over_a_restart_of_phm(yard: Yard) -> None:
     second.rest(20.0)
     assert second.runs == []
     second.until(lambda: second.runs, "another attempt")
+
+
+def test_the_hold_of_a_repair_that_was_cut_short_ends_with_the_life_that_it_was_for(yard: Yard) -> None:
+    """PHM was killed in the middle of it. Somebody recreates the container: what is broken then is a fault of its own."""
+    units = {**UNITS, "files/app": Of("app")}
+    first = yard.phm(units=units)
+    first.rest(3.0)
+    first.behave = lambda key, context, fault: first.pause(lambda: False)
+    first.bad["health/app"] = "broken"
+    first.until(lambda: first.runs, "the action")
+    first.stop()
+    second = yard.phm(units=units, mode="off")
+    second.bad["health/app"] = "broken"
+    second.rest(3.0)
+    second.bad["files/app"] = "broken"
+    second.rest(5.0)
+    assert second.opened() == []
+    yard.containers.recreate("app")
+    second.rest(5.0)
+    assert second.opened() == ["files/app"]
 
 
 def test_a_start_long_before_the_first_attempt_excuses_nothing(yard: Yard) -> None:

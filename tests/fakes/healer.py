@@ -1,0 +1,211 @@
+"""The real recovery around the simulated agent: executor, worker, policy and proof; only what actions do is simulated.
+
+Recovery's threads run in turn with the simulation: at each tick the clock moves, and the simulation waits until they all
+sleep again. So an example is the same each time it is run.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar, cast
+
+from phm.bus import Bus
+from phm.model import Event, Fault, FaultClosed, FaultOpened, Transition
+from phm.pipeline import Pipeline
+from phm.recovery import actions as real
+from phm.recovery.base import Action, ActionContext
+from phm.recovery.executor import Executor
+from phm.recovery.shop import Shop
+from phm.settings import ContainerSettings
+from phm.testing import FakeClock
+from tests.fakes.agent_world import FIXES, Sim
+
+REAL_LIMIT_S = 20.0
+KINDS = {
+    kind.name: kind for kind in (real.Start, real.Restart, real.Unpause, real.Reconnect, real.Relaunch, real.Restore)
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Acted:
+    """An action that was at work from `began` to `ended`, before its proof; whether that was to help."""
+
+    action: str
+    unit: str
+    began: float
+    ended: float
+    helps: bool
+
+
+class SimClock(FakeClock):
+    """Shows the time of the simulation."""
+
+    def __init__(self, sim: Sim) -> None:
+        super().__init__(sim.now, sim.stamp().utc)
+
+    def follow(self, sim: Sim) -> None:
+        self.advance(max(0.0, sim.now - self.mono()))
+
+
+class SimPipeline(Pipeline):
+    """The real one on the simulation's tracker. Notes what is held, and what has grace since a hold has ended."""
+
+    def __init__(self, sim: Sim, bus: Bus, clock: SimClock) -> None:
+        super().__init__(sim.tracker, bus, clock)
+        self._sim = sim
+
+    def hold(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
+        self._sim.held = owner
+        super().hold(target, owner, action, at_most_s, proving=proving)
+
+    def release(self, target: str, *, worked: bool) -> None:
+        self._sim.held = ""
+        self._sim.grant(self._sim.touched)
+        super().release(target, worked=worked)
+
+    def judge_afresh(self, *units: str) -> None:
+        given_up = {fault.unit for fault in self.given_up()}.intersection(units)
+        self._sim.afresh += sorted(given_up)
+        self._sim.grant(given_up)
+        super().judge_afresh(*units)
+
+
+class SimBus:
+    """Hands events to recovery at the next tick."""
+
+    def __init__(self, sim: Sim) -> None:
+        self._sim = sim
+
+    def publish(self, event: Event) -> None:
+        self._sim.hear(event)
+
+
+class Healer:
+    """Recovery for the one container. `helps` is the probability that an action does what it is for; `in_part` that one
+    which does, and is not the last of its ladder, leaves behind what it was to bring back.
+
+    `acted` holds the actions in order. Asserts when one begins: none other is at work, the budget is kept, and nothing
+    flight-critical is touched while armed.
+    """
+
+    def __init__(
+        self, sim: Sim, *, helps: float = 1.0, in_part: float = 0.0, armed: Callable[[float], bool] = lambda now: False,
+        critical: bool = False, **recovery: Any,
+    ) -> None:  # fmt: skip
+        self.sim, self.helps, self.in_part, self.armed, self.critical = sim, helps, in_part, armed, critical
+        self.rules = sim.settings.recovery.model_copy(update=recovery)
+        entry = sim.settings.containers[0].model_copy(update={"flight_critical": critical})
+        settings = sim.settings.model_copy(update={"recovery": self.rules, "containers": [entry]})
+        self.acted: list[Acted] = []
+        self.begun: list[float] = []
+        self.left_lost = 0
+        self._acting: list[str] = []
+        self._broken: list[str] = []
+        self._queue: deque[Event] = deque()
+        self._clock = SimClock(sim)
+        pipeline = SimPipeline(sim, cast(Any, SimBus(sim)), self._clock)
+        pipeline.attach(self._wake)
+        context = ActionContext(
+            cast(Any, None), settings, lambda key: sim.world.fact(sim.now), lambda: None, lambda a, b: None,
+            armed=self._armed,
+        )  # fmt: skip
+        graces = {entry.unit.id: entry.unit.grace_s for entry in sim.plan.tracked}
+        kinds = {name: self._action(kind) for name, kind in KINDS.items()}
+        shop = Shop(
+            pipeline, sim.hear, self._clock, kinds, context, self._armed, graces.__getitem__, sim.plan.below
+        )  # fmt: skip
+        self._executor = Executor(shop)
+        sim.listeners.append(self._queue.append)
+        sim.watch.append(self._turn)
+
+    def stop(self) -> None:
+        """End recovery's threads."""
+        self._executor.stop()
+        self._clock.advance(1e6)
+
+    # ------------------------------------------------------------ taking turns
+
+    def _turn(self) -> None:
+        self._clock.follow(self.sim)
+        self._settle()
+        while self._queue:
+            event = self._queue.popleft()
+            if isinstance(event, (FaultOpened, FaultClosed, Transition)):
+                self._executor.handle(event)
+        self._settle()
+        assert not self._broken, self._broken
+
+    def _settle(self) -> None:
+        end = time.monotonic() + REAL_LIMIT_S
+        while self._clock.sleepers < len(self._executor._workers) + len(self._acting):
+            assert time.monotonic() < end, "recovery does not come to rest"
+            time.sleep(0)
+
+    def _wake(self, units: Iterable[str], reason: str) -> None:
+        self.sim.wake(units, 0.9 if reason == "confirm" else 0.1)
+
+    def _armed(self) -> bool:
+        return self.armed(self.sim.now)
+
+    # ------------------------------------------------------------ what actions do
+
+    def _action(self, kind: type[Action]) -> type[Action]:
+        healer = self
+
+        class Simulated(Action):
+            name: ClassVar[str] = kind.name
+            deadline_s: ClassVar[float] = kind.deadline_s
+            proof_s: ClassVar[float] = kind.proof_s
+
+            def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+                healer._act(self.name, fault)
+                return "done"
+
+        return Simulated
+
+    def _act(self, action: str, fault: Fault) -> None:
+        sim, began = self.sim, self.sim.now
+        self._begins(fault)
+        self._acting.append(action)
+        try:
+            self._pause(sim.random.uniform(0.1, 1.0))
+            helps = sim.random.random() < self.helps
+            self._change(action, helps)
+        finally:
+            self._acting.remove(action)
+        self.acted.append(Acted(action, fault.unit, began, sim.now, helps))
+
+    def _begins(self, fault: Fault) -> None:
+        """Whatever is not as it must be is raised in the simulation's own thread: recovery survives what an action raises."""
+        now = self.sim.now
+        self.begun.append(now)
+        recent = [began for began in self.begun if began > now - self.rules.window]
+        broken = {
+            "another action is at work": bool(self._acting),
+            "the container is not held for this fault": self.sim.held != fault.unit,
+            "the vehicle is armed": self.critical and self.armed(now),
+            "the budget is exceeded": len(recent) > self.rules.budget,
+        }
+        self._broken += [f"{fault.unit} at {now:.1f}: {rule}" for rule, is_broken in broken.items() if is_broken]
+
+    def _change(self, action: str, helps: bool) -> None:
+        world = self.sim.world
+        up = self.sim.now
+        ends_again = "container" in world.active and not helps
+        if action == "restart" and not ends_again:
+            up = world.restart(self.sim.now)
+        elif action in ("start", "restart") and not world.fact(up).running:
+            world.begin_life(up)
+        in_part = action != "restart" and self.sim.random.random() < self.in_part
+        for kind in sorted(FIXES[action].intersection(world.active)) if helps else ():
+            (world.repair_in_part if in_part else world.repair)(kind, up)
+            self.left_lost += in_part
+        self._pause(up - self.sim.now)
+
+    def _pause(self, seconds: float) -> None:
+        if seconds > 0:
+            self._clock.wait(threading.Event(), seconds)
