@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from phm import api
@@ -17,7 +17,7 @@ BLIND_S = 2.0
 SOON_S, SHARE = 0.5, 4.0
 """While something is in doubt: every half second, then at a quarter of how long it has been so."""
 CALM_S = 5.0
-"""Doubt counts as over when there was none for so long: a jittering topic must not cost a list each time."""
+"""A doubt counts as over when it was not there for so long: a jittering topic must not cost a list each time."""
 GAP_S = 0.2
 AGAIN_S = 1.0
 """Between questions about a container that does not run, or whose processes cannot be told; where the engine itself does
@@ -86,14 +86,16 @@ class Roster:
         self._listed_at: float | None = None
         self._asked_at = NEVER
         self._again_s = QUIET_S
-        self._doubt, self._doubt_at, self._doubt_since = 0, NEVER, NEVER
+        self._doubts: dict[Hashable, float] = {}
+        """When each was last there. Bounded: a few words for each configured node."""
+        self._doubt_since = NEVER
 
     # ------------------------------------------------------------ asking
 
-    def look(self, world: api.World, doubt: int, *, blind: bool) -> None:
-        """Ask the engine, if there is a reason. doubt: 0 for none; a stronger one is looked into at once."""
+    def look(self, world: api.World, doubts: Collection[Hashable], *, blind: bool) -> None:
+        """Ask the engine, if there is a reason. doubts: a new one is looked into at once."""
         now = world.clock.mono()
-        if not self._due(now, doubt, blind):
+        if not self._due(now, doubts, blind):
             return
         self._asked_at = now
         try:
@@ -111,20 +113,19 @@ class Roster:
             return
         self._again_s = 0.0
 
-    def _due(self, now: float, doubt: int, blind: bool) -> bool:
+    def _due(self, now: float, doubts: Collection[Hashable], blind: bool) -> bool:
         waited = now - self._asked_at
-        calm = now - self._doubt_at > CALM_S
-        if doubt:
-            if calm:
-                self._doubt, self._doubt_since = 0, now
-            self._doubt_at = now
-            if doubt > self._doubt and waited >= max(GAP_S, self._again_s):
-                self._doubt = doubt
-                return True
-        elif calm:
-            self._doubt = 0
-            return waited >= max(BLIND_S if blind else QUIET_S, self._again_s)
-        return waited >= max(SOON_S, min((now - self._doubt_since) / SHARE, QUIET_S), self._again_s)
+        self._doubts = {why: at for why, at in self._doubts.items() if now - at <= CALM_S}
+        new = [why for why in doubts if why not in self._doubts]
+        if new and waited < max(GAP_S, self._again_s):
+            return False
+        self._doubts.update(dict.fromkeys(doubts, now))
+        if new:
+            self._doubt_since = now
+            return True
+        if self._doubts:
+            return waited >= max(SOON_S, min((now - self._doubt_since) / SHARE, QUIET_S), self._again_s)
+        return waited >= max(BLIND_S if blind else QUIET_S, self._again_s)
 
     def _meet(self, fact: api.ContainerFact | None, now: float) -> None:
         self._status = fact.status if fact is not None else "missing"

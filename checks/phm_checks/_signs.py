@@ -20,8 +20,6 @@ LARGE_BPS, PAUSE_S = 0.8e6, 2.75
 """Topics of so many bytes a second are listened to with such pauses (`phm.probes.ros.gauge`), so they seem to waver."""
 TWICE_S = 30.0
 """A restarted node is listed twice until its old lease ends, 20 s by default in Fast DDS; longer means two nodes."""
-NONE, WAVERS, SILENT, GONE = 0, 1, 2, 3
-"""How much a node is in doubt."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +44,8 @@ class Ends:
 
 
 class Signs:
-    """One node in the pictures of the graph. `doubt` and `count` (how often it is listed) are of the last look."""
+    """One node in the pictures of the graph. `doubts` (why it may not be well) and `count` (how often it is listed) are
+    those of the last look."""
 
     def __init__(self, node: str, ends: Ends, grace_s: float) -> None:
         self._node, self._ends, self._grace_s = node, ends, grace_s
@@ -59,19 +58,19 @@ class Signs:
         self.appeared_at = float("-inf")
         """When its name came into the graph, or came once more, on the monotonic clock."""
         self.count = 0
-        self.doubt = NONE
+        self.doubts: set[str] = set()
         self.blind = True
         """Nothing but the graph tells of it: neither a beacon nor a topic with a rate."""
 
     def look(self, fact: api.RosFact | None, now: float, began_at: float) -> list[Evidence]:
         """Evidence in the newest picture; None: there is none. began_at: what is older is of an earlier node of the name."""
         if fact is None:
-            self.doubt, self.blind = WAVERS, True
+            self.doubts, self.blind = {"no picture"}, True
             return []
         if fact.up_s < self._up_s:
             self._listed_by_this_child = False
         self._up_s = fact.up_s
-        self.doubt = NONE
+        self.doubts = set()
         name = self._name(fact, now)
         beacon = self._beacon(fact, now, max(began_at, self.appeared_at))
         topics = self._topics(fact)
@@ -90,16 +89,16 @@ class Signs:
             return None
         # While PHM's own child is late nobody was heard: that is no silence.
         silent_s = max(0.0, beacon.age_s - fact.age_s)
+        if silent_s > WAVER_PERIODS * beacon.period_s:
+            self.doubts.add("beacon wavers")
         if silent_s > max(SILENT_PERIODS * beacon.period_s, SILENT_S):
-            self._waver(SILENT)
+            self.doubts.add("beacon silent")
             words = f"its beacon has been silent for {span(silent_s)}"
             return Evidence(Kind.BEACON, Says.SILENT, words, fact.age_s, silent_s)
-        if beacon.late_s > LATE_S:
-            self._waver(SILENT)
+        if beacon.turns and beacon.late_s > LATE_S:
+            self.doubts.add("executor late")
             words = f"its executor has not turned for {span(beacon.late_s)}, says its beacon"
             return Evidence(Kind.BEACON, Says.LATE, words, beacon.age_s, beacon.late_s)
-        if silent_s > WAVER_PERIODS * beacon.period_s:
-            self._waver(WAVERS)
         return Evidence(Kind.BEACON, Says.ALIVE, "its beacon beats", beacon.age_s)
 
     def _topics(self, fact: api.RosFact) -> Evidence | None:
@@ -121,7 +120,7 @@ class Signs:
         if not silent:
             return None
         shortest_s = min(silent)[0]
-        self._waver(SILENT if shortest_s > max(limits) else WAVERS)
+        self.doubts |= {"topics waver"} if shortest_s <= max(limits) else {"topics waver", "topics silent"}
         words = f"silent for {span(shortest_s)}: {listed([last(topic) for _, topic in silent], 3)}"
         return Evidence(Kind.TOPICS, Says.SILENT, words, fact.age_s, shortest_s)
 
@@ -135,7 +134,7 @@ class Signs:
             self._had_ends, self._bare_since = False, None
             return None
         self._bare_since = now if self._bare_since is None else self._bare_since
-        self._waver(SILENT)
+        self.doubts.add("no endpoints")
         lasted_s = now - self._bare_since
         return Evidence(Kind.ENDPOINTS, Says.GONE, "none of its endpoints is in the graph", fact.age_s, lasted_s)
 
@@ -144,23 +143,19 @@ class Signs:
         count = fact.nodes.get(self._node, 0)
         if count > self.count:
             self.appeared_at = now
+            self.doubts.add("listed anew")
         self.count = count
         if count:
             self._listed_by_this_child, self._gone_since = True, None
             self._twice_since = (self._twice_since or now) if count > 1 else None
-            if count > 1:
-                self._waver(WAVERS)
             return Evidence(Kind.NAME, Says.ALIVE, "it is listed in the graph", fact.age_s)
-        self._waver(GONE)
+        self.doubts.add("not listed")
         self._twice_since = None
         if fact.up_s < self._grace_s and not self._listed_by_this_child:
             self._gone_since = None
             return None
         self._gone_since = now if self._gone_since is None else self._gone_since
         return Evidence(Kind.NAME, Says.GONE, "it is not in the graph", fact.age_s, now - self._gone_since)
-
-    def _waver(self, how: int) -> None:
-        self.doubt = max(self.doubt, how)
 
 
 def _waver_s(rate: api.RateFact, expected_hz: float) -> float:

@@ -9,7 +9,7 @@ from phm.api import Layer, Level, Slot
 from phm_checks._liveness import Evidence, Judgement, Past, State, fuse
 from phm_checks._matching import Wanted
 from phm_checks._roster import NEVER, Roster
-from phm_checks._signs import TWICE_S, WAVERS, Ends, Signs
+from phm_checks._signs import TWICE_S, Ends, Signs
 from phm_checks._words import brief, did_you_mean, last, span
 
 OLD_PICTURE_S = 5.0
@@ -29,9 +29,10 @@ class _Node:
         self._life = ""
 
     @property
-    def doubt(self) -> int:
-        """How much it is in doubt. What is told as bad is looked at until it is well."""
-        return self.signs.doubt if self.state in (State.ALIVE, None) else max(self.signs.doubt, WAVERS)
+    def doubts(self) -> set[tuple[str, str]]:
+        """Why it may not be well, with its name. What is told as bad is looked at until it is well."""
+        told = set() if self.state in (State.ALIVE, State.DUPLICATE, None) else {self.state.value}
+        return {(self.wanted.name, why) for why in self.signs.doubts | told}
 
     def judge(self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float) -> Judgement:
         starting = now - began_at < grace_s
@@ -96,7 +97,8 @@ class Nodes(api.Check):
         signs = {node.wanted.name: self._signs(node, fact, now) for node in self._nodes}
         for roster in self._rosters.values():
             own = [node for node in self._nodes if node.wanted.container == roster.key]
-            roster.look(world, max(node.doubt for node in own), blind=any(node.signs.blind for node in own))
+            doubts = set().union(*(node.doubts for node in own))
+            roster.look(world, doubts, blind=any(node.signs.blind for node in own))
         now = world.clock.mono()
         return {node.wanted.unit: self._result(node, signs[node.wanted.name], fact, why, now) for node in self._nodes}
 

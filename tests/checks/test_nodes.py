@@ -29,7 +29,7 @@ def flowing(silent_s: float = 0.0) -> dict[str, api.TopicFact]:
 
 
 def beating(age_s: float = 0.1, late_s: float = 0.0) -> dict[str, api.BeaconFact]:
-    return {NAME: api.BeaconFact(age_s, 0.2, late_s, "a", 100)}
+    return {NAME: api.BeaconFact(age_s, 0.2, late_s, "a", 100, turns=20)}
 
 
 class Bench:
@@ -495,14 +495,14 @@ def test_a_container_that_does_not_run_is_named(status: str, condition: str) -> 
 # ---------------------------------------------------------------- cost
 
 
-def test_while_all_is_well_the_engine_is_left_alone() -> None:
+@pytest.mark.parametrize(("made", "period_s"), [(rated, QUIET_S), (Bench, BLIND_S)])
+def test_while_all_is_well_the_engine_is_left_alone(made: Callable[[], Bench], period_s: float) -> None:
     """With a topic or a beacon as a quick sign, the list of processes is asked for every QUIET_S alone."""
-    bench = rated()
+    bench = made()
+    bench.after(20.0)
+    before = bench.docker.listings
     bench.after(60.0)
-    assert bench.docker.listings == 1 + 60 // QUIET_S
-    blind = Bench()
-    blind.after(60.0)
-    assert blind.docker.listings == 1 + 60 // BLIND_S
+    assert bench.docker.listings - before == 60 // period_s
 
 
 def test_what_stays_in_doubt_is_asked_about_less_and_less() -> None:
@@ -525,6 +525,30 @@ def test_a_jittering_topic_does_not_cost_a_list_each_time() -> None:
     before = bench.docker.listings
     bench.after(100.0, lambda passed: bench.ros.change(topics=flowing(0.5 if passed % 1.0 else 0.0)))
     assert bench.docker.listings - before <= 100 // QUIET_S + 1
+
+
+def test_a_standing_doubt_hides_no_new_one() -> None:
+    """The topic has been silent for minutes, for reasons of its own; then the beacon wavers: looked into at once."""
+    bench = rated()
+    bench.ros.change(beacons=beating())
+    bench.after(300.0, lambda passed: bench.ros.change(topics=flowing(passed)))
+    bench.processes(MAIN)
+    bench.ros.change(beacons=beating(0.5))
+    bench.clock.advance(0.25)
+    assert bench.result().brief == "node_1 dead"
+
+
+def test_an_old_name_beside_the_new_one_is_no_standing_doubt() -> None:
+    """It stays for a lease of 20 s; a node that dies meanwhile is seen as soon as ever."""
+    bench = rated()
+    bench.ros.change(nodes={})
+    bench.after(GRACE_S)
+    bench.ros.change(nodes={NAME: 2})
+    assert bench.after(12.0).level is api.Level.OK
+    bench.processes(MAIN)
+    bench.ros.change(topics=flowing(0.25))
+    bench.clock.advance(0.25)
+    assert bench.result().brief == "node_1 dead"
 
 
 def test_a_list_that_grew_old_proves_nothing() -> None:
