@@ -41,6 +41,8 @@ PERIODS_S = (0.05, 10.0)
 """Allowed periods."""
 TURN_S = 1.0
 """How often the executor is asked to turn. Each time wakes it up, and it costs more the more the node has."""
+FIRST_TURN_S = 0.05
+"""The first one comes soon: an executor that hangs before it is taken for one that was never started."""
 VIEWS_S = 1.0
 """How often a beat tells of the neighbours."""
 HELLO_S = 0.4
@@ -102,10 +104,13 @@ class _Life:
             # In the node's default group, so that a callback that never returns there is seen under an executor with
             # several threads too. The steady clock: simulated time may stand still.
             clock = Clock(clock_type=ClockType.STEADY_TIME)
-            self._timer = node.create_timer(TURN_S, self._turn, clock=clock)
+            self._timer = node.create_timer(FIRST_TURN_S, self._turn, clock=clock)
 
     def _turn(self) -> None:
         self._turned_s = time.monotonic()
+        if not self._turns:
+            with contextlib.suppress(Exception):
+                self._timer.timer_period_ns = int(TURN_S * 1e9)
         self._turns += 1
 
     @property
