@@ -80,10 +80,6 @@ class Parts:
     def links(self) -> tuple[LinkFact, ...]:
         return self.mavlink.links() if self.mavlink is not None else ()
 
-    def reopen(self, link: str, timeout_s: float) -> bool:
-        """See `MavlinkHub.reopen`."""
-        return self.mavlink is not None and self.mavlink.reopen(link, timeout_s)
-
     def link_reports(self) -> list[dict[str, Any]]:
         """The MAVLink endpoints for `phm status`, see `MavlinkHub.report`."""
         return self.mavlink.report() if self.mavlink is not None else []
@@ -120,7 +116,7 @@ def assemble(
         docker_event(event)
 
     watch = Watch(engine, settings, clock, happened) if settings.containers else None
-    hub = MavlinkHub(settings.mavlink, settings.agent.id, clock)
+    hub = MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir)
     links = Links(hub, settings, clock, lambda: wake("link"))
     swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"))
     ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None

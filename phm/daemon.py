@@ -157,7 +157,8 @@ class Daemon:
 
     def _problems(self) -> tuple[float, tuple[str, ...], dict[str, int], tuple[str, ...]]:
         problems = self.reporters.problems()
-        problems += [part.problem() for part in (self.memory, self.control) if part is not None and part.problem()]
+        parts = (self.memory, self.control, self.parts.mavlink)
+        problems += [part.problem() for part in parts if part is not None and part.problem()]
         uptime_s = self.clock.mono() - self._started.mono
         return uptime_s, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems())
 
@@ -190,6 +191,7 @@ class Daemon:
             pipeline.states, pipeline.open_faults, pipeline.recent_faults, lambda: pipeline.complete, self.alive,
             look=lambda: pipeline.look_again(*(state.unit for state in pipeline.states())),
             approve=executor.approve, restart=executor.restart, note=pipeline.note, later=NotNow,
+            remember=self.parts.mavlink.remember,
         )  # fmt: skip
         self.desk = Desk(self.parts.mavlink, powers, self.settings, self.clock)
         self.desk.start()
@@ -198,7 +200,7 @@ class Daemon:
         docker = self.parts.world.docker
         return ActionContext(
             self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
-            listed_nodes=lambda: self.parts.world.ros.look().nodes, armed=self._armed, reopen=self.parts.reopen,
+            listed_nodes=lambda: self.parts.world.ros.look().nodes, armed=self._armed,
         )  # fmt: skip
 
     def _publish_action(self, event: Event) -> None:

@@ -254,6 +254,8 @@ class EndpointSettings(Section):
 
     url: Annotated[str, Field(min_length=1, max_length=512)]
     """pymavlink's form: udpout:HOST:PORT, udpin:HOST:PORT, udpbcast:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, or /dev/tty... for serial."""
+    link_id: Annotated[int, Field(ge=0, le=255)] | None = None
+    """Link id of signed messages, which tells the connections of one agent apart; default: its place in the list, from 0."""
     baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 57600
     """Serial only: bits per second."""
     budget: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)] = 158
@@ -261,9 +263,8 @@ class EndpointSettings(Section):
     of what a 64 kbit/s telemetry radio carries."""
     name: Name | None = None
     """What logs call it; default: the url."""
-    leads_to: Literal["both", "router", "ground", "autopilot"] = "both"
-    """What is at its other end. `both`: the autopilot, which passes frames on to the ground; `router`: a MAVLink router, to
-    which both are connected."""
+    leads_to: Literal["both", "ground", "autopilot"] = "both"
+    """What is at its other end. `both`: through a router, or through the autopilot to the ground."""
     radio: Literal["auto", "required", "off"] = "auto"
     """Whether a telemetry radio that sends RADIO_STATUS is behind it; `auto`: once it was heard it must be there."""
 
@@ -275,14 +276,6 @@ class EndpointSettings(Section):
     def serial(self) -> bool:
         """Whether it is a serial port; else it is a socket."""
         return self.url.startswith("/")
-
-    @property
-    def to_ground(self) -> bool:
-        return self.leads_to != "autopilot"
-
-    @property
-    def to_autopilot(self) -> bool:
-        return self.leads_to != "ground"
 
     @field_validator("url")
     @classmethod
@@ -299,6 +292,15 @@ class EndpointSettings(Section):
         if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
             raise ValueError(f"{value!r} needs a host and a port of 1 to 65535, e.g. {scheme}:127.0.0.1:14550")
         return value
+
+
+class SigningSettings(Section):
+    """MAVLink 2 message signing."""
+
+    key: AbsolutePath | None = None
+    """File with the key, 32 bytes or 64 hexadecimal digits, that only its owner can read. Default: signing is off."""
+    unsigned: Literal["vehicle", "all", "none"] = "vehicle"
+    """What is believed without a signature, with signing on; commands never are."""
 
 
 class MavlinkSettings(Section):
@@ -328,6 +330,8 @@ class MavlinkSettings(Section):
     """WARN when more of the frames are lost that the neighbour on a serial port sends, by gaps in its sequence numbers."""
     commands: list[Literal["status", "details", "check", "approve", "restart"]] = Field(default=["status", "details"])
     """What the ground may ask for by MAVLink commands; the first two only read. `docs/mavlink.md` says how."""
+    signing: SigningSettings = SigningSettings()
+    """Signed messages."""
 
 
 class SwarmSettings(Section):

@@ -62,11 +62,17 @@ def load_settings(path: str | None) -> Settings:
 
 @contextmanager
 def loops_are_configuration_errors() -> Iterator[None]:
-    """Needs that run in a circle show only once the checks are known; they end like any bad configuration."""
+    """What shows only once the daemon is built, needs that run in a circle and a key that cannot be used, ends like any bad
+    configuration.
+    """
     from phm.needs import NeedsLoop
+    from phm.transport.mavlink_signing import KeyProblem
 
     try:
         yield
     except NeedsLoop as error:
         click.echo(f"checks: {error}", err=True)
+        raise click.exceptions.Exit(EX_CONFIG) from None
+    except KeyProblem as error:
+        click.echo(str(error), err=True)
         raise click.exceptions.Exit(EX_CONFIG) from None

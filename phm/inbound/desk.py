@@ -54,8 +54,10 @@ class Port(Protocol):
 
     system_id: int
     component_id: int
-    signs: bool
-    """Signing is on: only what is signed is obeyed."""
+
+    @property
+    def signs(self) -> bool:
+        """Signing is on: only what is signed is obeyed."""
 
     def send(
         self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""

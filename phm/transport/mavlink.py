@@ -17,6 +17,7 @@ from phm.settings import MavlinkSettings
 from phm.transport.mavlink_budget import Class, Count
 from phm.transport.mavlink_codec import Codec, Counters
 from phm.transport.mavlink_endpoint import RADIO_STATUS, Endpoint
+from phm.transport.mavlink_signing import Signer, Signing, read_key, unsigned_of
 from phm.transport.mavlink_traffic import Traffic
 
 logger = logging.getLogger(__name__)
@@ -29,19 +30,40 @@ CLOSE_LIMIT_S = 1.0
 class MavlinkHub:
     """All endpoints of one agent. Making it opens nothing; `start` does."""
 
-    def __init__(self, settings: MavlinkSettings, system_id: int, clock: Clock) -> None:
+    def __init__(self, settings: MavlinkSettings, system_id: int, clock: Clock, state_dir: str | None = None) -> None:
+        """state_dir: where the time of signing is kept; None: nowhere. Raises KeyProblem."""
         self.system_id, self.component_id = system_id, settings.component_id
-        self.signs = False
+        key = settings.signing.key if settings.endpoints else None
+        self._signing = Signing(read_key(key), clock, state_dir) if key is not None else None
         self._listeners: tuple[tuple[Listener, frozenset[int]], ...] = ()
         self._watchers: tuple[Callable[[], None], ...] = ()
         self._errors = 0
         self._agents = 1
         self._endpoints = tuple(
-            Endpoint(entry, Codec(system_id, settings.component_id, self._wanted), clock, self._deliver, self._changed)
-            for entry in settings.endpoints
-        )
+            Endpoint(
+                entry, Codec(system_id, settings.component_id, self._wanted, self._signer(settings, place)), clock,
+                self._deliver, self._changed,
+            )
+            for place, entry in enumerate(settings.endpoints)
+        )  # fmt: skip
+
+    @property
+    def signs(self) -> bool:
+        """Signing is on."""
+        return self._signing is not None
+
+    def remember(self) -> None:
+        """Keep what was heard, so that a signed frame is not believed again after a restart of PHM. Waits for the disk."""
+        if self._signing is not None:
+            self._signing.save()
+
+    def problem(self) -> str:
+        """A sentence when something is wrong with signing, else empty."""
+        return self._signing.problem() if self._signing is not None else ""
 
     def start(self) -> None:
+        if self._signing is not None:
+            self._signing.start()
         for endpoint in self._endpoints:
             endpoint.start()
 
@@ -51,6 +73,8 @@ class MavlinkHub:
             endpoint.stop()
         for endpoint in self._endpoints:
             endpoint.join(CLOSE_LIMIT_S)
+        if self._signing is not None:
+            self._signing.close()
 
     def send(
         self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
@@ -104,7 +128,8 @@ class MavlinkHub:
 
     def report(self) -> list[dict[str, Any]]:
         """Each endpoint for `phm status`, JSON-able. `slowed`: 1 to 10, by how much its radio slows it down; `sent`: by class
-        of message how many left, were replaced by newer ones, or were dropped, and bytes on the wire.
+        of message how many left, were replaced by newer ones, or were dropped, and bytes on the wire; `refused`, with
+        signing on: frames whose signature was forged or old, or that needed one.
         """
         found = []
         for endpoint in self._endpoints:
@@ -114,6 +139,7 @@ class MavlinkHub:
                 "name": endpoint.name, "open": bool(fact and fact.open), "error": fact.error if fact else "",
                 "slowed": round(slowed, 2), "sent": by_class,
                 "bytes_out": counters.bytes_out, "bytes_in": counters.bytes_in,
+                **({"refused": endpoint.codec.refused()} if self.signs else {}),
             })  # fmt: skip
         return found
 
@@ -122,6 +148,13 @@ class MavlinkHub:
         return any(endpoint.codec.sent(frame) for endpoint in self._endpoints)
 
     # ------------------------------------------------------------ from the endpoints' threads
+
+    def _signer(self, settings: MavlinkSettings, place: int) -> Signer | None:
+        if self._signing is None:
+            return None
+        chosen = settings.endpoints[place].link_id
+        # MAVLink has 256 link ids: from there on they are used again.
+        return Signer(self._signing, place % 256 if chosen is None else chosen, unsigned_of(settings.signing.unsigned))
 
     def _wanted(self, message_id: int) -> bool:
         return message_id == RADIO_STATUS or any(message_id in ids for _, ids in self._listeners)

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from phm.transport.dialect import SAME, mavlink
+from phm.transport.mavlink_signing import SIGNATURE_BYTES, Signer
 from phm.transport.mavlink_traffic import Senders
 
 V1, V2 = 0xFE, 0xFD
 _MARKERS = frozenset((V1, V2))
 _SIGNED = 0x01
-_SIGNATURE_BYTES = 13
 _RECENT_FRAMES = 256
 
 Wanted = Callable[[int], bool]
@@ -42,10 +42,15 @@ class Counters:
 class Codec:
     """Packs with a sequence of its own, so that receivers can count this endpoint's losses."""
 
-    def __init__(self, system_id: int, component_id: int, wanted: Wanted) -> None:
+    def __init__(self, system_id: int, component_id: int, wanted: Wanted, signer: Signer | None = None) -> None:
+        """signer: signs what is packed and checks what is parsed; None: signing is off."""
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         # For weighing: packing with it changes no sequence and signs nothing.
         self._scale = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        # Also for decoding: without a key, pymavlink does not judge signatures (`phm.transport.mavlink_signing` does).
+        self._signer = signer
+        if signer is not None:
+            signer.prepare(self._mav)
         self._wanted = wanted
         self._recent: deque[bytes] = deque(maxlen=_RECENT_FRAMES)
         self._lock = threading.Lock()
@@ -54,6 +59,8 @@ class Codec:
 
     def pack(self, message: Any) -> bytes:
         """The frame of a message. Packing writes into the message, and other endpoints pack it too: use a copy."""
+        if self._signer is not None:
+            self._mav.signing.timestamp = self._signer.signing.stamp()
         frame: bytes = copy.copy(message).pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         with self._lock:
@@ -62,7 +69,7 @@ class Codec:
 
     def size(self, message: Any) -> int:
         """Bytes that the message's frame will have."""
-        return len(copy.copy(message).pack(self._scale))
+        return len(copy.copy(message).pack(self._scale)) + (SIGNATURE_BYTES if self._signer is not None else 0)
 
     def sent(self, frame: bytes) -> bool:
         """Whether this very frame was sent here lately: then hearing it is an echo."""
@@ -70,14 +77,21 @@ class Codec:
             return frame in self._recent
 
     def parser(self) -> Parser:
-        return Parser(self._mav, self._wanted, self.counters, self.senders)
+        return Parser(self._scale, self._wanted, self.counters, self.senders, self._signer)
+
+    def refused(self) -> dict[str, int]:
+        """Frames that were not passed on because of their signature, by why; empty when signing is off."""
+        return dict(self._signer.refused) if self._signer is not None else {}
 
 
 class Parser:
     """Finds frames in one stream of bytes. Nothing that comes in raises; at most one frame is kept waiting."""
 
-    def __init__(self, mav: Any, wanted: Wanted, counters: Counters, senders: Senders) -> None:
+    def __init__(
+        self, mav: Any, wanted: Wanted, counters: Counters, senders: Senders, signer: Signer | None = None
+    ) -> None:
         self._mav, self._wanted, self._counters, self._senders = mav, wanted, counters, senders
+        self._signer = signer
         self._buffer = bytearray()
         self.verified = 0
         """Frames whose checksum was computed and is right."""
@@ -130,7 +144,7 @@ class Parser:
         flags = self._buffer[at + 2]
         if flags & ~_SIGNED:
             return 0  # the standard says to drop frames with flags that one does not know
-        return self._buffer[at + 1] + 12 + (_SIGNATURE_BYTES if flags & _SIGNED else 0)
+        return self._buffer[at + 1] + 12 + (SIGNATURE_BYTES if flags & _SIGNED else 0)
 
     def _judge(self, at: int, length: int, verify: bool) -> tuple[bool, Any]:
         """Whether these bytes are a frame, and its message when somebody wants it."""
@@ -146,4 +160,5 @@ class Parser:
         except Exception:  # pymavlink's decoders raise many kinds on hostile bytes
             return False, None
         self.verified += 1
-        return True, message if wanted else None
+        passes = wanted and (self._signer is None or self._signer.passes(message, frame, number))
+        return True, message if passes else None

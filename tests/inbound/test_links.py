@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,16 +16,19 @@ from phm.settings import MavlinkSettings
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
-from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat
+from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat, until
 
 
 class Aboard:
     """A hub of agent 7 with its desk, listening by UDP; `did` is what was done."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, key: Path | None = None) -> None:
         chosen = settings(
             agent={"id": 7}, containers=[{"name": "app"}],
-            mavlink={"endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0}], "commands": ["status", "restart"]},
+            mavlink={
+                "endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0, "link_id": 4}],
+                "commands": ["status", "restart"], "signing": {"key": str(key) if key else None},
+            },
         )  # fmt: skip
         assert isinstance(chosen.mavlink, MavlinkSettings)
         self.did: list[str] = []
@@ -62,13 +66,19 @@ def aboard() -> Iterator[tuple[Aboard, list[Any]]]:
 def ask(ground: Any, command: int, first: float, second: float = 0, *, wanted: str = "COMMAND_ACK") -> Any:
     """Ask as a ground station does, again until acknowledged; the message of the wanted type that came to the asker."""
     ours = ground.mav.srcSystem
+    while ground.recv_match(blocking=False) is not None:
+        pass  # what an earlier question has left
     ground.mav.send(heartbeat(kind=mavlink.MAV_TYPE_GCS))
     for again in range(round(LIMIT_S / 2)):
         ground.mav.command_long_send(7, 193, command, again, first, second, 0, 0, 0, 0, 0)
         end = time.monotonic() + 2.0
         while time.monotonic() < end:
             message = ground.recv_match(type=wanted, blocking=True, timeout=0.2)
-            if message is not None and getattr(message, "target_system", ours) == ours:
+            if (
+                message is not None
+                and getattr(message, "target_system", ours) == ours
+                and getattr(message, "command", command) == command
+            ):
                 return message
     raise AssertionError(f"no {wanted} for command {command}")
 
@@ -89,3 +99,79 @@ def test_the_acknowledgement_names_its_asker(aboard: tuple[Aboard, list[Any]]) -
     for ground in grounds:
         ack = ask(ground, 512, 253)
         assert (ack.target_component, ack.get_srcSystem(), ack.get_srcComponent()) == (190, 7, 193)
+
+
+# ---------------------------------------------------------------- with signing
+
+KEY = bytes(range(1, 33))
+Sign = Callable[..., Any]
+
+
+@pytest.fixture
+def signed(tmp_path: Path) -> Iterator[tuple[Aboard, Sign]]:
+    """The agent with a key, and a maker of ground stations: with this key, or without any."""
+    path, port = tmp_path / "key", free_port()
+    path.write_bytes(KEY)
+    path.chmod(0o600)
+    agent, grounds = Aboard(port, path), []
+
+    def ground(key: bytes | None = None) -> Any:
+        made = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255, source_component=190)
+        grounds.append(made)
+        if key is not None:
+            made.setup_signing(key, link_id=9)
+        return made
+
+    yield agent, ground
+    for made in grounds:
+        made.close()
+    agent.close()
+
+
+def test_a_signed_command_is_obeyed_and_its_answer_is_signed(signed: tuple[Aboard, Sign]) -> None:
+    """pymavlink's own receiver takes nothing that is not rightly signed; the link id is the configured one."""
+    agent, ground = signed
+    ack = ask(ground(KEY), 31010, 3, 1)
+    assert (ack.result, ack.get_signed(), ack.get_link_id()) == (mavlink.MAV_RESULT_ACCEPTED, True, 4)
+    assert agent.did == ["app"]
+    assert agent.notes[0].endswith("signed: app")
+
+
+def test_an_unsigned_command_is_denied_where_signing_is_on(signed: tuple[Aboard, Sign]) -> None:
+    """Whatever it asks for; a ground station without the key can still read the answer."""
+    agent, ground = signed
+    station = ground()
+    for command in ((31010, 3, 1), (512, 253)):
+        assert ask(station, *command).result == mavlink.MAV_RESULT_DENIED
+    assert agent.did == []
+
+
+def test_a_command_signed_with_another_key_is_not_even_answered(signed: tuple[Aboard, Sign]) -> None:
+    """It is counted, and told as a problem; the true ground station is not shut out by it."""
+    agent, ground = signed
+    forger = ground(bytes(32))
+    forger.mav.signing.timestamp = 2**47  # years ahead
+
+    def forged() -> bool:
+        forger.mav.command_long_send(7, 193, 31010, 0, 3, 1, 0, 0, 0, 0, 0)
+        return bool(agent.hub.report()[0]["refused"]["forged"])
+
+    until(forged, "a forged frame")
+    assert "wrong signature" in agent.hub.problem()
+    assert (agent.did, agent.notes) == ([], [])
+    assert ask(ground(KEY), 31010, 3, 1).result == mavlink.MAV_RESULT_ACCEPTED
+
+
+def test_a_recorded_command_is_not_obeyed_again(signed: tuple[Aboard, Sign]) -> None:
+    """Byte for byte the same frame, later."""
+    agent, ground = signed
+    station = ground(KEY)
+    recorded: list[bytes] = []
+    write = station.write
+    station.write = lambda data: (recorded.append(bytes(data)), write(data))[1]
+    assert ask(station, 31010, 3, 1).result == mavlink.MAV_RESULT_ACCEPTED
+    for frame in recorded:
+        write(frame)
+    commands = [frame for frame in recorded if frame[7:10] == bytes((76, 0, 0))]
+    until(lambda: agent.hub.report()[0]["refused"]["old"] == len(commands), "the copies")
+    assert agent.did == ["app"]

@@ -1,0 +1,267 @@
+"""MAVLink 2 signing: one key for all endpoints, a time that never goes back, and the newest time heard of each sender.
+
+pymavlink signs what goes out. What comes in is checked here, because pymavlink takes over the time of a frame before it has
+compared the hash: one forged frame from the year 2100 would shut the true sender out. Here the hash comes first, and
+a frame that does not match it changes nothing.
+
+A frame whose time is ahead of ours is believed, as the standard wants, and our time follows: a companion without a clock of its
+own starts in the past, and would otherwise refuse its operator. Only who has the key can do that.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import hmac
+import json
+import os
+import stat
+import threading
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from phm.clock import Clock
+
+SIGNATURE_BYTES = 13
+KEY_BYTES = 32
+EPOCH_S = 1_420_070_400
+"""2015-01-01, from which the standard counts."""
+TICKS = 100_000
+"""A second: the unit is 10 microseconds."""
+LATE_S = 60.0
+"""A sender not heard before may be this far behind us."""
+LAST = 2**48 - 10 * 365 * 86400 * TICKS
+"""Times beyond, about the year 2094, are refused: our own, which follows, must never come to the end of its 48 bits."""
+MAX_STREAMS = 1024
+KEPT_STREAMS = 256
+SAVE_S = 30.0
+NAME = "mavlink_signing.json"
+MAX_FILE_BYTES = 65_536
+FORGED_TOLD_S = 60.0
+
+
+class KeyProblem(Exception):
+    """The key cannot be used; one sentence that says why and what to do."""
+
+
+class Seal(Enum):
+    """What the signature of a frame is worth."""
+
+    NONE = "none"
+    GOOD = "good"
+    OLD = "old"
+    """Rightly signed, and not newer than what was heard: a copy, or replayed."""
+    FORGED = "forged"
+
+
+def read_key(path: str) -> bytes:
+    """The key: 32 bytes, or 64 hexadecimal digits. Raises KeyProblem."""
+    try:
+        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as stream:
+            about = os.fstat(stream.fileno())
+            if not stat.S_ISREG(about.st_mode):
+                raise KeyProblem(f"mavlink.signing.key: {path} is no file")
+            if about.st_mode & 0o077:
+                raise KeyProblem(
+                    f"mavlink.signing.key: {path} can be read by others than its owner (mode "
+                    f"{stat.S_IMODE(about.st_mode):04o}): `chmod 600 {path}`, and make a new key if it was read"
+                )
+            data = stream.read(4096)
+    except OSError as error:
+        raise KeyProblem(f"mavlink.signing.key: {path} cannot be read: {error.strerror or error}") from error
+    if len(data) == KEY_BYTES:
+        return data
+    with contextlib.suppress(ValueError):
+        words = bytes.fromhex(data.decode("ascii").strip())
+        if len(words) == KEY_BYTES:
+            return words
+    raise KeyProblem(f"mavlink.signing.key: {path} must hold 32 bytes or 64 hexadecimal digits, not {len(data)} bytes")
+
+
+class Signing:
+    """Shared by all endpoints, so that what was heard by one is not believed again by another. Thread-safe.
+
+    Invariant: a time given out is never given out again, also not after PHM was killed, unless the clock was set back meanwhile:
+    what is saved is at most SAVE_S behind, and where the clock has not gone on, a new start begins so much later.
+    """
+
+    def __init__(self, key: bytes, clock: Clock, directory: str | None = None) -> None:
+        """directory: where the time is kept over a restart; None: nowhere."""
+        self.key = key
+        self._clock = clock
+        self._path = None if directory is None else Path(directory) / NAME
+        self._time = 0
+        self._streams: dict[tuple[int, int, int], int] = {}
+        self._lock, self._file = threading.Lock(), threading.Lock()
+        self._saved: object = None
+        self._problem = ""
+        self._forged_at = float("-inf")
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._keep, name="phm-signing", daemon=True)
+        self._load()
+
+    def start(self) -> None:
+        self.save()
+        self._thread.start()
+
+    def close(self) -> None:
+        """A last save."""
+        self._stop.set()
+        self.save()
+
+    def stamp(self) -> int:
+        """The time for the next frame: later than all before, in units of 10 microseconds since 2015."""
+        with self._lock:
+            self._time = max(self._now(), self._time + 1)
+            return self._time
+
+    def check(self, frame: bytes | bytearray) -> Seal:
+        """Of a whole frame whose checksum is right. Only a GOOD one is remembered."""
+        if frame[0] != 0xFD or not frame[2] & 0x01:
+            return Seal.NONE
+        expected = hashlib.sha256(self.key + bytes(frame[:-6])).digest()[:6]
+        if not hmac.compare_digest(expected, bytes(frame[-6:])):
+            self._forged_at = self._clock.mono()
+            return Seal.FORGED
+        time, stream = int.from_bytes(frame[-12:-6], "little"), (frame[-13], frame[5], frame[6])
+        with self._lock:
+            heard = self._streams.get(stream)
+            least = max(self._now(), self._time) - round(LATE_S * TICKS) if heard is None else heard + 1
+            if not least <= time <= LAST:
+                return Seal.OLD
+            self._streams[stream] = time
+            self._time = max(self._time, time)
+            if len(self._streams) > MAX_STREAMS:
+                # The oldest: what it said is mostly too late to be believed of a new sender, too.
+                del self._streams[min(self._streams, key=self._streams.__getitem__)]
+        return Seal.GOOD
+
+    def problem(self) -> str:
+        """A sentence when something is wrong now, else empty."""
+        if self._clock.mono() - self._forged_at <= FORGED_TOLD_S:
+            return "MAVLink frames with a wrong signature are heard: somebody has another key, or tries to forge"
+        return self._problem
+
+    # ------------------------------------------------------------ over a restart
+
+    def save(self) -> None:
+        """Keep the time and who was heard, now. Waits for the disk; what fails is told by `problem`."""
+        if self._path is None:
+            return
+        with self._lock:
+            newest = sorted(self._streams.items(), key=lambda item: item[1])[-KEPT_STREAMS:]
+            state = {"v": 1, "time": self._time, "streams": [[*stream, time] for stream, time in newest]}
+        with self._file:
+            if state == self._saved:
+                return
+            try:
+                _write(self._path, json.dumps(state).encode("ascii"))
+            except OSError as error:
+                reason = error.strerror or error
+                self._problem = (
+                    f"cannot write {self._path}: {reason}; signed frames could be replayed after a restart of PHM"
+                )
+            else:
+                self._saved, self._problem = state, ""
+
+    def _keep(self) -> None:
+        while not self._clock.wait(self._stop, SAVE_S):
+            self.save()
+
+    def _load(self) -> None:
+        if self._path is None:
+            return
+        try:
+            with self._path.open("rb") as stream:
+                data = stream.read(MAX_FILE_BYTES + 1)
+            state: Any = json.loads(data) if len(data) <= MAX_FILE_BYTES else None
+            time = _ticks(state["time"])
+            streams = {
+                (_byte(link), _byte(system), _byte(component)): _ticks(heard)
+                for link, system, component, heard in state["streams"][:KEPT_STREAMS]
+            }
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            self._problem = (
+                f"cannot read {self._path}: {error.strerror or error}; the time of signing begins with the clock"
+            )
+            return
+        except (ValueError, KeyError, TypeError, RecursionError):
+            self._problem = f"{self._path} is damaged: the time of signing begins with the clock"
+            return
+        # A clock that has gone on since says what may have been given out after the save; one that has not does not.
+        gone_on = self._now() > time
+        self._time, self._streams = min(time if gone_on else time + round(SAVE_S * TICKS), LAST), streams
+
+    def _now(self) -> int:
+        return min(max(0, round((self._clock.utc() - EPOCH_S) * TICKS)), LAST)
+
+
+class Signer:
+    """One endpoint's way to sign and to check. `refused` counts what is not passed on."""
+
+    def __init__(self, signing: Signing, link_id: int, unsigned: Callable[[int], bool]) -> None:
+        """unsigned: whether messages of a number are believed without a signature."""
+        self.signing, self.link_id, self._unsigned = signing, link_id, unsigned
+        self.refused = {"forged": 0, "old": 0, "unsigned": 0}
+
+    def prepare(self, mav: Any) -> None:
+        """Have a pymavlink codec sign what it packs."""
+        mav.signing.secret_key, mav.signing.link_id, mav.signing.sign_outgoing = self.signing.key, self.link_id, True
+
+    def passes(self, message: Any, frame: bytes | bytearray, number: int) -> bool:
+        """Whether a decoded message is passed on; says in it whether it is signed."""
+        seal = self.signing.check(frame)
+        if seal is Seal.GOOD:
+            message._signed, message._link_id = True, frame[-13]
+            return True
+        if seal is Seal.FORGED:
+            self.refused["forged"] += 1
+            return False
+        if number in COMMANDS and seal is Seal.NONE:
+            return True  # refused later, with an answer; a copy gets none, the first has had it
+        if self._unsigned(number):
+            return True  # whoever replays it could also send it unsigned
+        self.refused["old" if seal is Seal.OLD else "unsigned"] += 1
+        return False
+
+
+COMMANDS = frozenset((75, 76))
+"""COMMAND_INT and COMMAND_LONG: never believed without a signature."""
+TUNNEL = 385
+RADIO_STATUS = frozenset((109, 166))
+"""Made by the radio itself, which has no key."""
+
+
+def unsigned_of(mode: str) -> Callable[[int], bool]:
+    """What `mavlink.signing.unsigned` lets pass."""
+    if mode == "none":
+        return RADIO_STATUS.__contains__
+    refused = COMMANDS if mode == "all" else COMMANDS | {TUNNEL}
+    return lambda number: number not in refused
+
+
+def _ticks(value: object) -> int:
+    if type(value) is not int or not 0 <= value <= LAST:
+        raise ValueError("a time is no time")
+    return value
+
+
+def _byte(value: object) -> int:
+    if type(value) is not int or not 0 <= value <= 255:
+        raise ValueError("a number is no byte")
+    return value
+
+
+def _write(path: Path, data: bytes) -> None:
+    """All of it or nothing, also when power is lost."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".new")
+    with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
+    temporary.replace(path)

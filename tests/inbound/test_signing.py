@@ -1,0 +1,341 @@
+"""Signing: what is believed, what a forger can do (nothing), and what outlives PHM."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, strategies as st
+
+from phm.testing import FakeClock
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink_codec import Codec
+from phm.transport.mavlink_signing import (
+    KEPT_STREAMS,
+    LAST,
+    MAX_STREAMS,
+    NAME,
+    SAVE_S,
+    TICKS,
+    KeyProblem,
+    Seal,
+    Signer,
+    Signing,
+    read_key,
+    unsigned_of,
+)
+from tests.fakes.mavlink import Sender, heartbeat, text
+
+KEY, OTHER = bytes(range(32)), bytes(32)
+NOW = 1_420_070_400 + 10 * 365 * 86400
+"""Ten years after the epoch of signing."""
+
+
+def at(utc: float = NOW) -> FakeClock:
+    return FakeClock(utc=utc)
+
+
+def ticks(utc: float) -> int:
+    return round((utc - 1_420_070_400) * TICKS)
+
+
+def sign(frame: bytes, time: int, *, key: bytes = KEY, link: int = 5) -> bytes:
+    """An unsigned frame of MAVLink 2 as somebody with this key signs it, written from the standard and not from our code."""
+    length = frame[1]
+    head = bytes((frame[0], length, 1, *frame[3:10]))
+    payload = frame[10 : 10 + length]
+    number = int.from_bytes(frame[7:10], "little")
+    crc = mavlink.x25crc(bytearray((*head[1:], *payload, mavlink.mavlink_map[number].crc_extra))).crc
+    body = head + payload + struct.pack("<HB", crc, link) + time.to_bytes(6, "little")
+    return body + hashlib.sha256(key + body).digest()[:6]
+
+
+def beat(time: int, *, key: bytes = KEY, link: int = 5, sender: tuple[int, int] = (255, 190)) -> bytes:
+    return sign(Sender(*sender).frame(heartbeat()), time, key=key, link=link)
+
+
+# ---------------------------------------------------------------- the key
+
+
+@pytest.mark.parametrize("data", [KEY, KEY.hex().encode(), KEY.hex().upper().encode() + b"\n"])
+def test_a_key_is_32_bytes_or_their_hexadecimal_digits(tmp_path: Path, data: bytes) -> None:
+    """In a file that only its owner can read."""
+    path = tmp_path / "key"
+    path.write_bytes(data)
+    path.chmod(0o600)
+    assert read_key(str(path)) == KEY
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o610, 0o660, 0o666])
+def test_a_key_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> None:
+    """With what to do about it."""
+    path = tmp_path / "key"
+    path.write_bytes(KEY)
+    path.chmod(mode)
+    with pytest.raises(KeyProblem, match=r"others than its owner .*chmod 600"):
+        read_key(str(path))
+
+
+@pytest.mark.parametrize("data", [b"", b"x" * 31, b"x" * 33, b"0" * 63, b"g" * 64, b"\xff" * 64, b"0" * 5000])
+def test_what_is_no_key_is_refused(tmp_path: Path, data: bytes) -> None:
+    """The content is never shown."""
+    path = tmp_path / "key"
+    path.write_bytes(data)
+    path.chmod(0o600)
+    with pytest.raises(KeyProblem, match=r"must hold 32 bytes or 64 hexadecimal digits"):
+        read_key(str(path))
+
+
+def test_a_key_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+    """Absent, a folder, a pipe that nobody writes."""
+    os.mkfifo(tmp_path / "pipe", 0o600)
+    for name in ("absent", ".", "pipe"):
+        with pytest.raises(KeyProblem, match=r"^mavlink\.signing\.key"):
+            read_key(str(tmp_path / name))
+
+
+# ---------------------------------------------------------------- what comes in
+
+
+def test_a_signed_frame_is_good_once() -> None:
+    """The same again is old, and so is an older one; a newer one is good."""
+    signing, now = Signing(KEY, at()), ticks(NOW)
+    assert signing.check(beat(now)) is Seal.GOOD
+    assert signing.check(beat(now)) is Seal.OLD
+    assert signing.check(beat(now - 1)) is Seal.OLD
+    assert signing.check(beat(now + 1)) is Seal.GOOD
+
+
+def test_a_forged_time_poisons_nothing() -> None:
+    """A frame from the far future with a wrong hash leaves the true sender believed, and our own time as it was."""
+    signing, now = Signing(KEY, at()), ticks(NOW)
+    assert signing.check(beat(now)) is Seal.GOOD
+    before = (dict(signing._streams), signing._time)
+    forged = bytearray(beat(now + 1))
+    forged[-12:-6] = (LAST - 1).to_bytes(6, "little")
+    assert signing.check(forged) is Seal.FORGED
+    assert signing.check(beat(LAST - 1, key=OTHER)) is Seal.FORGED
+    assert (signing._streams, signing._time) == before
+    assert signing.check(beat(now + 1)) is Seal.GOOD
+    assert "wrong signature" in signing.problem()
+
+
+def test_pymavlink_itself_is_poisoned_by_it() -> None:
+    """Why the check is ours: the day this fails, pymavlink has mended it."""
+    theirs = mavlink.MAVLink(None)
+    theirs.signing.secret_key = KEY
+    with pytest.raises(mavlink.MAVError):
+        theirs.decode(bytearray(beat(LAST - 1, key=OTHER)))
+    with pytest.raises(mavlink.MAVError):
+        theirs.decode(bytearray(beat(ticks(NOW))))
+
+
+@given(st.integers(0, 8 * 46 - 1))
+def test_every_bit_of_a_frame_is_covered(bit: int) -> None:
+    """Whichever bit is turned, the frame is not good, and nothing is remembered of it."""
+    frame = bytearray(beat(ticks(NOW)))
+    bit %= 8 * len(frame)
+    frame[bit // 8] ^= 1 << bit % 8
+    signing = Signing(KEY, at())
+    assert signing.check(frame) is not Seal.GOOD
+    assert (signing._streams, signing._time) == ({}, 0)
+
+
+def test_a_new_sender_may_be_a_minute_late_and_no_more() -> None:
+    """What was recorded yesterday of somebody not heard since is not believed."""
+    signing, now = Signing(KEY, at()), ticks(NOW)
+    assert signing.check(beat(now - 59 * TICKS, link=1)) is Seal.GOOD
+    assert signing.check(beat(now - 61 * TICKS, link=2)) is Seal.OLD
+    assert signing.check(beat(now - 61 * TICKS, sender=(254, 190))) is Seal.OLD
+
+
+def test_a_companion_without_a_clock_takes_the_time_of_the_ground() -> None:
+    """It starts in 1970, believes its operator, and signs with a time that the operator believes."""
+    signing, now = Signing(KEY, at(0.0)), ticks(NOW)
+    assert signing.check(beat(now)) is Seal.GOOD
+    assert signing.stamp() == now + 1
+
+
+def test_the_end_of_time_is_not_believed() -> None:
+    """Our own time would follow and could not go on: 48 bits."""
+    signing = Signing(KEY, at())
+    assert signing.check(beat(LAST + 1)) is Seal.OLD
+    assert signing.check(beat(2**48 - 1)) is Seal.OLD
+    assert signing.stamp() == ticks(NOW)
+
+
+def test_senders_are_bounded() -> None:
+    """The one that was heard longest ago is forgotten; what it said then is not believed any more after a minute."""
+    clock = at()
+    signing = Signing(KEY, clock)
+    first = beat(ticks(NOW), link=0, sender=(1, 1))
+    assert signing.check(first) is Seal.GOOD
+    clock.advance(120.0)
+    for n in range(MAX_STREAMS):
+        assert signing.check(beat(ticks(NOW + 120) + n, link=n % 256, sender=(2 + n // 256, 1))) is Seal.GOOD
+    assert len(signing._streams) == MAX_STREAMS
+    assert signing.check(first) is Seal.OLD
+
+
+# ---------------------------------------------------------------- what goes out
+
+
+def test_times_only_rise() -> None:
+    """Whatever the clock does."""
+    clock = at()
+    signing, given_out = Signing(KEY, clock), []
+    for step in (0.0, 0.0, 5.0, -100.0, 0.0, 3.0, 200.0):
+        clock.jump_utc(step)
+        given_out.append(signing.stamp())
+    assert given_out == sorted(set(given_out))
+    assert given_out[-1] == ticks(clock.utc())
+
+
+def test_a_sender_that_is_up_for_long_is_believed_by_a_fresh_receiver() -> None:
+    """The time is refreshed before each frame; pymavlink's own receiver judges."""
+    clock = at()
+    codec = Codec(7, 193, lambda number: True, Signer(Signing(KEY, clock), 3, unsigned_of("vehicle")))
+    codec.pack(heartbeat())
+    clock.advance(3600.0)
+    receiver = mavlink.MAVLink(None)
+    receiver.signing.secret_key, receiver.signing.timestamp = KEY, ticks(clock.utc())
+    message = receiver.decode(bytearray(codec.pack(heartbeat())))
+    assert message.get_signed()
+    assert message.get_link_id() == 3
+
+
+@pytest.mark.parametrize(
+    "message", [heartbeat(), text("A07 OK 11111111"), mavlink.MAVLink_tunnel_message(0, 0, 46193, 1, [1, *[0] * 127])]
+)
+def test_a_signature_is_13_bytes_and_the_budget_counts_them(message: Any) -> None:
+    """`size` is what `pack` gives."""
+    plain = Codec(7, 193, lambda number: True)
+    signed = Codec(7, 193, lambda number: True, Signer(Signing(KEY, at()), 0, unsigned_of("vehicle")))
+    assert plain.size(message) == len(plain.pack(message))
+    assert signed.size(message) == len(signed.pack(message)) == plain.size(message) + 13
+
+
+# ---------------------------------------------------------------- through the parser
+
+COMMAND = mavlink.MAVLink_command_long_message(7, 193, 31010, 0, 1, 0, 0, 0, 0, 0, 0)
+RADIO = mavlink.MAVLink_radio_status_message(1, 1, 100, 1, 1, 0, 0)
+TUNNEL = mavlink.MAVLink_tunnel_message(0, 0, 46193, 1, [1, *[0] * 127])
+
+
+def heard(mode: str, *frames: bytes) -> tuple[list[tuple[str, bool]], dict[str, int]]:
+    """Types of the messages that are passed on, whether they count as signed; and what was refused."""
+    codec = Codec(7, 193, lambda number: True, Signer(Signing(KEY, at()), 0, unsigned_of(mode)))
+    parser = codec.parser()
+    messages = [message for frame in frames for message in parser.feed(frame)]
+    assert not parser._buffer
+    return [(message.get_type(), message.get_signed()) for message in messages], codec.refused()
+
+
+@pytest.mark.parametrize(
+    ("mode", "passed"),
+    [
+        ("vehicle", ["HEARTBEAT", "RADIO_STATUS", "COMMAND_LONG"]),
+        ("all", ["HEARTBEAT", "RADIO_STATUS", "TUNNEL", "COMMAND_LONG"]),
+        ("none", ["RADIO_STATUS", "COMMAND_LONG"]),
+    ],
+)
+def test_what_is_believed_without_a_signature(mode: str, passed: list[str]) -> None:
+    """Commands are passed on as unsigned, so that they are refused with an answer."""
+    sender = Sender(255, 190)
+    types, refused = heard(mode, *(sender.frame(each) for each in (heartbeat(), RADIO, TUNNEL, COMMAND)))
+    assert types == [(name, False) for name in passed]
+    assert refused["unsigned"] == 4 - len(passed)
+
+
+@pytest.mark.parametrize("mode", ["vehicle", "all", "none"])
+def test_what_is_signed_is_passed_on_as_such_and_a_copy_of_a_command_is_not(mode: str) -> None:
+    """A copy of what is also believed unsigned is passed on as unsigned."""
+    sender, now = Sender(255, 190), ticks(NOW)
+    signed = [sign(sender.frame(each), now + n) for n, each in enumerate((heartbeat(), TUNNEL, COMMAND))]
+    types, refused = heard(mode, *signed, *signed)
+    copies = {"vehicle": ["HEARTBEAT"], "all": ["HEARTBEAT", "TUNNEL"], "none": []}[mode]
+    assert types == [(n, True) for n in ("HEARTBEAT", "TUNNEL", "COMMAND_LONG")] + [(n, False) for n in copies]
+    assert refused["old"] == 3 - len(copies)
+
+
+@pytest.mark.parametrize("mode", ["vehicle", "all", "none"])
+def test_what_is_signed_with_another_key_is_never_passed_on(mode: str) -> None:
+    """Not as unsigned, either."""
+    sender = Sender(255, 190)
+    forged = [sign(sender.frame(each), ticks(NOW), key=OTHER) for each in (heartbeat(), RADIO, TUNNEL, COMMAND)]
+    assert heard(mode, *forged) == ([], {"forged": 4, "old": 0, "unsigned": 0})
+
+
+# ---------------------------------------------------------------- over a restart
+
+
+def test_a_recorded_command_is_not_believed_after_a_restart(tmp_path: Path) -> None:
+    """Who was heard is kept; also by a PHM that was killed, if it was saved before the command was obeyed."""
+    first = Signing(KEY, at(), str(tmp_path))
+    recorded = beat(ticks(NOW))
+    assert first.check(recorded) is Seal.GOOD
+    first.save()
+    assert Signing(KEY, at(NOW + 5), str(tmp_path)).check(recorded) is Seal.OLD
+    assert Signing(KEY, at(NOW + 5)).check(recorded) is Seal.GOOD
+
+
+def test_a_companion_without_a_clock_goes_on_where_it_was(tmp_path: Path) -> None:
+    """What may have been given out between the last save and the end is left out."""
+    first = Signing(KEY, at(0.0), str(tmp_path))
+    assert first.check(beat(ticks(NOW))) is Seal.GOOD
+    first.save()
+    assert Signing(KEY, at(0.0), str(tmp_path)).stamp() == ticks(NOW) + SAVE_S * TICKS + 1
+
+
+def test_restarts_one_after_the_other_do_not_run_ahead_of_a_good_clock(tmp_path: Path) -> None:
+    """A hundred restarts, a second apart."""
+    for n in range(100):
+        signing = Signing(KEY, at(NOW + n), str(tmp_path))
+        assert signing.stamp() == ticks(NOW + n)
+        signing.save()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        b"", b"{", b"[]", b"null", b'{"v": 1}', b'{"time": -1, "streams": []}', b'{"time": 1e3, "streams": []}',
+        b'{"time": true, "streams": []}', b'{"time": 5, "streams": [[1, 2, 3]]}', b'{"time": 5, "streams": [[1, 2, 999, 4]]}',
+        b'{"time": 5, "streams": 7}', b"[" * 60_000, b"x" * 100_000, b"\xff\xfe", json.dumps({"time": 2**48, "streams": []}).encode(),
+    ],
+)  # fmt: skip
+def test_a_damaged_file_is_told_and_the_clock_counts(tmp_path: Path, damage: bytes) -> None:
+    """And is replaced by the next save."""
+    (tmp_path / NAME).write_bytes(damage)
+    signing = Signing(KEY, at(), str(tmp_path))
+    assert "damaged" in signing.problem()
+    assert signing.stamp() == ticks(NOW)
+    signing.save()
+    assert signing.problem() == ""
+    assert Signing(KEY, at(), str(tmp_path)).problem() == ""
+
+
+def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    """Signing goes on."""
+    (tmp_path / "file").write_text("")
+    signing = Signing(KEY, at(), str(tmp_path / "file"))
+    signing.save()
+    assert "could be replayed" in signing.problem() or "cannot" in signing.problem()
+    assert signing.stamp() == ticks(NOW)
+
+
+def test_the_file_is_small_and_for_its_owner(tmp_path: Path) -> None:
+    """And does not hold the key."""
+    signing = Signing(KEY, at(), str(tmp_path))
+    for n in range(MAX_STREAMS):
+        signing.check(beat(ticks(NOW) + n, link=n % 256, sender=(1 + n // 256, 1)))
+    signing.save()
+    file = tmp_path / NAME
+    assert len(json.loads(file.read_bytes())["streams"]) == KEPT_STREAMS
+    assert file.stat().st_mode & 0o777 == 0o600
+    assert file.stat().st_size < 20_000
+    assert KEY.hex().encode() not in file.read_bytes()
