@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
 from phm.bus import Bus
-from phm.model import Event, Fault, FaultClosed, FaultOpened, Transition
+from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase, Transition
 from phm.pipeline import Pipeline
 from phm.recovery import actions as real
 from phm.recovery.base import Action, ActionContext
@@ -104,6 +104,7 @@ class Healer:
         self.begun: list[float] = []
         self.left_lost = 0
         self._acting: list[str] = []
+        self._at_work = False
         self._broken: list[str] = []
         self._queue: deque[Event] = deque()
         self._clock = SimClock(sim)
@@ -116,7 +117,7 @@ class Healer:
         graces = {entry.unit.id: entry.unit.grace_s for entry in sim.plan.tracked}
         kinds = {name: self._action(kind) for name, kind in KINDS.items()}
         shop = Shop(
-            pipeline, sim.hear, self._clock, kinds, context, self._armed, graces.__getitem__, sim.plan.below
+            pipeline, self._publish, self._clock, kinds, context, self._armed, graces.__getitem__, sim.plan.below
         )  # fmt: skip
         self._executor = Executor(shop)
         sim.listeners.append(self._queue.append)
@@ -141,9 +142,15 @@ class Healer:
 
     def _settle(self) -> None:
         end = time.monotonic() + REAL_LIMIT_S
-        while self._clock.sleepers < len(self._executor._workers) + len(self._acting):
+        while self._clock.sleepers < len(self._executor._workers) + self._at_work:
             assert time.monotonic() < end, "recovery does not come to rest"
             time.sleep(0)
+
+    def _publish(self, event: Event) -> None:
+        """Said by the worker's own thread: from STARTED until it knows what came of it, the action's thread must rest, too."""
+        if isinstance(event, ActionEvent):
+            self._at_work = event.phase is Phase.STARTED
+        self.sim.hear(event)
 
     def _wake(self, units: Iterable[str], reason: str) -> None:
         self.sim.wake(units, 0.9 if reason == "confirm" else 0.1)

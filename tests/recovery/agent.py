@@ -77,6 +77,7 @@ class Agent:
         self.runs: list[tuple[str, str]] = []
         self.armed = False
         self.acting: list[str] = []
+        self._at_work: set[str] = set()
         self.behave: Callable[[str, ActionContext, Fault], object] = lambda key, context, fault: containers.start(key)
         entries = [
             ContainerSettings(name=key, recover=key in opted_in, flight_critical=key in critical)
@@ -105,7 +106,7 @@ class Agent:
         plan = Plan((), tracked, Needs({entry.unit.id: entry.needs for entry in tracked}))
         graces = {name: of.grace_s for name, of in units.items()}
         shop = Shop(
-            self.pipeline, self.bus.publish, clock, {"restart": self._action()}, context, lambda: self.armed,
+            self.pipeline, self._publish, clock, {"restart": self._action()}, context, lambda: self.armed,
             lambda unit: graces[unit], plan.below,
         )  # fmt: skip
         self.executor = Executor(shop)
@@ -131,6 +132,12 @@ class Agent:
 
         return Restart
 
+    def _publish(self, event: Event) -> None:
+        """Said by a worker's own thread: from STARTED until it knows what came of it, the action has a thread, too."""
+        if isinstance(event, ActionEvent):
+            (self._at_work.add if event.phase is Phase.STARTED else self._at_work.discard)(event.target)
+        self.bus.publish(event)
+
     # ------------------------------------------------------------ time
 
     def look(self) -> None:
@@ -149,7 +156,7 @@ class Agent:
     def _settle(self) -> None:
         """Wait until everybody has done what there is to do now: the bus's threads, recovery's and actions sleep again."""
         end = time.monotonic() + LIMIT_S
-        while self.clock.sleepers < len(self.bus._subscriptions) + len(self.executor._workers) + len(self.acting):
+        while self.clock.sleepers < len(self.bus._subscriptions) + len(self.executor._workers) + len(self._at_work):
             assert time.monotonic() < end, "somebody does not come to rest"
             time.sleep(0.0002)
 
