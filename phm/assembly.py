@@ -80,6 +80,10 @@ class Parts:
     def links(self) -> tuple[LinkFact, ...]:
         return self.mavlink.links() if self.mavlink is not None else ()
 
+    def reopen(self, link: str, timeout_s: float) -> bool:
+        """See `MavlinkHub.reopen`."""
+        return self.mavlink is not None and self.mavlink.reopen(link, timeout_s)
+
     def link_reports(self) -> list[dict[str, Any]]:
         """The MAVLink endpoints for `phm status`, see `MavlinkHub.report`."""
         return self.mavlink.report() if self.mavlink is not None else []

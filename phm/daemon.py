@@ -200,7 +200,7 @@ class Daemon:
         docker = self.parts.world.docker
         return ActionContext(
             self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
-            listed_nodes=lambda: self.parts.world.ros.look().nodes, armed=self._armed,
+            listed_nodes=lambda: self.parts.world.ros.look().nodes, armed=self._armed, reopen=self.parts.reopen,
         )  # fmt: skip
 
     def _publish_action(self, event: Event) -> None:

@@ -263,8 +263,9 @@ class EndpointSettings(Section):
     of what a 64 kbit/s telemetry radio carries."""
     name: Name | None = None
     """What logs call it; default: the url."""
-    leads_to: Literal["both", "ground", "autopilot"] = "both"
-    """What is at its other end. `both`: through a router, or through the autopilot to the ground."""
+    leads_to: Literal["both", "router", "ground", "autopilot"] = "both"
+    """What is at its other end. `both`: the autopilot, which passes frames on to the ground; `router`: a MAVLink router, to
+    which both are connected."""
     radio: Literal["auto", "required", "off"] = "auto"
     """Whether a telemetry radio that sends RADIO_STATUS is behind it; `auto`: once it was heard it must be there."""
 
@@ -276,6 +277,14 @@ class EndpointSettings(Section):
     def serial(self) -> bool:
         """Whether it is a serial port; else it is a socket."""
         return self.url.startswith("/")
+
+    @property
+    def to_ground(self) -> bool:
+        return self.leads_to != "autopilot"
+
+    @property
+    def to_autopilot(self) -> bool:
+        return self.leads_to != "ground"
 
     @field_validator("url")
     @classmethod

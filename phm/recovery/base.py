@@ -25,6 +25,10 @@ def _no_graph() -> Mapping[str, int]:
     raise CannotTell("no ROS graph is watched")
 
 
+def _no_link(link: str, timeout_s: float) -> bool:
+    return False
+
+
 def _no_hold(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractContextManager[None]:
     return nullcontext()
 
@@ -38,6 +42,7 @@ class ActionContext:
     remembered: how a container was attached to a network when that was last seen.
     listed_nodes: ROS nodes in the graph now, with how often each is listed. Raises CannotTell.
     armed:      whether the autopilot is armed, or must be taken for armed.
+    reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
     holding:    while it is entered, what breaks in that other container follows from this fault's repair.
     """
 
@@ -48,11 +53,12 @@ class ActionContext:
     remembered: Callable[[str, str], Attachment | None]
     listed_nodes: Callable[[], Mapping[str, int]] = _no_graph
     armed: Callable[[], bool] = lambda: False
+    reopen: Callable[[str, float], bool] = _no_link
     holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
 
 
 class Action(ABC):
-    """One step. `on_myself` marks actions on PHM's own container, which need no opt-in."""
+    """One step. `on_myself` marks actions on what is PHM's own, its container or its MAVLink links, which need no opt-in."""
 
     name: ClassVar[str]
     deadline_s: ClassVar[float] = 20.0

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Outcome, Transition
 from phm.recovery.asked import NotAllowed, NotNow
 from phm.recovery.history import History
+from phm.recovery.links import as_container
 from phm.recovery.shop import Shop
 from phm.recovery.state import Case, RecoveryState, State
 from phm.recovery.worker import NotApprovable, TargetWorker
@@ -73,7 +74,7 @@ class Executor:
         with self._lock:
             worker = self._workers.get(target)
             if worker is None:
-                container = self._shop.context.settings.container(target)
+                container = self._shop.context.settings.container(target) or as_container(target)
                 history = self._histories.setdefault(target, History())
                 worker = self._workers[target] = TargetWorker(target, container, self._shop, history)
             return worker

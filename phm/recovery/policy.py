@@ -3,7 +3,7 @@
 Rules, first match wins: no ladder for the condition -> nothing; mode off -> nothing; not opted in ->
 nothing; the same failure `same_failure` times -> give up and say so; flight-critical while armed -> advise; mode
 advise -> advise; budget used up -> wait, and say so; back-off not over -> wait; else the rung of the ladder that
-follows the number of failed attempts. Actions on PHM's own container are bound by budget and back-off alone.
+follows the number of failed attempts. Actions on PHM's own container and links are bound by budget and back-off alone.
 """
 
 from __future__ import annotations
@@ -36,6 +36,9 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "file_not_executable": ("restore",),
     "file_altered": ("restore",),
     "device_replugged": ("restart",),
+    "link_silent": ("reopen",),
+    "radio_silent": ("reopen",),
+    "autopilot_silent": ("reopen",),
 }
 """Built-in ladders by condition. Conditions that are not here are told and left alone: `restarting` because the engine's
 own restart policy is at work and is not fought, `not_received` because a blocked transport outlives every restart."""
@@ -98,7 +101,7 @@ def decide(
 
     armed: True also when an autopilot is configured and silent (unknown counts as armed).
     approved: an operator has said yes to this fault: mode advise and the armed state no longer hold it back.
-    free_actions: actions on PHM's own container; they endanger nobody, so mode, opt-in and arming do not bind them.
+    free_actions: actions on PHM's own container and links; they endanger nobody, so mode, opt-in and arming do not bind them.
     usable: the actions that apply to this fault; other rungs are left out. None: all.
     """
     condition = fault.result.condition

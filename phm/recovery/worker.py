@@ -17,13 +17,13 @@ from phm.model import ActionEvent, Fault, Phase
 from phm.recovery.asked import NotAllowed, NotNow, permit, stand_in
 from phm.recovery.cases import Case, Cases
 from phm.recovery.history import Attempt, History
+from phm.recovery.links import by_hand
 from phm.recovery.lives import Life, by_phm
 from phm.recovery.policy import CLEAN_S, Act, Advise, Decision, GiveUp, Leave, Wait, decide
 from phm.recovery.proof import LOOK_AGAIN_S, POLL_S
 from phm.recovery.repair import Repair, Verdict
 from phm.recovery.shop import Shop
-from phm.recovery.state import Case as Kept
-from phm.recovery.state import UnderWay
+from phm.recovery.state import Case as Kept, UnderWay
 from phm.settings import ContainerSettings
 
 logger = logging.getLogger(__name__)
@@ -260,7 +260,7 @@ class TargetWorker:
             return decision.until
         if isinstance(decision, GiveUp):
             named = self._container.name if self._container is not None else None
-            step = f"look at it by hand: docker logs --tail 50 {named or self._target}"
+            step = by_hand(self._target, named)
             self._once(case, decision.action, Phase.ESCALATED, f"gave up on {self._target}: {decision.why}; {step}")
             case.refused = True
             self._shop.pipeline.escalate(case.fault.id)

@@ -1,0 +1,108 @@
+"""Slot 10: the autopilot is heard, and has not rebooted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from phm import api
+from phm.api import Layer, Slot
+from phm_checks._path import all_closed, link_id, link_of, silent, target_of, to_autopilot
+from phm_checks._words import Steady, brief, span
+
+TOLD_S = 30.0
+"""A reboot is told for so long: a ground station that is away for a moment hears of it, too."""
+SETTLE_S = 1.5
+"""Whatever carries its heartbeats falls silent up to a second later, when the last of others has come by it."""
+GRACE_S = 5.0
+
+
+class Autopilot(api.Check):
+    """The vehicle's autopilot. A living PHM feeds the ground's own timer for the vehicle, so it is PHM that must tell."""
+
+    name, slot, layer = "autopilot", Slot.AUTOPILOT, Layer.LINK
+    period_s = 1.0
+
+    def __init__(self, settings: api.Settings) -> None:
+        self._settings = settings
+        self._links = to_autopilot(settings)
+        self._age = Steady(share=1.0)
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        return [cls(settings)] if to_autopilot(settings) else []
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        target = target_of(self._links[0].key) if len(self._links) == 1 else ""
+        needs = tuple(link_id(entry) for entry in self._links)
+        return (api.Unit("autopilot", needs=needs, target=target, settle_s=SETTLE_S, grace_s=GRACE_S),)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return frozenset({"link"})
+
+    def run(self, world: api.World) -> api.Result:
+        fact, limits = world.links.autopilot(), self._settings.mavlink
+        if fact is None and not limits.autopilot:
+            return api.bypass("no autopilot has been heard, and none is expected (mavlink.autopilot)")
+        if (fact is None or fact.age_s > limits.autopilot_timeout) and all_closed(world, self._links):
+            return api.stale("the autopilot is not known: every link to it is closed")
+        if fact is None or fact.age_s > limits.autopilot_timeout:
+            return self._lost(world, fact)
+        self._age.forget("age")
+        values = _values(fact)
+        if fact.rebooted_s is not None and fact.rebooted_s <= TOLD_S:
+            return _rebooted(fact, fact.rebooted_s, values)
+        flying = "armed" if fact.armed else "disarmed"
+        return api.ok(f"autopilot heard {span(fact.age_s)} ago, {flying}, mode {fact.custom_mode}", **values)
+
+    def _lost(self, world: api.World, fact: api.AutopilotFact | None) -> api.Result:
+        limit_s = self._settings.mavlink.autopilot_timeout
+        name = fact.link if fact is not None else self._links[0].key if len(self._links) == 1 else ""
+        nothing = bool(name) and silent(link_of(world, name))
+        if fact is None:
+            when, shown = "since PHM's start", ""
+        else:
+            when, shown = f"for {span(fact.age_s)}", f" {self._age.show('age', fact.age_s):.0f} s"
+        armed = " It was armed when it was heard last." if fact is not None and fact.armed else ""
+        more = f"nothing else comes by {name} either" if nothing else "other frames still come"
+        return api.error(
+            f"no heartbeat of the autopilot {when}, expected one within {span(limit_s)}, and {more}: check its power and the "
+            f"cable to it.{armed}",
+            brief=brief("autopilot:", f"no heartbeat{shown}"),
+            condition="autopilot_silent",
+            target=target_of(name) if nothing else "",
+            **({} if fact is None else _values(fact)),
+        )
+
+
+def _rebooted(fact: api.AutopilotFact, ago_s: float, values: dict[str, api.Value]) -> api.Result:
+    """In the air it is the gravest thing that a link can tell; on the ground it is worth a look."""
+    words = f"the autopilot rebooted: its time since boot began anew {span(ago_s)} ago"
+    if fact.rebooted_armed:
+        return api.error(
+            f"{words}, while it was armed: look at the vehicle, and at the autopilot's power supply",
+            brief="autopilot rebooted while armed",
+            condition="autopilot_rebooted",
+            target="",
+            **values,
+        )
+    return api.warn(
+        f"{words}; look at its power supply if nobody meant it to",
+        brief="autopilot rebooted",
+        condition="autopilot_rebooted",
+        target="",
+        **values,
+    )
+
+
+def _values(fact: api.AutopilotFact) -> dict[str, api.Value]:
+    return {
+        "autopilot_age_s": round(fact.age_s, 1),
+        "armed": fact.armed,
+        "mode": fact.custom_mode,
+        "system_status": fact.system_status,
+        "boot_s": None if fact.boot_s is None else round(fact.boot_s, 1),
+        "reboots": fact.reboots,
+        "link": fact.link,
+    }

@@ -1,0 +1,86 @@
+"""Slot 1: the ground station is heard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from phm import api
+from phm.api import Layer, Slot
+from phm_checks._path import all_closed, link_id, radio_id, to_autopilot, to_ground, with_radio
+from phm_checks._words import Steady, brief, span
+
+GRACE_S = 5.0
+"""After a link or a radio is back, a ground station has so long to be heard again; it sends a HEARTBEAT a second."""
+
+TOGETHER_S = 1.0
+
+
+class Gcs(api.Check):
+    """The ground station's heartbeat, on whichever link it comes."""
+
+    name, slot, layer = "gcs", Slot.COMPANION, Layer.LINK
+    period_s = 1.0
+
+    def __init__(self, settings: api.Settings) -> None:
+        self._settings = settings
+        self._age = Steady(share=1.0)
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        return [cls(settings)] if to_ground(settings) else []
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        """It needs the autopilot only where that passes the ground's frames on."""
+        ground, radios = to_ground(self._settings), with_radio(self._settings)
+        through = any(entry.leads_to == "both" for entry in to_autopilot(self._settings))
+        needs = [*(link_id(entry) for entry in ground), *(radio_id(entry) for entry in radios)]
+        return (api.Unit("gcs", needs=(*needs, *(("autopilot",) if through else ())), grace_s=GRACE_S),)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return frozenset({"link"})
+
+    def run(self, world: api.World) -> api.Result:
+        fact, limit_s = world.links.gcs(), self._settings.mavlink.gcs_timeout
+        if fact is None:
+            return api.bypass("no ground station heard yet", gcs_age_s=None)
+        values: dict[str, api.Value] = {
+            "gcs_age_s": round(fact.age_s, 1),
+            "gcs": f"{fact.system}/{fact.component}",
+            "link": fact.link,
+        }
+        if fact.age_s <= limit_s:
+            self._age.forget("gcs")
+            return api.ok(f"ground station heard {span(fact.age_s)} ago", **values)
+        if all_closed(world, to_ground(self._settings)):
+            words = "whether a ground station is there is not known: every link to the ground is closed"
+            return api.stale(words, brief="", **values)
+        if self._radio_due(world, fact):
+            words = f"no heartbeat of a ground station for {span(fact.age_s)}, and since then none of the radio aboard, which is due"
+            return api.stale(words, brief="", **values)
+        return api.error(
+            f"no heartbeat of a ground station for {span(fact.age_s)}, expected one within {span(limit_s)}: "
+            f"{self._advice(world, fact)}",
+            brief=brief("GCS:", f"no heartbeat {self._age.show('gcs', fact.age_s):.0f} s"),
+            condition="gcs_lost",
+            target="",
+            **values,
+        )
+
+    def _radio_due(self, world: api.World, fact: api.GcsFact) -> bool:
+        """Both fell silent together, so it may be the radio; how rarely that reports decides when it is known."""
+        judged = {entry.key for entry in with_radio(self._settings)} & {fact.link}
+        return any(radio.link in judged and radio.age_s >= fact.age_s - TOGETHER_S for radio in world.links.radios())
+
+    @staticmethod
+    def _advice(world: api.World, fact: api.GcsFact) -> str:
+        """What is well aboard need not be looked at."""
+        heard = (radio for radio in world.links.radios() if radio.link == fact.link and radio.age_s < fact.age_s)
+        radio = next(heard, None)
+        if radio is None:
+            return "check the radio, its power and the ground station"
+        return (
+            f"the radio aboard answers ({span(radio.age_s)} ago), so check the radio on the ground, the distance, and the "
+            "ground station"
+        )

@@ -1,0 +1,265 @@
+"""Slot 1: each MAVLink endpoint is open, and what comes by it is whole. A serial port that is closed says why."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterable, Sequence
+
+from phm import api
+from phm.api import Layer, Slot
+from phm_checks._path import kind, link_id, link_of, named, target_of
+from phm_checks._words import Steady, brief, clean, joined, last, listed, span
+
+SETTLE_S = 2.0
+"""A port or a connection that is opened anew at once is no news: an autopilot on USB is away for a moment when it reboots."""
+GRACE_S = 5.0
+SILENT_S = 3.0
+"""A router behind which several were heard a moment ago sends at least their heartbeats, one a second each."""
+TOGETHER_S = 3.0
+GARBLED_S = 20.0
+"""Bytes a second of which none make a frame: something speaks, and it is not MAVLink at this speed."""
+LINE_ERRORS_S = 1.0
+EASE = 0.7
+MOST_SENDERS = 8
+_IN_USE = frozenset((errno.EAGAIN, errno.EBUSY))
+_REFUSED = frozenset((errno.EACCES, errno.EPERM))
+
+
+class Link(api.Check):
+    """One MAVLink endpoint of the configuration."""
+
+    name, slot, layer = "link", Slot.COMPANION, Layer.LINK
+    period_s = 1.0
+
+    def __init__(self, entry: api.EndpointSettings, settings: api.Settings) -> None:
+        self.entry, self._settings = entry, settings
+        self._label = named(kind(entry), entry, settings.mavlink.endpoints)
+        self._loss, self._silence = Steady(share=0.5), Steady(share=1.0)
+        self._was: frozenset[str] = frozenset()
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        return [cls(entry, settings) for entry in settings.mavlink.endpoints]
+
+    @property
+    def subject(self) -> str:
+        return api.topic_id(self.entry.key)
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        """A port that is also a device of a container is told there when it is gone."""
+        users = [
+            container.key
+            for container in self._settings.containers
+            if any(device.path == self.entry.url for device in container.devices)
+        ]
+        needs = tuple(f"devices/{key}" for key in users)
+        target = target_of(self.entry.key)
+        return (api.Unit(link_id(self.entry), needs=needs, target=target, settle_s=SETTLE_S, grace_s=GRACE_S),)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return frozenset({"link"})
+
+    def run(self, world: api.World) -> api.Result:
+        link = link_of(world, self.entry.key)
+        if link is None:
+            return api.stale(f"the MAVLink endpoint {self.entry.key} has not been tried yet")
+        if not link.open:
+            return self._closed(world, link)
+        findings = [*self._silent(world, link), *self._garbled(link), *self._line(link), *self._lossy(world, link)]
+        self._was = frozenset(finding.condition for finding in findings)
+        values = _values(link)
+        if not findings:
+            self._loss.forget("loss")
+            self._silence.forget("silence")
+            return api.ok(f"MAVLink endpoint {clean(link.name, 80)} is open{_traffic(link)}", **values)
+        first = api.worst(findings)
+        words = joined([finding.summary for finding in findings])
+        return api.Result(first.level, words, first.brief, first.condition, first.target, values)
+
+    # ------------------------------------------------------------ closed
+
+    def _closed(self, world: api.World, link: api.LinkFact) -> api.Result:
+        """An error, unless all that it leads to is heard by another: then only a reserve is lost."""
+        why, short = self._port(world, link) if self.entry.serial else self._connection(link)
+        spare = self._spare(world)
+        more = "; what it leads to is heard by another endpoint meanwhile" if spare else ""
+        make = api.warn if spare else api.error
+        return make(
+            f"MAVLink endpoint {clean(link.name, 80)} is closed: {why}{more}. It is opened again as soon as it can be",
+            brief=brief(f"{self._label}:", short),
+            condition="link_closed",
+        )
+
+    def _port(self, world: api.World, link: api.LinkFact) -> tuple[str, str]:
+        """Why a serial port is closed, and the same in a few words: is it there, may PHM, who else has it."""
+        path, said = self.entry.url, clean(link.error) or "no reason given"
+        name = last(path)
+        try:
+            device = world.devices.look(path, open_it=False)
+            there = device is not None
+        except api.CannotTell:
+            there = link.code != errno.ENOENT
+        if not there:
+            return f"the port {path} is missing: check its cable and power. Ports that are there: {_ports(world)}", (
+                f"{name} missing"
+            )
+        if link.code == errno.ENOENT:
+            return (
+                f"the port {path} is on the host and not in PHM's container: add it to `devices` of PHM's service",
+                f"{name} not mapped",
+            )
+        if link.code in _REFUSED:
+            return (
+                f"PHM may not open the port {path} ({said}): give PHM's container the device (`devices`) and its group "
+                "(`group_add: [dialout]`)",
+                f"{name} no permission",
+            )
+        if link.code in _IN_USE:
+            who = _users(world, path)
+            by = f" by {who[0].partition(' (')[0]}" if who else ""
+            whose = listed(who) if who else "a program that PHM cannot see from its container"
+            return (
+                f"the port {path} is in use by {whose}: two programs on one port steal each other's bytes; stop one, or put a "
+                "MAVLink router between",
+                f"{name} used{by}",
+            )
+        return f"the port {path} is there and cannot be used ({said}): check its cable and driver", f"{name} failed"
+
+    def _connection(self, link: api.LinkFact) -> tuple[str, str]:
+        said = clean(link.error) or "no reason given"
+        what = "the router" if self.entry.leads_to == "router" else "the other side"
+        if link.code == errno.ECONNREFUSED:
+            return f"nobody answers at {self.entry.url} ({said}): check that {what} runs", "refused"
+        return f"{said} ({self.entry.url}): check the network, the address, and that {what} runs", clean(said, 24)
+
+    def _spare(self, world: api.World) -> bool:
+        """Whether the ground and the autopilot, as far as this one leads there, are being heard by other endpoints."""
+        gcs, pilot, limits = world.links.gcs(), world.links.autopilot(), self._settings.mavlink
+        ground = gcs is not None and gcs.age_s <= limits.gcs_timeout and gcs.link not in ("", self.entry.key)
+        if self.entry.to_ground and not ground:
+            return False
+        expected = pilot is not None or limits.autopilot or self.entry.leads_to == "autopilot"
+        if not self.entry.to_autopilot or not expected:
+            return True
+        flying = pilot is not None and pilot.age_s <= limits.autopilot_timeout
+        return flying and pilot is not None and pilot.link not in ("", self.entry.key)
+
+    # ------------------------------------------------------------ open
+
+    def _routed(self, world: api.World) -> bool:
+        """Whether a router is there: configured, or seen by a RADIO_STATUS, which no autopilot passes on."""
+        if self.entry.leads_to != "both" or self.entry.serial:
+            return self.entry.leads_to == "router"
+        return any(radio.link == self.entry.key for radio in world.links.radios())
+
+    def _silent(self, world: api.World, link: api.LinkFact) -> list[api.Result]:
+        """Several senders behind a router cannot all stop at once; the router can."""
+        silent_s = link.rx_age_s
+        if silent_s is None or silent_s < SILENT_S or not self._routed(world):
+            return []
+        together = [sender for sender in link.senders if sender.age_s <= silent_s + TOGETHER_S]
+        if len(together) < 2:
+            return []
+        names = listed(f"{sender.system}/{sender.component}" for sender in together)
+        return [
+            api.error(
+                f"nothing has come from the router at {self.entry.url} for {span(silent_s)}, though {len(together)} senders "
+                f"were heard there until then ({names}): check that it runs",
+                brief=brief(f"{self._label}:", f"silent {self._silence.show('silence', silent_s):.0f} s"),
+                condition="link_silent",
+                target=target_of(self.entry.key),
+            )
+        ]
+
+    def _garbled(self, link: api.LinkFact) -> list[api.Result]:
+        if link.rx_s is None or link.rx_s < GARBLED_S or link.frames_s:
+            return []
+        hint = f"its speed ({self.entry.baud} baud) and wiring" if self.entry.serial else "what speaks there"
+        return [
+            api.error(
+                f"{link.rx_s:.0f} bytes a second come by {self.entry.key}, and none of them are MAVLink: check {hint}",
+                brief=brief(f"{self._label}:", "no MAVLink in its bytes"),
+                condition="link_garbled",
+            )
+        ]
+
+    def _line(self, link: api.LinkFact) -> list[api.Result]:
+        if link.line is None:
+            return []
+        limit = LINE_ERRORS_S * (EASE if "line_errors" in self._was else 1.0)
+        damaged_s, lost_s = link.line.framing_s + link.line.parity_s, link.line.overrun_s
+        found = []
+        if damaged_s > limit:
+            words = f"{damaged_s:.1f} framing errors a second on {self.entry.url}: check its speed, cable and ground"
+            found.append(api.warn(words, brief=brief(f"{self._label}:", "framing errors"), condition="line_errors"))
+        if lost_s > limit:
+            words = (
+                f"{lost_s:.1f} overruns a second on {self.entry.url}: bytes come faster than they are read; lower its speed, "
+                "or see what keeps the processor busy"
+            )
+            found.append(api.warn(words, brief=brief(f"{self._label}:", "overruns"), condition="line_errors"))
+        return found
+
+    def _lossy(self, world: api.World, link: api.LinkFact) -> list[api.Result]:
+        """Judged for the neighbour on a serial port alone: routers and autopilots keep back what is not for PHM, and that
+        leaves gaps, too."""
+        neighbour = self._neighbour(world)
+        sender = next((one for one in link.senders if (one.system, one.component) == neighbour), None)
+        loss = sender.loss_percent if sender is not None else None
+        limit = self._settings.mavlink.loss * (EASE if "frames_lost" in self._was else 1.0)
+        if not self.entry.serial or loss is None or loss <= limit:
+            return []
+        return [
+            api.warn(
+                f"{loss:.0f} % of the frames from {neighbour[0]}/{neighbour[1]} by {self.entry.url} are lost, expected "
+                f"{self._settings.mavlink.loss:g} % or less: check its cable, speed and, with a radio, the distance",
+                brief=brief(f"{self._label}:", f"{self._loss.show('loss', loss):.0f}% frames lost"),
+                condition="frames_lost",
+            )
+        ]
+
+    def _neighbour(self, world: api.World) -> tuple[int, int]:
+        if self.entry.leads_to != "ground":
+            return self._settings.agent.id, 1
+        gcs = world.links.gcs()
+        return (gcs.system, gcs.component) if gcs is not None else (0, 0)
+
+
+def _ports(world: api.World) -> str:
+    try:
+        return listed(port.path for port in world.devices.serial_ports())
+    except api.CannotTell:
+        return "not known"
+
+
+def _users(world: api.World, path: str) -> Sequence[str]:
+    try:
+        return world.links.users(path)
+    except api.CannotTell:
+        return ()
+
+
+def _traffic(link: api.LinkFact) -> str:
+    if link.rx_s is None or link.tx_s is None:
+        return ""
+    return f": {link.rx_s:.0f} bytes a second in, {link.tx_s:.0f} out, {len(link.senders)} senders"
+
+
+def _values(link: api.LinkFact) -> dict[str, api.Value]:
+    rounded = {
+        "rx_age_s": link.rx_age_s,
+        "rx_bytes_s": link.rx_s,
+        "tx_bytes_s": link.tx_s,
+        "frames_s": link.frames_s,
+        "bad_s": link.bad_s,
+        "framing_s": None if link.line is None else link.line.framing_s,
+        "overrun_s": None if link.line is None else link.line.overrun_s,
+    }
+    busiest = sorted(link.senders, key=lambda sender: -sender.frames)[:MOST_SENDERS]
+    loss = {f"loss_{one.system}_{one.component}_percent": one.loss_percent for one in busiest}
+    return {
+        "senders": len(link.senders),
+        **{name: None if value is None else round(value, 1) for name, value in {**rounded, **loss}.items()},
+    }

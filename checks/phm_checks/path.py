@@ -1,0 +1,124 @@
+"""The way of a command from the ground to the autopilot, in one sentence: "the swarm was told to move and some did not:
+where did the command stop?" Its unit raises no alarm: the hop that is broken does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from phm import api
+from phm.api import Layer, Slot
+from phm_checks._path import (
+    Hop,
+    State,
+    first_broken,
+    hop,
+    in_words,
+    kind,
+    link_id,
+    named,
+    radio_id,
+    seen_from_here,
+    to_autopilot,
+    to_ground,
+    with_radio,
+)
+from phm_checks._words import last, span
+from phm_checks.autopilot import Autopilot
+from phm_checks.gcs import Gcs
+from phm_checks.link import Link
+from phm_checks.radio import Radio
+
+OLD_S = 5.0
+"""A picture of the graph older than this proves nothing."""
+HANG_S = 5.0
+
+
+class Path(api.Check):
+    """Ground station, radio, port or router, companion, application, autopilot: each hop with its evidence.
+
+    It needs every unit on the way, so that while one of them is bad it is STALE, blocked by that one, and each of their
+    faults names `path` among its consequences.
+    """
+
+    name, slot, layer = "path", Slot.AUTOPILOT, Layer.LINK
+    period_s = 1.0
+
+    def __init__(self, settings: api.Settings) -> None:
+        self._settings = settings
+        self._ground, self._flight, self._radios = to_ground(settings), to_autopilot(settings), with_radio(settings)
+        self._gcs, self._autopilot = Gcs(settings), Autopilot(settings)
+        self._links = {entry.key: Link(entry, settings) for entry in settings.mavlink.endpoints}
+        self._radio = {entry.key: Radio(entry, settings) for entry in self._radios}
+        self._nodes = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes if node.commands]
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        return [cls(settings)] if to_ground(settings) and to_autopilot(settings) else []
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        needs = [
+            *(link_id(entry) for entry in self._settings.mavlink.endpoints),
+            *(radio_id(entry) for entry in self._radios),
+            "gcs",
+            "autopilot",
+            *(f"nodes/{api.topic_id(node)}" for node in self._nodes),
+        ]
+        return (api.Unit("path", needs=tuple(needs)),)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return frozenset({"link"})
+
+    def run(self, world: api.World) -> api.Result:
+        hops = seen_from_here(self._hops(world))
+        words = in_words(hops)
+        values: dict[str, api.Value] = {one.name: one.state.value for one in hops}
+        broken = first_broken(hops)
+        if broken is None:
+            return api.ok(f"a command from the ground gets through, as far as is known: {words}", **values)
+        return api.stale(f"a command from the ground stops at {broken.name}: {words}", brief="", **values)
+
+    def _hops(self, world: api.World) -> list[Hop]:
+        near = [self._name(entry) for entry in self._ground]
+        radios = {entry.key: named("radio", entry, self._radios) for entry in self._radios}
+        through = ["autopilot"] if any(entry.leads_to == "both" for entry in self._ground) else []
+        beyond = [entry for entry in self._flight if entry not in self._ground]
+        return [
+            _ground(self._gcs.run(world), [*near, *through, *radios.values()]),
+            *(hop(radios[one.key], self._radio[one.key].run(world), [self._name(one)]) for one in self._radios),
+            *(self._link(world, entry) for entry in self._ground),
+            Hop("companion", State.OK),
+            *([self._application(world)] if self._nodes else []),
+            *(self._link(world, entry) for entry in beyond),
+            hop("autopilot", self._autopilot.run(world), [self._name(entry) for entry in self._flight]),
+        ]
+
+    def _name(self, entry: api.EndpointSettings) -> str:
+        return named(kind(entry), entry, self._settings.mavlink.endpoints)
+
+    def _link(self, world: api.World, entry: api.EndpointSettings) -> Hop:
+        return hop(self._name(entry), self._links[entry.key].run(world))
+
+    def _application(self, world: api.World) -> Hop:
+        """By the graph and the beacons. What the nodes' own check finds beyond that blocks this unit all the same, and is
+        told there."""
+        try:
+            fact = world.ros.look()
+        except api.CannotTell:
+            return Hop("application", State.UNKNOWN, "nothing is known of the ROS graph")
+        if fact.age_s > OLD_S:
+            return Hop("application", State.UNKNOWN, f"the picture of the ROS graph is {span(fact.age_s)} old")
+        for node in self._nodes:
+            beacon = fact.beacons.get(node)
+            if not fact.nodes.get(node):
+                known = fact.up_s > self._settings.ros.grace
+                return Hop("application", State.BROKEN if known else State.UNKNOWN, f"{last(node)} not in the graph")
+            if beacon is not None and max(beacon.late_s, beacon.age_s - fact.age_s) > HANG_S:
+                return Hop("application", State.BROKEN, f"{last(node)} does not answer")
+        return Hop("application", State.OK)
+
+
+def _ground(result: api.Result, behind: Sequence[str]) -> Hop:
+    """A ground station is never unused: one that was not heard yet is not known."""
+    return Hop("GCS", State.UNKNOWN, "never heard") if result.bypass else hop("GCS", result, behind)

@@ -1,0 +1,88 @@
+"""Slot 10: rules of the check of the autopilot."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from phm import api, testing
+from phm_checks.autopilot import Autopilot
+
+WELL = api.AutopilotFact(0.3, False, 5, 3, "fc", 120.0)
+OPEN = api.LinkFact("fc", open=True, rx_age_s=0.3)
+
+
+def check(**mavlink: Any) -> api.Check:
+    endpoint = {"url": "/dev/ttyACM0", "name": "fc"}
+    (one,) = Autopilot.build(testing.settings(mavlink={"endpoints": [endpoint], **mavlink}))
+    return one
+
+
+def run(judge: api.Check, pilot: api.AutopilotFact | None, link: api.LinkFact = OPEN) -> api.Result:
+    result = judge.run(testing.world(links=testing.FakeLinks(autopilot=pilot, links=(link,))))
+    assert isinstance(result, api.Result)
+    return result
+
+
+def changed(**fields: Any) -> api.AutopilotFact:
+    return dataclasses.replace(WELL, **fields)
+
+
+def test_an_autopilot_that_is_heard_is_ok() -> None:
+    """Armed or not, its mode and how long it has run go into the record."""
+    result = run(check(), changed(armed=True))
+    assert result.level is api.Level.OK
+    assert "armed, mode 5" in result.summary
+    expected = {"armed": True, "mode": 5, "system_status": 3, "boot_s": 120.0, "reboots": 0, "link": "fc"}
+    assert {name: result.values[name] for name in expected} == expected
+
+
+def test_an_autopilot_never_heard_is_not_judged_unless_it_is_expected() -> None:
+    """mavlink.autopilot says that there is one."""
+    assert run(check(), None).bypass
+    result = run(check(autopilot=True), None)
+    assert (result.level, result.condition, result.brief) == (
+        api.Level.ERROR, "autopilot_silent", "autopilot: no heartbeat",
+    )  # fmt: skip
+
+
+def test_a_silent_autopilot_is_an_error() -> None:
+    """With the age of its last heartbeat, and whether it was armed then."""
+    result = run(check(), changed(age_s=6.0, armed=True))
+    assert (result.level, result.condition, result.brief) == (
+        api.Level.ERROR, "autopilot_silent", "autopilot: no heartbeat 6 s",
+    )  # fmt: skip
+    assert "It was armed" in result.summary
+
+
+def test_a_longer_time_may_be_given() -> None:
+    """mavlink.autopilot_timeout."""
+    assert run(check(autopilot_timeout="10s"), changed(age_s=6.0)).level is api.Level.OK
+
+
+def test_its_link_is_reopened_only_where_it_is_silent_as_a_whole() -> None:
+    """Another component that still speaks on the port proves that the port is well."""
+    assert run(check(), changed(age_s=6.0)).target == ""
+    assert run(check(), changed(age_s=6.0), dataclasses.replace(OPEN, rx_age_s=6.0)).target == "link:fc"
+    assert run(check(autopilot=True), None, dataclasses.replace(OPEN, rx_age_s=None)).target == "link:fc"
+
+
+def test_behind_a_closed_link_it_is_not_known() -> None:
+    """The link tells why."""
+    assert run(check(), changed(age_s=60.0), api.LinkFact("fc", open=False)).level is api.Level.STALE
+    assert run(check(autopilot=True), None, api.LinkFact("fc", open=False)).level is api.Level.STALE
+
+
+def test_a_reboot_is_told_for_a_while() -> None:
+    """As a warning, with the words that the operator reads; then it is over."""
+    result = run(check(), changed(rebooted_s=2.0, reboots=1, boot_s=2.0))
+    assert (result.level, result.condition, result.brief) == (
+        api.Level.WARN, "autopilot_rebooted", "autopilot rebooted",
+    )  # fmt: skip
+    assert run(check(), changed(rebooted_s=31.0, reboots=1)).level is api.Level.OK
+
+
+def test_a_reboot_while_armed_is_an_error() -> None:
+    """It may be in the air."""
+    result = run(check(), changed(rebooted_s=2.0, reboots=1, rebooted_armed=True))
+    assert (result.level, result.brief) == (api.Level.ERROR, "autopilot rebooted while armed")

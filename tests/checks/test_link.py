@@ -1,0 +1,142 @@
+"""Slot 1: rules of the check of a MAVLink endpoint. Why a port is closed: test_path.py."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+from typing import Any
+
+import pytest
+
+from phm import api, testing
+from phm_checks.link import Link
+
+WELL = api.LinkFact("ground", open=True, rx_age_s=0.2, rx_s=300.0, tx_s=15.0, frames_s=12.0, bad_s=0.0)
+CLOSED = api.LinkFact("ground", open=False, error="Connection refused", code=errno.ECONNREFUSED)
+SERIAL, TCP = "/dev/ttyUSB0", "tcp:10.0.0.1:5760"
+
+
+def check(url: str = TCP, *others: dict[str, str], **more: Any) -> api.Check:
+    entries = [{"url": url, "name": "ground", **more}, *others]
+    return next(iter(Link.build(testing.settings(mavlink={"endpoints": entries}))))
+
+
+def run(judge: api.Check, link: api.LinkFact | None = WELL, links: testing.FakeLinks | None = None) -> api.Result:
+    links = links or testing.FakeLinks()
+    links.endpoints = (link,) if link is not None else ()
+    result = judge.run(testing.world(links=links))
+    assert isinstance(result, api.Result)
+    return result
+
+
+def changed(**fields: Any) -> api.LinkFact:
+    return dataclasses.replace(WELL, **fields)
+
+
+def test_an_open_endpoint_is_ok() -> None:
+    """What goes over it and what is lost of each sender goes into the record."""
+    sender = api.SenderFact(1, 1, 0.2, 350, 2.5)
+    result = run(check(), changed(senders=(sender,)))
+    assert result.level is api.Level.OK
+    expected = {"rx_bytes_s": 300.0, "tx_bytes_s": 15.0, "frames_s": 12.0, "senders": 1, "loss_1_1_percent": 2.5}
+    assert {name: result.values[name] for name in expected} == expected
+
+
+def test_an_endpoint_that_was_not_tried_is_not_known() -> None:
+    """Its thread has just begun."""
+    assert run(check(), None).level is api.Level.STALE
+
+
+def test_a_closed_endpoint_is_an_error_that_recovery_leaves_alone() -> None:
+    """It is opened again as soon as it can be, by itself."""
+    result = run(check(), CLOSED)
+    assert (result.level, result.condition, result.brief, result.target) == (
+        api.Level.ERROR, "link_closed", "link: refused", "",
+    )  # fmt: skip
+    assert TCP in result.summary
+
+
+def test_a_closed_endpoint_beside_others_is_named() -> None:
+    """With several endpoints the line says which."""
+    result = run(check(TCP, {"url": "tcp:10.0.0.1:5762", "name": "spare"}), CLOSED)
+    assert result.brief == "link ground: refused"
+
+
+def heard_by(gcs: str, pilot: str = "") -> testing.FakeLinks:
+    autopilot = api.AutopilotFact(0.5, False, link=pilot) if pilot else None
+    links = testing.FakeLinks(gcs_age_s=1.0, autopilot=autopilot)
+    links.gcs_link = gcs
+    return links
+
+
+@pytest.mark.parametrize(
+    ("gcs", "pilot", "level"),
+    [
+        ("spare", "spare", api.Level.WARN),
+        ("spare", "", api.Level.WARN),
+        ("spare", "ground", api.Level.ERROR),
+        ("ground", "spare", api.Level.ERROR),
+    ],
+    ids=["all by the other", "no autopilot at all", "the autopilot not", "the ground not"],
+)
+def test_a_reserve_that_is_lost_is_a_warning(gcs: str, pilot: str, level: api.Level) -> None:
+    """An endpoint is missed when something that it leads to is not heard by another one."""
+    assert run(check(TCP, {"url": "tcp:10.0.0.1:5762", "name": "spare"}), CLOSED, heard_by(gcs, pilot)).level is level
+
+
+def test_an_endpoint_to_one_side_is_missed_for_that_side_alone() -> None:
+    """`leads_to` says which."""
+    judge = check(TCP, leads_to="ground")
+    assert run(judge, CLOSED, heard_by("spare", "ground")).level is api.Level.WARN
+    judge = check(TCP, leads_to="autopilot")
+    assert run(judge, CLOSED, heard_by("ground", "spare")).level is api.Level.WARN
+    assert run(judge, CLOSED, heard_by("spare", "ground")).level is api.Level.ERROR
+    assert run(judge, CLOSED, heard_by("spare")).level is api.Level.ERROR
+
+
+def test_bytes_that_are_no_frames_are_an_error() -> None:
+    """The wrong speed of a port, or another protocol; a trickle proves nothing."""
+    garbage = changed(rx_s=400.0, frames_s=0.0, bad_s=90.0)
+    result = run(check(SERIAL), garbage)
+    assert (result.level, result.condition) == (api.Level.ERROR, "link_garbled")
+    assert "57600 baud" in result.summary
+    assert run(check(SERIAL), changed(rx_s=5.0, frames_s=0.0)).level is api.Level.OK
+
+
+def test_errors_on_the_line_are_a_warning() -> None:
+    """Framing errors and overruns, where the driver counts them."""
+    result = run(check(SERIAL), changed(line=api.LineFact(3.0, 0.0, 0.0)))
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "line_errors", "port: framing errors")
+    result = run(check(SERIAL), changed(line=api.LineFact(0.0, 5.0, 0.0)))
+    assert (result.level, result.brief) == (api.Level.WARN, "port: overruns")
+    assert run(check(SERIAL), changed(line=api.LineFact(0.2, 0.0, 0.0))).level is api.Level.OK
+
+
+def lossy(percent: float | None, system: int = 1, component: int = 1) -> api.LinkFact:
+    return changed(senders=(api.SenderFact(system, component, 0.2, 300, percent),))
+
+
+def test_lost_frames_of_the_neighbour_are_a_warning() -> None:
+    """Of the autopilot on its own port; the number keeps still, and at its limit the warning does not flap."""
+    judge = check(SERIAL)
+    result = run(judge, lossy(25.0))
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "frames_lost", "port: 25% frames lost")
+    assert run(judge, lossy(18.0)).level is api.Level.WARN
+    assert run(judge, lossy(10.0)).level is api.Level.OK
+    assert run(judge, lossy(18.0)).level is api.Level.OK
+    assert run(judge, lossy(None)).level is api.Level.OK
+
+
+def test_gaps_of_others_are_told_in_the_record_alone() -> None:
+    """An autopilot and a router keep back what is not for PHM, which leaves gaps in the ground station's numbers."""
+    result = run(check(SERIAL), lossy(60.0, 255, 190))
+    assert result.level is api.Level.OK
+    assert result.values["loss_255_190_percent"] == 60.0
+    assert run(check(TCP), lossy(60.0)).level is api.Level.OK
+
+
+def test_behind_a_radio_the_neighbour_is_the_ground_station() -> None:
+    """A radio is as good as a cable: what the ground sends to it comes out here."""
+    judge = check(SERIAL, leads_to="ground")
+    assert run(judge, lossy(60.0, 255, 190)).brief == "port: 60% frames lost"
+    assert run(judge, lossy(60.0, 255, 190), testing.FakeLinks(gcs_age_s=None)).level is api.Level.OK

@@ -1,0 +1,266 @@
+"""The path of a command: each hop that breaks is named in one alarm, and everything behind it is blocked by it."""
+
+from __future__ import annotations
+
+import errno
+from typing import Any
+
+import pytest
+
+from phm import api
+from phm.facts import BeaconFact
+from phm_checks._path import Hop, State, first_broken, hop, in_words, seen_from_here
+from tests.fakes.path_world import PathWorld
+
+SERIAL = "/dev/ttyUSB0"
+NODE = {"name": "/a/controller", "commands": True}
+
+
+def flying(**more: Any) -> PathWorld:
+    """All hops have been heard for a while, and nothing is wrong."""
+    world = PathWorld(**more)
+    world.devices.put(SERIAL)
+    world.run(20.0)
+    assert world.bad() == set()
+    assert world.alarms == []
+    return world
+
+
+# ---------------------------------------------------------------- pure
+
+
+def test_the_first_broken_hop_counts() -> None:
+    """Hops that are weak, unknown or unused do not stop a command; of several that do, the first is named."""
+    hops = [
+        Hop("GCS", State.UNKNOWN), Hop("radio", State.WEAK), Hop("port", State.UNUSED), Hop("router", State.BROKEN, "silent"),
+        Hop("autopilot", State.BROKEN),
+    ]  # fmt: skip
+    assert first_broken(hops) == hops[3]
+    assert first_broken(hops[:3]) is None
+    assert in_words(hops) == "GCS not known -> radio weak -> router BROKEN (silent) -> autopilot BROKEN"
+
+
+def test_what_is_behind_a_broken_hop_is_not_known() -> None:
+    """None of its evidence gets here; a hop that is heard all the same stays as it is."""
+    hops = [
+        Hop("GCS", State.BROKEN, "no heartbeat", ("router", "radio")), Hop("radio", State.OK, "", ("router",)),
+        Hop("router", State.BROKEN, "silent"),
+    ]  # fmt: skip
+    assert in_words(seen_from_here(hops)) == "GCS not known (behind router) -> radio ok -> router BROKEN (silent)"
+
+
+def test_a_hop_says_what_its_check_says() -> None:
+    """The level becomes the hop's state, and the brief its evidence, without naming the hop twice."""
+    broken = api.error("no RADIO_STATUS", brief="radio: no RADIO_STATUS 6 s", condition="radio_silent")
+    assert hop("radio", broken) == Hop("radio", State.BROKEN, "no RADIO_STATUS 6 s")
+    assert hop("radio", api.bypass("none")) == Hop("radio", State.UNUSED)
+    assert hop("radio", api.stale("its link is closed")) == Hop("radio", State.UNKNOWN, "its link is closed")
+    assert hop("radio", api.ok("heard")) == Hop("radio", State.OK)
+
+
+# ---------------------------------------------------------------- each hop in turn, through the tracker
+
+HOPS = [
+    ("gcs", "both", "gcs: GCS: no heartbeat 1", {"path"}),
+    ("gcs", "router", "gcs: GCS: no heartbeat 1", {"path"}),
+    ("radio", "both", "radio/ground: radio: no RADIO_STATUS", {"gcs", "path"}),
+    ("radio", "router", "radio/ground: radio: no RADIO_STATUS", {"gcs", "path"}),
+    ("link", "both", "link/ground: link: refused", {"gcs", "path", "radio/ground", "autopilot"}),
+    ("link", "router", "link/ground: router: refused", {"gcs", "path", "radio/ground", "autopilot"}),
+    ("router", "router", "link/ground: router: silent", {"gcs", "path", "radio/ground", "autopilot"}),
+    ("router", "both", "link/ground: link: silent", {"gcs", "path", "radio/ground", "autopilot"}),
+    ("pilot", "both", "autopilot: autopilot: no heartbeat", {"gcs", "path"}),
+    ("pilot", "router", "autopilot: autopilot: no heartbeat", {"path"}),
+]
+
+
+@pytest.mark.parametrize(("hop_name", "leads_to", "alarm", "behind"), HOPS, ids=[f"{one[0]}-{one[1]}" for one in HOPS])
+def test_each_broken_hop_is_one_alarm_that_names_it(hop_name: str, leads_to: str, alarm: str, behind: set[str]) -> None:
+    """One alarm, at the hop that is broken; what is behind it is STALE, blocked by it, and well again after it."""
+    world = flying(leads_to=leads_to)
+    world.down = {hop_name}
+    world.run(60.0)
+    (told,) = world.alarms
+    assert told.startswith(alarm)
+    unit = told.partition(":")[0]
+    assert world.blocked() == dict.fromkeys(behind, unit)
+    assert world.bad() == {unit}
+    world.down = set()
+    world.run(30.0)
+    assert world.closed == [(unit, "resolved")]
+    assert world.bad() == set()
+    assert world.blocked() == {}
+    assert len(world.alarms) == 1
+
+
+@pytest.mark.parametrize("heartbeat_s", [2.0, 10.0])
+def test_a_radio_that_reports_rarely_is_told_once_all_the_same(heartbeat_s: float) -> None:
+    """In a large swarm the radio's silence is known after the ground station's: no alarm is taken back for it."""
+    world = flying(leads_to="router", heartbeat_s=heartbeat_s)
+    world.run(20.0)
+    world.down = {"radio"}
+    world.run(90.0)
+    (told,) = world.alarms
+    assert told.startswith("radio/ground: radio: no RADIO_STATUS")
+    assert world.closed == []
+
+
+@pytest.mark.parametrize("heartbeat_s", [2.0, 10.0])
+def test_a_ground_station_lost_behind_a_radio_that_answers(heartbeat_s: float) -> None:
+    """The radio has been heard since: the alarm is the ground station's, and says that the radio aboard is well."""
+    world = flying(leads_to="router", heartbeat_s=heartbeat_s)
+    world.run(20.0)
+    world.down = {"gcs"}
+    world.run(40.0)
+    (told,) = world.alarms
+    assert told.startswith("gcs: GCS: no heartbeat")
+    assert "radio aboard answers" in world.text("gcs")
+
+
+def test_nothing_heard_is_no_alarm() -> None:
+    """On an agent without radio, ground station and autopilot nothing is missing, and nothing is claimed."""
+    world = PathWorld()
+    world.never = {"gcs", "radio", "pilot"}
+    world.run(60.0)
+    assert world.alarms == []
+    assert world.warnings == []
+    assert "GCS not known (never heard)" in world.text("path")
+    assert "radio" not in world.text("path")
+
+
+def test_what_is_required_must_be_heard() -> None:
+    """With mavlink.autopilot and a required radio, silence since the start is a fault, each at its own hop."""
+    world = PathWorld(leads_to="router", mavlink={"autopilot": True})
+    world.never = {"pilot"}
+    world.run(30.0)
+    assert world.alarms == ["autopilot: autopilot: no heartbeat"]
+
+
+def test_no_radio_where_none_is_used() -> None:
+    """An autopilot keeps RADIO_STATUS to itself: the hop is unused, and the ground station's silence is its own alarm."""
+    world = PathWorld()
+    world.never = {"radio"}
+    world.run(20.0)
+    world.down = {"gcs"}
+    world.run(30.0)
+    (told,) = world.alarms
+    assert told.startswith("gcs: ")
+    assert "check the radio" in world.text("gcs")
+    assert "radio" not in world.text("path")
+
+
+def test_a_silent_router_with_one_sender_behind_it_is_not_accused() -> None:
+    """Who was the only one to speak there may have fallen silent itself."""
+    world = PathWorld(leads_to="router")
+    world.never = {"gcs", "radio"}
+    world.run(20.0)
+    world.down = {"router"}
+    world.run(30.0)
+    (told,) = world.alarms
+    assert told.startswith("autopilot: ")
+
+
+# ---------------------------------------------------------------- the port
+
+PORTS = [
+    (errno.ENOENT, False, "port: ttyUSB0 missing", "check its cable"),
+    (errno.ENOENT, True, "port: ttyUSB0 not mapped", "in PHM's container"),
+    (errno.EACCES, True, "port: ttyUSB0 no permission", "dialout"),
+    (errno.EAGAIN, True, "port: ttyUSB0 used by mavproxy.py", "mavproxy.py (42)"),
+    (errno.EIO, True, "port: ttyUSB0 failed", "driver"),
+]
+
+
+@pytest.mark.parametrize(("code", "there", "brief", "advice"), PORTS, ids=[one[2].split(" ", 2)[2] for one in PORTS])
+def test_a_closed_port_says_why(code: int, there: bool, brief: str, advice: str) -> None:
+    """Is it there, may PHM open it, who else has it: named in the alarm, with what to do."""
+    world = flying(url=SERIAL)
+    world.down, world.closed_with = {"link"}, (code, f"could not open port: error {code}")
+    world.links.busy = {SERIAL: ("mavproxy.py (42)",)}
+    if not there:
+        world.devices.devices.clear()
+    world.run(30.0)
+    assert world.alarms == [f"link/ground: {brief}"]
+    assert advice in world.text("link/ground")
+
+
+def test_a_port_that_a_container_misses_too_is_one_alarm() -> None:
+    """Where the port is also a device of a container, its loss is told there, and the link is blocked by it."""
+    container = {"name": "ros_app", "devices": [{"path": SERIAL, "mapped": False, "open": "never"}]}
+    world = flying(url=SERIAL, containers=[container])
+    world.devices.devices.clear()
+    world.down, world.closed_with = {"link"}, (errno.ENOENT, "no such file")
+    world.run(30.0)
+    assert world.alarms == ["devices/ros_app: ttyUSB0 missing"]
+    assert world.blocked()["link/ground"] == "devices/ros_app"
+
+
+# ---------------------------------------------------------------- the application
+
+
+def listed(world: PathWorld) -> None:
+    world.ros.change(nodes={"/a/controller": 1})
+
+
+def test_a_node_that_takes_commands_is_part_of_the_path() -> None:
+    """When it dies its own check tells it; the path says where commands stop, without a second alarm."""
+    world = PathWorld(ros={"nodes": [NODE]})
+    listed(world)
+    world.run(20.0)
+    assert "application ok" in world.text("path")
+    world.ros.change(nodes={})
+    world.run(30.0)
+    assert world.alarms == ["nodes/a/controller: controller dead"]
+    assert world.blocked() == {"path": "nodes/a/controller"}
+    assert "stops at application" in world.text("path")
+    assert "application BROKEN (controller not in the graph)" in world.text("path")
+
+
+def test_other_nodes_are_not_part_of_the_path() -> None:
+    """Only nodes with `commands: true` are on the way."""
+    world = PathWorld(ros={"nodes": [{"name": "/a/camera"}]})
+    world.ros.change(nodes={"/a/camera": 1})
+    world.run(20.0)
+    world.ros.change(nodes={})
+    world.run(30.0)
+    assert world.blocked() == {}
+    assert "application" not in world.text("path")
+
+
+@pytest.mark.parametrize("beacon", [BeaconFact(8.0, 0.5), BeaconFact(0.2, 0.5, late_s=9.0)], ids=["silent", "late"])
+def test_a_node_that_hangs_breaks_the_path(beacon: BeaconFact) -> None:
+    """It is in the graph, and its beacon says that it does not take commands."""
+    world = PathWorld(ros={"nodes": [NODE]})
+    listed(world)
+    world.ros.change(beacons={"/a/controller": beacon})
+    world.run(3.0)
+    assert "application BROKEN (controller does not answer)" in world.text("path")
+
+
+def test_an_application_that_cannot_be_looked_at_is_not_known() -> None:
+    """Without a picture of the graph, or with an old one, nothing is claimed about the nodes."""
+    world = PathWorld(ros={"nodes": [NODE]})
+    world.ros.fail("the child is being replaced")
+    world.run(3.0)
+    assert "application not known" in world.text("path")
+    world.ros.work()
+    world.ros.change(age_s=9.0)
+    world.run(3.0)
+    assert "application not known (the picture of the ROS graph is 9.0 s old)" in world.text("path")
+
+
+# ---------------------------------------------------------------- two endpoints
+
+
+def test_endpoints_that_lead_to_one_side_alone_make_no_path() -> None:
+    """A path needs both ends."""
+    for leads_to in ("ground", "autopilot"):
+        assert "path" not in {entry.unit.id for entry in PathWorld(leads_to=leads_to).plan.tracked}
+
+
+def test_the_autopilot_is_no_need_of_the_ground_behind_a_router() -> None:
+    """Only an autopilot that passes frames on can hide the ground station."""
+    needs = {entry.unit.id: entry.needs for entry in PathWorld(leads_to="router").plan.tracked}
+    assert "autopilot" not in needs["gcs"]
+    needs = {entry.unit.id: entry.needs for entry in PathWorld(leads_to="both").plan.tracked}
+    assert "autopilot" in needs["gcs"]

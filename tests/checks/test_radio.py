@@ -1,0 +1,149 @@
+"""Slot 11: rules of the check of a telemetry radio."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import pytest
+
+from phm import api, testing
+from phm_checks.radio import Radio
+
+WELL = api.RadioFact("ground", 0.5, 2.0, 180, 175, 40, 45, 98, 140.0, 130.0, 0.2, 0.1)
+OPEN = api.LinkFact("ground", open=True, rx_age_s=0.5)
+
+
+def check(radio: str = "auto", **mavlink: Any) -> api.Check:
+    endpoint = {"url": "/dev/ttyUSB0", "name": "ground", "radio": radio}
+    (one,) = Radio.build(testing.settings(mavlink={"endpoints": [endpoint], **mavlink}))
+    return one
+
+
+def run(judge: api.Check, *radios: api.RadioFact, link: api.LinkFact = OPEN) -> api.Result:
+    result = judge.run(testing.world(links=testing.FakeLinks(links=(link,), radios=radios)))
+    assert isinstance(result, api.Result)
+    return result
+
+
+def changed(**fields: Any) -> api.RadioFact:
+    return dataclasses.replace(WELL, **fields)
+
+
+def test_where_a_radio_is_looked_for() -> None:
+    """On links to the ground, unless it is off; on any link that requires one."""
+    entries = [
+        {"url": "tcp:10.0.0.1:1", "name": "a"}, {"url": "tcp:10.0.0.1:2", "name": "b", "radio": "off"},
+        {"url": "tcp:10.0.0.1:3", "name": "c", "leads_to": "autopilot"},
+        {"url": "tcp:10.0.0.1:4", "name": "d", "leads_to": "autopilot", "radio": "required"},
+    ]  # fmt: skip
+    units = [one.units[0].id for one in Radio.build(testing.settings(mavlink={"endpoints": entries}))]
+    assert units == ["radio/a", "radio/d"]
+
+
+def test_a_radio_that_is_well_is_ok() -> None:
+    """Its numbers go into the record."""
+    result = run(check(), WELL)
+    assert result.level is api.Level.OK
+    expected = {"rssi": 180, "remrssi": 175, "noise": 40, "remnoise": 45, "txbuf_percent": 98, "margin": 140.0}
+    assert {name: result.values[name] for name in expected} == expected
+    assert (result.values["rxerrors_s"], result.values["fixed_s"]) == (0.2, 0.1)
+
+
+def test_no_radio_ever_heard_is_not_judged() -> None:
+    """Unless it is required: then it is a fault from the start on."""
+    assert run(check()).bypass
+    result = run(check("required"))
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "radio_silent", "radio: no RADIO_STATUS")
+
+
+def test_a_silent_radio_is_an_error() -> None:
+    """Silence beyond radio_timeout is told with its length, as a number that keeps still."""
+    judge = check()
+    result = run(judge, changed(age_s=6.0))
+    assert (result.level, result.condition, result.brief) == (
+        api.Level.ERROR,
+        "radio_silent",
+        "radio: no RADIO_STATUS 6 s",
+    )
+    assert run(judge, changed(age_s=8.0)).brief == "radio: no RADIO_STATUS 6 s"
+    assert run(judge, changed(age_s=13.0)).brief == "radio: no RADIO_STATUS 13 s"
+
+
+def test_a_radio_is_given_its_own_pace() -> None:
+    """It answers PHM's heartbeats: where they are 10 s apart, its silence is known after 25 s."""
+    assert run(check(), changed(age_s=24.0, due_s=10.0)).level is api.Level.OK
+    assert run(check(), changed(age_s=26.0, due_s=10.0)).level is api.Level.ERROR
+
+
+def test_its_link_is_reopened_only_where_it_is_silent_as_a_whole() -> None:
+    """While other frames come, the port is well, and opening it again would help nobody."""
+    lost = changed(age_s=6.0)
+    assert run(check(), lost).target == ""
+    silent = dataclasses.replace(OPEN, rx_age_s=6.0)
+    assert run(check(), lost, link=silent).target == "link:ground"
+    never = dataclasses.replace(OPEN, rx_age_s=None)
+    assert run(check("required"), link=never).target == "link:ground"
+
+
+def test_behind_a_closed_link_it_is_not_known() -> None:
+    """The link tells why."""
+    assert run(check(), changed(age_s=60.0), link=api.LinkFact("ground", open=False)).level is api.Level.STALE
+
+
+WEAK = [
+    ({"margin": 12.0}, "radio_weak", "radio: weak, margin 12", "aboard"),
+    ({"remmargin": 9.0}, "radio_weak", "radio: weak, margin 9", "on the ground"),
+    ({"txbuf": 15}, "radio_full", "radio: buffer full", "85 % full"),
+    ({"rxerrors_s": 8.0}, "radio_errors", "radio: damaged packets", "8.0 damaged packets"),
+]
+
+
+@pytest.mark.parametrize(("fields", "condition", "brief", "words"), WEAK, ids=[one[2] for one in WEAK])
+def test_a_poor_radio_link_is_a_warning(fields: dict[str, Any], condition: str, brief: str, words: str) -> None:
+    """Little signal over noise at either end, a full buffer, damaged packets."""
+    result = run(check(), changed(**fields))
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, condition, brief)
+    assert words in result.summary
+
+
+def test_what_the_radio_does_not_know_is_not_judged() -> None:
+    """Radios that tell no noise, and a first report without a rate."""
+    silent = changed(margin=None, remmargin=None, rssi=None, noise=None, rxerrors_s=None, fixed_s=None)
+    result = run(check(), silent)
+    assert result.level is api.Level.OK
+    assert result.values["margin"] is None
+
+
+@pytest.mark.parametrize(
+    ("name", "bad", "between", "well"),
+    [("margin", 14.0, 17.0, 20.0), ("txbuf", 19, 25, 31), ("rxerrors_s", 6.0, 4.0, 2.0)],
+)
+def test_a_value_at_its_limit_does_not_flap(name: str, bad: float, between: float, well: float) -> None:
+    """What was bad must become clearly better; what was well may be anywhere up to the limit."""
+    judge = check()
+    assert run(judge, changed(**{name: between})).level is api.Level.OK
+    assert run(judge, changed(**{name: bad})).level is api.Level.WARN
+    assert run(judge, changed(**{name: between})).level is api.Level.WARN
+    assert run(judge, changed(**{name: well})).level is api.Level.OK
+    assert run(judge, changed(**{name: between})).level is api.Level.OK
+
+
+def test_the_limits_are_the_users() -> None:
+    """radio_margin, radio_errors and radio_timeout; 0 errors are not judged."""
+    assert run(check(radio_margin=5), changed(margin=12.0)).level is api.Level.OK
+    assert run(check(radio_errors=0), changed(rxerrors_s=50.0)).level is api.Level.OK
+    assert run(check(radio_timeout="20s"), changed(age_s=15.0)).level is api.Level.OK
+
+
+def test_two_radios_are_told_apart() -> None:
+    """With several endpoints each line names the one that is meant."""
+    entries = [{"url": f"tcp:10.0.0.1:{n}", "name": f"r{n}"} for n in (1, 2)]
+    checks = list(Radio.build(testing.settings(mavlink={"endpoints": entries})))
+    lost = dataclasses.replace(WELL, link="r2", age_s=6.0)
+    links = testing.FakeLinks(links=(api.LinkFact("r1", open=True), api.LinkFact("r2", open=True)), radios=(lost,))
+    results = [one.run(testing.world(links=links)) for one in checks]
+    assert [result.brief for result in results if isinstance(result, api.Result)] == [
+        "",
+        "radio r2: no RADIO_STATUS 6 s",
+    ]
