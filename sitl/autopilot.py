@@ -3,7 +3,7 @@
 ``python -m sitl.autopilot --id 1 --companion udpin:0.0.0.0:14550 --ground tcpin:0.0.0.0:5760 [--armed]``
 
 It sends what an ArduPilot copter sends (HEARTBEAT, SYSTEM_TIME, ATTITUDE), obeys
-MAV_CMD_COMPONENT_ARM_DISARM, and passes frames between its links unchanged by ArduPilot's rules, measured
+MAV_CMD_COMPONENT_ARM_DISARM and MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, and passes frames between its links unchanged by ArduPilot's rules, measured
 on a real one: a link gets passed-on frames only after it has itself sent a packet; frames that claim to be
 from the autopilot itself vanish; what is addressed to the autopilot stays with it.
 """
@@ -25,21 +25,28 @@ from sitl.link import Port, mavlink
 AUTOPILOT = 1
 HEARTBEAT_S = 1.0
 ATTITUDE_S = 0.25
+BOOT_S = 1.0
 DISARMED = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | 16
 COPTER_LOITER = 5
 
 
 class Autopilot:
-    """Runs in one thread: `run` until `stop`. `armed` may be set from outside. Raises OSError when a port is taken."""
+    """Runs in one thread: `run` until `stop`. `armed` may be set from outside, and `hung`: its ports stay open, and nothing
+    comes or is passed on. Raises OSError when a port is taken."""
 
     def __init__(self, system_id: int, companion: str, ground: str, *, armed: bool = False) -> None:
-        self.system_id, self.armed = system_id, armed
+        self.system_id, self.armed, self.hung = system_id, armed, False
         self.companion, self.ground = Port(companion), Port(ground)
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=AUTOPILOT)
         self._started = time.monotonic()
         self._due = {self._heartbeat: 0.0, self._attitude: 0.0}
         self._routes: dict[tuple[int, int], Port] = {}
         self._stopping = threading.Event()
+        self._boot_until: float | None = None
+
+    def reboot(self, boot_s: float = BOOT_S) -> None:
+        """Its ports stay; it is silent for so long, has forgotten routes and arming, and its time since boot begins anew."""
+        self._boot_until = time.monotonic() + boot_s
 
     def stop(self) -> None:
         self._stopping.set()
@@ -53,17 +60,29 @@ class Autopilot:
             self.ground.close()
 
     def _turn(self) -> None:
+        if self._boot_until is not None and time.monotonic() >= self._boot_until:
+            self._boot_until, self._started = None, time.monotonic()
+            self.armed = False
+            self._routes.clear()
+            self._mav.seq = 0
         ports = {sock: port for port in (self.companion, self.ground) for sock in port.sockets()}
         readable, _, _ = select.select(list(ports), [], [], 0.05)
         for sock in readable:
             port = ports[sock]
             for peer, message in port.receive(sock):
-                self._take(port, peer, message)
+                if not self._dumb:
+                    self._take(port, peer, message)
         now = time.monotonic()
+        if self._dumb:
+            return
         for send, period_s in ((self._heartbeat, HEARTBEAT_S), (self._attitude, ATTITUDE_S)):
             if now >= self._due[send]:
                 self._due[send] = now + period_s
                 send()
+
+    @property
+    def _dumb(self) -> bool:
+        return self.hung or self._boot_until is not None
 
     def _take(self, port: Port, peer: Hashable, message: Any) -> None:
         source = (message.get_srcSystem(), message.get_srcComponent())
@@ -89,6 +108,9 @@ class Autopilot:
         result = mavlink.MAV_RESULT_UNSUPPORTED
         if message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             self.armed = message.param1 >= 0.5
+            result = mavlink.MAV_RESULT_ACCEPTED
+        elif message.command == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN and message.param1 == 1:
+            self.reboot()
             result = mavlink.MAV_RESULT_ACCEPTED
         acknowledgement = mavlink.MAVLink_command_ack_message(
             message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pty
 import socket
+import tty
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Any
@@ -35,11 +37,43 @@ def messages(decoder: Any, data: bytes) -> list[Any]:
     return [message for message in found if message.get_type() != "BAD_DATA"]
 
 
+class Pty:
+    """A pseudo terminal that passes for a serial port at `path`, as far as `Port` uses sockets. The far end is kept open, so
+    that it stays whoever opens and closes it."""
+
+    def __init__(self, path: str) -> None:
+        self._near, self._far = pty.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._near, False)
+        self.path = path
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(path)
+        os.symlink(os.ttyname(self._far), path)
+
+    def fileno(self) -> int:
+        return self._near
+
+    def setblocking(self, flag: bool) -> None:
+        os.set_blocking(self._near, flag)
+
+    def recv(self, size: int) -> bytes:
+        return os.read(self._near, size)
+
+    def send(self, frame: bytes) -> int:
+        return os.write(self._near, frame)
+
+    def close(self) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(self.path)
+        os.close(self._near)
+        os.close(self._far)
+
+
 @dataclass
 class Peer:
     """The other end of a connection. `spoken`: a frame has come from there."""
 
-    sock: socket.socket
+    sock: Any
     address: Any = None
     decoder: Any = field(default_factory=parser)
     spoken: bool = False
@@ -50,7 +84,7 @@ class Peer:
             if self.address is not None:
                 self.sock.sendto(frame, self.address)
                 return True
-            return self.sock.send(frame) == len(frame)  # half a frame would spoil the stream
+            return bool(self.sock.send(frame) == len(frame))  # half a frame would spoil the stream
         except BlockingIOError:
             return True
         except OSError:
@@ -58,16 +92,21 @@ class Peer:
 
 
 class Port:
-    """``udpin:HOST:PORT``, ``tcpin:HOST:PORT``, ``udpout:HOST:PORT`` or ``tcp:HOST:PORT``.
+    """``udpin:HOST:PORT``, ``tcpin:HOST:PORT``, ``udpout:HOST:PORT``, ``tcp:HOST:PORT``, or ``pty:PATH``, a serial port.
 
     Raises OSError when it cannot be opened. `lost` is set when the other end of a ``tcp:`` port went away.
     """
 
     def __init__(self, url: str) -> None:
         self.scheme, _, rest = url.partition(":")
-        host, _, port = rest.rpartition(":")
         self.peers: dict[Hashable, Peer] = {}
         self.lost = False
+        self._main: Any
+        if self.scheme == "pty":
+            self._main = Pty(rest)
+            self.peers[self._main] = Peer(self._main)
+            return
+        host, _, port = rest.rpartition(":")
         address = (host.strip("[]"), int(port))
         if self.scheme in ("udpin", "udpout"):
             self._main = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -82,7 +121,7 @@ class Port:
             self._main.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self.peers[self._main] = Peer(self._main)
         else:
-            raise OSError(f"{url!r}: use udpin:, udpout:, tcpin: or tcp: with a host and a port")
+            raise OSError(f"{url!r}: use udpin:, udpout:, tcpin: or tcp: with a host and a port, or pty:PATH")
         self._main.setblocking(False)
 
     @property
@@ -90,12 +129,12 @@ class Port:
         """The port that was really bound, for url port 0."""
         return int(self._main.getsockname()[1])
 
-    def sockets(self) -> list[socket.socket]:
+    def sockets(self) -> list[Any]:
         """What to select on."""
         clients = [peer.sock for peer in self.peers.values() if peer.sock is not self._main]
         return [self._main, *clients]
 
-    def receive(self, sock: socket.socket) -> list[tuple[Hashable, Any]]:
+    def receive(self, sock: Any) -> list[tuple[Hashable, Any]]:
         """Messages, each with the key of the peer that sent it."""
         if self.scheme.startswith("udp"):
             return self._datagram()

@@ -1,0 +1,370 @@
+"""What the link probe is made of: senders and their gaps, traffic over time, radios, the autopilot's boots, ports in use."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+import termios
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, strategies as st
+
+from phm.facts import LinkFact
+from phm.probes.link_flow import LOSS_S, MIN_FRAMES, Flow
+from phm.probes.link_pilot import TWINS, Pilot
+from phm.probes.link_radio import Radio
+from phm.probes.link_users import users
+from phm.transport import serial_line
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink_codec import Codec
+from phm.transport.mavlink_traffic import MAX_SENDERS, Senders, Traffic
+from phm.transport.serial_line import LineCount
+from tests.fakes.mavlink import Sender, heartbeat, until
+
+BASE = LinkFact("ground", open=True)
+ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+
+
+# ---------------------------------------------------------------- gaps in sequence numbers
+
+
+def counted(sequences: Iterable[int]) -> tuple[int, int]:
+    """Frames and lost frames of one sender."""
+    senders = Senders()
+    for number in sequences:
+        senders.heard(1, 1, number % 256)
+    return senders.now().get((1, 1), (0, 0))
+
+
+@given(st.integers(0, 255), st.lists(st.integers(0, 60), max_size=300))
+def test_what_is_left_out_is_lost(start: int, gaps: list[int]) -> None:
+    """Each gap counts in full, also over the number's end."""
+    sequences, at = [start], start
+    for gap in gaps:
+        at += gap + 1
+        sequences.append(at)
+    assert counted(sequences) == (len(sequences), sum(gaps))
+
+
+def test_doubles_and_overtaken_frames_are_not_lost() -> None:
+    """By two ways, or in another order: what came is not missing."""
+    assert counted([1, 1, 2, 2, 3]) == (3, 0)
+    assert counted([1, 3, 2, 4]) == (4, 0)
+    assert counted([254, 0, 255, 1]) == (4, 0)
+
+
+def test_a_sender_that_begins_anew_has_lost_nothing() -> None:
+    """After a reboot, or a pause, the number may be anywhere."""
+    assert counted([10, 11, 140, 141])[1] == 0
+    assert counted([200, 201, 70, 71])[1] == 0
+
+
+def test_senders_are_capped() -> None:
+    """Whoever makes up senders displaces none that really speaks."""
+    senders = Senders()
+    for number in range(100):
+        senders.heard(1, 1, number)
+    for made_up in range(1000):
+        senders.heard(2 + made_up // 250, made_up % 250, 0)
+    assert len(senders.now()) == MAX_SENDERS
+    assert senders.now()[1, 1] == (100, 0)
+
+
+def test_frames_that_nobody_wants_count_as_well() -> None:
+    """Loss is seen in all frames, though most are never decoded."""
+    codec = Codec(7, 193, lambda number: False)
+    sender, reader = Sender(7, 1), codec.parser()
+    frames = [sender.frame(heartbeat(n), v1=n % 2 == 0) for n in range(10)]
+    for frame in frames[:3] + frames[5:]:
+        assert reader.feed(frame) == []
+    assert codec.senders.now() == {(7, 1): (8, 2)}
+
+
+def test_the_old_number_of_radio_status_is_understood() -> None:
+    """Radios with old firmware send RADIO, number 166; it passes for the RADIO_STATUS that it is."""
+    radio = mavlink.mavlink_map[166](180, 170, 90, 40, 45, 3, 4)
+    radio._header.msgId = 166
+    frame = Sender(51, 68).frame(radio, v1=True)
+    assert frame[5] == 166
+    codec = Codec(7, 193, lambda number: number == mavlink.MAVLINK_MSG_ID_RADIO_STATUS)
+    (message,) = codec.parser().feed(frame)
+    assert message.get_msgId() == mavlink.MAVLINK_MSG_ID_RADIO_STATUS
+    assert (message.rssi, message.remrssi, message.txbuf, message.rxerrors, message.fixed) == (180, 170, 90, 3, 4)
+
+
+# ---------------------------------------------------------------- traffic over time
+
+
+def test_nothing_is_known_of_traffic_at_first() -> None:
+    """One sample makes no rate."""
+    flow = Flow((7, 193))
+    assert flow.fact(0.0, BASE) == BASE
+    flow.sample(10.0, Traffic(bytes_in=100))
+    fact = flow.fact(10.2, BASE)
+    assert (fact.rx_s, fact.frames_s, fact.line) == (None, None, None)
+    assert fact.rx_age_s == pytest.approx(0.2)
+
+
+def test_rates_are_means_over_the_last_seconds() -> None:
+    """Bytes, frames, false starts and errors on the line, a second; a pause shows in its age."""
+    flow = Flow((7, 193))
+    for second in range(20):
+        moving = min(second, 10)
+        flow.sample(
+            float(second), Traffic(100 * moving, 10 * second, 5 * moving, moving, line=LineCount(2 * second, 0, 0))
+        )
+        if second == 9:
+            fact = flow.fact(9.0, BASE)
+            assert (fact.rx_s, fact.tx_s, fact.frames_s, fact.bad_s) == (100.0, 10.0, 5.0, 1.0)
+            assert fact.line is not None
+            assert fact.line.framing_s == 2.0
+            assert fact.rx_age_s == 0.0
+    fact = flow.fact(19.0, BASE)
+    assert (fact.rx_s, fact.tx_s, fact.rx_age_s) == (0.0, 10.0, 9.0)
+
+
+def test_samples_may_be_offered_at_any_rate() -> None:
+    """Each endpoint's thread asks for them."""
+    flow = Flow((7, 193))
+    for step in range(2000):
+        flow.sample(step * 0.01, Traffic(bytes_in=step))
+    assert len(flow._totals) < 20
+    assert flow.fact(20.0, BASE).rx_s == pytest.approx(100.0, rel=0.01)
+
+
+def test_loss_is_told_by_sender_over_a_window() -> None:
+    """Of the last half minute, and only where there were frames enough; PHM's own echo is no sender."""
+    flow = Flow((7, 193))
+    counts = {(1, 1): (0, 0), (255, 190): (0, 0), (7, 193): (0, 0)}
+    for second in range(int(LOSS_S) + 70):
+        lost = min(60, second)
+        counts = {(1, 1): (9 * second, lost), (255, 190): (second // 4, 0), (7, 193): (second, 0)}
+        flow.sample(float(second), Traffic(bytes_in=second, senders=counts))
+        if second == 50:
+            early = flow.fact(50.0, BASE).senders
+            assert [(one.system, one.component) for one in early] == [(1, 1), (255, 190)]
+            assert early[0].loss_percent == pytest.approx(10.0)
+            assert early[1].loss_percent is None
+            assert early[1].frames < MIN_FRAMES
+    (pilot, ground) = flow.fact(100.0, BASE).senders
+    assert pilot.loss_percent == 0.0
+    assert (pilot.age_s, ground.age_s) == (1.0, 2.0)
+
+
+def test_a_sender_that_was_forgotten_and_came_back_has_lost_nothing() -> None:
+    """Its counters begin anew."""
+    flow = Flow((7, 193))
+    flow.sample(0.0, Traffic(senders={(1, 1): (500, 90)}))
+    flow.sample(5.0, Traffic(senders={(1, 1): (30, 0)}))
+    (sender,) = flow.fact(5.0, BASE).senders
+    assert sender.loss_percent is None
+    assert sender.frames == 0
+
+
+# ---------------------------------------------------------------- radios
+
+
+def status(**fields: int) -> Any:
+    usual = {"rssi": 180, "remrssi": 170, "txbuf": 98, "noise": 40, "remnoise": 50, "rxerrors": 0, "fixed": 0}
+    return mavlink.MAVLink_radio_status_message(**{**usual, **fields})
+
+
+def test_a_radio_never_heard_is_none() -> None:
+    """Not known is not zero."""
+    assert Radio("ground").fact(5.0) is None
+
+
+def test_a_radio_tells_its_numbers() -> None:
+    """Age, margins as means, and errors as rates."""
+    radio = Radio("ground")
+    for second in range(6):
+        radio.hear(float(second), status(rssi=180 + second, rxerrors=4 * second, fixed=second), 1.0)
+    fact = radio.fact(7.0)
+    assert fact is not None
+    assert (fact.link, fact.age_s, fact.rssi, fact.txbuf) == ("ground", 2.0, 185, 98)
+    assert (fact.margin, fact.remmargin) == (143.0, 120.0)
+    assert (fact.rxerrors_s, fact.fixed_s) == (4.0, 1.0)
+
+
+def test_what_a_radio_does_not_know_is_none() -> None:
+    """255 stands for unknown; without noise there is no margin."""
+    radio = Radio("ground")
+    radio.hear(0.0, status(remrssi=255, noise=255), 1.0)
+    fact = radio.fact(0.0)
+    assert fact is not None
+    assert (fact.remrssi, fact.noise, fact.margin, fact.remmargin) == (None, None, None, None)
+    assert (fact.rxerrors_s, fact.fixed_s) == (None, None)
+
+
+def test_counters_of_a_radio_that_was_restarted() -> None:
+    """They begin anew, and nothing is negative."""
+    radio = Radio("ground")
+    for second, errors in enumerate([60000, 60002, 3, 4]):
+        radio.hear(float(second), status(rxerrors=errors), 1.0)
+    fact = radio.fact(3.0)
+    assert fact is not None
+    assert fact.rxerrors_s == pytest.approx(2.0)
+
+
+def test_how_often_a_radio_is_due() -> None:
+    """Until it is known, as often as PHM's heartbeats ask it; then as it comes; one long pause does not count."""
+    radio = Radio("ground")
+    radio.hear(0.0, status(), 5.0)
+    first = radio.fact(0.0)
+    assert first is not None
+    assert first.due_s == 5.0
+    for at in (1.0, 2.0, 3.0, 4.0, 5.0, 65.0, 66.0):
+        radio.hear(at, status(), 5.0)
+    later = radio.fact(66.0)
+    assert later is not None
+    assert later.due_s == 1.0
+    radio.hear(67.0, status(), 10.0)
+    asked_less = radio.fact(67.0)
+    assert asked_less is not None
+    assert asked_less.due_s == 10.0
+
+
+# ---------------------------------------------------------------- the autopilot's boots
+
+
+def beat(pilot: Pilot, at: float, *, armed: bool = False) -> None:
+    pilot.heartbeat(at, heartbeat(5, kind=2, autopilot=3, base_mode=81 | (ARMED if armed else 0)), "fc")
+
+
+def fact_of(pilot: Pilot, now: float) -> Any:
+    fact = pilot.fact(now)
+    assert fact is not None
+    return fact
+
+
+def test_a_pilot_never_heard_is_none() -> None:
+    """A time since boot alone is no heartbeat."""
+    pilot = Pilot()
+    pilot.booted(1.0, 500)
+    assert pilot.fact(2.0) is None
+
+
+def test_a_reboot_is_seen_by_its_time_going_back() -> None:
+    """Counted once, with its age; the time since boot goes on from there."""
+    pilot = Pilot()
+    beat(pilot, 0.0)
+    for second in range(10):
+        pilot.booted(float(second), 60_000 + 1000 * second)
+    assert fact_of(pilot, 10.0).reboots == 0
+    assert fact_of(pilot, 10.0).boot_s == pytest.approx(70.0)
+    pilot.booted(12.0, 800)
+    pilot.booted(13.0, 1800)
+    fact = fact_of(pilot, 14.0)
+    assert (fact.reboots, fact.rebooted_s, fact.rebooted_armed) == (1, 2.0, False)
+    assert fact.boot_s == pytest.approx(2.8)
+
+
+def test_messages_that_overtake_each_other_are_no_reboot() -> None:
+    """Some carry the time of a measurement, and the number begins anew after 49.7 days."""
+    pilot = Pilot()
+    beat(pilot, 0.0)
+    for at, boot_ms in ((1.0, 60_000), (1.1, 58_500), (1.2, 60_200), (2.0, 2**32 - 500), (3.0, 400)):
+        pilot.booted(at, boot_ms)
+    assert fact_of(pilot, 4.0).reboots == 0
+
+
+@pytest.mark.parametrize("beats_first", [True, False], ids=["heartbeat first", "time first"])
+def test_a_reboot_while_armed_is_told_as_such(beats_first: bool) -> None:
+    """Also when the first heartbeat after it, disarmed, comes before the new time."""
+    pilot = Pilot()
+    beat(pilot, 0.0)
+    beat(pilot, 1.0, armed=True)
+    pilot.booted(1.0, 90_000)
+    beat(pilot, 9.0, armed=True)
+    pilot.booted(9.0, 98_000)
+    if beats_first:
+        beat(pilot, 11.5)
+    pilot.booted(11.6, 600)
+    assert fact_of(pilot, 12.0).rebooted_armed
+
+
+def test_a_reboot_after_landing_is_not_in_the_air() -> None:
+    """Disarmed before it rebooted: an operator may have meant it to."""
+    pilot = Pilot()
+    beat(pilot, 1.0, armed=True)
+    beat(pilot, 5.0)
+    pilot.booted(6.0, 98_000)
+    pilot.booted(9.0, 600)
+    fact = fact_of(pilot, 9.0)
+    assert (fact.reboots, fact.rebooted_armed) == (1, False)
+
+
+def test_two_autopilots_with_one_identity_are_no_reboots() -> None:
+    """Their times alternate faster than anything can boot; a vehicle that boots again and again takes longer."""
+    pilot = Pilot()
+    beat(pilot, 0.0)
+    for step in range(TWINS * 2 + 1):
+        pilot.booted(step * 0.5, 600_000 if step % 2 else 20_000)
+    assert pilot.twins(4.0)
+    assert fact_of(pilot, 4.0).rebooted_s is None
+    assert not pilot.twins(30.0)
+    slow = Pilot()
+    for number in range(TWINS):
+        slow.booted(10.0 * number, 8_000)
+        slow.booted(10.0 * number + 5.0, 500)
+    assert not slow.twins(36.0)
+
+
+# ---------------------------------------------------------------- serial ports
+
+
+def test_who_has_a_port_open_is_named(tmp_path: Path) -> None:
+    """Another program by name and number; PHM itself is left out; a link to the port is followed."""
+    far, near = pty.openpty()
+    path = os.ttyname(near)
+    named = tmp_path / "by-id"
+    named.symlink_to(path)
+    code = f"import os; os.open({path!r}, os.O_RDWR | os.O_NOCTTY); print('open', flush=True); input()"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"open\n"
+        found = users(str(named))
+        assert len(found) == 1
+        assert found[0].endswith(f"({other.pid})")
+        assert "python" in found[0]
+        other.communicate(b"\n")
+    until(lambda: not users(path), "the port being free")
+    os.close(far)
+    os.close(near)
+
+
+def test_what_cannot_be_looked_at_is_left_out(tmp_path: Path) -> None:
+    """Processes that end meanwhile, or belong to others, raise nothing."""
+    (tmp_path / "1").mkdir()
+    (tmp_path / "2" / "fd").mkdir(parents=True)
+    (tmp_path / "2" / "fd" / "0").write_text("no link")
+    (tmp_path / "self").mkdir()
+    assert users("/dev/ttyUSB0", tmp_path) == ()
+
+
+def test_a_port_keeps_its_dtr() -> None:
+    """Closing it must not drop the line that resets what hangs on it; a port whose driver does not count tells nothing."""
+    far, near = pty.openpty()
+    attributes = termios.tcgetattr(near)
+    attributes[2] |= termios.HUPCL
+    termios.tcsetattr(near, termios.TCSANOW, attributes)
+    serial_line.keep_dtr(near)
+    assert not termios.tcgetattr(near)[2] & termios.HUPCL
+    assert serial_line.count(near) is None
+    os.close(far)
+    os.close(near)
+    serial_line.keep_dtr(near)  # a port that is gone raises nothing
+
+
+def test_line_errors_are_read_as_linux_lays_them_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """frame, overrun, parity and buf_overrun of struct serial_icounter_struct."""
+    counters = bytearray(80)
+    for at, value in ((6, 11), (7, 20), (8, 33), (10, 4)):
+        counters[at * 4 : at * 4 + 4] = value.to_bytes(4, sys.byteorder)
+    monkeypatch.setattr("phm.transport.serial_line.fcntl.ioctl", lambda fd, request, data: bytes(counters))
+    assert serial_line.count(0) == LineCount(framing=11, overrun=24, parity=33)
