@@ -153,7 +153,7 @@ def test_loss_is_told_by_sender_over_a_window() -> None:
             assert early[1].frames < MIN_FRAMES
     (pilot, ground) = flow.fact(100.0, BASE).senders
     assert pilot.loss_percent == 0.0
-    assert (pilot.age_s, ground.age_s) == (1.0, 2.0)
+    assert (pilot.age_s, ground.age_s) == (1.0, 4.0)
 
 
 def test_a_sender_that_was_forgotten_and_came_back_has_lost_nothing() -> None:
