@@ -134,7 +134,7 @@ def test_a_signed_command_is_obeyed_and_its_answer_is_signed(signed: tuple[Aboar
     ack = ask(ground(KEY), 31010, 3, 1)
     assert (ack.result, ack.get_signed(), ack.get_link_id()) == (mavlink.MAV_RESULT_ACCEPTED, True, 4)
     assert agent.did == ["app"]
-    assert agent.notes[0].endswith("signed: app")
+    assert until(lambda: agent.notes, "the note")[0].endswith("signed: app")
 
 
 def test_an_unsigned_command_is_denied_where_signing_is_on(signed: tuple[Aboard, Sign]) -> None:

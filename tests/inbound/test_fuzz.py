@@ -1,0 +1,201 @@
+"""Hostile bytes on the way from the parser to the command: nothing is done, nothing is raised, nothing is changed."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+from hypothesis import HealthCheck, example, given, settings as hypothesis_settings, strategies as st
+
+from phm.inbound.desk import MAX_WAITING, Desk, Powers
+from phm.testing import FakeClock, settings
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink_budget import Class
+from phm.transport.mavlink_codec import Codec
+from phm.transport.mavlink_signing import Signer, Signing, unsigned_of
+from tests.fakes.mavlink import Sender, heartbeat
+from tests.inbound.test_signing import KEY, NOW, OTHER, sign, ticks
+
+ALL = ["status", "details", "check", "approve", "restart"]
+IDS = frozenset((0, 75, 76, 109, 385))
+HARD = hypothesis_settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+class Scene:
+    """Everything between the bytes of one link and what a command may do; all is allowed, and signing is on unless told."""
+
+    def __init__(self, *, signs: bool = True) -> None:
+        self.clock, self.did, self.acks, self.heard = FakeClock(utc=NOW), [], [], 0  # type: ignore[var-annotated]
+        self.system_id, self.component_id, self.signs = 7, 193, signs
+        self.signing = Signing(KEY, self.clock)
+        signer = Signer(self.signing, 0, unsigned_of("vehicle")) if signs else None
+        self.codec = Codec(7, 193, IDS.__contains__, signer)
+        self.parser = self.codec.parser()
+        powers = Powers(
+            tuple, tuple, tuple, lambda: True, lambda: True, look=lambda: self.did.append("look"),
+            approve=lambda name: self._do(name), restart=lambda key, by: self._do(key), note=lambda kind, words: None,
+            later=TimeoutError,
+        )  # fmt: skip
+        chosen = settings(agent={"id": 7}, containers=[{"name": "app"}], mavlink={"commands": ALL})
+        self.desk = Desk(self, powers, chosen, self.clock)
+
+    def _do(self, what: str) -> str:
+        self.did.append(what)
+        return what
+
+    def send(
+        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+    ) -> None:
+        if message.get_type() == "COMMAND_ACK":
+            self.acks.append(message.result)
+        else:
+            self.did.append(message.get_type())
+
+    def listen(self, callback: Any, ids: Any) -> None:
+        self.callback = callback
+
+    def feed(self, data: bytes, *, datagram: bool = False) -> None:
+        for message in (self.parser.datagram if datagram else self.parser.feed)(data):
+            self.heard += 1
+            if message.get_msgId() in (75, 76):
+                self.callback(message, "radio")
+        self.desk.turn()
+
+    def state(self) -> tuple[object, ...]:
+        """What hostile bytes must not change."""
+        return dict(self.signing._streams), self.signing._time, dict(self.desk._repeats), list(self.did)
+
+    def obeys(self) -> bool:
+        """Whether a true command still gets through, behind whatever came."""
+        before = len(self.did)
+        # A parser may wait for the rest of a frame that was announced: the longest has 280 bytes.
+        for n in range(40):
+            self.clock.advance(3.0)
+            frame = command(ticks(self.clock.utc()) + n)
+            self.feed(frame if self.signs else Sender(255, 190).frame(RESTART))
+        return len(self.did) > before
+
+
+RESTART = mavlink.MAVLink_command_long_message(7, 193, 31010, 0, 3, 1, 0, 0, 0, 0, 0)
+
+
+def command(time: int, *, key: bytes = KEY) -> bytes:
+    return sign(Sender(255, 190).frame(RESTART), time, key=key)
+
+
+def test_the_true_command_is_obeyed() -> None:
+    """Without this the rest of the file would prove nothing."""
+    scene = Scene()
+    scene.feed(command(ticks(NOW)))
+    assert (scene.did, scene.acks) == (["app"], [0])
+
+
+@HARD
+@given(st.binary(max_size=2000), st.booleans(), st.booleans())
+def test_noise_does_nothing(data: bytes, datagram: bool, signs: bool) -> None:
+    """Also with signing off; and the link goes on to work."""
+    scene = Scene(signs=signs)
+    before = scene.state()
+    scene.feed(data, datagram=datagram)
+    assert scene.state() == before
+    assert scene.obeys()
+
+
+@HARD
+@given(st.lists(st.tuples(st.integers(0, 62), st.integers(0, 255)), min_size=1, max_size=8), st.booleans())
+@example([(2, 1)], False)
+def test_a_signed_command_that_was_changed_is_not_obeyed(changes: list[tuple[int, int]], datagram: bool) -> None:
+    """Whichever bytes are turned, flags, lengths and the signature's own among them."""
+    frame = bytearray(command(ticks(NOW)))
+    original = bytes(frame)
+    for at, value in changes:
+        frame[at % len(frame)] ^= value
+    if bytes(frame) == original:
+        return
+    scene = Scene()
+    before = scene.state()
+    scene.feed(bytes(frame), datagram=datagram)
+    assert scene.state() == before
+    assert 0 not in scene.acks
+
+
+@HARD
+@given(st.data())
+def test_a_command_with_a_right_checksum_and_a_wrong_signature_is_not_obeyed(data: st.DataObject) -> None:
+    """The forger knows the standard: any payload, any time, any link id, any sender, his own key or none."""
+    scene = Scene()
+    before = scene.state()
+    numbers = st.integers(0, 255)
+    for _ in range(data.draw(st.integers(1, 10))):
+        params = [data.draw(st.floats(width=32)) for _ in range(2)]
+        message = mavlink.MAVLink_command_long_message(
+            data.draw(st.sampled_from([7, 0, 8])), data.draw(st.sampled_from([193, 0, 1])),
+            data.draw(st.sampled_from([31010, 511, 512, 400, 0, 65535])), data.draw(numbers), *params, 0, 0, 0, 0, 0,
+        )  # fmt: skip
+        frame = Sender(data.draw(numbers), data.draw(numbers)).frame(message)
+        if data.draw(st.booleans()):
+            frame = sign(frame, data.draw(st.integers(0, 2**48 - 1)), key=OTHER, link=data.draw(numbers))
+        scene.feed(frame)
+    assert scene.state() == before
+    assert 0 not in scene.acks
+    assert scene.obeys()
+
+
+@HARD
+@given(st.lists(st.integers(1, 62), min_size=1, max_size=5), st.binary(max_size=300))
+def test_a_command_that_was_cut_short_is_not_obeyed(cuts: list[int], noise: bytes) -> None:
+    """Whatever comes behind it; and the true one after it is."""
+    scene = Scene()
+    before = scene.state()
+    whole = command(ticks(NOW))
+    for cut in cuts:
+        scene.feed(whole[: cut % len(whole)] + noise, datagram=True)
+    assert scene.state() == before
+    scene.feed(whole, datagram=True)
+    assert scene.did == ["app"]
+
+
+@HARD
+@given(
+    st.lists(st.integers(1, 64), max_size=20), st.binary(max_size=100).filter(lambda data: not {0xFD, 0xFE} & set(data))
+)
+def test_a_true_command_is_obeyed_once_however_it_is_cut(sizes: list[int], noise: bytes) -> None:
+    """In any pieces, and among bytes that begin no frame."""
+    scene = Scene()
+    stream = noise + command(ticks(NOW))
+    for size in [*sizes, len(stream)]:
+        scene.feed(stream[:size])
+        stream = stream[size:]
+    assert scene.did == ["app"]
+
+
+@HARD
+@given(st.integers(0, 2**32 - 1))
+def test_replaying_does_nothing(seed: int) -> None:
+    """A recording of true frames, again and in any order, cut and changed."""
+    rng = random.Random(seed)
+    scene, now = Scene(), ticks(NOW)
+    frames = [sign(Sender(255, 190).frame(heartbeat()), now), command(now + 1), command(now + 2), command(now + 3)]
+    for frame in frames:
+        scene.feed(frame)
+    before = scene.state()
+    for _ in range(20):
+        frame = bytearray(rng.choice(frames))
+        if rng.random() < 0.5:
+            frame[rng.randrange(len(frame))] ^= 1 << rng.randrange(8)
+        scene.feed(bytes(frame[: rng.randrange(1, len(frame) + 1)] if rng.random() < 0.3 else frame))
+    assert scene.state() == before
+
+
+@HARD
+@given(st.lists(st.tuples(st.integers(0, 255), st.integers(0, 255), st.integers(0, 255)), max_size=300))
+def test_a_flood_leaves_room_for_the_true_command(floods: list[tuple[int, int, int]]) -> None:
+    """Unsigned commands under any sender, the ground station's too."""
+    scene = Scene()
+    for system, component, again in floods:
+        message = mavlink.MAVLink_command_long_message(7, 193, 31010, again, 3, 1, 0, 0, 0, 0, 0)
+        for heard in scene.parser.feed(Sender(system, component).frame(message)):
+            scene.callback(heard, "radio")
+        assert len(scene.desk._waiting) <= MAX_WAITING
+    scene.feed(command(ticks(NOW)))
+    assert scene.did == ["app"]
