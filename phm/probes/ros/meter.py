@@ -132,7 +132,7 @@ class Meter:
             if self._sorter is None:
                 self._sorter = Sorter(self._counted_over_s)
                 self._tracks.pop(None, None)
-            samples = self._sorter.sort(samples, complete=listening.complete)
+            samples = self._sorter.sort(samples, listening.publishers, complete=listening.complete)
         elif self._sorter is not None:
             self._sorter = None
             self._tracks.clear()

@@ -1,15 +1,15 @@
 """Tells the samples of several publishers of one topic apart where the middleware does not say who sent them.
 
-Each publisher numbers its samples by itself, so over time its numbers form a line of their own: a start and a slope,
-which is its rate. A sample belongs to the line that it lies on. Publishers of equal rate whose lines lie together may
-be taken for one another, which changes no rate. Lines whose publishers are very uneven get mixed up, which shows by
-ever new lines; as long as the queue is not full between two looks, their samples can still be counted.
+Each publisher numbers its samples by itself, so over time its numbers form a line of their own. Between two looks a queue
+keeps the last samples of all of them: within it numbers of one line follow each other by one, whenever they come; across
+what the queue lost, they go on about as steeply as before. Two lines that are taken for one another keep their sum,
+so that only a line too many or too few changes the rate; it shows by lines that are born.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from phm.probes.ros.track import Sample, Track
@@ -20,12 +20,13 @@ PER_PUBLISHER, DEPTH_MOST = 16, 64
 """Samples in the queue for each of them: three make a line, and while it is not full they can be counted."""
 _STEADY = 3
 """So many numbers make a slope."""
-_NEW_COST = 1.0
-"""What keeps a line without a slope from taking a sample that lies on another one's."""
-_OFF_MOST, _OFF_SHARE = 0.25, 0.02
-"""When samples lie off their lines by more than this many numbers on average, lines are taken for one another."""
+_ROOM, _ROOM_FULL = 3.0, 64.0
+"""How many numbers a sample may be off its line, or as many as are expected where that is more; and the same while there
+are as many lines at work as publishers, since then it must belong to one of them."""
+_AT_WORK_NS = 2e9
 _BASE_S = 2.0
 """A slope is measured over this much publication time."""
+_AGAIN_S = 20.0
 _BIRTHS_S = 10.0
 """In so long one new line is a publisher that was restarted; more tell that samples were taken for others'."""
 
@@ -41,16 +42,16 @@ class _Line:
     next_base: tuple[int, int]
     period_ns: float | None = None
 
-    def cost(self, number: int, at_ns: int) -> float | None:
-        """How far off the line this is, in numbers; None when it cannot be its next sample."""
+    def off(self, number: int, at_ns: int) -> float | None:
+        """How far off the line this is, in numbers; None when it cannot be a later sample of it."""
         count, passed_ns = number - self.number, at_ns - self.at_ns
-        if count <= 0 or passed_ns <= 0:
+        if count <= 0 or passed_ns < 0:
             return None
-        if self.period_ns is None:
-            return count - 1 + _NEW_COST if count <= _STEADY else None
-        expected = passed_ns / self.period_ns
-        off = abs(count - expected)
-        return off if off <= max(1.0, expected / 4) else None
+        return abs(count - max(1.0, self.expected(at_ns)))
+
+    def expected(self, at_ns: int) -> float:
+        """How many numbers further it should be."""
+        return (at_ns - self.at_ns) / self.period_ns if self.period_ns else 1.0
 
     def take(self, number: int, at_ns: int) -> None:
         self.number, self.at_ns = number, at_ns
@@ -70,15 +71,15 @@ class Sorter:
         self._births: deque[float] = deque(maxlen=4 * MOST)
         self._all = Track(counted_over_s)
         self._began_s: float | None = None
-        self._off = 0.0
 
-    def sort(self, samples: Iterable[Sample], *, complete: bool) -> list[Sample]:
-        """complete: these are all samples that were published since the last ones."""
+    def sort(self, samples: Sequence[Sample], publishers: int, *, complete: bool) -> list[Sample]:
+        """publishers: how many there are by discovery. complete: nothing was published that is not among `samples`."""
         sorted_samples = []
+        self._try_again(publishers, samples[0].at_s)
         for sample in samples:
             self._began_s = sample.at_s if self._began_s is None else self._began_s
             self._all.add(replace(sample, sequence=None))
-            sorted_samples.append(replace(sample, writer=self._line(sample).name))
+            sorted_samples.append(replace(sample, writer=self._line(sample, publishers).name))
         if not complete:
             self._all.forget()
         return sorted_samples
@@ -92,18 +93,36 @@ class Sorter:
         """Whether the lines cannot be trusted. publishers: how many there are by discovery."""
         born = sum(now_s - born_s <= _BIRTHS_S for born_s in self._births)
         young = self._began_s is None or now_s - self._began_s <= _BIRTHS_S
-        return publishers > MOST or self._off > _OFF_MOST or born > 1 + (publishers if young else 0)
+        at_work = self._at_work(max((line.at_ns for line in self._lines), default=0))
+        return publishers > MOST or at_work > publishers or born > 1 + (publishers if young else 0)
 
-    def _line(self, sample: Sample) -> _Line:
+    def _try_again(self, publishers: int, now_s: float) -> None:
+        """What was taken for one another once stays so: begin anew after a while."""
+        if self._began_s is not None and now_s - self._began_s > _AGAIN_S and self.puzzled(publishers, now_s):
+            self._began_s = None
+            self._lines.clear()
+            self._births.clear()
+
+    def _line(self, sample: Sample, publishers: int) -> _Line:
         assert sample.sequence is not None
         number, at_ns = sample.sequence, sample.source_ns
-        costs = [(cost, line.at_ns, line) for line in self._lines if (cost := line.cost(number, at_ns)) is not None]
-        # Of equals, the one that has waited longest.
-        off, _, line = min(costs, key=lambda entry: entry[:2]) if costs else (0.0, 0, self._new(sample))
-        if line.period_ns is not None:
-            self._off += _OFF_SHARE * (off - self._off)
+        offs = [
+            # What follows by one is next, however late or early. Of equals, the one that has waited longest.
+            (0.0 if number == line.number + 1 else off, line.at_ns, line)
+            for line in self._lines
+            if (off := line.off(number, at_ns)) is not None
+        ]
+        off, _, line = min(offs, key=lambda entry: entry[:2], default=(0.0, 0, None))
+        if line is None or off > max(self._room(at_ns, publishers), line.expected(at_ns)):
+            line = self._new(sample)
         line.take(number, at_ns)
         return line
+
+    def _room(self, at_ns: int, publishers: int) -> float:
+        return _ROOM if self._at_work(at_ns) < publishers else _ROOM_FULL
+
+    def _at_work(self, at_ns: int) -> int:
+        return sum(at_ns - line.at_ns < _AT_WORK_NS for line in self._lines)
 
     def _new(self, sample: Sample) -> _Line:
         assert sample.sequence is not None

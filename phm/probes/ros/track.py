@@ -40,7 +40,7 @@ class Sample:
 class Track:
     """One publisher.
 
-    Invariant: sequence numbers and source times of what is kept rise strictly; whatever breaks that
+    Invariant: of what is kept, sequence numbers rise and source times do not fall; whatever breaks that
     (restart, a clock that was set) starts the window anew.
     """
 
@@ -86,7 +86,7 @@ class Track:
             return False
         published_s = (sample.source_ns - last.source_ns) / 1e9
         # Samples that are only counted may be of several publishers, and come in any order.
-        if (numbered and published_s <= 0) or abs(published_s - (sample.at_s - last.at_s)) > JUMP_S:
+        if (numbered and published_s < 0) or abs(published_s - (sample.at_s - last.at_s)) > JUMP_S:
             self._quickest.clear()
             return False
         if self._kept:  # else this is the first sample after a silence

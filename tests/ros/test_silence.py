@@ -1,0 +1,133 @@
+"""From when on a topic counts as silent: the rule, and what it makes of recorded traces."""
+
+from __future__ import annotations
+
+import pytest
+
+from phm.probes.ros.meter import Meter
+from phm.probes.ros.recent import Recent
+from phm.probes.ros.silence import LEAST, Silence
+from tests.fakes.ros_flow import TICK_S, looks, silent_from, trace
+
+CONFIGURED_S = 3.0
+SETTLE_S = 2.0
+"""`settle_s` of the rates check: a silence that ends before is told to nobody."""
+PHASES = (0.0, 0.06, 0.12, 0.19)
+"""Looks may fall anywhere between two publications."""
+
+
+def silences(name: str, phase_s: float) -> tuple[list[float], float]:
+    """Of the trace and then nothing: when silence was called while it went on, and how long after its last publication."""
+    recorded = trace(name)
+    meter = Meter(round(recorded.hz, 1), CONFIGURED_S)
+    began = silent_from(meter, recorded.publications, phase_s - 1.0, recorded.end_s + 5.0)
+    early = [at_s for at_s in began if at_s <= recorded.end_s]
+    (called_s,) = [at_s for at_s in began if at_s > recorded.end_s]
+    return early, called_s - recorded.publications[-1].published_s
+
+
+@pytest.mark.parametrize("phase_s", PHASES)
+def test_a_steady_topic_of_1_hz_is_silent_within_2_seconds(phase_s: float) -> None:
+    """45 minutes of a real 1 Hz timer: no false alarm, and its end is called a second before the configured 3 s."""
+    early, after_s = silences("steady", phase_s)
+    assert early == []
+    assert after_s <= 2.0
+
+
+@pytest.mark.parametrize("phase_s", PHASES)
+@pytest.mark.parametrize("name", ["lognormal", "bursty"])
+def test_an_uneven_topic_is_given_its_time(name: str, phase_s: float) -> None:
+    """45 minutes of pauses of up to 2.7 s: no false alarm; its end is called by the configured 3 s and one look."""
+    early, after_s = silences(name, phase_s)
+    assert early == []
+    assert after_s <= CONFIGURED_S + 2 * TICK_S
+
+
+@pytest.mark.parametrize("phase_s", PHASES)
+def test_a_stall_that_was_never_seen_before_is_not_told(phase_s: float) -> None:
+    """A steady topic pauses for up to 2.7 s once in a while: the first pause may be called silence, for less than it
+    takes to be told, and from then on the topic has its time."""
+    recorded = trace("stalling")
+    meter = Meter(1.0, CONFIGURED_S)
+    silent_s, spans = 0.0, []
+    for now_s, samples in looks(recorded.publications, phase_s - 1.0, recorded.end_s):
+        if meter.look(now_s, samples).hz == 0.0:
+            silent_s += TICK_S
+        elif silent_s:
+            spans.append(silent_s)
+            silent_s = 0.0
+    assert len(spans) <= 3
+    assert all(span_s < SETTLE_S for span_s in spans)
+
+
+@pytest.mark.parametrize("phase_s", PHASES)
+def test_a_fast_topic_on_a_busy_machine_is_silent_after_a_second_or_two(phase_s: float) -> None:
+    """10 Hz while other processes use all processors: no false alarm, and no need for 3 s."""
+    early, after_s = silences("fast", phase_s)
+    assert early == []
+    assert after_s <= 2.0
+
+
+def test_the_traces_are_long_and_real() -> None:
+    """What the tests above prove is worth as much as the recordings."""
+    assert all(trace(name).end_s > 2400 for name in ("steady", "lognormal", "bursty", "stalling"))
+    assert trace("fast").end_s > 120
+
+
+def fed(hz: float, pauses: list[float], most_s: float = 3.0, every_s: float | None = None) -> Silence:
+    silence = Silence(hz, most_s)
+    for number, pause_s in enumerate(pauses):
+        silence.ended(pause_s, number * (every_s or 1 / hz))
+    return silence
+
+
+def test_the_configured_limit_holds_until_enough_was_seen() -> None:
+    """Twenty pauses, over fifteen seconds at least."""
+    assert fed(1.0, [1.0] * (LEAST - 1)).limit_s == 3.0
+    assert fed(1.0, [1.0] * LEAST).limit_s == pytest.approx(1.5)
+    assert fed(10.0, [0.0] * LEAST).limit_s == 3.0
+
+
+@pytest.mark.parametrize(
+    ("hz", "pauses", "limit_s"),
+    [
+        (10.0, [0.0] * 200, 1.0),
+        (1.0, [1.0] * 100, 1.5),
+        (0.1, [10.0] * 100, 15.0),
+        (1.5, [0.67] * 100, 1 / 1.5 + 0.5),
+        (1.0, [1.0, 1.4] * 50, 1.4 + 0.5),
+        (1.0, [1.0, 1.0, 1.0, 1.5] * 25, 1.5 + 2 * 0.375),
+        (1.0, [1.0, 1.0, 2.9] * 50, 3.0),
+        (1.0, [2.0] * 100, 2.5),
+    ],
+)
+def test_the_limit_follows_the_longest_pause(hz: float, pauses: list[float], limit_s: float) -> None:
+    """Longest plus twice what it is longer than usual, half a second at least; never below 1 s or 1.5 periods, never
+    above what is configured. A publisher at half its rate is slow, not silent."""
+    most_s = max(3.0, 3 / hz)
+    assert fed(hz, pauses, most_s).limit_s == pytest.approx(limit_s, rel=0.05)
+
+
+def test_a_silence_teaches_nothing() -> None:
+    """What was longer than the configured limit was no pause of a well topic."""
+    assert fed(1.0, [1.0] * 50 + [60.0] + [1.0] * 5).limit_s == pytest.approx(1.5)
+
+
+def test_a_pause_is_forgotten_after_ten_minutes() -> None:
+    """One stall does not make a topic slow to be seen for ever."""
+    assert fed(1.0, [1.0] * 50 + [2.5] + [1.0] * 500).limit_s == 3.0
+    assert fed(1.0, [1.0] * 50 + [2.5] + [1.0] * 700).limit_s == pytest.approx(1.5)
+
+
+def test_the_largest_of_recent_numbers() -> None:
+    """Kept for as long as asked for, and not longer than a tenth more."""
+    recent = Recent(10.0)
+    assert recent.most is None
+    recent.add(5.0, 0.0)
+    for second in range(1, 11):
+        recent.add(1.0, float(second))
+        assert recent.most == 5.0
+    recent.add(1.0, 11.0)
+    assert recent.most == 1.0
+    recent.clear()
+    assert recent.most is None
