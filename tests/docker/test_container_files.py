@@ -12,8 +12,7 @@ import pytest
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
 from phm.probes.files import Files
 from phm.probes.volume_path import Outside, resolve
-from phm.testing import FakeClock, FakeDocker, settings
-from phm.testing import container as fact
+from phm.testing import FakeClock, FakeDocker, container as fact, settings
 from phm.transport.docker import Engine
 from tests.fakes.engine import FakeEngine, Hang, container
 

@@ -11,8 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from phm.reporters.rotating import FIRST_RETRY_S, LAST_RETRY_S, RING_LINES, RotatingLines
 from phm.testing import FakeClock
