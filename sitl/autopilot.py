@@ -5,7 +5,7 @@
 It sends what an ArduPilot copter sends (HEARTBEAT, SYSTEM_TIME, ATTITUDE), obeys
 MAV_CMD_COMPONENT_ARM_DISARM and MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, and passes frames between its links unchanged by ArduPilot's rules, measured
 on a real one: a link gets passed-on frames only after it has itself sent a packet; frames that claim to be
-from the autopilot itself vanish; what is addressed to the autopilot stays with it.
+from the autopilot itself vanish; what is addressed to the autopilot stays with it, and so does a radio's RADIO_STATUS.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Autopilot:
 
     def _take(self, port: Port, peer: Hashable, message: Any) -> None:
         source = (message.get_srcSystem(), message.get_srcComponent())
-        if source == (self.system_id, AUTOPILOT):
+        if source == (self.system_id, AUTOPILOT) or message.get_type() == "RADIO_STATUS":
             return
         if len(self._routes) < 20:  # as many as ArduPilot keeps
             self._routes[source] = port

@@ -1,0 +1,184 @@
+"""A whole PHM between a simulated ground station, a pair of radios on a serial port, and an autopilot: each hop broken in turn."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from phm.daemon import Daemon
+from phm.model import ActionEvent, Event, FaultClosed, FaultOpened, Level, Phase
+from phm.testing import settings
+from sitl.autopilot import Autopilot
+from sitl.ground import Ground
+from sitl.radio import Radio
+from tests.fakes.mavlink import free_port, until
+
+ALL_OK = "GCS ok -> radio ok -> port ground ok -> companion ok -> link fc ok -> autopilot ok"
+
+
+class Flight:
+    """Ground station - radio ~ radio - serial port - PHM - TCP - autopilot 7. Everything runs in this process."""
+
+    def __init__(self, folder: Path) -> None:
+        self.port, self.far, self.companion = str(folder / "ttyRADIO"), free_port(), free_port()
+        self._spare = free_port()
+        self.radio, self._radio_thread = self._switch_on()
+        self.pilot = Autopilot(7, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self._spare}")
+        self._pilot_thread = threading.Thread(target=self.pilot.run, daemon=True)
+        self._pilot_thread.start()
+        self.ground = self.new_ground()
+        endpoints = [
+            {"url": self.port, "name": "ground", "leads_to": "ground", "budget": 0},
+            {"url": f"tcp:127.0.0.1:{self.companion}", "name": "fc", "leads_to": "autopilot"},
+        ]
+        made = settings(
+            agent={"id": 7}, interval=2, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}, "peers": {"enabled": False}},
+            mavlink={
+                "endpoints": endpoints, "heartbeat": 0.5, "gcs_timeout": 2, "autopilot_timeout": 2, "radio_timeout": 2,
+            },
+        )  # fmt: skip
+        self.events: list[Event] = []
+        self.daemon = Daemon(made)
+        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.start()
+
+    def new_ground(self) -> Ground:
+        ground = Ground(f"tcp:127.0.0.1:{self.far}")
+        ground.start()
+        return ground
+
+    def _switch_on(self) -> tuple[Radio, threading.Thread]:
+        radio = Radio(f"pty:{self.port}", f"tcpin:127.0.0.1:{self.far}")
+        thread = threading.Thread(target=radio.run, daemon=True)
+        thread.start()
+        return radio, thread
+
+    def unplug(self) -> None:
+        self.radio.stop()
+        self._radio_thread.join(5.0)
+
+    def plug_in(self) -> None:
+        self.radio, self._radio_thread = self._switch_on()
+
+    def close(self) -> None:
+        self.daemon.stop()
+        self.ground.stop()
+        self.pilot.stop()
+        self.unplug()
+        self._pilot_thread.join(5.0)
+
+    # ------------------------------------------------------------ what was told
+
+    def path(self) -> str:
+        return next(state.result.summary for state in self.daemon.pipeline.states() if state.unit == "path")
+
+    def alarms(self) -> list[str]:
+        faults = [event.fault for event in list(self.events) if isinstance(event, FaultOpened)]
+        return [f"{fault.unit} {fault.result.brief}" for fault in faults]
+
+    def over(self) -> list[str]:
+        faults = [event.fault for event in list(self.events) if isinstance(event, FaultClosed)]
+        return [f"{fault.unit} {fault.outcome.value}" for fault in faults]
+
+    def lines(self) -> list[str]:
+        return [line.text for line in list(self.ground.lines)]
+
+    def settled(self) -> bool:
+        states = self.daemon.pipeline.states()
+        return all(state.level is Level.OK for state in states) and ALL_OK in self.path()
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Iterator[Flight]:
+    made = Flight(tmp_path)
+    try:
+        until(made.settled, "all hops being heard")
+        yield made
+    finally:
+        made.close()
+
+
+def test_a_lost_ground_station_is_told_once_and_cleared(flight: Flight) -> None:
+    """It closes and comes back: one alarm, at the ground station, and the new one hears of it."""
+    flight.ground.stop()
+    until(flight.alarms, "the alarm")
+    assert "stops at GCS" in until(lambda: flight.path() if "stops" in flight.path() else "")
+    flight.ground = flight.new_ground()
+    until(flight.settled, "all being well")
+    (told,) = flight.alarms()
+    assert told.startswith("gcs GCS: no heartbeat")
+    assert flight.over() == ["gcs resolved"]
+
+
+def test_a_radio_without_power_is_told_once(flight: Flight) -> None:
+    """The ground station is silent behind it, and raises no alarm of its own; a report that cannot be sent is in the log."""
+    flight.radio.near.off = True
+    until(flight.alarms, "the alarm")
+    until(lambda: "GCS not known (behind radio)" in flight.path())
+    flight.radio.near.off = False
+    until(flight.settled, "all being well")
+    (told,) = flight.alarms()
+    assert told.startswith("radio/ground radio: no RADIO_STATUS")
+    assert len(flight.over()) == 1
+
+
+def test_radios_that_do_not_hear_each_other_lose_the_ground_station(flight: Flight) -> None:
+    """The radio aboard still answers, so the alarm says where to look: on the ground."""
+    flight.radio.air.cut = True
+    until(flight.alarms, "the alarm")
+    fault = next(event.fault for event in list(flight.events) if isinstance(event, FaultOpened))
+    assert fault.unit == "gcs"
+    assert "the radio aboard answers" in fault.result.summary
+    until(lambda: any(state.result.brief == "radio: buffer full" for state in flight.daemon.pipeline.states()))
+    flight.radio.air.cut = False
+    until(flight.settled, "all being well")
+    assert len(flight.alarms()) == 1
+
+
+def test_a_weak_signal_is_a_warning(flight: Flight) -> None:
+    """Told to the ground while it can still be told."""
+    flight.radio.air.rssi = flight.radio.air.noise + 6
+    until(lambda: any(line.startswith("A07 WARN 11 radio: weak, margin") for line in flight.lines()), "the line")
+    assert flight.alarms() == []
+
+
+def test_a_port_that_is_pulled_out_is_named(flight: Flight) -> None:
+    """What is behind it is blocked; when it is back, it is opened again, and all is well."""
+    flight.unplug()
+    until(flight.alarms, "the alarm")
+    until(lambda: "GCS not known (behind port ground) -> radio not known (behind port ground)" in flight.path())
+    flight.plug_in()
+    until(flight.settled, "all being well")
+    assert flight.alarms() == ["link/ground port ground: ttyRADIO missing"]
+    assert flight.over() == ["link/ground resolved"]
+
+
+def test_a_silent_autopilot_is_told_to_the_ground(flight: Flight) -> None:
+    """PHM's own heartbeats go on, so nobody else would tell; its link is opened anew, which does not help a hung one."""
+    flight.pilot.hung = True
+    line = until(lambda: [line for line in flight.lines() if " 10 " in line], "the line")[0]
+    assert line.startswith("A07 FAIL 10 autopilot: no heartbeat")
+    until(lambda: any(isinstance(event, ActionEvent) and event.phase is Phase.DONE for event in list(flight.events)))
+    flight.pilot.hung = False
+    until(flight.settled, "all being well")
+    assert len(flight.alarms()) == 1
+    assert until(lambda: [line for line in flight.lines() if line.startswith("A07 OK 10")])
+
+
+@pytest.mark.parametrize(
+    ("armed", "line"),
+    [(False, "A07 WARN 10 autopilot rebooted"), (True, "A07 FAIL 10 autopilot rebooted while armed")],
+    ids=["on the ground", "armed"],
+)
+def test_a_reboot_is_told_to_the_ground(flight: Flight, armed: bool, line: str) -> None:
+    """Quicker than any silence could show; gravely when it was armed."""
+    flight.pilot.armed = armed
+    until(lambda: (fact := flight.daemon.parts.world.links.autopilot()) is not None and fact.armed is armed)
+    until(lambda: (fact := flight.daemon.parts.world.links.autopilot()) is not None and (fact.boot_s or 0) > 4)
+    flight.pilot.reboot(boot_s=0.5)
+    until(lambda: line in flight.lines(), "the line")
+    assert {state.unit for state in flight.daemon.pipeline.states() if state.level.bad} == {"autopilot"}

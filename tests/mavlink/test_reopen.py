@@ -1,0 +1,200 @@
+"""A link that is open and silent is closed and opened anew: by the hub, and by recovery, which proves that it helped."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import select
+import socket
+import termios
+import threading
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.daemon import Daemon
+from phm.model import ActionEvent, Event, FaultClosed, FaultOpened, Phase
+from phm.testing import settings
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink import MavlinkHub
+from tests.fakes.mavlink import Sender, free_port, heartbeat, until
+
+PILOT = heartbeat(5, kind=mavlink.MAV_TYPE_QUADROTOR, autopilot=3, base_mode=81)
+
+
+class Stale:
+    """A TCP server in whose connections only one side believes: each falls silent when `mute` is called, and only one that
+    is made after that is spoken to. `deaf`: new ones are not spoken to either."""
+
+    def __init__(self) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.setblocking(False)
+        self.port = int(self._listener.getsockname()[1])
+        self.accepted = 0
+        self.deaf = False
+        self._speaks: list[socket.socket] = []
+        self._all: list[socket.socket] = []
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def mute(self, *, deaf: bool = False) -> None:
+        self.deaf = deaf
+        self._speaks = []
+
+    def _loop(self) -> None:
+        sender = Sender(7, 1)
+        while not self._stopping.wait(0.1):
+            with contextlib.suppress(BlockingIOError):
+                client, _ = self._listener.accept()
+                self.accepted += 1
+                self._all.append(client)
+                if not self.deaf:
+                    self._speaks = [*self._speaks, client]
+            for client in self._speaks:
+                with contextlib.suppress(OSError):
+                    client.send(sender.frame(PILOT))
+
+    def close(self) -> None:
+        self._stopping.set()
+        self._thread.join(5.0)
+        for sock in (*self._all, self._listener):
+            sock.close()
+
+
+@pytest.fixture
+def stale() -> Iterator[Stale]:
+    made = Stale()
+    yield made
+    made.close()
+
+
+@contextlib.contextmanager
+def hub(url: str) -> Iterator[MavlinkHub]:
+    made = MavlinkHub(settings(mavlink={"endpoints": [{"url": url, "name": "fc"}]}).mavlink, 7, SystemClock())
+    made.start()
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+# ---------------------------------------------------------------- the hub
+
+
+def test_a_connection_is_made_anew(stale: Stale) -> None:
+    """Closed and connected again, without being told as closed; what is queued goes out by the new one."""
+    with hub(f"tcp:127.0.0.1:{stale.port}") as made:
+        seen: list[bool] = []
+        made.watch(lambda: seen.extend(link.open for link in made.links()))
+        until(lambda: stale.accepted == 1 and made.links())
+        assert made.reopen("fc", 10.0)
+        until(lambda: stale.accepted == 2)
+        assert all(seen)
+
+
+def test_only_the_endpoint_that_is_meant_is_opened_anew(stale: Stale) -> None:
+    """A name that is unknown opens nothing."""
+    with hub(f"tcp:127.0.0.1:{stale.port}") as made:
+        until(lambda: stale.accepted == 1)
+        assert not made.reopen("ground", 0.2)
+        assert stale.accepted == 1
+
+
+def test_what_cannot_be_opened_is_told() -> None:
+    """Nobody listens: not open again in time."""
+    with hub(f"tcp:127.0.0.1:{free_port()}") as made:
+        until(made.links)
+        assert not made.reopen("fc", 0.3)
+
+
+def test_a_serial_port_is_opened_anew_without_a_reset() -> None:
+    """DTR stays up when it is closed, so that nothing behind it takes the edge for a reset."""
+    far, near = pty.openpty()
+    tty.setraw(far)
+    tty.setraw(near)
+    attributes = termios.tcgetattr(near)
+    attributes[2] |= termios.HUPCL
+    termios.tcsetattr(near, termios.TCSANOW, attributes)
+    with hub(os.ttyname(near)) as made:
+        until(lambda: not termios.tcgetattr(near)[2] & termios.HUPCL, "DTR being kept")
+        assert made.reopen("fc", 10.0)
+        made.send(heartbeat(1))
+        until(lambda: select.select([far], [], [], 0)[0])
+        assert made.links()[0].open
+    os.close(far)
+    os.close(near)
+
+
+# ---------------------------------------------------------------- recovery
+
+
+class Aboard:
+    """A daemon whose only link leads to the stale server, and what it said."""
+
+    def __init__(self, folder: Path, port: int, **recovery: object) -> None:
+        self.events: list[Event] = []
+        made = settings(
+            agent={"id": 7}, interval=2, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}, "peers": {"enabled": False}},
+            mavlink={
+                "endpoints": [{"url": f"tcp:127.0.0.1:{port}", "name": "fc"}], "autopilot": True, "autopilot_timeout": 2,
+            },
+            recovery=recovery,
+        )  # fmt: skip
+        self.daemon = Daemon(made)
+        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.start()
+
+    def heard(self) -> bool:
+        return self.daemon.parts.world.links.autopilot() is not None
+
+    def phases(self) -> list[Phase]:
+        return [event.phase for event in list(self.events) if isinstance(event, ActionEvent)]
+
+    def opened(self) -> list[str]:
+        return [event.fault.unit for event in list(self.events) if isinstance(event, FaultOpened)]
+
+    def closed(self) -> list[tuple[str, str, str]]:
+        faults = [event.fault for event in list(self.events) if isinstance(event, FaultClosed)]
+        return [(fault.unit, fault.outcome.value, fault.by) for fault in faults]
+
+
+@pytest.mark.parametrize("mode", ["act", "off"])
+def test_an_open_and_silent_link_is_healed(tmp_path: Path, stale: Stale, mode: str) -> None:
+    """One alarm; opened anew, though the autopilot counts as armed and whatever the mode: it is PHM's own; proven by the check."""
+    aboard = Aboard(tmp_path, stale.port, mode=mode)
+    try:
+        until(aboard.heard)
+        stale.mute()
+        until(aboard.closed, "the fault being over")
+        assert aboard.closed() == [("autopilot", "resolved", "reopen")]
+        assert aboard.opened() == ["autopilot"]
+        assert aboard.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+        assert stale.accepted == 2
+    finally:
+        aboard.daemon.stop()
+
+
+def test_what_does_not_help_is_given_up(tmp_path: Path, stale: Stale) -> None:
+    """As often as recovery.same_failure says, then told once, with what to do by hand."""
+    aboard = Aboard(tmp_path, stale.port, same_failure=1)
+    try:
+        until(aboard.heard)
+        stale.mute(deaf=True)
+        until(lambda: Phase.ESCALATED in aboard.phases(), "giving up")
+        assert aboard.phases() == [Phase.STARTED, Phase.DONE, Phase.FAILED, Phase.ESCALATED]
+        (said,) = [
+            event.detail for event in aboard.events if isinstance(event, ActionEvent) and event.phase is Phase.ESCALATED
+        ]
+        assert "look at what is behind fc by hand" in said
+        assert "docker" not in said
+        stale.deaf = False
+        assert aboard.daemon.parts.reopen("fc", 5.0)
+        until(lambda: not aboard.daemon.pipeline.given_up(), "being well again")
+    finally:
+        aboard.daemon.stop()

@@ -1,0 +1,85 @@
+"""The action `reopen`, and links as targets of recovery."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+
+from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.recovery.actions.reopen import Reopen
+from phm.recovery.base import ActionContext, ActionFailed
+from phm.recovery.history import History
+from phm.recovery.links import as_container, by_hand, name_of
+from phm.recovery.policy import Act, Leave, decide
+from phm.settings import ContainerSettings
+from phm.testing import settings
+
+
+def fault(condition: str = "radio_silent") -> Fault:
+    result = Result(Level.ERROR, "no RADIO_STATUS", "radio: no RADIO_STATUS", condition, "link:ground")
+    return Fault("F1", "radio/ground", Slot.RADIO, Layer.LINK, result, Stamp(0.0, 0.0))
+
+
+def run(target: ContainerSettings | None, opened: bool = True) -> tuple[str, list[str]]:
+    asked: list[str] = []
+
+    def reopen(link: str, timeout_s: float) -> bool:
+        asked.append(link)
+        assert timeout_s < Reopen.deadline_s
+        return opened
+
+    context = ActionContext(
+        cast(Any, None), settings(), lambda key: None, lambda: None, lambda key, net: None, reopen=reopen
+    )
+    assert target is not None
+    return Reopen().run(target, fault(), context), asked
+
+
+def test_it_opens_the_link_that_is_meant() -> None:
+    """By its name, whatever characters a url has."""
+    assert run(as_container("link:ground")) == ("reopened the MAVLink endpoint ground", ["ground"])
+    assert run(as_container("link:tcp:10.0.0.1:5760"))[1] == ["tcp:10.0.0.1:5760"]
+
+
+def test_what_does_not_open_again_has_failed() -> None:
+    """With a sentence for the log."""
+    with pytest.raises(ActionFailed, match="ground did not open again"):
+        run(as_container("link:ground"), opened=False)
+
+
+def test_a_container_is_no_link() -> None:
+    """A ladder that names it for a container is told to be wrong."""
+    with pytest.raises(ActionFailed, match=r"ros_app is a container: correct recovery\.ladders"):
+        run(ContainerSettings(name="ros_app", recover=True))
+
+
+def test_a_link_is_told_from_a_container() -> None:
+    """No container can be called so; hints fit what is meant."""
+    assert name_of("link:ground") == "ground"
+    assert name_of("ros_app") == ""
+    assert as_container("ros_app") is None
+    assert "docker logs --tail 50 ros_1" in by_hand("ros_app", "ros_1")
+    assert "ground" in by_hand("link:ground", None)
+
+
+@pytest.mark.parametrize("condition", ["link_silent", "radio_silent", "autopilot_silent"])
+@pytest.mark.parametrize("mode", ["act", "advise", "off"])
+def test_it_is_decided_in_any_mode_and_while_armed(condition: str, mode: str) -> None:
+    """It touches PHM's own endpoint alone, so that neither opt-in nor arming binds it; budget and back-off do."""
+    chosen = settings(recovery={"mode": mode}).recovery
+    decision = decide(
+        fault(condition), History(), 10.0, container=as_container("link:ground"), armed=True, settings=chosen,
+        free_actions=frozenset({"reopen"}),
+    )  # fmt: skip
+    assert decision == Act("reopen", 1)
+
+
+def test_a_link_has_opted_in_to_nothing_else() -> None:
+    """A user's ladder with a container's action does nothing to a link."""
+    chosen = settings(recovery={"ladders": {"radio_silent": ["restart"]}}).recovery
+    decision = decide(
+        fault(), History(), 10.0, container=as_container("link:ground"), armed=False, settings=chosen,
+        free_actions=frozenset({"reopen"}),
+    )  # fmt: skip
+    assert isinstance(decision, Leave)
