@@ -127,6 +127,100 @@ def test_somebody_with_our_identity_is_told() -> None:
     assert scene.links.problems() == ()
 
 
+def boot(boot_ms: int) -> Any:
+    return mavlink.MAVLink_system_time_message(0, boot_ms)
+
+
+def test_a_reboot_wakes_the_checks() -> None:
+    """By the time since boot of the autopilot's own messages; others of the vehicle do not count."""
+    scene = Scene()
+    scene.hear(7, 1, pilot())
+    assert scene.hear(7, 1, boot(60_000)) == 0
+    assert scene.hear(7, 191, boot(100)) == 0
+    assert scene.hear(8, 1, boot(100)) == 0
+    scene.clock.advance(2.0)
+    assert scene.hear(7, 1, boot(900)) == 1
+    fact = scene.links.autopilot()
+    assert fact is not None
+    assert (fact.reboots, fact.rebooted_s, fact.link) == (1, 0.0, "radio")
+    assert fact.boot_s == pytest.approx(0.9)
+
+
+def test_two_autopilots_with_our_system_id_are_told() -> None:
+    """Their times since boot go back and forth; it is a mistake of the configuration, and no reboot."""
+    scene = Scene()
+    scene.hear(7, 1, pilot())
+    for _ in range(5):
+        scene.hear(7, 1, boot(600_000))
+        scene.hear(7, 1, boot(20_000))
+        scene.clock.advance(0.5)
+    (problem,) = scene.links.problems()
+    assert "two autopilots speak as system 7" in problem
+    fact = scene.links.autopilot()
+    assert fact is not None
+    assert fact.rebooted_s is None
+    scene.clock.advance(30.0)
+    assert scene.links.problems() == ()
+
+
+def test_the_ground_station_is_known_with_its_link() -> None:
+    """Which one, and by which endpoint."""
+    scene = Scene()
+    assert scene.links.gcs() is None
+    scene.hear(254, 190, GCS)
+    scene.clock.advance(2.0)
+    gcs = scene.links.gcs()
+    assert gcs is not None
+    assert (gcs.age_s, gcs.system, gcs.component, gcs.link) == (2.0, 254, 190, "radio")
+
+
+def test_a_radio_appears_and_is_lost() -> None:
+    """By its RADIO_STATUS, whoever it calls itself; it is due as often as PHM's own heartbeats."""
+    scene = Scene()
+    assert scene.links.radios() == ()
+    status = mavlink.MAVLink_radio_status_message(180, 170, 98, 40, 50, 0, 0)
+    assert scene.hear(51, 68, status) == 1
+    assert scene.hear(51, 68, status) == 0
+    (radio,) = scene.links.radios()
+    assert (radio.link, radio.age_s, radio.due_s, radio.rssi) == ("radio", 0.0, 2.0, 180)
+    assert scene.pass_time(6.0) == 1
+    assert scene.links.radios()[0].age_s == 6.0
+
+
+def test_who_has_a_port_open_is_asked_within_a_deadline() -> None:
+    """Nobody has this one."""
+    assert Scene().links.users("/dev/null-and-void") == ()
+
+
+def test_the_traffic_of_an_endpoint_is_known() -> None:
+    """Bytes, frames and senders of a real socket, with their rates, and how long it has been silent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        peer.bind(("127.0.0.1", 0))
+        url = f"udpout:127.0.0.1:{peer.getsockname()[1]}"
+        chosen: Settings = settings(agent={"id": 7}, mavlink={"endpoints": [{"url": url, "name": "fc"}]})
+        hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
+        links = Links(hub, chosen, SystemClock(), lambda: None)
+        hub.start()
+        try:
+            hub.send(heartbeat())
+            _, address = peer.recvfrom(300)
+            sender = Sender(7, 1)
+
+            def measured() -> bool:
+                peer.sendto(sender.frame(pilot()), address)
+                link = links.links()[0]
+                return bool(link.rx_s and link.frames_s and link.senders and link.senders[0].frames > 20)
+
+            until(measured, "the traffic being measured")
+            (link,) = links.links()
+            assert (link.name, link.open) == ("fc", True)
+            assert [(one.system, one.component, one.loss_percent) for one in link.senders] == [(7, 1, 0.0)]
+            assert link.rx_age_s is not None
+            until(lambda: (links.links()[0].rx_age_s or 0.0) > 1.0, "its silence being seen")
+        finally:
+            hub.close()
+
+
 def test_our_own_echo_is_no_duplicate() -> None:
     """A router that sends our frames back makes no alarm; a stranger on the same wire does."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as router:

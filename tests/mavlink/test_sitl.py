@@ -15,7 +15,7 @@ from phm.transport.mavlink import MavlinkHub
 from phm.wire import status_word
 from sitl.autopilot import Autopilot
 from sitl.ground import Ground, TextLine, WordChange, as_text
-from sitl.link import Port
+from sitl.link import Port, mavlink
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
 
 
@@ -107,6 +107,29 @@ def test_both_sides_find_an_autopilot_that_rebooted(flight: Flight) -> None:
         return any(line.text == "after the reboot" for line in flight.ground.lines)
 
     until(told)
+
+
+def test_an_autopilot_reboots_when_it_is_told_to(flight: Flight) -> None:
+    """It says yes, is silent for a moment, disarmed after it, and its time since boot begins anew."""
+    flight.pilot.armed = True
+    until(lambda: (fact := flight.links.autopilot()) is not None and fact.armed and (fact.boot_s or 0.0) > 4.0)
+    ground = Port(f"tcp:127.0.0.1:{flight.ground_port}")
+    ground.send(Sender(255, 190).frame(mavlink.MAVLink_command_long_message(7, 1, 246, 0, 1, 0, 0, 0, 0, 0, 0)))
+    until(lambda: (fact := flight.links.autopilot()) is not None and fact.reboots == 1 and fact.rebooted_armed)
+    until(lambda: (fact := flight.links.autopilot()) is not None and not fact.armed)
+    ground.close()
+
+
+def test_radio_status_stays_with_the_autopilot(flight: Flight) -> None:
+    """As in ArduPilot's routing: a radio on its port is not heard on another."""
+    until(lambda: flight.links.gcs_age_s() is not None)
+    radio = Port(f"tcp:127.0.0.1:{flight.ground_port}")
+    sender = Sender(51, 68)
+    radio.send(sender.frame(mavlink.MAVLink_radio_status_message(180, 170, 98, 40, 50, 0, 0)))
+    radio.send(sender.frame(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
+    until(lambda: (gcs := flight.links.gcs()) is not None and gcs.system == 51)
+    assert flight.links.radios() == ()
+    radio.close()
 
 
 def test_frames_that_claim_to_be_the_autopilot_vanish(flight: Flight) -> None:
