@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from phm.config import ConfigError, Problem, find, load
 from phm.recovery.base import Action
-from phm.registry import ACTIONS, checks, usable
-from phm.registry import find as find_installed
+from phm.registry import ACTIONS, checks, find as find_installed, usable
 
 if TYPE_CHECKING:
     from phm.api import Check, Unit

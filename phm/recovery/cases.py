@@ -7,8 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from phm.model import Fault
-from phm.recovery.state import MAX_TOLD
-from phm.recovery.state import Case as Kept
+from phm.recovery.state import MAX_TOLD, Case as Kept
 
 
 @dataclass(slots=True)
