@@ -18,6 +18,9 @@ from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat, until
 
+# With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
+mavutil.set_dialect("common")
+
 
 class Aboard:
     """A hub of agent 7 with its desk, listening by UDP; `did` is what was done."""

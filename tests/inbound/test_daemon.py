@@ -1,0 +1,102 @@
+"""The whole daemon with a key: what the ground asks reaches the checks, faults and recovery, and is in the log."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink import mavutil
+
+from phm.daemon import Daemon
+from phm.model import Event, Note
+from phm.testing import settings
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink_signing import NAME
+from phm.wire import tunnel
+from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat, until
+
+KEY = bytes(range(1, 33))
+# With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
+mavutil.set_dialect("common")
+
+
+class Agent:
+    """PHM as agent 7 with one container that no engine knows, and a ground station with the key."""
+
+    def __init__(self, folder: Path) -> None:
+        key, port = folder / "key", free_port()
+        key.write_text(KEY.hex())
+        key.chmod(0o600)
+        made = settings(
+            agent={"id": 7}, interval=5, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}, "peers": {"enabled": False}},
+            docker={"socket": f"unix://{folder}/none.sock"}, containers=[{"name": "app"}],
+            mavlink={
+                "endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0}], "signing": {"key": str(key)},
+                "commands": ["status", "details", "check", "approve", "restart"],
+            },
+        )  # fmt: skip
+        self.folder, self.events = folder, list[Event]()
+        self.daemon = Daemon(made)
+        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.start()
+        self.ground: Any = mavutil.mavlink_connection(
+            f"udpout:127.0.0.1:{port}", source_system=255, source_component=190
+        )
+        self.ground.setup_signing(KEY, link_id=9)
+
+    def close(self) -> None:
+        self.ground.close()
+        self.daemon.stop()
+
+    def ask(self, command: int, first: float, second: float = 0) -> list[Any]:
+        """What came, up to the acknowledgement and a moment more."""
+        came: list[Any] = []
+        again, end = 0, time.monotonic() + LIMIT_S
+        while time.monotonic() < end:
+            self.ground.mav.send(heartbeat(kind=mavlink.MAV_TYPE_GCS))
+            self.ground.mav.command_long_send(7, 193, command, again, first, second, 0, 0, 0, 0, 0)
+            again += 1
+            while (message := self.ground.recv_match(blocking=True, timeout=1.0)) is not None:
+                came.append(message)
+                if message.get_type() == "COMMAND_ACK" and message.command == command:
+                    return came
+        raise AssertionError(f"no answer to {command} {first}; came: {came}")
+
+    def notes(self) -> list[str]:
+        return [event.text for event in list(self.events) if isinstance(event, Note) and event.kind == "COMMAND"]
+
+
+@pytest.fixture
+def agent(tmp_path: Path) -> Iterator[Agent]:
+    made = Agent(tmp_path)
+    yield made
+    made.close()
+
+
+def test_a_command_reaches_what_it_is_for(agent: Agent) -> None:
+    """Checks, a fault's details, a restart that the container has not opted in to; each is signed and in the log."""
+    assert agent.ask(31010, 1)[-1].result == mavlink.MAV_RESULT_ACCEPTED, agent.notes()
+    until(agent.daemon.pipeline.open_faults, "the fault of the engine")
+    fault = agent.daemon.pipeline.open_faults()[0]
+    assert agent.ask(512, 385, int(fault.id.rpartition("-")[2]))[-1].result == mavlink.MAV_RESULT_ACCEPTED
+    detail = until(lambda: agent.ground.recv_match(type="TUNNEL", blocking=True, timeout=0.5), "the details")
+    part = tunnel.decode(bytes(detail.payload[: detail.payload_length]))
+    assert isinstance(part, tunnel.Detail)
+    assert (part.fault, detail.get_signed()) == (fault.id, True)
+    assert agent.ask(31010, 3, 1)[-1].result == mavlink.MAV_RESULT_FAILED
+    until(lambda: len(agent.notes()) >= 3, "the notes")
+    said = " | ".join(agent.notes())
+    for words in ("all checks run now", f"details of {fault.id} are sent", "app has not opted in (recover: true)"):
+        assert words in said
+    log = agent.folder / "log" / "phm.log"
+    until(lambda: "---- COMMAND: accepted" in log.read_text(), "the line in the log")
+
+
+def test_what_was_heard_is_kept_before_it_is_obeyed(agent: Agent) -> None:
+    """The file of the signing time names the ground station's stream."""
+    agent.ask(31010, 1)
+    assert "[9, 255, 190, " in (agent.folder / "state" / NAME).read_text()
