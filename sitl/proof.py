@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -98,6 +98,7 @@ class Proof:
                 self.record.wait(partial(_phase, "escalated", row.unit), HEALED_LIMIT_S, since=mark)
         self._watch(AFTER_S, mark)
         self._fill(row, self.record.events[mark:], moment)
+        row.problems += relapses(row.expected, self.record.events[mark:])
         cleared = self._mark()
         fault.clear(self.agent)
         self._well_again(row, mark)
@@ -222,6 +223,18 @@ def world(agent: Agent) -> Mapping[str, Any]:
         "status": attrs["State"]["Status"],
         "networks": {name: network["NetworkID"][:12] for name, network in networks.items()},
     }
+
+
+def relapses(units: Sequence[str], events: Sequence[Event]) -> list[str]:
+    """What was not well after its repair had been verified, in words: then the proof of the repair was none."""
+    found = []
+    for unit in units:
+        healed = next((number for number, event in enumerate(events) if _phase("verified", unit, event)), len(events))
+        for event in events[healed:]:
+            if event["event"] == "transition" and event["unit"] == unit and event["level"] != "OK":
+                after_s = event["mono"] - events[healed]["mono"]
+                found.append(f"{unit} was {event['level']} {after_s:.1f} s after it was verified: {event['summary']}")
+    return found
 
 
 def _closed(event: Event, unit: str) -> bool:

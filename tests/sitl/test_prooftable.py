@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from sitl.proof import relapses
 from sitl.prooftable import BEGIN, END, Row, as_json, between_marks, grouped, judged_words, markdown
 from sitl.stack import ROOT
 
@@ -45,6 +46,20 @@ def test_two_faults_are_two_alarms() -> None:
         made = row(also=["files/a"], alarms=alarms)
         judged_words(made, healable=True)
         assert made.good is good
+
+
+def test_a_repair_that_was_verified_too_early_is_found() -> None:
+    """After `verified` the unit stays well; what it or another unit was before does not count."""
+
+    def told(level: str, mono: float, unit: str = "nodes/a/n") -> dict[str, object]:
+        return {"event": "transition", "unit": unit, "level": level, "mono": mono, "summary": "it is not known"}
+
+    healed = {"event": "action", "phase": "verified", "unit": "nodes/a/n", "mono": 5.0}
+    before = [told("ERROR", 1.0), told("OK", 4.9), healed, told("STALE", 5.5, "topics/a/t")]
+    assert relapses(["nodes/a/n"], before) == []
+    assert relapses(["nodes/a/n"], before[:2]) == []
+    (words,) = relapses(["nodes/a/n"], [*before, told("STALE", 6.0)])
+    assert words == "nodes/a/n was STALE 1.0 s after it was verified: it is not known"
 
 
 def test_a_busy_machine_is_told_and_not_counted() -> None:

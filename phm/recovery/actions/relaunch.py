@@ -17,6 +17,8 @@ class Relaunch(Action):
     """
 
     name = "relaunch"
+    # A node that cannot start computes for a moment, too, while the name of the dead one is still listed.
+    proof_s = 2.0
 
     @classmethod
     def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
