@@ -9,15 +9,15 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from sitl.bench import Bench
 from sitl.derived import write
+from sitl.evidence import closed, phase, relapses, world
 from sitl.faults import all_faults
 from sitl.faults.base import Agent, Fault
 from sitl.proofplan import APART, MODES, ORDER, Play, configuration, plays
@@ -91,11 +91,11 @@ class Proof:
         moment = fault.inject(self.agent)
         if fault.healable:
             for unit in row.expected:
-                self.record.wait(partial(_phase, "verified", unit), HEALED_LIMIT_S, since=mark)
+                self.record.wait(partial(phase, "verified", unit), HEALED_LIMIT_S, since=mark)
         else:
             self.record.wait(lambda event: event["event"] == "fault_opened", SEEN_LIMIT_S, since=mark)
             if self._acted(mark):
-                self.record.wait(partial(_phase, "escalated", row.unit), HEALED_LIMIT_S, since=mark)
+                self.record.wait(partial(phase, "escalated", row.unit), HEALED_LIMIT_S, since=mark)
         self._watch(AFTER_S, mark)
         self._fill(row, self.record.events[mark:], moment)
         row.problems += relapses(row.expected, self.record.events[mark:])
@@ -106,7 +106,7 @@ class Proof:
         self._judge_condition(row, fault, mark)
         if row.given_up_s is not None:
             self._given_up.add(row.unit)
-        later = [event["action"] for event in self.record.events[cleared:] if _phase("verified", row.unit, event)]
+        later = [event["action"] for event in self.record.events[cleared:] if phase("verified", row.unit, event)]
         if later:
             row.outcome += f"; {', '.join(later)} once it was mended"
         return row
@@ -125,7 +125,7 @@ class Proof:
         self._fill(row, events, moment)
         if before != after:
             row.problems.append(f"the container changed: {before} became {after}")
-        if row.actions or any(_closed(event, row.unit) for event in events):
+        if row.actions or any(closed(row.unit, event) for event in events):
             row.problems.append("something was done")
         if bool(row.advised) != (self.mode == "advise"):
             row.problems.append(f"advised: {row.advised or 'nothing'}")
@@ -177,7 +177,7 @@ class Proof:
         mended: dict[str, float] = {}
         for event in events:
             unit, after = event.get("unit", ""), event["mono"] - moment
-            if unit in row.expected and _phase("verified", unit, event):
+            if unit in row.expected and phase("verified", unit, event):
                 mended.setdefault(unit, after)
             if event["event"] == "fault_opened":
                 row.alarm(unit)
@@ -188,7 +188,7 @@ class Proof:
                     row.actions.append(event["action"])
                 elif event["phase"] == "advised":
                     row.advised.append(event["action"])
-                elif _phase("escalated", row.unit, event):
+                elif phase("escalated", row.unit, event):
                     row.given_up_s = after
         row.detected_s = max(seen[unit] for unit in row.expected) if seen.keys() >= set(row.expected) else None
         row.healed_s = max(mended.values()) if mended.keys() == set(row.expected) else None
@@ -211,38 +211,6 @@ class Proof:
         for event in self.record.events[mark:]:
             if event["event"] == "fault_opened":
                 row.alarm(event["unit"])
-
-
-def world(agent: Agent) -> Mapping[str, Any]:
-    """What PHM could have changed about the application container."""
-    attrs = agent.app.attrs
-    networks = attrs["NetworkSettings"]["Networks"]
-    return {
-        "id": attrs["Id"][:12],
-        "started": attrs["State"]["StartedAt"],
-        "status": attrs["State"]["Status"],
-        "networks": {name: network["NetworkID"][:12] for name, network in networks.items()},
-    }
-
-
-def relapses(units: Sequence[str], events: Sequence[Event]) -> list[str]:
-    """What was not well after its repair had been verified, in words: then the proof of the repair was none."""
-    found = []
-    for unit in units:
-        healed = next((number for number, event in enumerate(events) if _phase("verified", unit, event)), len(events))
-        for event in events[healed:]:
-            if event["event"] == "transition" and event["unit"] == unit and event["level"] != "OK":
-                after_s = event["mono"] - events[healed]["mono"]
-                found.append(f"{unit} was {event['level']} {after_s:.1f} s after it was verified: {event['summary']}")
-    return found
-
-
-def _closed(event: Event, unit: str) -> bool:
-    return bool(event["event"] == "fault_closed" and event["unit"] == unit)
-
-
-def _phase(phase: str, unit: str, event: Event) -> bool:
-    return bool(event["event"] == "action" and event["phase"] == phase and event["unit"] == unit)
 
 
 def run(stack: Stack, console: Console, config: Path, programme: Iterable[Play]) -> list[Row]:

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from sitl.proof import relapses
+from sitl.evidence import relapses
 from sitl.prooftable import BEGIN, END, Row, as_json, between_marks, grouped, judged_words, markdown
 from sitl.stack import ROOT
 
