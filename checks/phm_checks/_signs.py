@@ -99,7 +99,7 @@ class Signs:
             self.doubts.add("executor late")
             words = f"its executor has not turned for {span(beacon.late_s)}, says its beacon"
             return Evidence(Kind.BEACON, Says.LATE, words, beacon.age_s, beacon.late_s)
-        return Evidence(Kind.BEACON, Says.ALIVE, "its beacon beats", beacon.age_s)
+        return Evidence(Kind.BEACON, Says.ALIVE, f"its beacon beat {span(beacon.age_s)} ago", beacon.age_s)
 
     def _topics(self, fact: api.RosFact) -> Evidence | None:
         """Those that this node alone publishes: one that flows is a sign of life, silence of all a reason to look."""

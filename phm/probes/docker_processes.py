@@ -14,8 +14,9 @@ from phm.transport.docker import Engine, EngineBroken
 
 LIMIT_S = 1.0
 """A container that hangs in the kernel can hang questions about its processes."""
-FORMS = ("-o pid,ppid,stat,times,args", "-o pid,ppid,stat,args")
-"""Arguments for `ps`, the best first. The second is for hosts with BusyBox, whose `ps` knows no processor time."""
+FORMS = ("-ww -o pid,ppid,stat,times,args", "-o pid,ppid,stat,args")
+"""Arguments for `ps`, the best first: not cut to the width of a terminal, for one. The second is for hosts with BusyBox,
+whose `ps` knows no processor time."""
 MOST = 1000
 _COMMAND_CHARS = 4096
 _ENDED = ("Z", "X")

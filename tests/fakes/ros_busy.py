@@ -1,4 +1,5 @@
-"""A real node whose timer callback computes for some seconds when it is told to by SIGUSR1, as a busy planner does.
+"""A real node with a beacon whose timer callback computes for some seconds when it is told to by SIGUSR1, as a busy planner
+does, or, with `--asleep`, waits so long, as one does that waits for an answer that never comes.
 
     python -m tests.fakes.ros_busy --name node_1 --namespace /agent_1 --seconds 5
 
@@ -14,24 +15,32 @@ import time
 import rclpy
 from std_msgs.msg import String
 
+from phm.beacon import Beacon
+
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--name", required=True)
     parser.add_argument("--namespace", default="/")
     parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--asleep", action="store_true")
+    parser.add_argument("--no-beacon", action="store_false", dest="beacon")
     options = parser.parse_args()
     wanted = [False]
     signal.signal(signal.SIGUSR1, lambda *_: wanted.__setitem__(0, True))
     rclpy.init(args=[])
     node = rclpy.create_node(options.name, namespace=options.namespace)
+    if options.beacon:
+        Beacon(node)
     publisher = node.create_publisher(String, "topic_1", 10)
 
     def tick() -> None:
         publisher.publish(String(data="x"))
         if wanted[0]:
             wanted[0] = False
-            end_s = time.process_time() + options.seconds
+            if options.asleep:
+                time.sleep(options.seconds)
+            end_s = time.process_time() + (0.0 if options.asleep else options.seconds)
             while time.process_time() < end_s:
                 pass
 

@@ -17,7 +17,7 @@ from phm.facts import CannotTell, ProcessFact
 from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Transition, UnitState
 from phm.pipeline import Pipeline
 from phm.probes.docker_processes import FORMS, processes
-from phm.tracker import Tracker
+from phm.tracker import SURE_S, Tracker
 from phm_checks import _signs
 from phm_checks.nodes import Nodes
 from phm_checks.rates import Rates
@@ -25,6 +25,7 @@ from phm_checks.topics import Topics
 from tests.fakes.ros_bench import Bench, seen, until
 
 APP = "ros_app"
+NAME = "/agent_1/node_1"
 NODE, TOPIC, RATE = "nodes/agent_1/node_1", "topics/agent_1/topic_1", "rates/agent_1/topic_1"
 
 
@@ -87,11 +88,14 @@ class Agent:
         return until(ticked, what, limit_s)
 
     def well(self) -> None:
-        """Until the node and its topic have been well for long enough that grace is over."""
-        self.until(lambda: self.state(NODE).level is Level.OK, "a node that is OK")
-        self.until(lambda: self.state(RATE).level is Level.OK, "a rate that is OK")
-        self.until(lambda: not self.pipeline.undecided(), "the end of grace")
+        """Until the node and its topic have been well for so long that grace is over."""
+        self.until(lambda: self._well_s() > SURE_S + 0.5, "a node and a rate that are OK, and stay so")
         self.events.clear()
+
+    def _well_s(self) -> float:
+        states = [self.state(NODE), self.state(RATE)]
+        since = max(state.since.mono for state in states)
+        return self.clock.mono() - since if all(state.level is Level.OK for state in states) else 0.0
 
     def told(self) -> Fault:
         """The first fault."""
@@ -136,10 +140,23 @@ def test_a_killed_node_is_told_by_its_process(agent: Agent) -> None:
     agent.blames(NODE)
 
 
-def test_a_killed_node_is_told_by_the_graph_alone(agent: Agent) -> None:
-    """Without any list of processes, as soon as its lease of one second is over. One alarm."""
+def test_a_killed_node_is_told_by_its_beacon(agent: Agent) -> None:
+    """Without any list of processes, when it has missed three beats, listed as it still is. One alarm."""
     agent.docker.permitted = False
     node = agent.start()
+    agent.well()
+    agent.until(lambda: agent.probe.look().beacons, "its beacon")
+    node.kill()
+    fault = agent.told()
+    assert (fault.unit, fault.result.condition) == (NODE, "node_missing")
+    assert "its beacon has been silent for" in fault.result.summary
+    agent.blames(NODE)
+
+
+def test_a_killed_node_is_told_by_the_graph_alone(agent: Agent) -> None:
+    """Without any list of processes and without a beacon, as soon as its lease of one second is over. One alarm."""
+    agent.docker.permitted = False
+    node = agent.start("node_1", "--publish", "topic_1:10", "--no-beacon")
     agent.well()
     node.kill()
     fault = agent.told()
@@ -163,15 +180,29 @@ def test_a_stopped_node_hangs_and_goes_on(agent: Agent) -> None:
     assert len(agent.faults) == 1
 
 
-def test_a_busy_node_is_not_called_dead(agent: Agent) -> None:
+@pytest.mark.parametrize("more", [(), ("--no-beacon",)])
+def test_a_busy_node_is_not_called_dead(agent: Agent, more: tuple[str, ...]) -> None:
     """A callback computes for 5 s: the topic is silent and told, the node is not, with its process as the reason."""
-    node = agent.start("node_1", "--seconds", "5", module="tests.fakes.ros_busy")
+    node = agent.start("node_1", "--seconds", "5", *more, module="tests.fakes.ros_busy")
     agent.well()
     node.send_signal(signal.SIGUSR1)
     agent.until(lambda: agent.state(RATE).level is Level.ERROR, "the silence of its topic")
     assert agent.state(NODE).level is Level.OK
     agent.until(lambda: agent.state(RATE).level is Level.OK, "the end of its work")
     assert [fault.unit for fault in agent.faults] == [RATE]
+
+
+def test_an_executor_that_waits_for_ever_hangs(agent: Agent) -> None:
+    """Its process sleeps and its beacon says for how long: one alarm, at the node, closed when it turns again."""
+    node = agent.start("node_1", "--seconds", "12", "--asleep", module="tests.fakes.ros_busy")
+    agent.well()
+    node.send_signal(signal.SIGUSR1)
+    fault = agent.told()
+    assert (fault.unit, fault.result.condition) == (NODE, "node_hung")
+    assert "its executor has not turned for" in fault.result.summary
+    agent.blames(NODE)
+    agent.until(lambda: agent.state(NODE).level is Level.OK and agent.state(RATE).level is Level.OK, "its return")
+    assert len(agent.faults) == 1
 
 
 def test_a_silent_topic_of_a_living_node_is_told_at_the_topic(agent: Agent) -> None:
@@ -219,13 +250,15 @@ def test_a_node_that_is_restarted_is_neither_twice_nor_left_behind(agent: Agent,
     """Started anew at once: whatever is told of the gap, it ends well, and no double is told before the old lease ends."""
     node = agent.start()
     agent.well()
+    old = seen(agent.probe, lambda fact: fact.beacons.get(NAME), "its beacon")
     node.send_signal(number)
     node.wait()
     again = agent.start()
-    agent.until(lambda: agent.state(NODE).result.values.get("process") == f"{again.pid} S", "its new process")
+    agent.until(lambda: str(again.pid) in str(agent.state(NODE).result.values["process"]), "its new process")
+    seen(agent.probe, lambda fact: fact.beacons.get(NAME, old).birth != old.birth, "its new beacon")
     agent.until(lambda: agent.state(RATE).level is Level.OK and agent.state(NODE).level is Level.OK, "its return")
     agent.rests(2.0)
-    assert agent.state(NODE).level is Level.OK
+    assert agent.state(NODE).level is Level.OK, agent.state(NODE).result.summary
     briefs = {event.state.result.brief for event in agent.events if isinstance(event, Transition)}
     assert "node_1 runs twice" not in briefs
     assert {fault.unit for fault in agent.faults} <= {NODE}
