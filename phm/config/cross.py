@@ -194,6 +194,8 @@ def endpoints_are_told_apart(root: View) -> None:
     autopilot = root.get("mavlink", "autopilot")
     if autopilot.value is True and not root.get("mavlink", "endpoints").value:
         autopilot.complain("is true, but there are no endpoints to hear it on: add one to 'mavlink.endpoints'")
+    elif autopilot.value is True and all(entry.get("leads_to").value == "ground" for entry in endpoints):
+        autopilot.complain("is true, but every endpoint leads to the ground alone: correct 'leads_to' of one of them")
 
 
 def limits_are_in_order(root: View) -> None:

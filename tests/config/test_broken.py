@@ -202,6 +202,10 @@ BROKEN = [
     Broken("same endpoint name", "mavlink:\n  endpoints:\n    - {url: tcp:h:1, name: g}\n    - {url: tcp:h:2, name: g}\n",
            4, "mavlink.endpoints[1].name", ("endpoint name 'g'",)),
     Broken("nothing to hear on", "mavlink:\n  autopilot: true\n", 2, "mavlink.autopilot", ("no endpoints",)),
+    Broken(
+        "heard on no endpoint", "mavlink:\n  endpoints: [{url: 'tcp:a:1', leads_to: ground}]\n  autopilot: true\n", 3,
+        "mavlink.autopilot", ("leads to the ground alone",),
+    ),
     Broken("autopilot's number", "mavlink:\n  component_id: 1\n", 2, "mavlink.component_id", ("allowed is 2 to 250",)),
     # pairs
     Broken("topic limits", "ros:\n  topics:\n  - {name: /t, rate: 1, error_tolerance: 5%}\n", 3,
