@@ -18,12 +18,12 @@ from phm.recovery.asked import NotAllowed, NotNow, permit, stand_in
 from phm.recovery.cases import Case, Cases
 from phm.recovery.history import Attempt, History
 from phm.recovery.links import by_hand
-from phm.recovery.lives import Life, by_phm
-from phm.recovery.policy import CLEAN_S, Act, Advise, Decision, GiveUp, Leave, Wait, decide
+from phm.recovery.policy import Act, Advise, Decision, GiveUp, Leave, Wait, decide
 from phm.recovery.proof import LOOK_AGAIN_S, POLL_S
 from phm.recovery.repair import Repair, Verdict
 from phm.recovery.shop import Shop
 from phm.recovery.state import Case as Kept, UnderWay
+from phm.recovery.surroundings import Surroundings
 from phm.settings import ContainerSettings
 
 logger = logging.getLogger(__name__)
@@ -43,17 +43,15 @@ class NotApprovable(Exception):
 class TargetWorker:
     """The thread of one container. Invariant: at most one action on the container at any time.
 
-    `_history` and `_life` are changed by the thread alone; `_eased` with `_lock` held.
+    `_history` is changed by the thread alone; `_asked` is set with `_lock` held.
     """
 
     def __init__(self, target: str, container: ContainerSettings | None, shop: Shop, history: History) -> None:
         self._target, self._container, self._shop = target, container, shop
         self._history = history
-        self._life: Life | None = None
         self._under_way: UnderWay | None = None
         self._asked: Fault | None = None
-        self._cases = Cases()
-        self._eased: list[tuple[Collection[str], float]] = []
+        self._cases, self._around = Cases(), Surroundings(target, shop, history)
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._stopping = False
@@ -72,8 +70,7 @@ class TargetWorker:
 
     def eased(self, units: Collection[str], down_from: float) -> None:
         """Something that these units of the target need has come back, after it was down from then on."""
-        with self._lock:
-            self._eased.append((units, down_from))
+        self._around.eased(units, down_from)
         self._wake.set()
 
     def restored(self, fault: Fault, case: Kept, cut: UnderWay | None) -> None:
@@ -167,13 +164,13 @@ class TargetWorker:
         """Do the most upstream thing there is to do; seconds to wait (0: look again now, None: until woken)."""
         # The tracker knows first what is over; its event may still be on its way through the bus.
         cases = self._cases.only({fault.id for fault in self._shop.pipeline.open_faults()})
-        waits = [LIFE_S] if self._take_note(cases) else []
+        waits = [LIFE_S] if self._around.take_note(cases) else []
         if self._asked is not None:
             return self._as_asked(self._asked)
         for case in cases:
             if case.refused:
                 continue
-            proof_from = self._proof_from(case)
+            proof_from = self._around.proof_from(case)
             if proof_from is not None and not self._shop.pipeline.bad_since(case.fault.unit, proof_from):
                 waits.append(self._wait_for_proof(case.fault.unit, proof_from))
                 continue
@@ -186,52 +183,12 @@ class TargetWorker:
                 waits.append(max(POLL_S, again - self._shop.clock.mono()))
         return min(waits, default=None)
 
-    def _proof_from(self, case: Case) -> float | None:
-        """A run that began then must have found the unit in ERROR before anything is done; None: it is known."""
-        moved_at = self._shop.hands.moved_at(self._target)
-        if moved_at == float("-inf"):
-            return case.proof_from
-        after_other = moved_at + self._shop.grace_s(case.fault.unit)
-        return after_other if case.proof_from is None else max(after_other, case.proof_from)
-
     def _wait_for_proof(self, unit: str, proof_from: float) -> float:
         left_s = proof_from - self._shop.clock.mono()
         if left_s > 0:
             return min(left_s, PROOF_S)
         self._shop.pipeline.look_again(unit)
         return PROOF_S
-
-    def _take_note(self, cases: list[Case]) -> bool:
-        """What has happened around the container changes what its attempts mean; whether to look again soon."""
-        given_up = [fault.unit for fault in self._shop.pipeline.given_up() if fault.result.target == self._target]
-        with self._lock:
-            eased, self._eased = self._eased, []
-        for units, down_from in eased:
-            wronged = self._history.ease(units, down_from).intersection(given_up)
-            self._shop.pipeline.judge_afresh(*wronged)
-        if not given_up and not self._history.within(self._shop.clock.mono() - CLEAN_S):
-            self._shop.lives.forget(self._target)
-            self._life = None
-            return False
-        since = self._shop.lives.begun_anew(self._target)
-        if since is not None and (self._history.begin_anew(since) or given_up):
-            self._shop.pipeline.note("PHM", f"{self._target} was started again by somebody else: recovery counts anew")
-            self._shop.pipeline.judge_afresh(*given_up)
-        self._look_at_life(cases)
-        return True
-
-    def _look_at_life(self, cases: list[Case]) -> None:
-        """Others have started the container: the hold of a repair that was cut short ends, and its parts get their grace."""
-        before, self._life = self._life, self._shop.lives.look(self._target)
-        if self._life is None or before is None or self._life.same(before) or self._life.by == by_phm(self._target):
-            return
-        now = self._shop.clock.mono()
-        for case in cases:
-            if case.cut_short:
-                case.cut_short = False
-                self._shop.hands.release(self._target, case, worked=False)
-            if case.proof_from is None:
-                case.proof_from = now + self._shop.grace_s(case.fault.unit)
 
     def _decide(self, fault: Fault, *, approved: bool) -> Decision:
         shop = self._shop
@@ -306,7 +263,7 @@ class TargetWorker:
         return 0
 
     def _learn(self, case: Case, verdict: Verdict) -> None:
-        self._life = self._shop.lives.look(self._target)
+        self._around.attempted()
         case.refused = verdict.refused
         if verdict.overtaken:
             case.proof_from = self._shop.clock.mono() + self._shop.grace_s(case.fault.unit)

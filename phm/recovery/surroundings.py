@@ -1,0 +1,73 @@
+"""What happens around one container, apart from PHM's own attempts, and changes what these mean: others start it, something
+that it needs comes back, another repair restarts it as a dependant."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Collection, Iterable
+
+from phm.recovery.cases import Case
+from phm.recovery.history import History
+from phm.recovery.lives import Life, by_phm
+from phm.recovery.policy import CLEAN_S
+from phm.recovery.shop import Shop
+
+
+class Surroundings:
+    """Belongs to the thread of its container, but for `eased`, which any thread may call."""
+
+    def __init__(self, target: str, shop: Shop, history: History) -> None:
+        self._target, self._shop, self._history = target, shop, history
+        self._life: Life | None = None
+        self._eased: list[tuple[Collection[str], float]] = []
+        self._lock = threading.Lock()
+
+    def eased(self, units: Collection[str], down_from: float) -> None:
+        """Something that these units of the target need has come back, after it was down from then on."""
+        with self._lock:
+            self._eased.append((units, down_from))
+
+    def take_note(self, cases: Iterable[Case]) -> bool:
+        """Let the history and the cases follow what has happened; whether attempts count, so that it matters what will."""
+        pipeline, lives = self._shop.pipeline, self._shop.lives
+        given_up = [fault.unit for fault in pipeline.given_up() if fault.result.target == self._target]
+        with self._lock:
+            eased, self._eased = self._eased, []
+        for units, down_from in eased:
+            wronged = self._history.ease(units, down_from).intersection(given_up)
+            pipeline.judge_afresh(*wronged)
+        if not given_up and not self._history.within(self._shop.clock.mono() - CLEAN_S):
+            lives.forget(self._target)
+            self._life = None
+            return False
+        since = lives.begun_anew(self._target)
+        if since is not None and (self._history.begin_anew(since) or given_up):
+            pipeline.note("PHM", f"{self._target} was started again by somebody else: recovery counts anew")
+            pipeline.judge_afresh(*given_up)
+        self._look_at_life(cases)
+        return True
+
+    def attempted(self) -> None:
+        """An attempt of the container's own is over: the life at hand now is no surprise."""
+        self._life = self._shop.lives.look(self._target)
+
+    def proof_from(self, case: Case) -> float | None:
+        """A run that began then must have found the unit in ERROR before anything is done; None: it is known."""
+        moved_at = self._shop.hands.moved_at(self._target)
+        if moved_at == float("-inf"):
+            return case.proof_from
+        after_other = moved_at + self._shop.grace_s(case.fault.unit)
+        return after_other if case.proof_from is None else max(after_other, case.proof_from)
+
+    def _look_at_life(self, cases: Iterable[Case]) -> None:
+        """Others have started the container: the hold of a repair that was cut short ends, and its parts get their grace."""
+        before, self._life = self._life, self._shop.lives.look(self._target)
+        if self._life is None or before is None or self._life.same(before) or self._life.by == by_phm(self._target):
+            return
+        now = self._shop.clock.mono()
+        for case in cases:
+            if case.cut_short:
+                case.cut_short = False
+                self._shop.hands.release(self._target, case, worked=False)
+            if case.proof_from is None:
+                case.proof_from = now + self._shop.grace_s(case.fault.unit)
