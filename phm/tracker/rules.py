@@ -121,7 +121,7 @@ def settled(look: Look) -> Verdict:
 
     A bad result is told only when it was bad `failures` times in a row, has lasted `settle_s`, and each need, and
     with `settle_s` the unit too, has answered in a run that began after that. Needs that are STALE may be the cause:
-    they get UNKNOWN_S to be known, not for ever.
+    they get UNKNOWN_S to be known, not for ever. What was seen before a need changed says nothing about now.
     """
     entry, unit = look.entry, look.entry.spec.unit
     if entry.told.level is look.result.level and not entry.told.blocked_by:
@@ -138,6 +138,8 @@ def settled(look: Look) -> Verdict:
     if not pending.asked:
         pending, ask = replace(pending, asked=True), ask | silent
     unknown = look.now - pending.since < UNKNOWN_S and any(other.unknown for other in upstream)
+    if any(other.told.since.mono > entry.started for other in upstream):
+        return Verdict(pending=pending, ask=ask | {entry.id})
     if silent or unknown or entry.bad_in_a_row < entry.spec.failures:
         return Verdict(pending=pending, ask=ask)
     return Verdict(look.result, ask=ask)

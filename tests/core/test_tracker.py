@@ -292,6 +292,24 @@ def test_a_need_that_is_not_known_gets_time_to_be_known() -> None:
     assert bench.blocked_by("topics") == "nodes"
 
 
+def test_what_was_seen_before_a_need_became_known_does_not_count() -> None:
+    """A node that is started anew comes before its topic: what the topic lacked until then is looked at once more."""
+    bench = chain()
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", stale("it is starting"))
+    bench.see("topics", BAD)
+    bench.see("container", OK)
+    bench.later(2.0)
+    bench.see("topics", BAD)
+    bench.see("container", OK)
+    bench.now += 0.1
+    assert bench.see("nodes", OK) == {"topics"}
+    assert bench.opened == []
+    bench.see("topics", BAD)
+    assert bench.opened == ["topics"]
+
+
 def test_a_need_that_stays_unknown_does_not_hide_a_fault_for_ever() -> None:
     """A check that never comes to a verdict costs ten seconds, not the alarm."""
     bench = chain()
