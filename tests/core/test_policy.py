@@ -128,8 +128,8 @@ def test_attempts_on_the_fault_itself_count_however_well_it_was_before() -> None
     assert isinstance(say(history, fault=fault(well_s=3600.0), now=1020.0), GiveUp)
 
 
-def marked(history: History, **marks: bool) -> History:
-    return History([replace(attempt, **marks) for attempt in history.attempts])
+def marked(history: History, *, eased: bool = False, excused: bool = False) -> History:
+    return History([replace(attempt, eased=eased, excused=excused) for attempt in history.attempts])
 
 
 def test_excused_attempts_are_no_failures_and_cost_no_rung() -> None:

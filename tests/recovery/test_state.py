@@ -60,7 +60,7 @@ def test_on_another_boot_times_are_converted_through_utc() -> None:
     state = decode(document, OTHER, Stamp(1070.0, 20.0), WINDOW_S)
     assert state.recovery.attempts["app"][-1].at == pytest.approx(20.0 - 65.0)
     life = state.recovery.lives["app"]
-    assert (life.since, life.made) == (pytest.approx(20.0 - 63.0), pytest.approx(20.0 - 68.0))
+    assert [life.since, life.made] == pytest.approx([20.0 - 63.0, 20.0 - 68.0])
     assert state.recovery.under_way["app"].attempt.at == pytest.approx(20.0 - 61.0)
     assert state.faults[0].opened == Stamp(1000.0, 20.0 - 70.0)
 
