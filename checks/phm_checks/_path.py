@@ -17,6 +17,9 @@ from phm_checks._words import clean
 QUIET_S = 2.5
 """Whoever speaks MAVLink sends a HEARTBEAT a second; two of them may be lost."""
 
+START_S = 30.0
+"""Router, radio and autopilot are switched on with the companion, and may take so long: what was never there is not missed yet."""
+
 
 class State(Enum):
     """UNUSED: there is none, or none was ever heard. WEAK: frames pass, and something is wrong with it."""
@@ -129,6 +132,11 @@ def link_of(world: api.World, name: str) -> api.LinkFact | None:
 def silent(link: api.LinkFact | None) -> bool:
     """Whether the endpoint is open and nothing at all comes by it."""
     return link is not None and link.open and (link.rx_age_s is None or link.rx_age_s >= QUIET_S)
+
+
+def starting(world: api.World) -> bool:
+    """Whether PHM has begun a moment ago, and what belongs to the vehicle may still be on its way."""
+    return world.myself.look().uptime_s < START_S
 
 
 def all_closed(world: api.World, entries: Sequence[api.EndpointSettings]) -> bool:

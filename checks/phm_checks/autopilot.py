@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import all_closed, link_id, link_of, silent, target_of, to_autopilot
+from phm_checks._path import all_closed, link_id, link_of, silent, starting, target_of, to_autopilot
 from phm_checks._words import Steady, brief, span
 
 TOLD_S = 30.0
@@ -47,6 +47,8 @@ class Autopilot(api.Check):
             return api.bypass("no autopilot has been heard, and none is expected (mavlink.autopilot)")
         if (fact is None or fact.age_s > limits.autopilot_timeout) and all_closed(world, self._links):
             return api.stale("the autopilot is not known: every link to it is closed")
+        if fact is None and starting(world):
+            return api.stale("the autopilot has not been heard yet")
         if fact is None or fact.age_s > limits.autopilot_timeout:
             return self._lost(world, fact)
         self._age.forget("age")

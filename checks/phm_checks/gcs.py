@@ -11,8 +11,8 @@ from phm_checks._words import Steady, brief, span
 
 GRACE_S = 5.0
 """After a link or a radio is back, a ground station has so long to be heard again; it sends a HEARTBEAT a second."""
-
-TOGETHER_S = 1.0
+TOGETHER_S = 2.5
+"""A radio may be heard until so long after the last heartbeat that came through it: these come once a second, and get lost."""
 
 
 class Gcs(api.Check):

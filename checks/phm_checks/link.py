@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import kind, link_id, link_of, named, target_of
+from phm_checks._path import kind, link_id, link_of, named, starting, target_of
 from phm_checks._words import Steady, brief, clean, joined, last, listed, span
 
 SETTLE_S = 2.0
@@ -36,6 +36,7 @@ class Link(api.Check):
         self._label = named(kind(entry), entry, settings.mavlink.endpoints)
         self._loss, self._silence = Steady(share=0.5), Steady(share=1.0)
         self._was: frozenset[str] = frozenset()
+        self._opened = False
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -66,7 +67,8 @@ class Link(api.Check):
         if link is None:
             return api.stale(f"the MAVLink endpoint {self.entry.key} has not been tried yet")
         if not link.open:
-            return self._closed(world, link)
+            return self._closed(world, link) if self._opened or not starting(world) else _not_yet(link)
+        self._opened = True
         findings = [*self._silent(world, link), *self._garbled(link), *self._line(link), *self._lossy(world, link)]
         self._was = frozenset(finding.condition for finding in findings)
         values = _values(link)
@@ -225,6 +227,12 @@ class Link(api.Check):
             return self._settings.agent.id, 1
         gcs = world.links.gcs()
         return (gcs.system, gcs.component) if gcs is not None else (0, 0)
+
+
+def _not_yet(link: api.LinkFact) -> api.Result:
+    return api.stale(
+        f"MAVLink endpoint {clean(link.name, 80)} could not be opened yet ({clean(link.error) or 'no reason'})"
+    )
 
 
 def _ports(world: api.World) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import link_id, link_of, named, radio_id, silent, target_of, with_radio
+from phm_checks._path import link_id, link_of, named, radio_id, silent, starting, target_of, with_radio
 from phm_checks._words import Steady, brief, joined, span
 
 PERIODS = 2.5
@@ -55,6 +55,8 @@ class Radio(api.Check):
             return api.stale(f"the radio is not known: its link {self.entry.key} is closed")
         if fact is None and self.entry.radio != "required":
             return api.bypass(f"no radio has been heard by {self.entry.key}, so none is judged")
+        if fact is None and starting(world):
+            return api.stale(f"the radio behind {self.entry.key} has not been heard yet")
         limit_s = self._limits.radio_timeout if fact is None else max(self._limits.radio_timeout, PERIODS * fact.due_s)
         if fact is None or fact.age_s > limit_s:
             return self._lost(link, fact, limit_s)

@@ -46,6 +46,14 @@ def test_an_autopilot_never_heard_is_not_judged_unless_it_is_expected() -> None:
     )  # fmt: skip
 
 
+def test_an_autopilot_may_start_after_phm() -> None:
+    """It is switched on with the companion, and is waited for."""
+    just_begun = testing.world(links=testing.FakeLinks(links=(OPEN,)), myself=testing.FakeSelf(uptime_s=10.0))
+    result = check(autopilot=True).run(just_begun)
+    assert isinstance(result, api.Result)
+    assert result.level is api.Level.STALE
+
+
 def test_a_silent_autopilot_is_an_error() -> None:
     """With the age of its last heartbeat, and whether it was armed then."""
     result = run(check(), changed(age_s=6.0, armed=True))

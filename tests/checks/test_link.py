@@ -21,10 +21,12 @@ def check(url: str = TCP, *others: dict[str, str], **more: Any) -> api.Check:
     return next(iter(Link.build(testing.settings(mavlink={"endpoints": entries}))))
 
 
-def run(judge: api.Check, link: api.LinkFact | None = WELL, links: testing.FakeLinks | None = None) -> api.Result:
+def run(
+    judge: api.Check, link: api.LinkFact | None = WELL, links: testing.FakeLinks | None = None, uptime_s: float = 60.0
+) -> api.Result:
     links = links or testing.FakeLinks()
     links.endpoints = (link,) if link is not None else ()
-    result = judge.run(testing.world(links=links))
+    result = judge.run(testing.world(links=links, myself=testing.FakeSelf(uptime_s=uptime_s)))
     assert isinstance(result, api.Result)
     return result
 
@@ -54,6 +56,16 @@ def test_a_closed_endpoint_is_an_error_that_recovery_leaves_alone() -> None:
         api.Level.ERROR, "link_closed", "link: refused", "",
     )  # fmt: skip
     assert TCP in result.summary
+
+
+def test_what_is_on_the_other_side_may_start_after_phm() -> None:
+    """An endpoint that was never open is waited for at first; one that was open and is lost is not."""
+    judge = check()
+    assert run(judge, CLOSED, uptime_s=29.0).level is api.Level.STALE
+    assert run(judge, CLOSED, uptime_s=31.0).level is api.Level.ERROR
+    judge = check()
+    run(judge, WELL, uptime_s=3.0)
+    assert run(judge, CLOSED, uptime_s=5.0).level is api.Level.ERROR
 
 
 def test_a_closed_endpoint_beside_others_is_named() -> None:

@@ -51,10 +51,14 @@ def test_a_radio_that_is_well_is_ok() -> None:
 
 
 def test_no_radio_ever_heard_is_not_judged() -> None:
-    """Unless it is required: then it is a fault from the start on."""
+    """Unless it is required: then it is a fault, half a minute after the start."""
     assert run(check()).bypass
     result = run(check("required"))
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "radio_silent", "radio: no RADIO_STATUS")
+    just_begun = testing.world(links=testing.FakeLinks(links=(OPEN,)), myself=testing.FakeSelf(uptime_s=10.0))
+    waited = check("required").run(just_begun)
+    assert isinstance(waited, api.Result)
+    assert waited.level is api.Level.STALE
 
 
 def test_a_silent_radio_is_an_error() -> None:

@@ -109,8 +109,7 @@ def test_a_lost_ground_station_is_told_once_and_cleared(flight: Flight) -> None:
     assert "stops at GCS" in until(lambda: flight.path() if "stops" in flight.path() else "")
     flight.ground = flight.new_ground()
     until(flight.settled, "all being well")
-    (told,) = flight.alarms()
-    assert told.startswith("gcs GCS: no heartbeat")
+    assert [told.partition(":")[0] for told in flight.alarms()] == ["gcs GCS"]
     assert flight.over() == ["gcs resolved"]
 
 
@@ -121,8 +120,7 @@ def test_a_radio_without_power_is_told_once(flight: Flight) -> None:
     until(lambda: "GCS not known (behind radio)" in flight.path())
     flight.radio.near.off = False
     until(flight.settled, "all being well")
-    (told,) = flight.alarms()
-    assert told.startswith("radio/ground radio: no RADIO_STATUS")
+    assert [told.partition(":")[0] for told in flight.alarms()] == ["radio/ground radio"]
     assert len(flight.over()) == 1
 
 
