@@ -102,12 +102,14 @@ def absent_files_have_no_copy(root: View) -> None:
 
 
 def relaunch_has_a_container(root: View) -> None:
-    """Where the command is to run must be known: the node's container, or the only one."""
+    """Where the command is to run, or the process to be looked for, must be known: the node's container, or the only one."""
     if len(list(root.get("containers").entries())) == 1:
         return
     for node in root.get("ros", "nodes").records():
         if node.get("relaunch").value and not node.get("container").given:
             node.get("relaunch").complain("has no container to run in: add 'container' to this node")
+        if node.get("process").value and not node.get("container").given:
+            node.get("process").complain("has no container to be looked for in: add 'container' to this node")
 
 
 def repairs_are_opted_in(root: View) -> None:

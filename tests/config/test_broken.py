@@ -83,6 +83,13 @@ BROKEN = [
         ("no container to run in",),
     ),
     Broken(
+        "process nowhere", ONE + "  - name: two\nros: {nodes: [{name: /a, process: [run]}]}\n",
+        4, "ros.nodes[0].process", ("no container to be looked for in", "'container'"),
+    ),
+    Broken(
+        "process without words", ONE + "ros: {nodes: [{name: /a, process: ['']}]}\n", 3, "ros.nodes[0].process[0]", (),
+    ),
+    Broken(
         "relaunch where nothing may be done", ONE + "ros: {nodes: [{name: /a, relaunch: [run]}]}\n", 3,
         "ros.nodes[0].relaunch", ("never used", "'app' has not opted in", "'recover: true'"),
     ),
