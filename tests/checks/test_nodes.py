@@ -9,7 +9,7 @@ import pytest
 
 from phm import api, testing
 from phm_checks._liveness import GOODBYE_S, HANG_S
-from phm_checks._roster import BLIND_S, OLD_S, QUIET_S
+from phm_checks._roster import BLIND_S, OLD_S, QUIET_S, SOON_S
 from phm_checks._signs import TWICE_S
 from phm_checks.nodes import BUSY_S, Nodes
 
@@ -370,14 +370,57 @@ def test_a_beacon_decides_where_the_process_is_not_known() -> None:
     assert ": its beacon has been silent for 0.8 s; it is listed in the graph" in result.summary
 
 
-def test_a_late_child_silences_nobody() -> None:
-    """When PHM's own child has not spoken for a while, nobody was heard: that is no silence of theirs."""
+@pytest.mark.parametrize("silent", ["beacon", "topic"])
+def test_a_late_child_silences_nobody(silent: str) -> None:
+    """When PHM's own child has not spoken for a while, nobody was heard: that is no silence of theirs, and costs no list."""
     bench = rated()
+    bench.processes(MAIN)
+    bench.ros.change(beacons=beating() if silent == "beacon" else {}, topics=flowing() if silent == "topic" else {})
+    bench.after(20.0)
+    before = bench.docker.listings
+    bench.ros.change(age_s=2.0)
+    if silent == "beacon":
+        bench.ros.change(beacons=beating(2.2))
+    else:
+        bench.ros.change(topics=flowing(2.0))
+    assert bench.result().level is api.Level.OK
+    assert bench.docker.listings == before
+
+
+def test_a_large_topic_that_is_listened_to_in_windows_does_not_waver() -> None:
+    """Between two windows nothing is heard: that is PHM's own doing and costs no list."""
+    bench = rated()
+    rate = api.RateFact(10.0, 2.0, limit_s=5.0, sample_bytes=1e6)
+    bench.ros.change(topics={TOPIC: api.TopicFact((api.EndpointFact(NAME, ""),), (), rate)})
+    bench.after(20.0)
+    before = bench.docker.listings
+    bench.after(9.0)
+    assert bench.docker.listings - before <= 1
+
+
+def test_an_executor_that_is_not_watched_is_never_late() -> None:
+    """A beacon may be told not to watch it; what it says of its lateness then means nothing."""
+    bench = Bench()
+    bench.ros.change(beacons={NAME: api.BeaconFact(0.1, 0.2, 60.0, "a", 100, turns=0)})
+    assert bench.after(3.0).level is api.Level.OK
+
+
+def test_a_beacon_of_the_node_before_is_none_of_this_one() -> None:
+    """The node came into the graph anew, as another program without a beacon: the silence is that of its predecessor."""
+    bench = Bench()
     bench.processes(MAIN)
     bench.ros.change(beacons=beating())
     bench.after(3.0)
-    bench.ros.change(age_s=2.0, beacons=beating(2.2), topics=flowing(2.0))
-    assert bench.result().level is api.Level.OK
+    silence = 0.0
+
+    def silent(passed: float) -> None:
+        bench.ros.change(beacons=beating(silence + passed))
+
+    bench.ros.change(nodes={})
+    assert bench.after(2.0, silent).brief == "node_1 dead"
+    silence = 2.0
+    bench.ros.change(nodes={NAME: 1})
+    assert bench.after(2.0, silent).level is api.Level.OK
 
 
 def test_another_publisher_is_no_sign_of_life() -> None:
@@ -460,6 +503,25 @@ def test_a_node_started_anew_beside_its_siblings_is_not_dead() -> None:
     result = bench.after(5.0, relaunched)
     assert (result.level, result.values["process"]) == (api.Level.OK, "95 S")
     assert api.Level.ERROR not in levels
+
+
+def test_a_process_that_is_gone_where_two_others_fit_is_no_death() -> None:
+    """One of them may be the node; which one is not known, so this evidence is missing."""
+    bench = Bench()
+    bench.after(3.0)
+    bench.processes(MAIN, *(api.ProcessFact(pid, 1, "S", 0.0, ONE.command) for pid in (91, 92)))
+    result = bench.after(3.0)
+    assert (result.level, result.values["process"]) == (api.Level.OK, "71 ended")
+
+
+def test_what_is_told_as_bad_is_looked_at_until_it_is_well() -> None:
+    """A stopped node without a beacon and without a topic: nothing in the graph tells that it was let go."""
+    bench = Bench()
+    bench.after(20.0)
+    bench.processes(MAIN, api.ProcessFact(71, 1, "T", 5.0, ONE.command))
+    bench.after(BLIND_S + 0.25)
+    bench.processes(MAIN, ONE)
+    assert bench.after(SOON_S).level is api.Level.OK
 
 
 def test_a_node_that_comes_back_as_an_unknown_process_is_alive() -> None:
