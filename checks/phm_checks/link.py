@@ -37,6 +37,7 @@ class Link(api.Check):
         self._loss, self._silence = Steady(share=0.5), Steady(share=1.0)
         self._was: frozenset[str] = frozenset()
         self._opened = False
+        self._told_by = _devices_of(entry, settings)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -48,15 +49,8 @@ class Link(api.Check):
 
     @property
     def units(self) -> Sequence[api.Unit]:
-        """A port that is also a device of a container is told there when it is gone."""
-        users = [
-            container.key
-            for container in self._settings.containers
-            if any(device.path == self.entry.url for device in container.devices)
-        ]
-        needs = tuple(f"devices/{key}" for key in users)
         target = target_of(self.entry.key)
-        return (api.Unit(link_id(self.entry), needs=needs, target=target, settle_s=SETTLE_S, grace_s=GRACE_S),)
+        return (api.Unit(link_id(self.entry), target=target, settle_s=SETTLE_S, grace_s=GRACE_S),)
 
     @property
     def wakes(self) -> frozenset[str]:
@@ -84,7 +78,15 @@ class Link(api.Check):
 
     def _closed(self, world: api.World, link: api.LinkFact) -> api.Result:
         """An error, unless all that it leads to is heard by another: then only a reserve is lost."""
-        why, short = self._port(world, link) if self.entry.serial else self._connection(link)
+        missing = self.entry.serial and not self._there(world, link)
+        if missing and self._told_by:
+            # Not by a need: another device of that container would then hide what is wrong with this link.
+            return api.stale(f"the port {self.entry.url} is missing, which {self._told_by} tells")
+        if missing:
+            why = f"the port {self.entry.url} is missing: check its cable and power. Ports that are there: {_ports(world)}"
+            short = f"{last(self.entry.url)} missing"
+        else:
+            why, short = self._port(world, link) if self.entry.serial else self._connection(link)
         spare = self._spare(world)
         more = "; what it leads to is heard by another endpoint meanwhile" if spare else ""
         make = api.warn if spare else api.error
@@ -94,19 +96,15 @@ class Link(api.Check):
             condition="link_closed",
         )
 
-    def _port(self, world: api.World, link: api.LinkFact) -> tuple[str, str]:
-        """Why a serial port is closed, and the same in a few words: is it there, may PHM, who else has it."""
-        path, said = self.entry.url, clean(link.error) or "no reason given"
-        name = last(path)
+    def _there(self, world: api.World, link: api.LinkFact) -> bool:
         try:
-            device = world.devices.look(path, open_it=False)
-            there = device is not None
+            return world.devices.look(self.entry.url, open_it=False) is not None
         except api.CannotTell:
-            there = link.code != errno.ENOENT
-        if not there:
-            return f"the port {path} is missing: check its cable and power. Ports that are there: {_ports(world)}", (
-                f"{name} missing"
-            )
+            return link.code != errno.ENOENT
+
+    def _port(self, world: api.World, link: api.LinkFact) -> tuple[str, str]:
+        """Why a serial port that is there is closed, and the same in a few words: may PHM open it, who else has it."""
+        path, said, name = self.entry.url, clean(link.error) or "no reason given", last(self.entry.url)
         if link.code == errno.ENOENT:
             return (
                 f"the port {path} is on the host and not in PHM's container: add it to `devices` of PHM's service",
@@ -227,6 +225,15 @@ class Link(api.Check):
             return self._settings.agent.id, 1
         gcs = world.links.gcs()
         return (gcs.system, gcs.component) if gcs is not None else (0, 0)
+
+
+def _devices_of(entry: api.EndpointSettings, settings: api.Settings) -> str:
+    """The unit that tells when the port is gone, because it is also a device of that container; empty for none."""
+    check = settings.checks.get("devices")
+    if check is not None and not check.enabled:
+        return ""
+    users = (one.key for one in settings.containers if any(device.path == entry.url for device in one.devices))
+    return next((f"devices/{key}" for key in users), "")
 
 
 def _not_yet(link: api.LinkFact) -> api.Result:

@@ -4,6 +4,7 @@ where did the command stop?" Its unit raises no alarm: the hop that is broken do
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Slot
@@ -15,6 +16,7 @@ from phm_checks._path import (
     in_words,
     kind,
     link_id,
+    link_of,
     named,
     radio_id,
     seen_from_here,
@@ -98,7 +100,10 @@ class Path(api.Check):
         return named(kind(entry), entry, self._settings.mavlink.endpoints)
 
     def _link(self, world: api.World, entry: api.EndpointSettings) -> Hop:
-        return hop(self._name(entry), self._links[entry.key].run(world))
+        """Nothing passes by one that is closed, whoever tells that."""
+        found, link = hop(self._name(entry), self._links[entry.key].run(world)), link_of(world, entry.key)
+        closed = found.state is State.UNKNOWN and link is not None and not link.open
+        return replace(found, state=State.BROKEN) if closed else found
 
     def _application(self, world: api.World) -> Hop:
         """By the graph and the beacons. What the nodes' own check finds beyond that blocks this unit all the same, and is

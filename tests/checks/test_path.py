@@ -184,15 +184,48 @@ def test_a_closed_port_says_why(code: int, there: bool, brief: str, advice: str)
     assert advice in world.text("link/ground")
 
 
+CAMERA = {"path": "/dev/video0", "mapped": False, "open": "never"}
+APP = {"name": "ros_app", "devices": [{"path": SERIAL, "mapped": False, "open": "never"}, CAMERA]}
+
+
+def with_devices(**more: Any) -> PathWorld:
+    world = PathWorld(url=SERIAL, containers=[APP], **more)
+    world.devices.put(SERIAL)
+    world.devices.put("/dev/video0")
+    world.run(20.0)
+    assert world.alarms == []
+    return world
+
+
 def test_a_port_that_a_container_misses_too_is_one_alarm() -> None:
-    """Where the port is also a device of a container, its loss is told there, and the link is blocked by it."""
-    container = {"name": "ros_app", "devices": [{"path": SERIAL, "mapped": False, "open": "never"}]}
-    world = flying(url=SERIAL, containers=[container])
-    world.devices.devices.clear()
+    """Where the port is also a device of a container, its loss is told there."""
+    world = with_devices()
+    del world.devices.devices[SERIAL]
     world.down, world.closed_with = {"link"}, (errno.ENOENT, "no such file")
     world.run(30.0)
     assert world.alarms == ["devices/ros_app: ttyUSB0 missing"]
-    assert world.blocked()["link/ground"] == "devices/ros_app"
+    assert world.bad() == {"devices/ros_app"}
+    assert "which devices/ros_app tells" in world.text("link/ground")
+    assert "stops at port" in world.text("path")
+
+
+def test_another_device_of_the_container_hides_no_link() -> None:
+    """A camera may be missing for a whole flight."""
+    world = with_devices()
+    del world.devices.devices["/dev/video0"]
+    world.run(10.0)
+    world.down, world.closed_with = {"link"}, (errno.EIO, "input/output error")
+    world.run(30.0)
+    assert world.alarms == ["devices/ros_app: video0 missing", "link/ground: port: ttyUSB0 failed"]
+
+
+def test_a_port_that_no_check_of_devices_tells_is_told_here() -> None:
+    """With the check of devices switched off."""
+    world = with_devices(checks={"devices": {"enabled": False}})
+    del world.devices.devices[SERIAL]
+    world.down, world.closed_with = {"link"}, (errno.ENOENT, "no such file")
+    world.run(30.0)
+    assert world.alarms == ["link/ground: port: ttyUSB0 missing"]
 
 
 # ---------------------------------------------------------------- the application
