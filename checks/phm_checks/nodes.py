@@ -14,6 +14,7 @@ from phm_checks._words import brief, did_you_mean, last, span
 
 OLD_PICTURE_S = 5.0
 """A picture of the graph older than this proves nothing."""
+SLOW_S = 1.0
 _Words = tuple[Level, str, str, str]
 BUSY_S = 10.0
 """A node that computes and has not answered for this long is told as busy: a WARN, for nobody knows that it is wrong."""
@@ -96,6 +97,8 @@ class Nodes(api.Check):
         now = world.clock.mono()
         signs = {node.wanted.name: self._signs(node, fact, now) for node in self._nodes}
         for roster in self._rosters.values():
+            if world.clock.mono() - now > SLOW_S:
+                break  # an engine that hangs takes its deadline for each question: the others are asked in the next run
             own = [node for node in self._nodes if node.wanted.container == roster.key]
             doubts = set().union(*(node.doubts for node in own))
             roster.look(world, doubts, blind=any(node.signs.blind for node in own))

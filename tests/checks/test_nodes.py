@@ -613,6 +613,30 @@ def test_an_old_name_beside_the_new_one_is_no_standing_doubt() -> None:
     assert bench.result().brief == "node_1 dead"
 
 
+def test_an_engine_that_hangs_is_asked_once_a_run() -> None:
+    """Each question may take its whole deadline, and the check has one, too."""
+    keys = ("one", "two", "three")
+    settings = testing.settings(
+        containers=[{"name": key} for key in keys],
+        ros={"nodes": [{"name": f"/{key}", "container": key} for key in keys]},
+    )
+    (check,) = Nodes.build(settings)
+    clock, asked = testing.FakeClock(), list[str]()
+
+    class Hanging(testing.FakeDocker):
+        def container(self, name: str) -> api.ContainerFact | None:
+            asked.append(name)
+            clock.advance(5.0)
+            raise api.CannotTell("the Docker Engine did not answer within 5.0 s")
+
+    world = testing.world(clock=clock, docker=Hanging(), ros=testing.FakeRos(nodes={f"/{key}": 1 for key in keys}))
+    for number in range(1, 4):
+        results = check.run(world)
+        assert len(asked) == number
+        assert not isinstance(results, api.Result)
+        assert {result.level for result in results.values()} == {api.Level.OK}
+
+
 def test_a_list_that_grew_old_proves_nothing() -> None:
     """Should the check be held up, what was seen before that does not count."""
     bench = Bench()
