@@ -200,6 +200,21 @@ def endpoints_are_told_apart(root: View) -> None:
         autopilot.complain("is true, but every endpoint leads to the ground alone: correct 'leads_to' of one of them")
 
 
+def link_ids_are_told_apart(root: View) -> None:
+    """Two links that sign with one id share a stream at the receiver, which then refuses the later of the two."""
+    taken: dict[int, View] = {}
+    endpoints = list(root.get("mavlink", "endpoints").records())
+    # What is not given is the place in the list, so those stand before any that is.
+    for number, entry in sorted(enumerate(endpoints), key=lambda pair: pair[1].get("link_id").given):
+        place = entry.get("link_id")
+        link_id = place.value if place.given else number
+        if not isinstance(link_id, int):
+            continue
+        if link_id in taken:
+            place.complain(f"{link_id} is that of the endpoint in line {taken[link_id].line}, too: give each its own")
+        taken.setdefault(link_id, entry)
+
+
 def limits_are_in_order(root: View) -> None:
     for key in ("cpu", "memory", "disk"):
         limit = root.get("host", key)
@@ -300,5 +315,6 @@ def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
 RULES: tuple[Callable[[View], None], ...] = (
     containers_have_one_identity, containers_are_told_apart, container_parts_stand_once, containers_start_in_order,
     absent_files_have_no_copy, repairs_are_opted_in, ros_names_stand_once, ros_containers_exist, relaunch_has_a_container,
-    topic_nodes_exist, diagnostics_are_known, endpoints_are_told_apart, limits_are_in_order, disks_stand_once,
+    topic_nodes_exist, diagnostics_are_known, endpoints_are_told_apart,
+    link_ids_are_told_apart, limits_are_in_order, disks_stand_once,
 )  # fmt: skip

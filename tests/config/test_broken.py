@@ -208,6 +208,10 @@ BROKEN = [
            "mavlink.endpoints[1].url", ("endpoint 'tcp:h:1' stands twice",)),
     Broken("same endpoint name", "mavlink:\n  endpoints:\n    - {url: tcp:h:1, name: g}\n    - {url: tcp:h:2, name: g}\n",
            4, "mavlink.endpoints[1].name", ("endpoint name 'g'",)),
+    Broken("same link id", "mavlink:\n  endpoints:\n    - {url: tcp:h:1, link_id: 3}\n    - {url: tcp:h:2, link_id: 3}\n",
+           4, "mavlink.endpoints[1].link_id", ("3 is that of the endpoint in line 3", "its own")),
+    Broken("link id of a place", "mavlink:\n  endpoints:\n    - {url: tcp:h:1, link_id: 1}\n    - {url: tcp:h:2}\n",
+           3, "mavlink.endpoints[0].link_id", ("1 is that of the endpoint in line 4",)),
     Broken("nothing to hear on", "mavlink:\n  autopilot: true\n", 2, "mavlink.autopilot", ("no endpoints",)),
     Broken(
         "heard on no endpoint", "mavlink:\n  endpoints: [{url: 'tcp:a:1', leads_to: ground}]\n  autopilot: true\n", 3,
