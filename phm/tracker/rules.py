@@ -67,9 +67,7 @@ def well(look: Look) -> Verdict | None:
     """
     if look.result.level is not Level.OK:
         return None
-    if look.entry.fault is not None and (_under_repair(look) or look.now < look.entry.unproven_until):
-        return KEEP
-    return Verdict(look.result)
+    return KEEP if _unproven(look.entry, look) else Verdict(look.result)
 
 
 def repair_at_work(look: Look) -> Verdict | None:
@@ -154,18 +152,22 @@ def too_early(entry: Entry, now: float) -> bool:
     return not known and (now < entry.quiet_until or entry.started < entry.counts_from)
 
 
-def _under_repair(look: Look) -> bool:
-    hold = look.scene.holds.get(look.entry.target)
-    return hold is not None and hold.proving and hold.owner == look.entry.id
+def _unproven(entry: Entry, look: Look) -> bool:
+    """Whether the unit's fault is still being proven to be healed, or was not: its OK is kept back."""
+    if entry.fault is None:
+        return False
+    hold = look.scene.holds.get(entry.target)
+    proving = hold is not None and hold.proving and hold.owner == entry.id
+    return proving or look.now < entry.unproven_until
 
 
 def _cause(look: Look) -> str:
-    """The first unit upstream that is failing, or whose repair did not bring back what needs it.
+    """The first unit upstream that is failing, or whose OK is kept back: grace for what needs it begins when that is told.
 
     If that one is under repair, the fault being repaired.
     """
     for other in look.scene.upstream(look.entry.id):
-        if other.failing or (other.fault is not None and look.now < other.unproven_until):
+        if other.failing or _unproven(other, look):
             hold = look.scene.holds.get(other.target)
             return hold.owner if hold is not None and other.fault is None else other.id
     return ""

@@ -154,3 +154,25 @@ def test_an_unproven_repair_is_believed_in_the_end() -> None:
         bench.later(1.0)
         bench.see("network", OK)
     assert [outcome for _, outcome, _ in bench.closed] == [Outcome.RESOLVED]
+
+
+def test_what_lies_behind_another_target_waits_for_the_proof() -> None:
+    """A radio's link is opened anew and the radio answers; the ground station behind it speaks once a second: it has grace
+    from when the repair is proven, and raises no alarm before."""
+    bench = Bench([unit("radio", target="link"), unit("gcs", "radio", grace_s=5.0)])
+    bench.later(10)
+    bench.all_well()
+    bench.see("radio", BAD)
+    bench.take(bench.tracker.hold("link", "radio", "reopen", bench.stamp(), 60.0, proving=True))
+    bench.see("gcs", BAD)
+    bench.see("radio", OK)
+    bench.see("gcs", BAD)
+    bench.later(1)
+    bench.see("gcs", BAD)
+    bench.see("radio", OK)
+    assert bench.blocked_by("gcs") == "radio"
+    bench.take(bench.tracker.release("link", bench.stamp(), worked=True))
+    bench.see("gcs", BAD)
+    bench.later(1)
+    bench.see("gcs", OK)
+    assert bench.opened == ["radio"]
