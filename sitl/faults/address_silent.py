@@ -20,6 +20,8 @@ class Injection(Fault):
 
     name, title, unit = "address_silent", "interface down, still connected", "network/ros_app"
     condition = "address_silent"
+    layer = "container"
+    cause = "the virtual cable between the container and its network is down, while the engine believes it connected"
 
     _link = ""
 

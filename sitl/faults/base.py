@@ -12,22 +12,46 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol
 
 from docker import DockerClient
 from docker.models.containers import Container
 
 NULL, ZERO = "/dev/null", "/dev/zero"
 STOP_S = 3
+LAYERS = ("companion", "container", "ros", "link")
+
+
+class Air(Protocol):
+    """The control of a swarm's emulated radios, routers and autopilots (`sitl.swarm`), as far as faults use it."""
+
+    def set(self, agent: int, link: str, **how: Any) -> None:
+        """Change one link of an agent: ``ground``, ``peers``, ``autopilot`` or ``router``."""
+
+    def reset(self, agent: int) -> None:
+        """Give all links of an agent back as they were in the beginning."""
+
+    def split(self, groups: list[list[int]]) -> None:
+        """Agents of different groups no longer hear each other; no groups: all do."""
+
+    def autopilot(self, agent: int, what: str) -> None:
+        """``hang``, ``resume`` or ``reboot``."""
 
 
 @dataclass
 class Agent:
-    """One simulated agent on this machine's engine: its compose project, and names inside it."""
+    """One simulated agent on this machine's engine: its compose project, and names inside it.
+
+    number: of the agent and its vehicle, also the MAVLink system id. logs: folder of PHM's log on this machine. air: the
+    emulated links of the swarm that it belongs to; None: it is on its own.
+    """
 
     project: str
     name: str
     docker: DockerClient = field(default_factory=DockerClient.from_env)
+    number: int = 1
+    logs: Path | None = None
+    air: Air | None = None
 
     def container(self, service: str) -> Container:
         """The project's container of a compose service; LookupError when there is none."""
@@ -40,6 +64,23 @@ class Agent:
     @property
     def app(self) -> Container:
         return self.container("ros_app")
+
+    @property
+    def sidecar(self) -> Container:
+        """PHM's own container."""
+        return self.container("phm")
+
+    @property
+    def links(self) -> Air:
+        """Its emulated links; LookupError when it has none."""
+        if self.air is None:
+            raise LookupError(f"{self.name} has no emulated links: start it with `python -m sitl up`")
+        return self.air
+
+    def processes(self, container: Container, word: str) -> list[int]:
+        """Process ids on this machine of the processes of a container that have the word in their command line."""
+        found = container.top(ps_args="-eo pid,args")
+        return [int(row[0]) for row in found["Processes"] if word in row[1]]
 
     @property
     def device(self) -> Path:
@@ -65,7 +106,7 @@ class Agent:
             self.app.restart(timeout=STOP_S)
 
     def signal_node(self, node: str, signal_name: str) -> float:
-        """Send a signal (``KILL``) to one node of the application; the moment before it was sent."""
+        """Send a signal (``KILL``, or a number) to one node of the application; the moment before it was sent."""
         pid = self.run_in_app("cat", f"/tmp/nodes/{node}.pid")
         moment = time.monotonic()
         self.run_in_app("kill", f"-{signal_name}", str(int(pid)))
@@ -95,18 +136,36 @@ class Agent:
 class Fault(ABC):
     """One kind of trouble.
 
-    name: as in its file. title: words for a table. unit: id of the unit at which PHM must see it, with
-    ``{agent}`` for the agent's name. condition: as what PHM must know it; it selects the ladder.
+    name: as in its file. title: words for a table. cause: what happens in the world when it is real.
+    layer: where it is injected, one of LAYERS.
+    unit: id of the unit at which PHM must see it, with ``{agent}`` for the agent's name, ``{id}`` for its number as in A01.
+    condition: as what PHM must know it; it selects the ladder.
+    level: ``ERROR``, for which a fault is opened, or ``WARN``, a transition.
+    told_by: ``itself``, or ``others``: the agents that hear it no more.
     also: units of further faults that it causes, independent of the first, each with an alarm of its own.
-    healable: whether PHM is expected to heal it.
+    healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
+    needs: what it takes: ``air``, emulated links; ``peers``, at least two further agents; ``configuration``, changes to the
+    shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
+    cause: ClassVar[str]
+    layer: ClassVar[str]
     unit: ClassVar[str]
     condition: ClassVar[str]
+    level: ClassVar[str] = "ERROR"
+    told_by: ClassVar[str] = "itself"
     also: ClassVar[tuple[str, ...]] = ()
     healable: ClassVar[bool] = True
+    passes: ClassVar[bool] = False
+    needs: ClassVar[frozenset[str]] = frozenset()
+
+    def places(self, agent: Agent) -> tuple[str, ...]:
+        """Units at which an alarm is due, exactly one at each; none where a fault is not told as one."""
+        return tuple(
+            unit.format(agent=agent.name, id=f"A{agent.number:02d}") for unit in (self.unit, *self.also) if unit
+        )
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
         """Changes to the shipped configuration without which it cannot be seen, for `sitl.derived`."""

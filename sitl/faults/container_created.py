@@ -17,6 +17,8 @@ class Injection(Fault):
 
     name, title, unit = "container_created", "container made anew, never started", "container/ros_app"
     condition = "created"
+    layer = "container"
+    cause = "an image was updated and its container made anew, and nobody started it"
 
     def inject(self, agent: Agent) -> float:
         old = agent.app

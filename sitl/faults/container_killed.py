@@ -10,6 +10,8 @@ class Injection(Fault):
 
     name, title, unit = "container_killed", "container killed (SIGKILL)", "container/ros_app"
     condition = "exited"
+    layer = "container"
+    cause = "the application's first process crashed or was killed"
 
     def inject(self, agent: Agent) -> float:
         app = agent.app

@@ -13,6 +13,8 @@ class Injection(Fault):
 
     name, title, unit = "container_oom", "container out of memory", "container/ros_app"
     condition = "oom"
+    layer = "container"
+    cause = "the application leaks memory, and the kernel ends it at the limit of its container"
 
     def inject(self, agent: Agent) -> float:
         app = agent.app

@@ -12,6 +12,8 @@ class Injection(Fault):
 
     name, title, unit = "container_paused", "container paused", "container/ros_app"
     condition = "paused"
+    layer = "container"
+    cause = "somebody froze the container's processes"
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

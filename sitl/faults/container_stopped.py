@@ -10,6 +10,8 @@ class Injection(Fault):
 
     name, title, unit = "container_stopped", "container stopped", "container/ros_app"
     condition = "exited"
+    layer = "container"
+    cause = "somebody or something ended the application in good order"
 
     def inject(self, agent: Agent) -> float:
         app = agent.app

@@ -13,6 +13,8 @@ class Injection(Fault):
 
     name, title, unit = "crash_loop", "container ends at every start", "container/ros_app"
     condition = "exited"
+    layer = "container"
+    cause = "the application ends at every start, for a cause of its own"
     healable = False
 
     def inject(self, agent: Agent) -> float:

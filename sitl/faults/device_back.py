@@ -16,6 +16,8 @@ class Injection(Fault):
 
     name, title, unit = "device_back", f"device replugged, gone for {GONE_S:g} s", "devices/ros_app"
     condition = "device_replugged"
+    layer = "container"
+    cause = "a cable had a loose contact: the device comes back with other numbers than the container was given"
 
     def inject(self, agent: Agent) -> float:
         numbers = agent.device.stat().st_rdev

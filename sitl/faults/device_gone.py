@@ -12,6 +12,8 @@ class Injection(Fault):
 
     name, title, unit = "device_gone", "device unplugged", "devices/ros_app"
     condition = "device_missing"
+    layer = "container"
+    cause = "a cable came off or a device lost its power"
     healable = False
 
     def inject(self, agent: Agent) -> float:

@@ -13,6 +13,8 @@ class Injection(Fault):
 
     name, title, unit = "file_altered", "file altered", "files/ros_app"
     condition = "file_altered"
+    layer = "container"
+    cause = "a file was overwritten, by a bad update or a damaged disk"
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -16,6 +16,8 @@ class Injection(Fault):
 
     name, title, unit = "file_deleted", "file deleted", "files/ros_app"
     condition = "file_missing"
+    layer = "container"
+    cause = "a file that the application needs was removed"
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -13,6 +13,8 @@ class Injection(Fault):
 
     name, title, unit = "file_not_executable", "file not executable", "files/ros_app"
     condition = "file_not_executable"
+    layer = "container"
+    cause = "a file came without its execute bits, as a copy over FAT or a wrong umask leaves it"
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -12,6 +12,8 @@ class Injection(Fault):
 
     name, title, unit = "network_disconnected", "network disconnected", "network/ros_app"
     condition = "disconnected"
+    layer = "container"
+    cause = "the container was taken off its network"
 
     _network = ""
 

@@ -10,6 +10,8 @@ class Injection(Fault):
 
     name, title, unit = "node_killed", "node killed (SIGKILL)", "nodes/{agent}/node_1"
     condition = "node_missing"
+    layer = "ros"
+    cause = "a node crashed, its container lives on"
 
     _life = ""
 

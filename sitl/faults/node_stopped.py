@@ -10,6 +10,8 @@ class Injection(Fault):
 
     name, title, unit = "node_stopped", "node hung (SIGSTOP)", "nodes/{agent}/node_1"
     condition = "node_hung"
+    layer = "ros"
+    cause = "a node hangs: its process is there and does nothing"
 
     _life = ""
 

@@ -22,6 +22,8 @@ class Injection(Fault):
     name, title = "owner_killed", "container killed, another shares its network"
     unit = "container/ros_app"
     condition = "exited"
+    layer = "container"
+    cause = "a container died in whose network namespace another one lives"
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
         graph, topics = "\n# The ROS graph of this agent.\n", "\n  # Topics that must flow, a list."

@@ -12,6 +12,8 @@ class Injection(Fault):
 
     name, title, unit = "sidecar_apart", "PHM off the application's network", "network/ros_app"
     condition = "sidecar_apart"
+    layer = "container"
+    cause = "PHM's own container was taken off the application's network"
 
     def inject(self, agent: Agent) -> float:
         phm, network = agent.container("phm"), self._network(agent)

@@ -10,6 +10,8 @@ class Injection(Fault):
 
     name, title, unit = "topic_silent", "topic silent, its node alive", "rates/{agent}/topic_1"
     condition = "silent"
+    layer = "ros"
+    cause = "a node's source has stopped, the node itself is well"
 
     _life = ""
 

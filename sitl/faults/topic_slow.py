@@ -10,6 +10,8 @@ class Injection(Fault):
 
     name, title, unit = "topic_slow", "topic at half its rate", "rates/{agent}/topic_1"
     condition = "rate_low"
+    layer = "ros"
+    cause = "a node does not keep up: every second message is missing"
 
     _life = ""
 

@@ -12,6 +12,8 @@ class Injection(Fault):
     name, title = "two_at_once", "node killed and file deleted"
     unit, also = "nodes/{agent}/node_1", ("files/ros_app",)
     condition = "node_missing"
+    layer = "container"
+    cause = "two things that have nothing to do with each other break in the same moment"
 
     _life = ""
 

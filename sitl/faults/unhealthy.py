@@ -14,6 +14,8 @@ class Injection(Fault):
 
     name, title, unit = "unhealthy", "healthcheck failing", "health/ros_app"
     condition = "unhealthy"
+    layer = "container"
+    cause = "the application runs and says of itself that it does not work"
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

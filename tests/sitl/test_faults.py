@@ -14,7 +14,7 @@ from phm.recovery.policy import LADDERS
 from sitl import faults, proof, proofplan
 from sitl.demo import STORY
 from sitl.derived import derived, write
-from sitl.faults.base import Agent, Fault
+from sitl.faults.base import LAYERS, Agent, Fault
 
 FILES = sorted(path.stem for path in Path(faults.__file__).parent.glob("*.py") if path.stem not in ("__init__", "base"))
 
@@ -30,7 +30,12 @@ def test_a_fault_says_what_it_is(name: str) -> None:
     fault = faults.all_faults()[name]
     assert fault.name == name
     assert fault.title.strip() == fault.title != ""
-    assert "/" in fault.unit
+    assert fault.places(agent())
+    assert fault.layer in LAYERS
+    assert len(fault.cause.split()) > 3
+    assert fault.cause[-1] != "."
+    assert fault.needs <= {"air", "peers", "configuration", "alone"}
+    assert fault.level in ("ERROR", "WARN")
     assert inspect.getdoc(type(fault))
     assert type(fault).clear is not Fault.clear
 
