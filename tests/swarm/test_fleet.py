@@ -6,7 +6,7 @@ import pytest
 
 from phm.model import Level
 from phm.transport.mavlink_budget import BURST_MIN, SWARM_BYTES_S
-from tests.swarm.fleet import Fleet
+from sitl.fleet import Fleet
 
 
 def test_one_agent_speaks_and_its_line_is_not_repeated_aloud() -> None:
