@@ -22,7 +22,6 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "exited": ("start", "restart"),
     "oom": ("start", "restart"),
     "created": ("start",),
-    "dead": ("restart",),
     "paused": ("unpause", "restart"),
     "unhealthy": ("restart",),
     "disconnected": ("reconnect", "restart"),
@@ -41,7 +40,8 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "autopilot_silent": ("reopen",),
 }
 """Built-in ladders by condition. Conditions that are not here are told and left alone: `restarting` because the engine's
-own restart policy is at work and is not fought, `not_received` because a blocked transport outlives every restart."""
+own restart policy is at work and is not fought, `dead` because the engine refuses to restart what it could not remove,
+`not_received` because a blocked transport outlives every restart."""
 PATIENT = frozenset({"silent", "rate_low"})
 """Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs."""
 

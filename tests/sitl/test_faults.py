@@ -66,7 +66,6 @@ def test_only_faults_that_need_a_configuration_are_played_apart() -> None:
 
 LINKS = "played with real sockets by tests/mavlink/test_reopen.py: no container is touched"
 UNPROVEN = {
-    "dead": "an engine that cannot remove a container cannot be had without harming its storage",
     "link_silent": LINKS, "radio_silent": LINKS, "autopilot_silent": LINKS,
 }  # fmt: skip
 
