@@ -1,0 +1,215 @@
+"""What a trial's record says about each injected fault. Pure: the rules are those of docs/campaign.md."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from sitl.campaign.trial import OFF, Alarm, Injection, Line, Trial
+
+BESIDE = "host/"
+"""All agents share one machine: its load is told by whoever sees it, and belongs to no agent's fault."""
+PEERS = "peers/"
+"""Every other agent keeps the same unit about an agent that it misses; together they are one alarm."""
+
+
+@dataclass
+class Verdict:
+    """One injected fault. Seconds count from the moment at which it was there; None: it did not happen."""
+
+    trial: int
+    kind: str
+    injection: Injection
+    expected: int
+    alarms: list[Alarm] = field(default_factory=list)
+    detected_s: float | None = None
+    response_s: float | None = None
+    healed_s: float | None = None
+    by: str = ""
+    wrong: str = ""
+    """Why the cause was not told rightly, in words; empty: it was, or nothing was told at all."""
+
+    @property
+    def missed(self) -> bool:
+        return self.detected_s is None and not self.alarms
+
+    @property
+    def right(self) -> bool:
+        return not self.missed and not self.wrong
+
+    @property
+    def count(self) -> int:
+        """Alarms; what several agents say about the same peer is one."""
+        return counted(self.alarms)
+
+
+@dataclass
+class Judged:
+    """A trial: its faults, the alarms that belong to none of them, and those about the machine that all share."""
+
+    trial: Trial
+    verdicts: list[Verdict]
+    false: list[Alarm]
+    beside: list[Alarm]
+
+
+def judge(trial: Trial) -> Judged:
+    """Give every alarm to the fault that it belongs to, then read each fault's times."""
+    verdicts = [
+        Verdict(trial.number, "single" if len(trial.injections) == 1 else "compound", each, len(places(each)))
+        for each in trial.injections
+        if each.moment is not None
+    ]
+    false, beside = [], []
+    for alarm in sorted(trial.alarms, key=lambda each: each.mono):
+        owner = _owner(alarm, verdicts)
+        if owner is not None:
+            owner.alarms.append(alarm)
+        elif alarm.unit.startswith(BESIDE):
+            beside.append(alarm)
+        else:
+            false.append(alarm)
+    for verdict in verdicts:
+        _times(verdict, trial)
+    return Judged(trial, verdicts, false, beside)
+
+
+def counted(alarms: Sequence[Alarm]) -> int:
+    """How many alarms these are to an operator."""
+    own = sum(not alarm.unit.startswith(PEERS) for alarm in alarms)
+    told = Counter((alarm.unit, alarm.agent) for alarm in alarms if alarm.unit.startswith(PEERS))
+    most: dict[str, int] = {}
+    for (unit, _), number in told.items():
+        most[unit] = max(most.get(unit, 0), number)
+    return own + sum(most.values())
+
+
+def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
+    """The fault that an alarm belongs to: at its unit; about its agent; aboard its agent, of its group first."""
+    begun = [verdict for verdict in verdicts if alarm.mono >= (verdict.injection.moment or 0.0)]
+    for verdict in begun:
+        if _expected(alarm, verdict.injection):
+            return verdict
+    if alarm.unit.startswith(BESIDE):
+        return None
+    if alarm.unit.startswith(PEERS):
+        subject = alarm.unit.removeprefix(PEERS)
+        for verdict in begun:
+            fault = verdict.injection
+            if subject == f"A{fault.agent:02d}" or fault.layer == "link" or fault.phm:
+                return verdict
+        return None
+    aboard = [verdict for verdict in begun if verdict.injection.agent == alarm.agent]
+    check = alarm.unit.partition("/")[0]
+    return next((verdict for verdict in aboard if verdict.injection.group == check), aboard[0] if aboard else None)
+
+
+def places(injection: Injection) -> list[str]:
+    """Units at which an alarm is due."""
+    return [unit for unit in (injection.unit, *injection.also) if unit]
+
+
+def _expected(alarm: Alarm, injection: Injection) -> bool:
+    """Whether this is an alarm that the fault is expected to raise. A unit about a peer is seen by the others."""
+    if alarm.unit not in places(injection):
+        return False
+    return alarm.agent == injection.agent or alarm.unit.startswith(PEERS)
+
+
+def _times(verdict: Verdict, trial: Trial) -> None:
+    fault = verdict.injection
+    begun = fault.moment or 0.0
+    until = fault.cleared if fault.cleared is not None else trial.ended
+    if not fault.unit:
+        _rebirth(verdict, trial, begun, until)
+        return
+    named = [alarm for alarm in verdict.alarms if alarm.unit == fault.unit]
+    slots = {alarm.slot for alarm in named}
+    if named:
+        verdict.detected_s = named[0].mono - begun
+    else:
+        warned = [each for each in trial.warned if (each.agent, each.unit) == (fault.agent, fault.unit)]
+        warned = [each for each in warned if each.mono >= begun]
+        if warned:
+            verdict.detected_s, slots = warned[0].mono - begun, {warned[0].slot}
+    verdict.wrong = _wrong(verdict, named, trial)
+    for line in sorted(trial.lines, key=lambda each: each.mono):
+        if line.mono >= begun and any(tells(line, fault, slot) for slot in slots):
+            verdict.response_s = line.mono - begun
+            break
+    if trial.kind != OFF:
+        _healing(verdict, named, trial, begun, until)
+
+
+def _rebirth(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
+    """PHM itself was gone: its next life says so by its first line, and is whole with its first complete report."""
+    fault = verdict.injection
+    start = next((each for each in trial.starts if each.agent == fault.agent and each.mono >= begun), None)
+    if start is None:
+        return
+    verdict.detected_s = start.mono - begun
+    lines = [line.mono for line in trial.lines if line.system == fault.agent and line.mono >= start.mono]
+    verdict.response_s = min(lines) - begun if lines else None
+    if start.report is not None and start.report <= until:
+        verdict.healed_s, verdict.by = start.report - begun, "its own restart"
+
+
+def _healing(verdict: Verdict, named: Sequence[Alarm], trial: Trial, begun: float, until: float) -> None:
+    """Over before anybody cleared it: proven by an action, or closed as resolved. All of its units must be."""
+    fault, ends, by = verdict.injection, [], []
+    agents = {alarm.agent for alarm in named} | {fault.agent}
+    for unit in places(fault):
+        proofs = [
+            (act.mono, act.action)
+            for act in trial.acts
+            if act.phase == "verified" and act.unit == unit and act.agent in agents and begun <= act.mono <= until
+        ]
+        closes = [
+            (alarm.closed, alarm.by)
+            for alarm in verdict.alarms
+            if alarm.unit == unit and alarm.outcome == "resolved" and alarm.closed is not None and alarm.closed <= until
+        ]
+        found = min(proofs or closes, default=None)
+        if found is None:
+            return
+        ends.append(found[0])
+        by.append(found[1])
+    verdict.healed_s, verdict.by = max(ends) - begun, ", ".join(dict.fromkeys(by))
+
+
+def _wrong(verdict: Verdict, named: Sequence[Alarm], trial: Trial) -> str:
+    fault = verdict.injection
+    if not named:
+        if verdict.detected_s is not None:
+            known = {each.condition for each in trial.warned if (each.agent, each.unit) == (fault.agent, fault.unit)}
+        elif verdict.alarms:
+            return f"told at {_units(verdict.alarms)}, expected at {fault.unit}"
+        else:
+            return ""
+    else:
+        known = {condition for alarm in named for condition in alarm.conditions}
+        earlier = [alarm for alarm in verdict.alarms if alarm.mono < named[0].mono and not _expected(alarm, fault)]
+        if earlier:
+            return f"told at {_units(earlier)} first, then at {fault.unit}"
+    if fault.condition and fault.condition not in known:
+        return f"known as {', '.join(sorted(known)) or 'nothing'}, expected {fault.condition}"
+    return ""
+
+
+def _units(alarms: Sequence[Alarm]) -> str:
+    return ", ".join(dict.fromkeys(alarm.unit for alarm in alarms))
+
+
+def tells(line: Line, fault: Injection, slot: int) -> bool:
+    """Whether a line tells of a bad state of this agent in that slot: a change, or the refresh; its own, or another's."""
+    who = f"A{fault.agent:02d}"
+    own = re.match(rf"{who} (FAIL|WARN|GAVE UP|STALE) (?:[01-]{{8}} )?{slot}\b", line.text)
+    if own is not None:
+        return True
+    if re.match(rf"{who} no GCS radio", line.text):
+        return fault.layer == "link"
+    return (
+        fault.unit.startswith(PEERS) and re.search(rf" (FAIL|WARN) 12 .*\b({who}|split|alone)\b", line.text) is not None
+    )

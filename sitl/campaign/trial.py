@@ -1,0 +1,211 @@
+"""The record of one trial, one JSON object a line: complete enough to compute every metric from it, and to argue about.
+
+Times are seconds on this machine's monotonic clock, which its containers share, so PHM's own stamps, the injector's and
+the ground's can be subtracted; `utc` is the same in seconds since 1970, for the eye.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+VERSION = 1
+NOMINAL, OFF, TRIAL = "nominal", "off", "trial"
+
+
+@dataclass
+class Injection:
+    """One fault on one agent. `unit`: where PHM must tell it, aboard that agent, or aboard others where it begins with
+    ``peers/``; empty: it is told nowhere, because it is PHM itself that is gone for a moment."""
+
+    fault: str
+    title: str
+    layer: str
+    agent: int
+    unit: str
+    condition: str
+    healable: bool
+    cause: str = ""
+    group: str = ""
+    blinds: bool = False
+    """While it lasts, the ground cannot hear this agent, whether its PHM lives or not."""
+    phm: bool = False
+    """PHM itself is what is hurt."""
+    passes: bool = False
+    """It ends without anybody's doing."""
+    also: list[str] = field(default_factory=list)
+    moment: float | None = None
+    """From when on it was there; None: it could not be injected."""
+    cleared: float | None = None
+    """When `clear` was called."""
+    error: str = ""
+
+
+@dataclass
+class Alarm:
+    """A fault that PHM opened, with how it ended so far. `conditions`: as what its unit was known, in order."""
+
+    agent: int
+    unit: str
+    slot: int
+    fault: str
+    mono: float
+    conditions: list[str]
+    summary: str
+    closed: float | None = None
+    outcome: str = "open"
+    by: str = ""
+
+
+@dataclass
+class Warned:
+    """A unit became WARN."""
+
+    agent: int
+    unit: str
+    slot: int
+    mono: float
+    condition: str
+    summary: str
+
+
+@dataclass
+class Act:
+    """One phase of a recovery."""
+
+    agent: int
+    unit: str
+    action: str
+    phase: str
+    mono: float
+    detail: str
+
+
+@dataclass
+class Start:
+    """PHM began a new life; `report`: when its first report was complete."""
+
+    agent: int
+    mono: float
+    report: float | None = None
+
+
+@dataclass
+class Line:
+    """A STATUSTEXT that the ground received."""
+
+    system: int
+    severity: int
+    text: str
+    mono: float
+
+
+@dataclass
+class Cost:
+    """Of one agent's sidecar between two looks `seconds` apart, all its processes together."""
+
+    agent: int
+    seconds: float
+    cpu_s: float
+    rss_mb: float
+
+
+@dataclass
+class Trial:
+    """What happened between `began` and `ended`, on all agents."""
+
+    kind: str
+    number: int
+    agents: int
+    began: float
+    utc: float
+    ended: float = 0.0
+    heartbeat_s: float = 2.0
+    injections: list[Injection] = field(default_factory=list)
+    alarms: list[Alarm] = field(default_factory=list)
+    warned: list[Warned] = field(default_factory=list)
+    acts: list[Act] = field(default_factory=list)
+    starts: list[Start] = field(default_factory=list)
+    lines: list[Line] = field(default_factory=list)
+    heartbeats: dict[int, list[float]] = field(default_factory=dict)
+    """Of each agent's PHM, as the ground received them; the first is the last one before `began`."""
+    blind: list[tuple[int, float, float]] = field(default_factory=list)
+    """Agent, from, to: when the ground could not have heard that agent."""
+    received: dict[int, int] = field(default_factory=dict)
+    """Bytes of the frames from each agent's PHM that reached the ground between `began` and `ended`."""
+    cost: list[Cost] = field(default_factory=list)
+    well_after: float | None = None
+    """When all agents were well again; None: they were not, within the limit."""
+    changed: list[str] = field(default_factory=list)
+    """With recovery off: what changed in the world all the same."""
+    setting: dict[str, Any] = field(default_factory=dict)
+    """Seed, autopilot, machine: which campaign this trial belongs to."""
+    v: int = VERSION
+
+    @property
+    def seconds(self) -> float:
+        return self.ended - self.began
+
+
+_PARTS = {
+    "injections": Injection, "alarms": Alarm, "warned": Warned, "acts": Act, "starts": Start, "lines": Line, "cost": Cost,
+}  # fmt: skip
+
+
+def to_json(trial: Trial) -> str:
+    """One line, without its end."""
+    return json.dumps(asdict(trial), allow_nan=False)
+
+
+def from_json(line: str | bytes) -> Trial:
+    """Keys that are not known are left out. Raises ValueError for what is no trial of this version."""
+    data = json.loads(line)
+    if not isinstance(data, dict) or data.get("v") != VERSION:
+        raise ValueError(f"not a trial of version {VERSION}")
+    try:
+        for key, part in _PARTS.items():
+            data[key] = [_made(part, each) for each in data[key]]
+        data["heartbeats"] = {int(agent): times for agent, times in data["heartbeats"].items()}
+        data["received"] = {int(agent): size for agent, size in data["received"].items()}
+        data["blind"] = [(agent, start, end) for agent, start, end in data["blind"]]
+        trial: Trial = _made(Trial, data)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"a trial lacks something or has it wrong: {error}") from None
+    return trial
+
+
+def _made(part: Any, data: dict[str, Any]) -> Any:
+    known = {each.name for each in fields(part)}
+    return part(**{key: value for key, value in data.items() if key in known})
+
+
+def load(path: Path) -> list[Trial]:
+    """All whole trials of a file, oldest first; the last of several with one kind and number counts. A line that a kill
+    left torn is skipped. A file that does not exist has none."""
+    found: dict[tuple[str, int], Trial] = {}
+    lines: Iterable[bytes] = path.read_bytes().splitlines() if path.exists() else ()
+    for line in lines:
+        try:
+            trial = from_json(line)
+        except ValueError:
+            continue
+        found.pop((trial.kind, trial.number), None)
+        found[trial.kind, trial.number] = trial
+    return list(found.values())
+
+
+def append(path: Path, trial: Trial) -> None:
+    """Put the trial at the end of the file, on the disk before this returns; a torn last line stays a line of its own."""
+    with path.open("a+b") as stream:
+        stream.seek(0, os.SEEK_END)
+        torn = False
+        if stream.tell():
+            stream.seek(-1, os.SEEK_END)
+            torn = stream.read(1) != b"\n"
+        stream.write((b"\n" if torn else b"") + to_json(trial).encode("ascii") + b"\n")
+        stream.flush()
+        os.fsync(stream.fileno())
