@@ -224,6 +224,8 @@ class DiskFact:
     inodes_used_percent: float = 0.0
     problem: str = ""
     """Why this disk could not be read (a hung network mount); the numbers then mean nothing."""
+    total_bytes: int = 0
+    """What users may fill, used and free; 0: not told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,6 +245,7 @@ class HostFact:
     clock_synchronized: bool | None = None
     clock_step_s: float = 0.0
     """How far UTC has jumped against the monotonic clock since the last reading."""
+    fans_rpm: tuple[int, ...] = ()
 
 
 class HostProbe(Protocol):

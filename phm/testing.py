@@ -286,7 +286,7 @@ class FakeHost(_Fake):
             cpu_percent=10.0,
             memory_percent=40.0,
             memory_available_bytes=2_000_000_000,
-            disks=(DiskFact("/", used_percent=50.0, free_bytes=10_000_000_000, inodes_used_percent=5.0),),
+            disks=(DiskFact("/", 50.0, 10_000_000_000, 5.0, total_bytes=20_000_000_000),),
             load_per_core=0.2,
             temperature_c=50.0,
             temperature_of="cpu_thermal",

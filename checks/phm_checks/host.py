@@ -137,6 +137,7 @@ class Host(api.Check):
             f"disk_percent {path}": round(disk.used_percent, 1),
             f"inodes_percent {path}": round(disk.inodes_used_percent, 1),
             f"disk_free_bytes {path}": disk.free_bytes,
+            f"disk_total_bytes {path}": disk.total_bytes,
         }
         level = graded.level(most)
         if level is Level.OK:
@@ -152,9 +153,10 @@ class Host(api.Check):
 
     def _judge_temperature(self, fact: api.HostFact) -> api.Result:
         """Heat and throttling: what both come to is a processor that runs slower than it should."""
+        fans: dict[str, api.Value] = {f"fan_rpm {number}": rpm for number, rpm in enumerate(fact.fans_rpm)}
         if fact.temperature_c is None and fact.throttled is None:
-            return api.bypass("This machine does not tell its temperature.")
-        values: dict[str, api.Value] = {"temperature_c": fact.temperature_c}
+            return api.bypass("This machine does not tell its temperature.", **fans)
+        values: dict[str, api.Value] = {"temperature_c": fact.temperature_c, **fans}
         findings = []
         if fact.temperature_c is not None:
             level = self._heat.level(fact.temperature_c)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from phm.model import Fault, UnitState, Value, worst_by_slot
@@ -16,6 +16,7 @@ from phm.wire.status_line import Severity
 _U8, _I8, _I16, _U32 = 0xFF, 0x7F, 0x7FFF, 0xFFFFFFFF
 """What the standard writes for `not known` into a field of that type."""
 _MIB = 2**20
+_TOTAL = "disk_total_bytes "
 
 
 def ack(asked: Asked, result: Result) -> Any:
@@ -43,6 +44,8 @@ def computer(states: Sequence[UnitState], *, mono: float, utc: float) -> Any:
     cpu, heat = _number(values.get("cpu_percent")), _number(values.get("temperature_c"))
     memory = _number(values.get("memory_percent"))
     total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if memory is not None else None
+    used, whole = _disks(values)
+    fans = [_within(rpm, 0, _I16 - 1) for rpm in _of(values, "fan_rpm ")]
     return mavlink.MAVLink_onboard_computer_status_message(
         time_usec=int(max(0.0, utc) * 1e6),
         uptime=int(max(0.0, mono) * 1e3) & _U32,
@@ -53,13 +56,34 @@ def computer(states: Sequence[UnitState], *, mono: float, utc: float) -> Any:
         gpu_combined=[_U8] * 10,
         temperature_board=_I8,
         temperature_core=[_I8 if heat is None else _within(heat, -127, 126), *[_I8] * 7],
-        fan_speed=[_I16] * 4,
+        fan_speed=_four(fans, _I16),
         ram_usage=_U32 if memory is None or total is None else round(total * memory / 100 / _MIB),
         ram_total=_U32 if total is None else round(total / _MIB),
-        storage_type=[_U32] * 4, storage_usage=[_U32] * 4, storage_total=[_U32] * 4,
+        storage_type=[_U32] * 4, storage_usage=_four(used, _U32), storage_total=_four(whole, _U32),
         link_type=[_U32] * 6, link_tx_rate=[_U32] * 6, link_rx_rate=[_U32] * 6,
         link_tx_max=[_U32] * 6, link_rx_max=[_U32] * 6,
     )  # fmt: skip
+
+
+def _disks(values: Mapping[str, Value]) -> tuple[list[int], list[int]]:
+    """Used and all of each watched disk in MiB, in the order of the configuration; those that could not be read are left out."""
+    used, whole = [], []
+    for key, value in values.items():
+        total, free = _number(value), _number(values.get(f"disk_free_bytes {key.removeprefix(_TOTAL)}"))
+        if key.startswith(_TOTAL) and total and free is not None:
+            used.append(round((total - free) / _MIB))
+            whole.append(round(total / _MIB))
+    return used, whole
+
+
+def _of(values: Mapping[str, Value], prefix: str) -> list[float]:
+    found = (_number(value) for key, value in values.items() if key.startswith(prefix))
+    return [number for number in found if number is not None]
+
+
+def _four(known: Sequence[int], unknown: int) -> list[int]:
+    """As the field has it: four of them."""
+    return [*(min(value, unknown) for value in known[:4]), *[unknown] * (4 - len(known[:4]))]
 
 
 def details(fault: Fault, asked: Asked) -> list[Any]:

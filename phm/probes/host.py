@@ -22,6 +22,7 @@ from phm.settings import Settings
 
 DISK_S = 1.0
 """Deadline of one look at one disk."""
+MOST_FANS = 4
 
 # Names by which drivers tell the processor's sensor. Others do not count: a Jetson's PMIC-Die always says
 # 100 degrees, and acpitz is the mainboard.
@@ -99,6 +100,7 @@ class Host:
                 throttled=self._throttled(),
                 clock_synchronized=clock_synchronized(),
                 clock_step_s=self._step(),
+                fans_rpm=self._fans(),
             )
 
     @staticmethod
@@ -114,7 +116,8 @@ class Host:
         usable = used + seen.f_bavail
         # Some file systems (btrfs) have no fixed number of inodes and say 0.
         inodes = 100.0 * (seen.f_files - seen.f_ffree) / seen.f_files if seen.f_files else 0.0
-        return DiskFact(path, 100.0 * used / usable if usable else 0.0, seen.f_bavail * seen.f_frsize, inodes)
+        percent, free = 100.0 * used / usable if usable else 0.0, seen.f_bavail * seen.f_frsize
+        return DiskFact(path, percent, free, inodes, total_bytes=usable * seen.f_frsize)
 
     def _temperature(self) -> tuple[float | None, str]:
         """The hottest sensor of the processor in degrees Celsius, with its name."""
@@ -139,6 +142,12 @@ class Host:
                     text = _line(file)
                     if text is not None and re.fullmatch(r"-?\d+", text):
                         yield name, int(text) / 1000
+
+    def _fans(self) -> tuple[int, ...]:
+        """Revolutions a minute of each fan whose driver tells, at most MOST_FANS."""
+        files = sorted((self._sysfs / "class/hwmon").glob("*/fan*_input"))[:MOST_FANS]
+        texts = (_line(file) for file in files)
+        return tuple(int(text) for text in texts if text is not None and re.fullmatch(r"\d{1,6}", text))
 
     def _throttled(self) -> tuple[str, ...] | None:
         """A Raspberry Pi's reasons to run slower; None on other machines."""

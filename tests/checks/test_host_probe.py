@@ -31,7 +31,7 @@ def test_the_real_machine_is_read() -> None:
     assert 0 < fact.memory_percent < 100 and fact.memory_available_bytes > 0
     (disk,) = fact.disks
     assert (disk.path, disk.problem) == ("/", "")
-    assert 0 < disk.used_percent <= 100 and disk.free_bytes >= 0
+    assert 0 < disk.used_percent <= 100 and 0 <= disk.free_bytes <= disk.total_bytes
     assert fact.clock_synchronized in (True, False, None)
 
 
@@ -61,6 +61,13 @@ def test_the_hottest_sensor_of_the_processor_counts(tmp_path: Path) -> None:
     write(tmp_path / "class/hwmon/hwmon0/temp2_input", "garbage\n")
     fact = probe(tmp_path).read()
     assert (fact.temperature_c, fact.temperature_of) == (51.0, "coretemp")
+
+
+def test_fans_are_read_as_far_as_their_drivers_tell(tmp_path: Path) -> None:
+    """Four at most; what is no number is left out."""
+    for number, text in enumerate(("1200\n", "garbage\n", "0\n", "900\n", "800\n")):
+        write(tmp_path / f"class/hwmon/hwmon0/fan{number}_input", text)
+    assert probe(tmp_path).read().fans_rpm == (1200, 0, 900)
 
 
 def test_a_machine_without_sensors_tells_none(tmp_path: Path) -> None:

@@ -6,15 +6,17 @@ from typing import Any
 
 import pytest
 
+from phm.facts import DiskFact
 from phm.inbound import answers
 from phm.inbound.desk import CHECK_EVERY_S, MAX_WAITING, Desk, Powers
 from phm.inbound.gate import BURST
 from phm.model import Fault, Layer, Level, Result as Found, Slot, Stamp, UnitState
-from phm.testing import FakeClock, settings
+from phm.testing import FakeClock, FakeHost, settings, world
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_budget import Class
 from phm.wire import status_word, tunnel
 from phm.wire.command import Result
+from phm_checks.host import Host
 from tests.fakes.mavlink import Sender, until
 
 ALL = ["status", "details", "check", "approve", "restart"]
@@ -168,10 +170,29 @@ def test_the_computers_figures_are_those_of_the_host_check() -> None:
     assert computer.cpu_combined == [42, *[255] * 9]
     assert computer.temperature_core == [127] * 8
     assert abs(computer.ram_usage - computer.ram_total / 2) <= 1
-    assert computer.storage_usage == [2**32 - 1] * 4
+    assert computer.storage_usage == computer.storage_total == [2**32 - 1] * 4
+    assert computer.fan_speed == [2**15 - 1] * 4
     nothing = answers.computer((), mono=1.5, utc=0.0)
     assert (nothing.cpu_combined, nothing.ram_usage, nothing.ram_total) == ([255] * 10, 2**32 - 1, 2**32 - 1)
     assert nothing.uptime == 1500
+
+
+def test_disks_and_fans_are_those_of_the_host_check() -> None:
+    """As the check itself reports them, in MiB and revolutions a minute; a disk that hangs is not among them."""
+    disks = (
+        DiskFact("/", 75.0, 5 * 2**30, total_bytes=20 * 2**30),
+        DiskFact("/nas", 0.0, 0, problem="it hangs"),
+        DiskFact("/data", 50.0, 2**30, total_bytes=2 * 2**30),
+    )
+    results = Host(settings().host).run(world(host=FakeHost(disks=disks, fans_rpm=(1200, 0, 40_000))))
+    units = [
+        UnitState(unit, "host", Slot.HOST, Layer.COMPANION, result.level, result, Stamp(0.0, 0.0))
+        for unit, result in results.items()
+    ]
+    computer = answers.computer(units, mono=1.0, utc=1.0)
+    assert computer.storage_usage == [15 * 1024, 1024, 2**32 - 1, 2**32 - 1]
+    assert computer.storage_total == [20 * 1024, 2 * 1024, 2**32 - 1, 2**32 - 1]
+    assert computer.fan_speed == [1200, 0, 2**15 - 2, 2**15 - 1]
 
 
 def test_nothing_is_said_of_checks_that_have_stalled() -> None:
