@@ -1,6 +1,6 @@
 """The air of a swarm: routers, simulated autopilots, radios to the ground and between agents, as one process.
 
-``python -m sitl.air --agents 8`` listens on fixed ports of its own container (`sitl.swarm.ports`): for each agent's PHM
+``python -m sitl.air --agents 8`` listens on fixed ports of its own container (`sitl.swarm.ports.INSIDE`): for each agent's PHM
 one to its router (TCP) and one to the agents' network (UDP), one where ground stations connect (TCP), and the control
 socket, which takes what `sitl.swarm.control.Air` sends: one JSON object a line.
 """
@@ -22,9 +22,9 @@ from typing import Any
 
 from sitl.link import Port
 from sitl.pilot import Pilot
-from sitl.swarm import ports
 from sitl.swarm.frames import Frame
 from sitl.swarm.mesh import Mesh
+from sitl.swarm.ports import INSIDE, Ports
 from sitl.swarm.vehicle import Place, Vehicle
 
 REST_S = 0.25
@@ -37,31 +37,45 @@ CONTROL_BYTES = 65536
 class AirProcess:
     """Runs in one thread: `run` until `stop`. Raises OSError when a port is taken.
 
-    pilots: urls of real autopilots by agent; agents without one have a simulated one. host: where it listens; base: added
-    to each port, so that tests need no fixed ones.
+    pilots: urls of real autopilots by agent; agents without one have a simulated one. host, ports: where it listens.
     """
 
     def __init__(
-        self, agents: int, *, pilots: dict[int, str] | None = None, seed: int = 0, host: str = "0.0.0.0"
+        self,
+        agents: int,
+        *,
+        pilots: dict[int, str] | None = None,
+        seed: int = 0,
+        host: str = "0.0.0.0",
+        ports: Ports = INSIDE,
     ) -> None:
         now, chance = time.monotonic(), random.Random(seed)
-        self._host, self._urls = host, pilots or {}
+        self._urls = pilots or {}
         numbers = range(1, agents + 1)
         self.vehicles = {
             number: Vehicle(number, now, chance, None if number in self._urls else Pilot(number, now))
             for number in numbers
         }
         self.mesh = Mesh(numbers, chance)
-        self.station = Port(f"tcpin:{host}:{ports.GROUND}")
-        self._control = socket.create_server((host, ports.CONTROL))
+        self.station = Port(f"tcpin:{host}:{ports.ground}")
+        self._control = socket.create_server((host, ports.control))
         self._control.setblocking(False)
         self._asking: dict[socket.socket, bytes] = {}
-        self._phm = {number: self._listen(number) for number in numbers}
-        self._peers = {number: _udp(host, ports.PEERS + number) for number in numbers}
+        self._phm = {number: Port(f"tcpin:{host}:{ports.router_of(number)}") for number in numbers}
+        self._peers = {number: _udp(host, ports.peers_of(number)) for number in numbers}
+        self.routers = {number: f"tcpin:{host}:{port.bound_port}" for number, port in self._phm.items()}
+        """Where each router listens: there it listens again after it was killed."""
         self._heard_at: dict[int, Any] = {}
         self._pilots: dict[int, Port] = {}
         self._retry = dict.fromkeys(self._urls, now)
         self._stopping = threading.Event()
+
+    @property
+    def control_port(self) -> int:
+        return int(self._control.getsockname()[1])
+
+    def peers_port(self, number: int) -> int:
+        return int(self._peers[number].getsockname()[1])
 
     def stop(self) -> None:
         self._stopping.set()
@@ -145,16 +159,13 @@ class AirProcess:
 
     # ------------------------------------------------------------ sockets that come and go
 
-    def _listen(self, number: int) -> Port:
-        return Port(f"tcpin:{self._host}:{ports.ROUTER + number}")
-
     def _routers(self) -> None:
         """A killed router has no socket: whoever connects is refused."""
         for number, vehicle in self.vehicles.items():
             if vehicle.router_off and number in self._phm:
                 self._phm.pop(number).close()
             elif not vehicle.router_off and number not in self._phm:
-                self._phm[number] = self._listen(number)
+                self._phm[number] = Port(self.routers[number])
 
     def _call_pilots(self, now: float) -> None:
         """A real autopilot may not be up yet, or may go away."""
@@ -277,7 +288,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: air.stop())
-    print(f"air of {chosen.agents} agents: ground tcp port {ports.GROUND}, control {ports.CONTROL}", flush=True)
+    print(f"air of {chosen.agents} agents: ground tcp port {INSIDE.ground}, control {INSIDE.control}", flush=True)
     air.run()
     return 0
 

@@ -65,7 +65,8 @@ class Air:
     def state(self) -> dict[str, Any]:
         """``{"agents": {K: {"ground": {...}, "peers": {...}, "router": {...}, "autopilot": {...}}}, "groups": [...]}``:
         all of `set` as it is now, ``connected`` of the router (PHM's connections), ``armed``, ``hung``."""
-        return dict(self._ask("state")["state"])
+        found = self._ask("state")["state"]
+        return {**found, "agents": {int(agent): state for agent, state in found["agents"].items()}}
 
     def _ask(self, what: str, **words: Any) -> Mapping[str, Any]:
         line = json.dumps({"do": what, **words}).encode() + b"\n"

@@ -1,8 +1,25 @@
-"""Ports of the air process, inside its own container. A simulated autopilot of ArduPilot has 5760 + 10 i beside them."""
+"""Ports of the air process."""
 
-GROUND = 5500
-CONTROL = 5501
-ROUTER = 5600
-"""Agent K's router: this plus K."""
-PEERS = 14600
-"""Agent K's radio on the network between agents: this plus K."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Ports:
+    """Agent K's router and its radio on the network between agents have the port given plus K. 0: any free one."""
+
+    ground: int = 0
+    control: int = 0
+    router: int = 0
+    peers: int = 0
+
+    def router_of(self, agent: int) -> int:
+        return self.router + agent if self.router else 0
+
+    def peers_of(self, agent: int) -> int:
+        return self.peers + agent if self.peers else 0
+
+
+INSIDE = Ports(ground=5500, control=5501, router=5600, peers=14600)
+"""In its own container, where simulated ArduPilots have 5760 + 10 i beside them."""
