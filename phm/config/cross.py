@@ -8,6 +8,7 @@ from __future__ import annotations
 import posixpath
 from collections.abc import Callable, Iterable, Mapping
 
+from phm.config import fleet_rules
 from phm.config.problems import shown, unknown
 from phm.config.view import View
 from phm.settings import Celsius, ContainerSettings, HostSettings, Percent, RecoverySettings, Seconds, TopicSettings
@@ -317,4 +318,5 @@ RULES: tuple[Callable[[View], None], ...] = (
     absent_files_have_no_copy, repairs_are_opted_in, ros_names_stand_once, ros_containers_exist, relaunch_has_a_container,
     topic_nodes_exist, diagnostics_are_known, endpoints_are_told_apart,
     link_ids_are_told_apart, limits_are_in_order, disks_stand_once,
+    fleet_rules.fleet_can_be_told, fleet_rules.fleet_modes_fit, fleet_rules.fleet_certificates_are_of_use,
 )  # fmt: skip

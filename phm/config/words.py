@@ -20,6 +20,7 @@ PATTERNS = {
     r"^(image|/.*)$": "'image', or an absolute path that PHM sees",
     r"^[^=\s]+(=.*)?$": "'key' or 'key=value' without spaces in the key",
     r"^[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*$": "package/msg/Type, such as std_msgs/msg/String",
+    r"^(tcp|tls|quic)/([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}$": "tcp/HOST:PORT, tls/HOST:PORT or quic/HOST:PORT",
     r"^(unix:///.+|tcp://.+)$": "unix:///path or tcp://host:port",
 }
 _WANTED = {
