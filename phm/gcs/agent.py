@@ -1,0 +1,156 @@
+"""What the ground knows of one agent: what it said last, and when that was by the ground's clock. Pure."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from phm.gcs.frames import BOOT, Beat
+from phm.gcs.lines import Kind, Line, same
+from phm.gcs.presence import Presence, State
+from phm.model import Level, Slot, Stamp
+from phm.swarm.peers import Peer
+from phm.wire import status_word
+from phm.wire.status_line import agent_name
+from phm.wire.tunnel import Detail, View
+
+PHM_COMPONENT = 193
+MAX_BAD = 4
+"""Bad units that are remembered of a slot: PHM tells up to ten in all."""
+MAX_DETAILS = 4
+MAX_LINKS = 8
+_RANK = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A line, with its severity, when it came, and which agent said it where that is another."""
+
+    text: str
+    severity: int
+    at: Stamp
+    via: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Bad:
+    """A unit that was told as WARN or ERROR, in its own words."""
+
+    level: Level
+    text: str
+    at: Stamp
+
+
+@dataclass(slots=True)
+class Agent:
+    """`system` and `component` are its MAVLink ids. What it has not said is None or empty."""
+
+    system: int
+    component: int
+    presence: Presence = field(default_factory=Presence)
+    link: str = ""
+    first: Stamp | None = None
+    last: Stamp | None = None
+    """Of its heartbeats."""
+    word: int | None = None
+    state: int | None = None
+    levels: Mapping[Slot, Level] = field(default_factory=dict)
+    """By its last status word."""
+    problem: str = ""
+    """Why its status word says nothing to this program."""
+    partial: bool = False
+    """Its last refresh said that not everything is known."""
+    told: Told | None = None
+    bad: dict[int, OrderedDict[str, Bad]] = field(default_factory=dict)
+    """By slot, then by text, oldest first."""
+    view: View | None = None
+    view_at: Stamp | None = None
+    deaf: bool | None = None
+    """It does not hear the ground, by its own view or as another agent says."""
+    restarts: int = 0
+    shown: State = State.NEVER
+    """As it was told in the news last."""
+    hop: object = None
+    """The same of its first broken hop."""
+    details: OrderedDict[str, dict[int, Detail]] = field(default_factory=OrderedDict)
+    last_line: dict[Kind, str] = field(default_factory=dict)
+    frames: Peer = field(init=False)
+    """Counts frames that fall back: two senders with one id."""
+
+    def __post_init__(self) -> None:
+        self.frames = Peer(self.system, 2.0)
+
+    @property
+    def name(self) -> str:
+        """``A07``; with the component where it is not PHM's usual one."""
+        usual = self.component in (PHM_COMPONENT, 0)
+        return agent_name(self.system) if usual else f"{agent_name(self.system)}/{self.component}"
+
+    @property
+    def worst(self) -> Level | None:
+        """By its last word; None: it has said nothing of any slot."""
+        known = max(self.levels.values(), key=_RANK.__getitem__, default=None)
+        return Level.STALE if known is Level.OK and self.partial else known
+
+    def beat(self, beat: Beat) -> dict[Slot, tuple[Level, Level]]:
+        """Take over its status word; what changed by slot, from and to."""
+        if beat.state == BOOT and self.state not in (BOOT, None):
+            self.restarts += 1
+            self.bad.clear()
+            self.view, self.view_at, self.deaf = None, None, None
+        try:
+            levels, self.problem = status_word.decode(beat.custom_mode), ""
+        except ValueError as error:
+            levels, self.problem = {}, str(error)
+        old, self.levels = self.levels, levels
+        self.word, self.state = beat.custom_mode, beat.state
+        for slot in [slot for slot in self.bad if not levels.get(Slot(slot), Level.STALE).bad]:
+            del self.bad[slot]
+        pairs = {slot: (old.get(slot, Level.STALE), levels.get(slot, Level.STALE)) for slot in Slot}
+        return {slot: pair for slot, pair in pairs.items() if pair[0] is not pair[1]}
+
+    def line(self, line: Line, at: Stamp) -> None:
+        """Take over a line of its own."""
+        if line.kind is Kind.REFRESH:
+            self.partial = line.word == "STALE"
+            if line.word == "OK":
+                self.bad.clear()
+        if line.level is not None:
+            self._worse(line, line.level, at)
+        elif line.over:
+            units = self.bad.get(line.slot, OrderedDict())
+            for text in [text for text in units if same(text, line.over)]:
+                del units[text]
+
+    def _worse(self, line: Line, level: Level, at: Stamp) -> None:
+        """A unit is bad. A refresh repeats the worst one, of which the line may have been lost, and may know of no other."""
+        units = self.bad.setdefault(line.slot, OrderedDict())
+        known = next((text for text in units if same(text, line.text)), None)
+        old = units[known] if known is not None and line.kind is Kind.REFRESH else None
+        told = old or Bad(level, line.text, at)
+        units.pop(told.text, None)
+        units[told.text] = told
+        while len(units) > MAX_BAD:
+            units.popitem(last=False)
+        if line.alone:
+            self.bad = {line.slot: OrderedDict({told.text: told})}
+
+    def newest(self, slot: int, level: Level) -> Bad | None:
+        """The newest unit of this level that was told for a slot."""
+        found = [bad for bad in self.bad.get(slot, {}).values() if bad.level is level]
+        return found[-1] if found else None
+
+    def part(self, detail: Detail) -> str | None:
+        """A piece of the text about a fault; the whole text when this was its last missing piece."""
+        parts = self.details.pop(detail.fault, {})
+        if any(other.parts != detail.parts for other in parts.values()):
+            parts = {}
+        self.details[detail.fault] = {**parts, detail.part: detail}
+        while len(self.details) > MAX_DETAILS:
+            self.details.popitem(last=False)
+        parts = self.details[detail.fault]
+        if len(parts) < detail.parts:
+            return None
+        del self.details[detail.fault]
+        return b"".join(parts[number].text for number in sorted(parts)).decode("utf-8", "replace")

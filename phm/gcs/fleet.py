@@ -1,0 +1,179 @@
+"""Who there is, as far as the ground knows, and how everybody is at one moment. Pure; the caller brings time.
+
+Everything is capped: who can send on a link can make up any number of agents. Who is not there any more makes room for new
+ones, and those expected stay.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from phm.gcs.agent import PHM_COMPONENT, Agent
+from phm.gcs.hops import Around, Hop, first_broken
+from phm.gcs.presence import Presence, State
+from phm.model import Stamp
+from phm.swarm.peers import CLASH_PERIODS, CLASHES, VIEW_LATE_PERIODS
+from phm.transport.mavlink_budget import periods
+from phm.wire.tunnel import Digest, Seen, View
+
+MAX_AGENTS, MAX_PILOTS, MAX_STATIONS = 256, 256, 16
+PILOT_GUESS_S = 1.0
+"""Autopilots and ground stations send a heartbeat a second."""
+STATION_S = 10.0
+_THERE = (Seen.ALIVE, Seen.LATE)
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+@dataclass(slots=True)
+class Pilot:
+    """The autopilot of a vehicle, by its HEARTBEAT."""
+
+    presence: Presence = field(default_factory=Presence)
+    armed: bool = False
+    mode: int = 0
+    """custom_mode, whose meaning is the autopilot's own."""
+    state: int | None = None
+    shown: State = State.NEVER
+
+    def seen(self, now: float) -> State:
+        return self.presence.state(now, PILOT_GUESS_S)
+
+
+@dataclass(slots=True)
+class Swarm:
+    """What the elected speaker said last: its digest, and its line in words."""
+
+    digest: Digest | None = None
+    digest_by: int = 0
+    digest_at: Stamp | None = None
+    line: str = ""
+    line_by: int = 0
+    line_at: Stamp | None = None
+
+
+class Fleet:
+    """Not thread-safe. expected: ids of agents that are shown, and missed, before they were ever heard."""
+
+    def __init__(self, expected: Iterable[int] = ()) -> None:
+        self.expected = frozenset(expected)
+        self.agents: dict[tuple[int, int], Agent] = {}
+        self.pilots: dict[int, Pilot] = {}
+        self.stations: OrderedDict[tuple[int, int], float] = OrderedDict()
+        self.swarm = Swarm()
+        self.links: Mapping[str, tuple[bool, str]] = {}
+        """The ground's own, by name: whether open, and if not why."""
+        self.refused = 0
+        """Frames of agents for which there was no room."""
+        for agent in sorted(self.expected):
+            self.agents[agent, PHM_COMPONENT] = Agent(agent, PHM_COMPONENT)
+
+    @property
+    def guess_s(self) -> float:
+        """Heartbeat period of an agent that was not heard often enough: PHM's default for a swarm of this size."""
+        return periods(len(self.agents))[0]
+
+    def state(self, agent: Agent, now: float) -> State:
+        return agent.presence.state(now, self.guess_s)
+
+    def twins(self, agent: Agent, now: float) -> bool:
+        """Two senders use its id: their frames fall back again and again."""
+        falls = agent.frames.falls
+        return len(falls) == CLASHES and now - falls[0] <= CLASH_PERIODS * agent.presence.period_s(self.guess_s)
+
+    def agent(self, system: int, component: int, now: float) -> Agent | None:
+        """The one there is or a new one; None: there is no room."""
+        key = (system, component)
+        if key not in self.agents:
+            if not _room(self.agents, MAX_AGENTS, lambda one: self._stays(one, now)):
+                self.refused += 1
+                return None
+            self.agents[key] = Agent(system, component)
+        return self.agents[key]
+
+    def pilot(self, system: int, now: float) -> Pilot | None:
+        if system not in self.pilots:
+            if not _room(self.pilots, MAX_PILOTS, lambda one: one.seen(now).there):
+                return None
+            self.pilots[system] = Pilot()
+        return self.pilots[system]
+
+    def station(self, system: int, component: int, now: float) -> None:
+        """Another ground station was heard."""
+        self.stations.pop((system, component), None)
+        self.stations[system, component] = now
+        while len(self.stations) > MAX_STATIONS:
+            self.stations.popitem(last=False)
+
+    def look(self, now: float) -> Look:
+        return Look(self, now)
+
+    def _stays(self, agent: Agent, now: float) -> bool:
+        return agent.system in self.expected or self.state(agent, now).there
+
+
+class Look:
+    """How everybody is at `now`, monotonic seconds. Made for one moment, and asked before the fleet changes again."""
+
+    def __init__(self, fleet: Fleet, now: float) -> None:
+        self._fleet, self._now = fleet, now
+        self._states = {key: fleet.state(agent, now) for key, agent in fleet.agents.items()}
+        self._views = [(agent, view) for key, agent in fleet.agents.items() if (view := self._counts(key, agent))]
+        shut = [f"{name}: {error}" for name, (is_open, error) in fleet.links.items() if not is_open]
+        self._closed = ", ".join(shut) if fleet.links and len(shut) == len(fleet.links) else ""
+        heard = [self._states[key] for key, agent in fleet.agents.items() if agent.first is not None]
+        self._all_silent = (
+            len(heard) > 1
+            and all(state is State.LOST for state in heard)
+            and not any(pilot.seen(now).there for pilot in fleet.pilots.values())
+        )
+
+    def state(self, agent: Agent) -> State:
+        return self._states[agent.system, agent.component]
+
+    def heard_by(self, agent: Agent) -> tuple[list[int], list[int]]:
+        """Which other agents hear it and which do not, by their newest views."""
+        sides: tuple[set[int], set[int]] = (set(), set())
+        for other, view in self._views:
+            if other.system != agent.system:
+                sides[view.peers.get(agent.system) not in _THERE].add(other.system)
+        return sorted(sides[0]), sorted(sides[1])
+
+    def hop(self, agent: Agent) -> Hop | None:
+        """Where its way is broken first."""
+        state = self.state(agent)
+        if state.there or state is State.LEFT:
+            return first_broken(agent, state, None, Around())
+        pilot = self._fleet.pilots.get(agent.system)
+        around = Around(
+            self._closed,
+            self._all_silent,
+            pilot is not None and pilot.seen(self._now).there,
+            self.heard_by(agent)[0],
+        )
+        return first_broken(agent, state, agent.presence.silent_s(self._now), around)
+
+    def stations(self) -> list[tuple[int, int]]:
+        """MAVLink ids of the other ground stations that are there."""
+        return sorted(ids for ids, heard in self._fleet.stations.items() if self._now - heard <= STATION_S)
+
+    def _counts(self, key: tuple[int, int], agent: Agent) -> View | None:
+        """Its view, while it lives and the view is young enough."""
+        if agent.view is None or agent.view_at is None or not self._states[key].there:
+            return None
+        longest_s = VIEW_LATE_PERIODS * agent.presence.period_s(self._fleet.guess_s)
+        return agent.view if self._now - agent.view_at.mono <= longest_s else None
+
+
+def _room(held: dict[K, V], most: int, stays: Callable[[V], bool]) -> bool:
+    """Whether there is room for one more, be it in the place of one that does not stay."""
+    if len(held) < most:
+        return True
+    gone = next((key for key, one in held.items() if not stays(one)), None)
+    if gone is None:
+        return False
+    del held[gone]
+    return True

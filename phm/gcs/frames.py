@@ -1,0 +1,85 @@
+"""What is taken from MAVLink messages, as data. Numbers from the air are not trusted, and nothing here raises on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from phm.wire.command import HEARTBEAT, STATUSTEXT, TUNNEL
+from phm.wire.text import one_line
+
+IDS = (HEARTBEAT, STATUSTEXT, TUNNEL)
+GCS, ONBOARD_CONTROLLER = 6, 18
+"""MAV_TYPE."""
+NO_AUTOPILOT = 8
+"""MAV_AUTOPILOT_INVALID."""
+ARMED = 128
+"""In base_mode: MAV_MODE_FLAG_SAFETY_ARMED."""
+STATES = ("UNINIT", "BOOT", "CALIBRATING", "STANDBY", "ACTIVE", "CRITICAL", "EMERGENCY", "POWEROFF", "TERMINATION")
+"""MAV_STATE by number."""
+BOOT, POWEROFF = 1, 7
+MAX_TEXT = 200
+"""Characters that are kept of a text: escapes make 50 longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """A HEARTBEAT. frame: its sequence number."""
+
+    system: int
+    component: int
+    kind: int
+    autopilot: int
+    base_mode: int
+    custom_mode: int
+    state: int
+    frame: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """A STATUSTEXT, safe to print."""
+
+    system: int
+    component: int
+    severity: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Payload:
+    """A TUNNEL."""
+
+    system: int
+    component: int
+    kind: int
+    data: bytes
+
+
+Frame = Beat | Said | Payload
+
+
+def read(message: Any) -> Frame | None:
+    """A decoded pymavlink message; None for one that is none of IDS."""
+    number, system, component = message.get_msgId(), message.get_srcSystem(), message.get_srcComponent()
+    if number == HEARTBEAT:
+        return Beat(
+            system, component, message.type, message.autopilot, message.base_mode, message.custom_mode,
+            message.system_status, message.get_seq(),
+        )  # fmt: skip
+    if number == STATUSTEXT:
+        return Said(system, component, message.severity, one_line(_text(message.text))[:MAX_TEXT])
+    if number == TUNNEL:
+        return Payload(system, component, message.payload_type, bytes(message.payload[: message.payload_length]))
+    return None
+
+
+def state_name(state: int | None) -> str:
+    """``ACTIVE``; a number that has no name stays one."""
+    if state is None:
+        return ""
+    return STATES[state] if 0 <= state < len(STATES) else str(state)
+
+
+def _text(text: str | bytes) -> str:
+    return text.decode("utf-8", "replace") if isinstance(text, bytes) else text

@@ -1,0 +1,100 @@
+"""Where the way from the ground to an agent's autopilot is broken, as far as it shows on the ground. Pure.
+
+An agent knows its own way best and tells the first broken hop in its lines (`docs/mavlink.md`, The path). The ground adds what no
+agent can say: that it is not heard at all, and whether its autopilot or other agents still are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from phm.gcs.agent import Agent
+from phm.gcs.presence import State
+from phm.model import Level, Slot
+from phm.wire.status_line import agent_name
+
+_PLACES = ("port", "router", "link", "radio", "autopilot", "GCS")
+"""How a line about a hop begins: `port ground: no permission`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hop:
+    """certain: it follows from what was heard; else it is where to look first."""
+
+    name: str
+    evidence: str
+    certain: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Around:
+    """What else is known on the ground while one agent is judged.
+
+    closed: why no link of the ground is open, else empty. all_silent: nobody at all is heard any more. pilot: the
+    vehicle's autopilot is heard. heard_by: other agents that hear it.
+    """
+
+    closed: str = ""
+    all_silent: bool = False
+    pilot: bool = False
+    heard_by: Sequence[int] = ()
+
+
+def first_broken(agent: Agent, state: State, silent_s: float | None, around: Around) -> Hop | None:
+    """None: no hop is known to be broken."""
+    if state is State.LEFT:
+        return None
+    return _told(agent) if state.there else _unheard(silent_s, around)
+
+
+def _unheard(silent_s: float | None, around: Around) -> Hop | None:
+    since = "never heard" if silent_s is None else f"silent {silent_s:.0f} s"
+    if around.closed:
+        return Hop("ground link", around.closed)
+    if around.pilot:
+        return Hop("companion", f"PHM {since}, autopilot heard")
+    if around.heard_by:
+        return Hop("radio", f"{since} here, heard by {' '.join(map(agent_name, around.heard_by))}")
+    if around.all_silent:
+        return Hop("ground link", "everybody is silent", certain=False)
+    return Hop("radio or vehicle", since, certain=False)
+
+
+def _told(agent: Agent) -> Hop | None:
+    """From the ground to the autopilot, by what the agent says of itself."""
+    ground, radio = _bad(agent, Slot.COMPANION), _bad(agent, Slot.RADIO)
+    name = _place(ground)
+    if ground is not None and name == "GCS":
+        return Hop(name, _rest(ground))
+    if radio is not None:
+        return Hop(_place(radio) or "radio", _rest(radio))
+    if ground is not None:
+        return Hop(name or "companion", _rest(ground), certain=bool(name))
+    if agent.deaf:
+        return Hop("radio", "it does not hear the ground", certain=False)
+    for slot in (Slot.CONTAINER, Slot.NODES):
+        # Whether what is dead passes commands on is known aboard alone.
+        application = _bad(agent, slot)
+        if application is not None:
+            return Hop("application", application, certain=False)
+    pilot = _bad(agent, Slot.AUTOPILOT)
+    return None if pilot is None else Hop(_place(pilot) or "autopilot", _rest(pilot))
+
+
+def _bad(agent: Agent, slot: Slot) -> str | None:
+    """Words for an ERROR in this slot."""
+    told = agent.newest(slot, Level.ERROR)
+    if told is not None:
+        return told.text
+    return f"ERROR in slot {slot:d}, not told why" if agent.levels.get(slot) is Level.ERROR else None
+
+
+def _place(words: str | None) -> str:
+    """The hop that a line names, else empty."""
+    head, colon, _ = (words or "").partition(": ")
+    return head if colon and head.split(" ")[0] in _PLACES else ""
+
+
+def _rest(words: str) -> str:
+    return words.partition(": ")[2] if _place(words) else words

@@ -1,0 +1,66 @@
+"""Whether somebody is there, by the heartbeats heard and the ground's own clock alone. Pure.
+
+A ground station is told no periods: agents choose theirs by the size of the swarm, and radios lose frames. So the usual pause
+is learned. A few gaps may be doubled by loss or halved by an answer to a ground station: the median does not mind.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import Enum
+from statistics import median
+
+from phm.swarm.peers import LATE_PERIODS, LOST_PERIODS
+
+GAPS, ENOUGH = 9, 3
+COPY_S = 0.1
+"""Two in one moment tell no period."""
+LONGEST_S = 150.0
+
+
+class State(str, Enum):
+    NEVER = "never heard"
+    ALIVE = "alive"
+    LATE = "late"
+    LOST = "lost"
+    LEFT = "left"
+    """It said that it was stopped on purpose."""
+
+    @property
+    def there(self) -> bool:
+        return self in (State.ALIVE, State.LATE)
+
+
+class Presence:
+    """Times are monotonic seconds of the ground."""
+
+    def __init__(self) -> None:
+        self.heard_s: float | None = None
+        self.leaving = False
+        self._gaps: deque[float] = deque(maxlen=GAPS)
+
+    def beat(self, now: float, *, leaving: bool = False) -> None:
+        """A heartbeat came; `leaving`: it is the last one."""
+        if self.heard_s is not None and not self.leaving:
+            gap_s = now - self.heard_s
+            if COPY_S < gap_s <= LONGEST_S:
+                self._gaps.append(gap_s)
+        self.heard_s, self.leaving = now, leaving
+
+    def period_s(self, guess_s: float) -> float:
+        """Its usual pause; before that is known, the guess, or what was seen where that is longer."""
+        return median(self._gaps) if len(self._gaps) >= ENOUGH else max(guess_s, *self._gaps, 0.0)
+
+    def silent_s(self, now: float) -> float | None:
+        return None if self.heard_s is None else max(0.0, now - self.heard_s)
+
+    def state(self, now: float, guess_s: float) -> State:
+        silent_s = self.silent_s(now)
+        if silent_s is None:
+            return State.NEVER
+        if self.leaving:
+            return State.LEFT
+        period_s = self.period_s(guess_s)
+        if silent_s > LOST_PERIODS * period_s:
+            return State.LOST
+        return State.LATE if silent_s > LATE_PERIODS * period_s else State.ALIVE

@@ -1,0 +1,71 @@
+"""Lines of PHM are read back as what they were made of, and lines of others are not."""
+
+from __future__ import annotations
+
+import pytest
+
+from phm.gcs import lines
+from phm.gcs.lines import Kind, Line
+from phm.model import Level, Slot
+from phm.swarm import digest
+from phm.wire import status_line
+from tests.fakes.records import unit
+
+
+def read(text: str) -> Line:
+    found = lines.read(text)
+    assert found is not None, text
+    return found
+
+
+def test_a_change_says_agent_word_slot_and_words() -> None:
+    """As `bad`, `gave_up` and `advise` write them, also of agents with three digits."""
+    found = read(status_line.bad(7, Level.ERROR, Slot.NODES, "node_1 dead"))
+    assert (found.kind, found.agent, found.word, found.slot, found.text) == (Kind.CHANGE, 7, "FAIL", 6, "node_1 dead")
+    assert found.level is Level.ERROR
+    assert read(status_line.bad(250, Level.WARN, Slot.USER_3, "battery low")).level is Level.WARN
+    assert read(status_line.gave_up(7, Slot.CONTAINER, "ros_app", "ros_app exited")).level is Level.ERROR
+    advised = read(status_line.advise(7, Slot.CONTAINER, "restart", "ros_app"))
+    assert (advised.level, advised.text) == (None, "restart ros_app")
+    assert read(status_line.approved(7, Slot.CONTAINER, "restart", "ros_app")).word == "APPROVED"
+
+
+@pytest.mark.parametrize("by", ["", "itself", "restart", "a-long-action"])
+def test_what_is_over_names_what_was_bad(by: str) -> None:
+    """Whoever ended it; and where the line had to be cut, the cut name is recognised."""
+    for brief in ("node_1 dead", "x" * 20 + "y" * 18):
+        over = read(status_line.over(250, Slot.USER_1, brief, by)).over
+        assert over
+        assert lines.same(brief, over)
+    assert not lines.same("node_2 dead", "node_1 dead")
+
+
+def test_a_refresh_says_how_many_are_bad() -> None:
+    """Only one that knows of a single bad unit says so; digits at the end of a name are no count."""
+    bad = [unit("a", Slot.NODES, Level.ERROR, brief="node +1x"), unit("b", Slot.NODES, Level.WARN, brief="slow")]
+    assert read(status_line.refresh(1, [unit("a", Slot.NODES)])).kind is Kind.REFRESH
+    one = read(status_line.refresh(1, bad[:1]))
+    assert (one.word, one.slot, one.text, one.alone) == ("FAIL", 6, "node +1x", True)
+    assert not read(status_line.refresh(1, bad)).alone
+    assert read(status_line.refresh(1, [unit("a", Slot.NODES, Level.STALE)])).word == "STALE"
+
+
+def test_what_the_speaker_says_is_read() -> None:
+    """The swarm's line, and the line about an agent whose radio failed."""
+    swarm = read(digest.line({1: (Level.OK, ""), 3: (Level.ERROR, "ROS")}))
+    assert (swarm.kind, swarm.agent, swarm.word, swarm.text) == (Kind.SWARM, 0, "FAIL", "A03:ROS")
+    relay = read(digest.relay(3, [1, 2], 0x40025D55))
+    assert (relay.kind, relay.agent) == (Kind.RELAY, 3)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "PreArm: GPS 1 failing", "A07", "A07 FAIL", "A07 FAIL 16 x", "A07 FAIL 0 x", "A07 OK 1111", "A7 OK 11111111",
+        "A000 OK 11111111", "A251 FAIL 6 x", "A999 WARN 1 x", "SWARM of bees", "SWARM 1/2 BAD", "xA07 FAIL 6 node",
+        "A07 FAIL 6 node\nA08 FAIL 6 node", "A\u0660\u0667 FAIL 6 x",
+    ],
+)  # fmt: skip
+def test_lines_of_others_are_not_phms(text: str) -> None:
+    """Nor what only looks alike, with numbers that no agent and no slot has."""
+    assert lines.read(text) is None

@@ -1,0 +1,421 @@
+"""What the ground makes of frames: who there is, how they are, where the way is broken, and what is not known."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from phm.gcs.frames import Beat, Payload, Said
+from phm.gcs.news import encode, timed
+from phm.model import Level, Slot
+from phm.wire import tunnel
+from phm.wire.tunnel import Digest, Seen, View, Words
+from tests.gcs.bench import EMERGENCY, HEALTHY, Ground, beat, events, pilot, said, told
+
+
+@pytest.fixture
+def ground() -> Ground:
+    return Ground()
+
+
+# ---------------------------------------------------------------- who there is
+
+
+def test_an_agent_nobody_told_us_about_is_found_by_its_heartbeat(ground: Ground) -> None:
+    """News of the agent and of its slots; an equal heartbeat is no news."""
+    news = ground.hear(beat(9, {Slot.NODES: Level.ERROR}, state=EMERGENCY))
+    assert [one.event for one in news] == ["agent", "slots"]
+    assert events(news, "agent")[0]["name"] == "A09"
+    agent = ground.agent(9)
+    assert (agent["how"], agent["presence"], agent["state"]) == ("ERROR", "alive", "EMERGENCY")
+    assert agent["slots"] == {**{str(int(slot)): "OK" for slot in HEALTHY}, "6": "ERROR"}
+    assert ground.hear(beat(9, {Slot.NODES: Level.ERROR}, state=EMERGENCY)) == []
+
+
+def test_what_an_agent_did_not_say_is_unknown() -> None:
+    """An expected agent that was never heard, one that has said nothing of its slots, and slots that it leaves out."""
+    ground = Ground(expected=(3,))
+    agent = ground.agent(3)
+    assert (agent["how"], agent["presence"], agent["slots"], agent["age_s"]) == ("UNKNOWN", "never heard", {}, None)
+    assert (agent["line"], agent["pilot"], agent["hears_ground"], agent["period_s"]) == (None, None, None, None)
+    ground.hear(Beat(3, 193, 18, 8, 0, 1 << 30, 4))
+    assert (ground.agent(3)["how"], ground.agent(3)["slots"]) == ("UNKNOWN", {})
+    ground.hear(beat(3, {Slot.FILES: Level.STALE}))
+    assert "3" not in ground.agent(3)["slots"]
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        Beat(9, 191, 18, 8, 0, 0, 4), Beat(9, 191, 18, 8, 0, 7, 4), Beat(9, 1, 2, 3, 0, 1 << 30, 4), Beat(0, 193, 18, 8, 0, 1 << 30, 4),
+        Beat(251, 193, 18, 8, 0, 1 << 30, 4), Beat(9, 193, 6, 8, 0, 1 << 30, 4), Beat(254, 190, 18, 8, 0, 1 << 30, 4),
+    ],
+    ids=["no word", "a mode", "an autopilot", "id 0", "id 251", "a ground station", "ourselves"],
+)  # fmt: skip
+def test_heartbeats_of_others_make_no_agent(ground: Ground, frame: Beat) -> None:
+    """Whatever their custom_mode holds."""
+    ground.hear(frame)
+    assert ground.whole()["agents"] == []
+
+
+def test_a_word_of_another_version_is_said_to_be_unread(ground: Ground) -> None:
+    """Once; the agent is there, and nothing is claimed of its slots."""
+    news = ground.hear(Beat(9, 193, 18, 8, 0, 2 << 30 | 1, 4))
+    assert "version 2" in events(news, "problem")[0]["text"]
+    assert ground.hear(Beat(9, 193, 18, 8, 0, 2 << 30 | 1, 4)) == []
+    assert (ground.agent(9)["how"], ground.agent(9)["slots"]) == ("UNKNOWN", {})
+
+
+def test_two_programs_of_one_vehicle_are_two_rows(ground: Ground) -> None:
+    """A second PHM on another component does not hide the first."""
+    ground.hear(beat(7), beat(7, {Slot.FILES: Level.ERROR}, component=195))
+    assert [(one["name"], one["how"]) for one in ground.whole()["agents"]] == [("A07", "OK"), ("A07/195", "ERROR")]
+
+
+# ---------------------------------------------------------------- there or not
+
+
+def test_an_agent_that_falls_silent_is_lost_by_its_own_period(ground: Ground) -> None:
+    """Late after 2.5 of its pauses, lost after 5; then nothing of its slots is claimed, and what it said last is kept apart."""
+    ground.hear(beat(7, {Slot.FILES: Level.ERROR}))
+    ground.wait(10, beat(7, {Slot.FILES: Level.ERROR}), every=1)
+    ground.wait(3)
+    assert ground.agent(7)["presence"] == "late"
+    news = ground.wait(3)
+    assert events(news, "presence") == [
+        {"agent": 7, "name": "A07", "presence": "lost", "was": "alive", "silent_s": 5.2}
+    ]
+    agent = ground.agent(7)
+    assert (agent["how"], agent["slots"], agent["last_slots"]["3"]) == ("LOST", {}, "ERROR")
+    assert events(ground.hear(beat(7)), "presence")[0]["presence"] == "alive"
+    assert ground.agent(7)["how"] == "OK"
+
+
+def test_slow_heartbeats_of_a_large_swarm_are_no_loss(ground: Ground) -> None:
+    """A pause of 25 s is learned, from the first heartbeat on with patience, and one lost heartbeat is forgiven."""
+    ground.hear(beat(7))
+    ground.wait(100, beat(7), every=25)
+    assert events(ground.wait(50, beat(7), every=50), "presence") == []
+    assert ground.agent(7)["period_s"] == 25.0
+
+
+def test_an_answer_to_a_ground_station_teaches_no_period(ground: Ground) -> None:
+    """Heartbeats out of turn, and copies of one, do not make the agent seem quicker than it is."""
+    ground.hear(beat(7), beat(7))
+    ground.wait(0.5)
+    ground.hear(beat(7))
+    ground.wait(40, beat(7), every=10)
+    assert ground.agent(7)["period_s"] == 10.0
+
+
+def test_an_agent_that_was_stopped_on_purpose_has_left(ground: Ground) -> None:
+    """POWEROFF is the last that it says: it is not lost, however long it is gone."""
+    ground.hear(beat(7))
+    news = ground.hear(beat(7, state=7))
+    assert events(news, "presence")[0]["presence"] == "left"
+    assert events(ground.wait(100), "presence") == []
+    assert (ground.agent(7)["how"], ground.agent(7)["hop"]) == ("LEFT", None)
+
+
+def test_a_restart_forgets_what_was_told_before_it(ground: Ground) -> None:
+    """A heartbeat that says BOOT after others: the new PHM tells everything anew."""
+    ground.hear(beat(7, {Slot.NODES: Level.ERROR}), said(7, "A07 FAIL 6 node_1 dead"))
+    news = ground.hear(Beat(7, 193, 18, 8, 0, 1 << 30, 1))
+    assert events(news, "restart")[0]["restarts"] == 1
+    agent = ground.agent(7)
+    assert (agent["bad"], agent["restarts"], agent["how"]) == ([], 1, "BOOT")
+
+
+def test_wrong_clocks_change_nothing(ground: Ground) -> None:
+    """Ages are of the ground's monotonic clock: its UTC may jump by years, and agents' clocks are never asked."""
+    ground.hear(beat(7), said(7, "A07 OK 11111111"))
+    ground.wait(2)
+    ground.clock.jump_utc(-3e8)
+    agent = ground.agent(7)
+    assert (agent["age_s"], agent["line"]["age_s"], agent["presence"]) == (2.0, 2.0, "alive")
+    ground.clock.jump_utc(1e12)  # a year that no date has
+    news = ground.hear(beat(7, {Slot.FILES: Level.WARN}))
+    line = json.loads(encode(news[0], "run", 1))
+    assert line["mono"] == ground.clock.mono()
+    assert line["utc_s"] == ground.clock.utc()
+
+
+def test_two_agents_with_one_id_are_told(ground: Ground) -> None:
+    """Their frames' numbers fall back again and again; a restart does that once."""
+    for turn in range(4):
+        for frame in (10 + turn, 100 + turn):
+            ground.hear(Beat(7, 193, 18, 8, 0, 1 << 30, 4, frame))
+            ground.wait(1)
+    assert ground.agent(7)["twins"] is True
+
+
+# ---------------------------------------------------------------- lines
+
+
+def test_lines_name_the_bad_units_until_they_are_over(ground: Ground) -> None:
+    """Two units of one slot, one of them cured by name; the heartbeat that calls the slot OK ends the rest."""
+    ground.hear(beat(7, {Slot.NODES: Level.ERROR}))
+    ground.hear(said(7, "A07 FAIL 6 node_1 dead"), said(7, "A07 FAIL 6 node_2 dead"))
+    ground.hear(said(7, "A07 OK 6 restart fixed: node_2 dead", 5))
+    assert [bad["text"] for bad in ground.agent(7)["bad"]] == ["node_1 dead"]
+    ground.hear(beat(7))
+    assert ground.agent(7)["bad"] == []
+
+
+def test_a_refresh_corrects_what_was_missed(ground: Ground) -> None:
+    """Lines are lost on radios: one bad unit and no more, or none, is what the refresh knows."""
+    bad = {Slot.NODES: Level.ERROR, Slot.FILES: Level.ERROR}
+    ground.hear(beat(7, bad), said(7, "A07 FAIL 6 node_1 dead"), said(7, "A07 FAIL 3 map.bin missing"))
+    ground.hear(said(7, "A07 FAIL 11111011 6 node_2 dead +1", 6))
+    assert [entry["text"] for entry in ground.agent(7)["bad"]] == ["map.bin missing", "node_1 dead", "node_2 dead"]
+    ground.hear(said(7, "A07 FAIL 11111011 6 node_1 dead", 6))
+    assert [entry["text"] for entry in ground.agent(7)["bad"]] == ["node_1 dead"]
+    ground.hear(said(7, "A07 OK 11111111", 6))
+    assert ground.agent(7)["bad"] == []
+
+
+def test_a_refresh_that_repeats_is_recorded_and_not_told(ground: Ground) -> None:
+    """To people only what differs from the last is shown."""
+    ground.hear(beat(7))
+    first = ground.hear(said(7, "A07 OK 11111111", 6))
+    again = ground.hear(said(7, "A07 OK 11111111", 6))
+    assert [bool(timed(news)) for news in first + again] == [True, False]
+    assert events(again, "text")[0]["repeat"] is True
+
+
+def test_a_refresh_that_does_not_know_all_is_stale(ground: Ground) -> None:
+    """Unused and not known look alike in the word: the refresh tells them apart."""
+    ground.hear(beat(7), said(7, "A07 STALE 11111--- 6", 6))
+    assert ground.agent(7)["how"] == "STALE"
+    ground.hear(said(7, "A07 OK 11111111", 6))
+    assert ground.agent(7)["how"] == "OK"
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        said(7, "A07 FAIL 6 node_1 dead", component=1),
+        said(7, "A08 FAIL 6 node_1 dead"),
+        said(8, "A07 FAIL 6 node_1 dead"),
+        said(7, "PreArm: GPS 1 failing", component=193),
+        said(255, "SWARM 8/8 OK", component=190),
+    ],
+    ids=["the autopilot", "about another", "by another", "other words", "a ground station"],
+)
+def test_lines_of_others_are_shown_as_theirs(ground: Ground, frame: Said) -> None:
+    """They are recorded with their sender, and change nothing of any agent."""
+    ground.hear(beat(7), beat(8))
+    news = ground.hear(frame)
+    assert (events(news, "text")[0]["phm"], events(news, "text")[0].get("agent")) == (False, None)
+    assert ground.agent(7)["bad"] == ground.agent(8)["bad"] == []
+    assert ground.agent(7)["line"] is None
+    assert ground.whole()["swarm"] is None
+
+
+def test_a_line_that_comes_before_the_first_heartbeat_is_not_lost(ground: Ground) -> None:
+    """From PHM's usual component, about itself: the agent is known by it, and all else of it is unknown."""
+    ground.hear(said(7, "A07 FAIL 6 node_1 dead"))
+    agent = ground.agent(7)
+    assert (agent["line"]["text"], agent["how"], agent["presence"]) == (
+        "A07 FAIL 6 node_1 dead",
+        "UNKNOWN",
+        "never heard",
+    )
+
+
+def test_text_cannot_steer_a_terminal(ground: Ground) -> None:
+    """Escape sequences and line breaks come out as what they are."""
+    from phm.gcs.frames import read
+    from tests.fakes.mavlink import Sender, text
+
+    message = Sender(7, 1).received(text("\x1b[2Jgone\nA07 OK"))
+    frame = read(message)
+    assert isinstance(frame, Said)
+    assert frame.text == "\\x1b[2Jgone\\nA07 OK"
+
+
+# ---------------------------------------------------------------- the swarm
+
+
+def test_views_say_who_hears_whom(ground: Ground) -> None:
+    """An agent that is lost here and heard there has a broken radio; a view of a lost agent counts no more."""
+    ground.hear(*(beat(number) for number in (1, 2, 3)))
+    both = View(1, gcs=True, autopilot=True, radio=False, peers={3: Seen.ALIVE})
+    ground.hear(told(1, both), told(2, View(1, gcs=True, autopilot=True, radio=False, peers={3: Seen.LOST})))
+    ground.wait(20, beat(1), beat(2))
+    agent = ground.agent(3)
+    assert (agent["heard_by"], agent["unheard_by"]) == ([1], [2])
+    assert agent["hop"] == {"name": "radio", "evidence": "silent 20 s here, heard by A01", "certain": True}
+    ground.wait(20, beat(2))
+    assert ground.agent(3)["heard_by"] == []
+
+
+def test_an_equal_view_is_no_news(ground: Ground) -> None:
+    """Its number counts up; what it says stays."""
+    ground.hear(beat(1))
+    assert len(ground.hear(told(1, View(1, True, True, False, {2: Seen.ALIVE})))) == 1
+    assert ground.hear(told(1, View(2, True, True, False, {2: Seen.ALIVE}))) == []
+    assert len(ground.hear(told(1, View(3, True, True, False, {2: Seen.LOST})))) == 1
+
+
+def test_the_speaker_tells_of_agents_never_heard_here(ground: Ground) -> None:
+    """They have a row, with what the speaker says of them, and nothing that it does not say."""
+    ground.hear(beat(1), said(1, "SWARM 1/3 FAIL A05:lost", 6))
+    ground.hear(told(1, Digest(3, 2, {1: Level.OK, 4: Level.WARN, 5: Level.ERROR})))
+    assert (ground.agent(4)["how"], ground.agent(4)["swarm_says"]) == ("UNKNOWN", "WARN")
+    assert ground.agent(5)["swarm_says"] == "ERROR"
+    swarm = ground.whole()["swarm"]
+    assert (swarm["by"], swarm["line"], swarm["members"], swarm["alive"]) == (1, "SWARM 1/3 FAIL A05:lost", 3, 2)
+
+
+def test_a_relay_speaks_for_an_agent_without_a_radio(ground: Ground) -> None:
+    """Its last line is what the other one said of it, and says who that was."""
+    ground.hear(beat(1), said(1, "A03 no GCS radio, heard by A01 A02: 2 ERROR"))
+    agent = ground.agent(3)
+    assert (agent["line"]["via"], agent["hears_ground"], agent["how"]) == (1, False, "UNKNOWN")
+
+
+def test_details_are_joined_from_their_parts(ground: Ground) -> None:
+    """In any order, with characters that were cut between two parts."""
+    ground.hear(beat(7))
+    parts = tunnel.details("ab12-17", "Übermaß " * 40)
+    assert len(parts) > 2
+    news = [one for part in reversed(parts) for one in ground.hear(told(7, part))]
+    assert [body["text"] for body in events(news, "detail")] == ["Übermaß " * 40]
+
+
+def test_words_of_others_are_passed_on(ground: Ground) -> None:
+    """As news; what was heard directly is not overruled by hearsay."""
+    ground.hear(beat(7))
+    assert events(ground.hear(told(7, Words({7: 0, 8: 0x40025D55}))), "words")[0]["words"] == {"8": 0x40025D55}
+    assert ground.agent(7)["how"] == "OK"
+
+
+# ---------------------------------------------------------------- the first broken hop
+
+
+@pytest.mark.parametrize(
+    ("slots", "text", "hop"),
+    [
+        ({}, "", None),
+        ({Slot.RADIO: Level.ERROR}, "A07 FAIL 11 radio: no RADIO_STATUS 6 s", ("radio", "no RADIO_STATUS 6 s", True)),
+        ({Slot.COMPANION: Level.ERROR}, "A07 FAIL 1 port fc: no permission", ("port fc", "no permission", True)),
+        ({Slot.COMPANION: Level.ERROR}, "A07 FAIL 1 GCS: no heartbeat 10 s", ("GCS", "no heartbeat 10 s", True)),
+        ({Slot.COMPANION: Level.ERROR}, "A07 FAIL 1 rates overdue", ("companion", "rates overdue", False)),
+        ({Slot.NODES: Level.ERROR}, "A07 FAIL 6 node_1 dead", ("application", "node_1 dead", False)),
+        ({Slot.AUTOPILOT: Level.ERROR}, "A07 FAIL 10 autopilot: no heartbeat 4 s", ("autopilot", "no heartbeat 4 s", True)),
+        ({Slot.AUTOPILOT: Level.ERROR}, "", ("autopilot", "ERROR in slot 10, not told why", True)),
+        ({Slot.RADIO: Level.WARN}, "A07 WARN 11 radio: weak, margin 8", None),
+        ({Slot.FILES: Level.ERROR}, "A07 FAIL 3 map.bin missing", None),
+    ],
+)  # fmt: skip
+def test_the_hop_is_the_first_that_the_agent_names(
+    ground: Ground, slots: dict[Slot, Level], text: str, hop: tuple[str, str, bool] | None
+) -> None:
+    """From its lines, or from its word while no line says why; what only may be on the way is said to be uncertain."""
+    ground.hear(beat(7, slots))
+    if text:
+        ground.hear(said(7, text))
+    found = ground.agent(7)["hop"]
+    assert (found and (found["name"], found["evidence"], found["certain"])) == hop
+
+
+def test_the_hop_nearest_to_the_ground_wins(ground: Ground) -> None:
+    """What is behind a broken hop may be bad because of it."""
+    ground.hear(beat(7, {Slot.RADIO: Level.ERROR, Slot.AUTOPILOT: Level.ERROR, Slot.NODES: Level.ERROR}))
+    assert ground.agent(7)["hop"]["name"] == "radio"
+
+
+def test_silence_is_told_by_what_else_is_heard(ground: Ground) -> None:
+    """The autopilot beside it, other agents, or nobody: the companion, the radio, or the ground's own link."""
+    ground.hear(beat(7), beat(8), pilot(7))
+    ground.wait(20, pilot(7), beat(8), every=1)
+    assert ground.agent(7)["hop"]["name"] == "companion"
+    ground.wait(20, beat(8), every=1)
+    assert ground.agent(7)["hop"] == {"name": "radio or vehicle", "evidence": "silent 40 s", "certain": False}
+    ground.wait(20)
+    assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "everybody is silent", "certain": False}
+    ground.store.links({"gcs": (False, "Connection refused")}, ground.clock.stamp())
+    assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "gcs: Connection refused", "certain": True}
+
+
+def test_a_hop_is_news_once(ground: Ground) -> None:
+    """When it breaks and when it is whole again; the seconds that its silence grows by are none."""
+    ground.hear(beat(7), beat(8))
+    news = ground.wait(60, beat(8))
+    assert [body["hop"]["name"] for body in events(news, "hop")] == ["radio or vehicle"]
+    ground.hear(beat(7))
+    assert [body["hop"] for body in events(ground.wait(1), "hop")] == [None]
+
+
+def test_an_agent_that_does_not_hear_the_ground_says_so_in_its_view(ground: Ground) -> None:
+    """One way of its radio is broken: it is heard, and commands do not reach it."""
+    ground.hear(beat(7), told(7, View(1, gcs=False, autopilot=True, radio=False)))
+    assert ground.agent(7)["hop"] == {"name": "radio", "evidence": "it does not hear the ground", "certain": False}
+
+
+# ---------------------------------------------------------------- autopilots
+
+
+def test_arming_is_shown_with_the_agent(ground: Ground) -> None:
+    """News when it changes, and when the autopilot falls silent."""
+    ground.hear(beat(7))
+    assert events(ground.hear(pilot(7)), "pilot")[0]["armed"] is False
+    assert ground.hear(pilot(7)) == []
+    assert events(ground.hear(pilot(7, armed=True)), "pilot")[0]["armed"] is True
+    assert ground.agent(7)["pilot"]["armed"] is True
+    assert [body["presence"] for body in events(ground.wait(20, beat(7)), "pilot")] == ["lost"]
+    assert ground.agent(7)["pilot"]["presence"] == "lost"
+
+
+def test_other_ground_stations_are_named_while_they_are_there(ground: Ground) -> None:
+    """So it shows whether the pilot's own station is on the network."""
+    ground.hear(Beat(255, 190, 6, 8, 0, 0, 4))
+    assert ground.whole()["stations"] == [{"system": 255, "component": 190}]
+    ground.wait(20)
+    assert ground.whole()["stations"] == []
+
+
+# ---------------------------------------------------------------- hostile frames
+
+
+def test_made_up_agents_do_not_push_out_those_that_are_there() -> None:
+    """There is room for 256; who is gone makes room, who is there or expected does not."""
+    ground = Ground(expected=(100,))
+    ground.hear(*(Beat(number, 193, 18, 8, 0, 1 << 30, 4) for number in range(1, 100)))
+    for component in range(200, 210):
+        ground.hear(*(Beat(number, component, 18, 8, 0, 1 << 30, 4) for number in range(1, 251)))
+    whole = ground.whole()
+    assert len(whole["agents"]) == 256
+    assert whole["refused"] > 2000
+    assert {one["agent"] for one in whole["agents"] if one["component"] == 193} == set(range(1, 101))
+    ground.wait(300, beat(1))
+    ground.hear(beat(150))
+    assert ground.agent(150)["how"] == "OK"
+    assert ground.agent(100)["presence"] == "never heard"
+
+
+def test_nothing_grows_for_ever(ground: Ground) -> None:
+    """Ever new lines, fault numbers and ground stations: what is kept of them is bounded."""
+    ground.hear(beat(7, dict.fromkeys(Slot, Level.ERROR)))
+    for number in range(500):
+        ground.hear(said(7, f"A07 FAIL {number % 15 + 1} unit {number} bad"))
+        ground.hear(told(7, tunnel.Detail(f"ab-{number}", 0, 16, b"x")))
+        ground.hear(Beat(number % 256, number // 2 % 256, 6, 8, 0, 0, 4))
+    held = ground.store.fleet.agents[7, 193]
+    assert len(ground.agent(7)["bad"]) == 60
+    assert len(held.details) == 4
+    assert len(ground.whole()["stations"]) == 16
+
+
+def test_tunnels_of_strangers_and_of_other_kinds_are_ignored(ground: Ground) -> None:
+    """Only an agent whose heartbeat was heard is believed, and only what is of the contract."""
+    payload = tunnel.encode(View(1, False, False, False, {3: Seen.LOST}))
+    ground.hear(beat(7))
+    for frame in (
+        Payload(8, 193, tunnel.PAYLOAD_TYPE, payload), Payload(7, 193, 5, payload), Payload(7, 193, tunnel.PAYLOAD_TYPE, b""),
+        Payload(7, 193, tunnel.PAYLOAD_TYPE, b"\xff" * 128), Payload(7, 193, tunnel.PAYLOAD_TYPE, b"\x12\x01\x05"),
+    ):  # fmt: skip
+        assert ground.hear(frame) == []
+    assert ground.agent(7)["view"] is None
