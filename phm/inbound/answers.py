@@ -9,13 +9,14 @@ from typing import Any
 
 from phm.model import Fault, UnitState, Value, worst_by_slot
 from phm.transport.dialect import mavlink
-from phm.wire import status_line, status_word, tunnel
+from phm.wire import command, status_line, status_word, tunnel
 from phm.wire.command import HEARTBEAT, STATUSTEXT, Asked, Result
 from phm.wire.status_line import Severity
 
 _U8, _I8, _I16, _U32 = 0xFF, 0x7F, 0x7FFF, 0xFFFFFFFF
 """What the standard writes for `not known` into a field of that type."""
 _MIB = 2**20
+MOST_OTHERS = 20
 _TOTAL = "disk_total_bytes "
 
 
@@ -86,14 +87,17 @@ def _four(known: Sequence[int], unknown: int) -> list[int]:
     return [*(min(value, unknown) for value in known[:4]), *[unknown] * (4 - len(known[:4]))]
 
 
-def details(fault: Fault, asked: Asked) -> list[Any]:
-    """TUNNEL messages with the text about a fault, to the asker alone."""
+def details(fault: Fault, asked: Asked, others: Sequence[str] = ()) -> list[Any]:
+    """TUNNEL messages with the text about a fault, to the asker alone. others: ids of open faults, which may be asked for next."""
     since = time.strftime("%H:%M:%S", time.gmtime(max(0.0, min(fault.opened.utc, 1e11))))
     pieces = [f"{fault.unit}: {fault.result.summary}", f"{fault.outcome.value} since {since} UTC"]
     if fault.consequences:
         pieces.append(f"blocks {', '.join(fault.consequences)}")
     if fault.suspects:
         pieces.append(f"also bad: {', '.join(fault.suspects)}")
+    numbers = [number for other in others if (number := command.number(other)) is not None]
+    if numbers:
+        pieces.append(f"other open faults: {', '.join(map(str, numbers[:MOST_OTHERS]))}")
     payloads = [tunnel.encode(part) for part in tunnel.details(fault.id, "; ".join(pieces))]
     return [
         mavlink.MAVLink_tunnel_message(

@@ -233,7 +233,8 @@ class Desk:
             found = sorted(open_now, key=lambda fault: fault.opened.mono)
         if not found:
             return Result.FAILED, f"fault {number} is not known" if number else "no fault is open"
-        for part, message in enumerate(answers.details(found[-1], asked)):
+        others = [fault.id for fault in open_now if fault.id != found[-1].id]
+        for part, message in enumerate(answers.details(found[-1], asked, others)):
             key = f"detail {asked.sender} {found[-1].id} {part}"
             self._port.send(message, Class.REQUEST, key=key, urgency=2, link=asked.link)
         return Result.ACCEPTED, f"details of {found[-1].id} are sent"

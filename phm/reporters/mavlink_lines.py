@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from phm.model import ActionEvent, FaultClosed, FaultOpened, Level, Outcome, Phase, Transition, UnitState
 from phm.transport.mavlink_budget import Class
-from phm.wire import status_line
+from phm.wire import command, status_line
 from phm.wire.status_line import Severity
 
 FULL_LINES = 10
@@ -35,6 +35,8 @@ class Teller:
         self._agent = agent
         self._told: dict[str, tuple[UnitState, str]] = {}
         self._open: set[str] = set()
+        self._asks: dict[str, Line] = {}
+        """By unit, what the operator was asked for and has not answered."""
 
     def knows(self, states: Sequence[UnitState]) -> None:
         """The ground has heard of these bad units from an earlier run of PHM."""
@@ -56,6 +58,8 @@ class Teller:
             self._open.add(fault.unit)
             return []
         self._open.discard(fault.unit)
+        if fault.outcome is not Outcome.ESCALATED:
+            self._asks.pop(fault.unit, None)
         return self._over(fault.unit, fault.by or "itself") if fault.outcome is Outcome.RESOLVED else []
 
     def action(self, event: ActionEvent, states: Mapping[str, UnitState]) -> list[Line]:
@@ -64,16 +68,33 @@ class Teller:
         if state is None:
             return []
         key = f"{event.unit} action"
+        if not event.fault:
+            return self._asked(event, state, key)
+        number = command.number(event.fault)
         if event.phase is Phase.ADVISED:
-            text = status_line.advise(self._agent, state.slot, event.action, event.target)
-            return [Line(key, Severity.WARNING, text)]
+            text = status_line.advise(self._agent, state.slot, event.action, event.target, number)
+            return [self._ask(event.unit, Line(key, Severity.WARNING, text))]
         if event.phase is Phase.APPROVED:
+            self._asks.pop(event.unit, None)
             text = status_line.approved(self._agent, state.slot, event.action, event.target)
             return [Line(key, Severity.NOTICE, text)]
         if event.phase is Phase.ESCALATED:
-            text = status_line.gave_up(self._agent, state.slot, event.target, status_line.brief_of(state))
-            return [Line(key, status_line.severity(Level.ERROR, state.slot), text)]
+            text = status_line.gave_up(self._agent, state.slot, event.target, status_line.brief_of(state), number)
+            return [self._ask(event.unit, Line(key, status_line.severity(Level.ERROR, state.slot), text))]
         return []
+
+    def _ask(self, unit: str, line: Line) -> Line:
+        self._asks[unit] = line
+        return line
+
+    def _asked(self, event: ActionEvent, state: UnitState, key: str) -> list[Line]:
+        """What an operator asked for without any fault; its beginning was acknowledged, its end is told."""
+        ends = {Phase.VERIFIED: "done", Phase.FAILED: "failed", Phase.REFUSED: "refused"}
+        if event.phase not in ends:
+            return []
+        severity = Severity.NOTICE if event.phase is Phase.VERIFIED else Severity.WARNING
+        text = status_line.asked(self._agent, state.slot, event.action, ends[event.phase], event.target)
+        return [Line(key, severity, text)]
 
     def reconcile(self, states: Sequence[UnitState]) -> list[Line]:
         """Tell what lost events did not: nothing, when none were lost."""
@@ -93,6 +114,8 @@ class Teller:
             if state.level.bad:
                 self._told.pop(state.unit, None)
                 lines += self._bad(state)
+                if state.unit in self._asks:
+                    lines.append(self._asks[state.unit])
         return [*(replace(line, kind=Class.STATE) for line in lines), self.refresh(states)]
 
     def refresh(self, states: Sequence[UnitState]) -> Line:
@@ -107,6 +130,7 @@ class Teller:
         return [Line(state.unit, status_line.severity(state.level, state.slot), text)]
 
     def _over(self, unit: str, by: str) -> list[Line]:
+        self._asks.pop(unit, None)
         told = self._told.pop(unit, None)
         if told is None:
             return []

@@ -10,8 +10,10 @@ The contract. Every line begins with the agent (``A01`` to ``A250``) and a word;
     A01 OK 6 cleared itself: node_1 dead      a fault that ended without an action of PHM
     A01 OK 9 cleared: disk / 88%              a warning that is over
     A01 WARN 6 flapping: node_1 dead          it fails and recovers again and again; told when it rests
-    A01 ADVISE 2 restart ros_app              what PHM would do, and was told not to do
-    A01 GAVE UP 2 ros_app exited              PHM cannot heal this: it is the operator's now
+    A01 ADVISE 2 restart ros_app #17          what PHM would do, and was told not to do; 17 is the fault's number
+    A01 GAVE UP 2 ros_app exited #17          PHM cannot heal this: it is the operator's now
+    A01 OK 2 restart done: ros_app            what an operator asked for is done, and the container is well
+    A01 WARN 2 restart failed: ros_app        it did not help, or was refused in the end
     A01 OK 11111111                           the refresh: all is well
     A01 WARN 11111111 9 disk / 88%            the refresh: worst unit first
     A01 FAIL 11111011 6 node_1 dead +2        the refresh: two more units are bad
@@ -82,17 +84,25 @@ def flapping(agent: int, slot: Slot, brief: str) -> str:
     return _line(f"{agent_name(agent)} WARN {slot:d} flapping:", brief)
 
 
-def advise(agent: int, slot: Slot, action: str, target: str) -> str:
-    return _line(f"{agent_name(agent)} ADVISE {slot:d} {_short(action, 16)}", target)
+def advise(agent: int, slot: Slot, action: str, target: str, number: int | None = None) -> str:
+    """`number`: the fault's, by which an operator approves; None when it has none. Names are cut, it never is."""
+    return _line(f"{agent_name(agent)} ADVISE {slot:d} {_short(action, 16)}", target, _numbered(number))
 
 
 def approved(agent: int, slot: Slot, action: str, target: str) -> str:
     return _line(f"{agent_name(agent)} APPROVED {slot:d} {_short(action, 16)}", target)
 
 
-def gave_up(agent: int, slot: Slot, target: str, brief: str) -> str:
+def gave_up(agent: int, slot: Slot, target: str, brief: str, number: int | None = None) -> str:
+    """`number`: as of `advise`."""
     said = brief if target in brief else f"{_short(target, 16)}: {brief}"
-    return _line(f"{agent_name(agent)} GAVE UP {slot:d}", said)
+    return _line(f"{agent_name(agent)} GAVE UP {slot:d}", said, _numbered(number))
+
+
+def asked(agent: int, slot: Slot, action: str, end: str, target: str) -> str:
+    """How something ended that an operator had asked for. `end`: ``done``, ``failed`` or ``refused``."""
+    word = "OK" if end == "done" else "WARN"
+    return _line(f"{agent_name(agent)} {word} {slot:d} {_short(action, 16)} {end}:", target)
 
 
 def refresh(agent: int, units: Sequence[UnitState]) -> str:
@@ -118,6 +128,10 @@ def worst_first(units: Sequence[UnitState]) -> list[UnitState]:
 def brief_of(state: UnitState) -> str:
     """The check's own few words, else the unit's name: a bad unit is never told without a subject."""
     return state.result.brief or state.unit
+
+
+def _numbered(number: int | None) -> str:
+    return "" if number is None else f" #{number}"
 
 
 def _line(head: str, text: str, tail: str = "") -> str:

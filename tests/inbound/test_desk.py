@@ -213,11 +213,11 @@ def told(sent: list[Any]) -> tuple[str, str]:
 
 
 def test_the_details_of_a_fault_come_in_parts_to_the_asker() -> None:
-    """The newest open one, or one by its number; long texts are cut at the contract's end."""
+    """The newest open one, or one by its number; the others' numbers stand in it; long texts are cut at the contract's end."""
     scene = Scene("details")
     scene.faults = (fault(3, 5.0), fault(17, 9.0, "x" * 5000))
     assert told(scene.ask(long(512, 385, 3))) == (
-        "ab12-3", "nodes/node_1: node_1 is dead; open since 01:46:40 UTC; blocks topics"
+        "ab12-3", "nodes/node_1: node_1 is dead; open since 01:46:40 UTC; blocks topics; other open faults: 17"
     )  # fmt: skip
     sent = scene.ask(long(512, 385))
     name, text = told(sent)

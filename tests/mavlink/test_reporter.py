@@ -175,6 +175,45 @@ def test_only_what_asks_for_the_operator_is_told_of_actions(phase: Phase, expect
     assert scene.port.lines() == expected
 
 
+def act(scene: Scene, phase: Phase, fault: str = "ab12-17") -> None:
+    scene.reporter.handle(ActionEvent(scene.clock.stamp(), fault, "container/app", "restart", "app", phase))
+
+
+def test_what_an_operator_may_approve_has_its_number() -> None:
+    """The number of the fault, by which the ground approves; a station that comes later is told it, too, until it is over."""
+    scene = Scene().running()
+    scene.become("container/app", Level.ERROR, "app exited")
+    scene.port.sent.clear()
+    act(scene, Phase.ADVISED)
+    assert scene.port.lines() == [(4, "A01 ADVISE 2 restart app #17")]
+    scene.reporter.gcs_appeared()
+    scene.pass_time(1.0)
+    assert (4, "A01 ADVISE 2 restart app #17") in scene.port.lines()
+    act(scene, Phase.ESCALATED)
+    assert scene.port.lines() == [(2, "A01 GAVE UP 2 app exited #17")]
+    scene.become("container/app", Level.OK)
+    scene.port.sent.clear()
+    scene.reporter.gcs_appeared()
+    scene.pass_time(6.0)
+    assert not any("#17" in text for _, text in scene.port.lines())
+
+
+@pytest.mark.parametrize(
+    ("phase", "expected"),
+    [
+        (Phase.STARTED, []),
+        (Phase.VERIFIED, [(5, "A01 OK 2 restart done: app")]),
+        (Phase.FAILED, [(4, "A01 WARN 2 restart failed: app")]),
+        (Phase.REFUSED, [(4, "A01 WARN 2 restart refused: app")]),
+    ],
+)
+def test_the_end_of_what_an_operator_asked_for_is_told(phase: Phase, expected: list[tuple[int, str]]) -> None:
+    """No fault is open, so nothing else would tell it."""
+    scene = Scene().running()
+    act(scene, phase, fault="")
+    assert scene.port.lines() == expected
+
+
 def test_the_refresh_comes_at_its_period_as_info() -> None:
     """From the first report on, one INFO line a period: the array and the worst unit."""
     scene = Scene(refresh=10).running()

@@ -33,7 +33,10 @@ def test_every_line_fits_whatever_the_names_are(agent: int, level: Level, slot: 
         status_line.bad(agent, level, slot, first),
         status_line.over(agent, slot, first, second),
         status_line.advise(agent, slot, first, second),
+        status_line.advise(agent, slot, first, second, 123_456_789),
         status_line.gave_up(agent, slot, first, second),
+        status_line.gave_up(agent, slot, first, second, 123_456_789),
+        status_line.asked(agent, slot, first, "refused", second),
         status_line.refresh(agent, [*WELL, unit(slot, level, first, second)]),
     ]
     assert all(fits(line) for line in lines), lines
@@ -66,6 +69,13 @@ def test_an_end_says_what_ended_it() -> None:
 def test_advice_and_giving_up_name_the_target() -> None:
     """What is asked of the operator says of which container."""
     assert status_line.advise(1, Slot.CONTAINER, "restart", "ros_app") == "A01 ADVISE 2 restart ros_app"
+    long = "a_container_with_a_very_long_name"
+    assert (
+        status_line.advise(250, Slot.CONTAINER, "restart", long, 17)
+        == "A250 ADVISE 2 restart a_container..y_long_name #17"
+    )
+    assert status_line.asked(1, Slot.CONTAINER, "restart", "done", "ros_app") == "A01 OK 2 restart done: ros_app"
+    assert status_line.asked(1, Slot.CONTAINER, "restart", "failed", "ros_app") == "A01 WARN 2 restart failed: ros_app"
     assert status_line.gave_up(1, Slot.CONTAINER, "ros_app", "ros_app exited") == "A01 GAVE UP 2 ros_app exited"
     assert status_line.gave_up(1, Slot.NODES, "ros_app", "node_1 dead") == "A01 GAVE UP 6 ros_app: node_1 dead"
 
