@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from phm.facts import LinkFact
-from phm.model import Layer, Level, Report, Result, Slot, UnitState
+from phm.model import Layer, Level, Report, Result, Slot, Transition, UnitState
 from phm.probes.swarm import Swarm as Probe
 from phm.reporters.base import ReporterContext
 from phm.reporters.mavlink import Mavlink
@@ -27,6 +28,10 @@ class Port:
         self.outbox = Outbox(clock, budget)
         self.codec = Codec(agent, 193, lambda _: True)
         self.bytes_out = 0
+        self.bytes_by: Counter[str] = Counter()
+        """Bytes that left, by the type of message."""
+        self.told: Counter[str] = Counter()
+        """How often something was told, by its key: `refresh`, a unit, or what the swarm's reporter says."""
         self.agents = 1
         self._listeners: list[tuple[Callable[[Any, str], None], frozenset[int]]] = []
 
@@ -37,6 +42,7 @@ class Port:
     def send(
         self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
     ) -> None:
+        self.told[key] += 1
         self.outbox.put(message, self.codec.size(message), kind, key, urgency)
 
     def links(self) -> tuple[LinkFact, ...]:
@@ -49,8 +55,11 @@ class Port:
         """Looked at by the fleet itself."""
 
     def leave(self) -> list[bytes]:
-        frames = [self.codec.pack(item.message) for item in iter(self.outbox.take, None)]
-        self.bytes_out += sum(map(len, frames))
+        frames = []
+        for item in iter(self.outbox.take, None):
+            frames.append(self.codec.pack(item.message))
+            self.bytes_by[item.message.get_type()] += len(frames[-1])
+            self.bytes_out += len(frames[-1])
         return frames
 
     def hear(self, messages: Iterable[Any]) -> None:
@@ -61,19 +70,21 @@ class Port:
 
 
 class Agent:
-    """One agent: how it is, is set by the test."""
+    """One agent: how it is, is set from outside."""
 
-    def __init__(self, number: int, clock: FakeClock, fleet: list[int], budget: float | None) -> None:
+    def __init__(
+        self, number: int, clock: FakeClock, fleet: list[int], budget: float | None, units: Sequence[UnitState] = ()
+    ) -> None:
         self.number, self.clock = number, clock
         self.port = Port(number, clock, budget)
         self.settings = settings(agent={"id": number}, swarm={"agents": fleet})
         self.gcs_heard: float | None = None
-        self.units = {
+        self.units = {state.unit: state for state in units} or {
             name: UnitState(name, name, slot, Layer.ROS, Level.OK, Result(Level.OK, ""), clock.stamp())
             for slot, name in ((Slot.CONTAINER, "container/app"), (Slot.NODES, "nodes/a"))
         }
         self.probe = Probe(self.port, self.settings, clock, self._gcs_age, lambda: None)  # type: ignore[arg-type]
-        context = ReporterContext(
+        self.context = context = ReporterContext(
             self.settings, clock, "boot", lambda: tuple(self.units.values()), lambda: True, dict, self.port,
             swarm=self.probe, pilot=lambda: True,
         )  # fmt: skip
@@ -89,17 +100,37 @@ class Agent:
             unit, unit, old.slot, old.layer, level, Result(level, "", brief), self.clock.stamp()
         )
 
+    def turn(self, units: Sequence[UnitState]) -> None:
+        """It is so from now on; what changed is told, as the tracker tells it."""
+        before, self.units = self.units, {state.unit: state for state in units}
+        for state in units:
+            old = before[state.unit].level if state.unit in before else Level.STALE
+            if old is not state.level:
+                self.reporters[0].handle(Transition(self.clock.stamp(), old, state))
+
     def _gcs_age(self) -> float | None:
         return None if self.gcs_heard is None else self.clock.mono() - self.gcs_heard
 
 
 class Fleet:
-    """`count` agents from number 1 on, without 51. `deaf`: do not hear the ground, nor are heard by it. `cut`: (sender, hearer) pairs."""
+    """`count` agents from number 1 on, without 51. `deaf`: do not hear the ground, nor are heard by it. `cut`: (sender, hearer) pairs.
 
-    def __init__(self, count: int, *, loss: float = 0.0, seed: int = 1, budget: float | None = 158.0) -> None:
-        self.clock = FakeClock()
+    units: what each agent's checks say, or a few of their own. step_s: of the clock; a coarse one is quicker to compute.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        *,
+        loss: float = 0.0,
+        seed: int = 1,
+        budget: float | None = 158.0,
+        units: Sequence[UnitState] = (),
+        step_s: float = STEP_S,
+    ) -> None:
+        self.clock, self._step_s = FakeClock(), step_s
         numbers = [number for number in range(1, 251) if number != 51][:count]
-        self.agents = {number: Agent(number, self.clock, numbers, budget) for number in numbers}
+        self.agents = {number: Agent(number, self.clock, numbers, budget, units) for number in numbers}
         self.down: set[int] = set()
         self.deaf: set[int] = set()
         self.cut: set[tuple[int, int]] = set()
@@ -109,8 +140,8 @@ class Fleet:
         self._parser = Codec(255, 190, lambda _: True).parser()
 
     def run(self, seconds: float) -> None:
-        for _ in range(round(seconds / STEP_S)):
-            self.clock.advance(STEP_S)
+        for _ in range(round(seconds / self._step_s)):
+            self.clock.advance(self._step_s)
             up = [agent for number, agent in self.agents.items() if number not in self.down]
             for agent in up:
                 if agent.number not in self.deaf:

@@ -128,7 +128,9 @@ class Budget:
         if self.bytes_s is None:
             return float("inf")
         part = self.bytes_s / max(1, self.agents)
-        return max(part - self._beat[1], part * REST) + (self.bytes_s * SPEAKER if self.speaks else 0.0)
+        # What the speaker may use is not there for the others, so that all together stay within the share.
+        own = part * (1.0 - SPEAKER) if self.agents > 1 else part
+        return max(own - self._beat[1], part * REST) + (self.bytes_s * SPEAKER if self.speaks else 0.0)
 
     @property
     def burst(self) -> float:

@@ -10,6 +10,7 @@ from phm.transport.mavlink_budget import (
     MAX_WAITING,
     REST,
     SLOWEST,
+    SPEAKER,
     SWARM_BYTES_S,
     TXBUF_STALE_S,
     Budget,
@@ -162,3 +163,17 @@ RADIO_LIMIT = {
     100: 1.7 * SWARM_BYTES_S,
     250: 1.7 * SWARM_BYTES_S,
 }
+
+
+@pytest.mark.parametrize("agents", [1, 8, 30])
+def test_all_agents_together_stay_within_the_share(agents: int) -> None:
+    """With the heartbeats of their periods; the speaker's part is taken from all. What REST keeps for faults may exceed it."""
+    budgets = [Budget(SWARM_BYTES_S, 0.0, agents=agents, speaks=number == 0) for number in range(agents)]
+    heartbeat_s = periods(agents)[0]
+    for budget in budgets:
+        budget.heartbeat(21, 0.0)
+        budget.heartbeat(21, heartbeat_s)
+    rest = sum(budget.rate for budget in budgets)
+    kept = 0.0 if agents <= 8 else REST * SWARM_BYTES_S
+    speaks = SPEAKER * SWARM_BYTES_S if agents == 1 else 0.0
+    assert rest + agents * 21 / heartbeat_s <= SWARM_BYTES_S + kept + speaks + 1e-6
