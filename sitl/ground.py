@@ -61,11 +61,17 @@ class WordChange:
 class Ground:
     """Connects like a ground station, keeps reconnecting, and remembers what it read (the last KEPT of each).
 
-    `lines` and `words` are filled by a thread between `start` and `stop`; `on_news` is called there with each.
+    `lines` and `words` are filled by a thread between `start` and `stop`; `on_news` is called there with each, and
+    `on_frame` with each message at all and when it came, in seconds of the monotonic clock.
     """
 
     def __init__(
-        self, url: str, on_news: Callable[[TextLine | WordChange], None] | None = None, system: int = SYSTEM
+        self,
+        url: str,
+        on_news: Callable[[TextLine | WordChange], None] | None = None,
+        system: int = SYSTEM,
+        *,
+        on_frame: Callable[[float, Any], None] | None = None,
     ) -> None:
         self.url = url
         self.lines: deque[TextLine] = deque(maxlen=KEPT)
@@ -73,6 +79,7 @@ class Ground:
         self.heartbeats: dict[tuple[int, int], float] = {}
         """Monotonic time of the last HEARTBEAT by (system, component)."""
         self._on_news = on_news
+        self._on_frame = on_frame
         self._mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=COMPONENT)
         self._last: dict[tuple[int, int], tuple[int, int]] = {}
         self._stopping = threading.Event()
@@ -135,6 +142,8 @@ class Ground:
     def _take(self, message: Any) -> None:
         sender = (message.get_srcSystem(), message.get_srcComponent())
         now = (time.time(), time.monotonic())
+        if self._on_frame is not None:
+            self._on_frame(now[1], message)
         if message.get_type() == "STATUSTEXT":
             line = TextLine(*now, *sender, message.severity, message.text)
             self.lines.append(line)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
 
-from sitl.campaign.trial import OFF, Alarm, Injection, Line, Trial
+from sitl.campaign.trial import OFF, Alarm, Injection, Line, Start, Trial, Warned
 
 BESIDE = "host/"
 """All agents share one machine: its load is told by whoever sees it, and belongs to no agent's fault."""
@@ -58,7 +58,7 @@ class Judged:
 def judge(trial: Trial) -> Judged:
     """Give every alarm to the fault that it belongs to, then read each fault's times."""
     verdicts = [
-        Verdict(trial.number, "single" if len(trial.injections) == 1 else "compound", each, len(places(each)))
+        Verdict(trial.number, "single" if len(trial.injections) == 1 else "compound", each, due(each))
         for each in trial.injections
         if each.moment is not None
     ]
@@ -87,7 +87,7 @@ def counted(alarms: Sequence[Alarm]) -> int:
 
 
 def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
-    """The fault that an alarm belongs to: at its unit; about its agent; aboard its agent, of its group first."""
+    """The fault that an alarm belongs to: at its unit; about its agent as a peer; aboard its agent, of its group first."""
     begun = [verdict for verdict in verdicts if alarm.mono >= (verdict.injection.moment or 0.0)]
     for verdict in begun:
         if _expected(alarm, verdict.injection):
@@ -95,15 +95,17 @@ def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
     if alarm.unit.startswith(BESIDE):
         return None
     if alarm.unit.startswith(PEERS):
-        subject = alarm.unit.removeprefix(PEERS)
-        for verdict in begun:
-            fault = verdict.injection
-            if subject == f"A{fault.agent:02d}" or fault.layer == "link" or fault.phm:
-                return verdict
-        return None
+        return next((verdict for verdict in begun if _about(alarm, verdict.injection)), None)
     aboard = [verdict for verdict in begun if verdict.injection.agent == alarm.agent]
     check = alarm.unit.partition("/")[0]
     return next((verdict for verdict in aboard if verdict.injection.group == check), aboard[0] if aboard else None)
+
+
+def _about(alarm: Alarm, fault: Injection) -> bool:
+    """Whether an alarm about peers follows from the fault: it names its agent, or is aboard it, or tells of a split."""
+    subject = alarm.unit.removeprefix(PEERS)
+    concerned = fault.layer == "link" or fault.phm
+    return concerned and (subject == f"A{fault.agent:02d}" or alarm.agent == fault.agent or subject == "swarm")
 
 
 def places(injection: Injection) -> list[str]:
@@ -111,11 +113,17 @@ def places(injection: Injection) -> list[str]:
     return [unit for unit in (injection.unit, *injection.also) if unit]
 
 
+def due(injection: Injection) -> int:
+    """How many alarms a fault is to raise: a warning is none."""
+    own = len(places(injection)) if injection.level == "ERROR" else 0
+    return own + bool(injection.others)
+
+
 def _expected(alarm: Alarm, injection: Injection) -> bool:
-    """Whether this is an alarm that the fault is expected to raise. A unit about a peer is seen by the others."""
-    if alarm.unit not in places(injection):
-        return False
-    return alarm.agent == injection.agent or alarm.unit.startswith(PEERS)
+    """Whether this is an alarm that the fault is expected to raise: aboard its agent, or aboard the others."""
+    if alarm.agent == injection.agent:
+        return alarm.unit in places(injection)
+    return bool(injection.others) and alarm.unit == injection.others
 
 
 def _times(verdict: Verdict, trial: Trial) -> None:
@@ -125,22 +133,18 @@ def _times(verdict: Verdict, trial: Trial) -> None:
     if not fault.unit:
         _rebirth(verdict, trial, begun, until)
         return
-    named = [alarm for alarm in verdict.alarms if alarm.unit == fault.unit]
-    slots = {alarm.slot for alarm in named}
-    if named:
-        verdict.detected_s = named[0].mono - begun
-    else:
-        warned = [each for each in trial.warned if (each.agent, each.unit) == (fault.agent, fault.unit)]
-        warned = [each for each in warned if each.mono >= begun]
-        if warned:
-            verdict.detected_s, slots = warned[0].mono - begun, {warned[0].slot}
-    verdict.wrong = _wrong(verdict, named, trial)
-    for line in sorted(trial.lines, key=lambda each: each.mono):
-        if line.mono >= begun and any(tells(line, fault, slot) for slot in slots):
-            verdict.response_s = line.mono - begun
-            break
+    named = [alarm for alarm in verdict.alarms if (alarm.agent, alarm.unit) == (fault.agent, fault.unit)]
+    warned = [
+        each for each in trial.warned if each.agent == fault.agent and each.unit in places(fault) and each.mono >= begun
+    ]
+    first: Sequence[Alarm | Warned] = named or [each for each in warned if each.unit == fault.unit]
+    verdict.wrong = _wrong(verdict, named, {each.condition for each in warned if each.unit == fault.unit})
+    if first:
+        verdict.detected_s = first[0].mono - begun
+        told = [line.mono for line in trial.lines if line.mono >= begun and tells(line, fault, first[0].slot)]
+        verdict.response_s = min(told) - begun if told else None
     if trial.kind != OFF:
-        _healing(verdict, named, trial, begun, until)
+        _healing(verdict, trial, warned, begun, until)
 
 
 def _rebirth(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
@@ -152,26 +156,41 @@ def _rebirth(verdict: Verdict, trial: Trial, begun: float, until: float) -> None
     verdict.detected_s = start.mono - begun
     lines = [line.mono for line in trial.lines if line.system == fault.agent and line.mono >= start.mono]
     verdict.response_s = min(lines) - begun if lines else None
+    _rebirth_healed(verdict, start, begun, until)
+
+
+def _rebirth_healed(verdict: Verdict, start: Start, begun: float, until: float) -> None:
     if start.report is not None and start.report <= until:
         verdict.healed_s, verdict.by = start.report - begun, "its own restart"
 
 
-def _healing(verdict: Verdict, named: Sequence[Alarm], trial: Trial, begun: float, until: float) -> None:
+def _healing(verdict: Verdict, trial: Trial, warned: Sequence[Warned], begun: float, until: float) -> None:
     """Over before anybody cleared it: proven by an action, or closed as resolved. All of its units must be."""
     fault, ends, by = verdict.injection, [], []
-    agents = {alarm.agent for alarm in named} | {fault.agent}
+    back = [each for each in trial.starts if each.agent == fault.agent and each.mono >= begun and each.report]
+    if fault.phm and back:
+        _rebirth_healed(verdict, back[0], begun, until)
+        return
     for unit in places(fault):
         proofs = [
             (act.mono, act.action)
             for act in trial.acts
-            if act.phase == "verified" and act.unit == unit and act.agent in agents and begun <= act.mono <= until
+            if act.phase == "verified" and act.unit == unit and act.agent == fault.agent and begun <= act.mono <= until
         ]
         closes = [
             (alarm.closed, alarm.by)
             for alarm in verdict.alarms
-            if alarm.unit == unit and alarm.outcome == "resolved" and alarm.closed is not None and alarm.closed <= until
+            if (alarm.agent, alarm.unit) == (fault.agent, unit)
+            and alarm.outcome == "resolved"
+            and alarm.closed is not None
+            and alarm.closed <= until
         ]
-        found = min(proofs or closes, default=None)
+        warns = [
+            (each.ended, "itself")
+            for each in warned
+            if each.unit == unit and each.ended is not None and each.ended <= until
+        ]
+        found = min(proofs or closes or warns, default=None)
         if found is None:
             return
         ends.append(found[0])
@@ -179,17 +198,13 @@ def _healing(verdict: Verdict, named: Sequence[Alarm], trial: Trial, begun: floa
     verdict.healed_s, verdict.by = max(ends) - begun, ", ".join(dict.fromkeys(by))
 
 
-def _wrong(verdict: Verdict, named: Sequence[Alarm], trial: Trial) -> str:
+def _wrong(verdict: Verdict, named: Sequence[Alarm], warned: Set[str]) -> str:
+    """`warned`: conditions as which the unit was WARN."""
     fault = verdict.injection
-    if not named:
-        if verdict.detected_s is not None:
-            known = {each.condition for each in trial.warned if (each.agent, each.unit) == (fault.agent, fault.unit)}
-        elif verdict.alarms:
-            return f"told at {_units(verdict.alarms)}, expected at {fault.unit}"
-        else:
-            return ""
-    else:
-        known = {condition for alarm in named for condition in alarm.conditions}
+    if not named and not warned:
+        return f"told at {_units(verdict.alarms)}, expected at {fault.unit}" if verdict.alarms else ""
+    known = {condition for alarm in named for condition in alarm.conditions} | warned
+    if named:
         earlier = [alarm for alarm in verdict.alarms if alarm.mono < named[0].mono and not _expected(alarm, fault)]
         if earlier:
             return f"told at {_units(earlier)} first, then at {fault.unit}"

@@ -19,8 +19,9 @@ NOMINAL, OFF, TRIAL = "nominal", "off", "trial"
 
 @dataclass
 class Injection:
-    """One fault on one agent. `unit`: where PHM must tell it, aboard that agent, or aboard others where it begins with
-    ``peers/``; empty: it is told nowhere, because it is PHM itself that is gone for a moment."""
+    """One fault on one agent. `unit`: where PHM must tell it, aboard that agent, as `condition`; empty: nowhere, since it is
+    no fault that can be told. `level`: ``ERROR``, which opens a fault, or ``WARN``. `others`: where the other agents must
+    tell it, too, together one alarm."""
 
     fault: str
     title: str
@@ -29,6 +30,8 @@ class Injection:
     unit: str
     condition: str
     healable: bool
+    level: str = "ERROR"
+    others: str = ""
     cause: str = ""
     group: str = ""
     blinds: bool = False
@@ -63,7 +66,7 @@ class Alarm:
 
 @dataclass
 class Warned:
-    """A unit became WARN."""
+    """A unit became WARN; `ended`: when it was OK again."""
 
     agent: int
     unit: str
@@ -71,6 +74,7 @@ class Warned:
     mono: float
     condition: str
     summary: str
+    ended: float | None = None
 
 
 @dataclass

@@ -117,16 +117,23 @@ def test_compound_faults_each_keep_their_own_alarms() -> None:
 
 
 def test_a_lost_peer_is_one_alarm_though_all_tell_it() -> None:
-    """Seven agents that miss the same one say one thing; said twice by one of them it is two."""
-    gone = injection(unit="peers/A03", condition="peer_lost", layer="companion", group="link", phm=True)
+    """Seven agents that miss the same one say one thing, beside what it says itself; said twice by one of them it is two."""
+    gone = injection(
+        unit="peers/swarm", others="peers/A03", condition="alone", layer="link", group="link", healable=False
+    )
+    alone = alarm(10.0, "peers/swarm", slot=12, conditions=["alone"])
     told = [alarm(10.0 + agent / 10, "peers/A03", agent, slot=12, conditions=["peer_lost"]) for agent in (1, 2, 4)]
-    made = trial(injections=[gone], alarms=told, acts=[], lines=[line(11.0, "A01 FAIL 12 A03 lost", 1)])
+    made = trial(injections=[gone], alarms=[alone, *told], acts=[], lines=[line(11.0, "A01 FAIL 12 A03 lost", 1)])
     verdict = only(made)
-    assert (verdict.count, verdict.right, judge(made).false) == (1, True, [])
-    assert verdict.detected_s == pytest.approx(10.1)
-    assert verdict.response_s == pytest.approx(11.0)
+    assert (verdict.expected, verdict.count, verdict.right, judge(made).false) == (2, 2, True, [])
+    assert (verdict.detected_s, verdict.response_s) == (pytest.approx(10.0), pytest.approx(11.0))
     made.alarms.append(alarm(20.0, "peers/A03", 1))
-    assert only(made).count == 2
+    assert only(made).count == 3
+
+
+def test_a_lost_peer_where_no_link_was_touched_is_false() -> None:
+    """A killed node takes no peer away."""
+    assert len(judge(trial(alarms=[alarm(0.4), alarm(5.0, "peers/A03", 1)])).false) == 1
 
 
 def test_phm_itself_is_back_when_it_says_so() -> None:
@@ -141,12 +148,25 @@ def test_phm_itself_is_back_when_it_says_so() -> None:
 
 def test_a_warning_is_a_detection_where_a_warning_is_due() -> None:
     """Faults that are WARN open no fault; the transition counts."""
-    slow = injection(unit="radio/ground", condition="radio_lossy", layer="link", group="link", healable=False)
+    slow = injection(unit="radio/ground", condition="radio_lossy", layer="link", group="link", level="WARN")
     warned = [Warned(3, "radio/ground", 11, T0 + 2.0, "radio_lossy", "it loses 40 %")]
     verdict = only(
         trial(injections=[slow], alarms=[], acts=[], warned=warned, lines=[line(2.5, "A03 WARN 11 radio loss")])
     )
     assert (verdict.detected_s, verdict.response_s, verdict.right, verdict.missed) == (2.0, 2.5, True, False)
+    assert (verdict.expected, verdict.healed_s) == (0, None)
+    warned[0].ended = T0 + 5
+    assert only(trial(injections=[slow], alarms=[], acts=[], warned=warned)).healed_s == pytest.approx(5.0)
+
+
+def test_a_killed_phm_is_healed_when_it_reports_again() -> None:
+    """Its next life warns of the death of the one before; healed is the first complete report, not the end of the warning."""
+    gone = injection(
+        unit="companion", condition="phm_restarted", layer="companion", group="phm", phm=True, level="WARN"
+    )
+    warned = [Warned(3, "companion", 1, T0 + 2.0, "phm_restarted", "it had ended without a word")]
+    verdict = only(trial(injections=[gone], warned=warned, starts=[Start(3, T0 + 1.5, T0 + 3.0)], alarms=[], acts=[]))
+    assert (verdict.detected_s, verdict.healed_s, verdict.by, verdict.right) == (2.0, 3.0, "its own restart", True)
 
 
 def test_what_could_not_be_injected_is_not_judged() -> None:

@@ -1,0 +1,146 @@
+"""What the outside sees while a trial runs: each agent's record, the ground's ear, the sidecars' cost."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import psutil
+from docker.errors import DockerException
+
+from sitl.bench import processes
+from sitl.campaign.gather import Levels, note
+from sitl.campaign.trial import Cost, Line, Trial
+from sitl.faults.base import Agent
+from sitl.ground import Ground
+from sitl.record import Record
+
+PHM_COMPONENT = 193
+LAST = 3
+"""Heartbeats from before a trial that are kept, so that a gap over its beginning is seen."""
+
+
+class Ear:
+    """The ground's view: heartbeats and bytes of each agent's PHM, and every line, between `start` and `stop`."""
+
+    def __init__(self, url: str) -> None:
+        self._lock = threading.Lock()
+        self._beats: dict[int, list[float]] = {}
+        self._bytes: dict[int, int] = {}
+        self.ground = Ground(url, on_frame=self._frame)
+
+    def start(self) -> None:
+        self.ground.start()
+
+    def stop(self) -> None:
+        self.ground.stop()
+
+    def begin(self) -> None:
+        """A trial begins: counters at zero, the last heartbeats kept."""
+        with self._lock:
+            self._beats = {agent: beats[-LAST:] for agent, beats in self._beats.items()}
+            self._bytes = {}
+        self.ground.lines.clear()
+
+    def fill(self, trial: Trial) -> None:
+        """What was heard since `begin`."""
+        with self._lock:
+            trial.heartbeats = {agent: [round(beat, 3) for beat in beats] for agent, beats in self._beats.items()}
+            trial.received = dict(self._bytes)
+        trial.lines = [Line(line.system, line.severity, line.text, line.mono) for line in list(self.ground.lines)]
+
+    def heard(self) -> set[int]:
+        """Agents whose PHM was heard at all."""
+        with self._lock:
+            return set(self._beats)
+
+    def _frame(self, mono: float, message: Any) -> None:
+        if message.get_srcComponent() != PHM_COMPONENT:
+            return
+        agent = message.get_srcSystem()
+        with self._lock:
+            self._bytes[agent] = self._bytes.get(agent, 0) + len(message.get_msgbuf())
+            if message.get_type() == "HEARTBEAT":
+                self._beats.setdefault(agent, []).append(mono)
+
+
+class Watch:
+    """All agents' records and levels, and the ear. `update` is to be called often."""
+
+    def __init__(self, records: Mapping[int, Path], ear: Ear) -> None:
+        self.ear = ear
+        self._records = {agent: Record(path) for agent, path in records.items()}
+        self.levels = {agent: Levels() for agent in records}
+        self.usual: dict[int, dict[str, str]] = {agent: {} for agent in records}
+        self._trial: Trial | None = None
+
+    def begin(self, trial: Trial) -> None:
+        """From now on everything goes into this trial."""
+        self.update()
+        self.ear.begin()
+        self._trial = trial
+
+    def end(self) -> None:
+        """The trial is over: `ended` is now, and the ground's part is filled in."""
+        self.update()
+        if self._trial is not None:
+            self._trial.ended = time.monotonic()
+            self.ear.fill(self._trial)
+        self._trial = None
+
+    def update(self) -> None:
+        for agent, record in self._records.items():
+            record.update()
+            events, record.events[:] = list(record.events), []
+            for event in events:
+                self.levels[agent].take(event)
+                if self._trial is not None and event["mono"] >= self._trial.began:
+                    note(self._trial, agent, event)
+
+    def learn(self) -> None:
+        """How the units are now is how they usually are: with nothing injected, some may not be known for good."""
+        self.usual = {agent: levels.as_usual() for agent, levels in self.levels.items()}
+
+    def unwell(self) -> dict[int, list[str]]:
+        """Agents that are not as usual, and why."""
+        found = {agent: levels.unwell(self.usual[agent]) for agent, levels in self.levels.items()}
+        return {agent: words for agent, words in found.items() if words}
+
+
+class Meter:
+    """CPU and memory of the sidecars between two looks."""
+
+    def __init__(self, agents: Mapping[int, Agent]) -> None:
+        self._agents = agents
+        self._before: dict[int, dict[tuple[int, float], float]] = {}
+        self._since = time.monotonic()
+
+    def begin(self) -> None:
+        self._since = time.monotonic()
+        self._before = {number: self._look(agent)[0] for number, agent in self._agents.items()}
+
+    def costs(self) -> list[Cost]:
+        """Since `begin`. An agent whose sidecar did not run at both looks is left out."""
+        found = []
+        for number, agent in self._agents.items():
+            now, rss = self._look(agent)
+            before = self._before.get(number, {})
+            if now and before:
+                used = sum(cpu - before.get(process, 0.0) for process, cpu in now.items())
+                found.append(Cost(number, time.monotonic() - self._since, used, rss / 1e6))
+        return found
+
+    @staticmethod
+    def _look(agent: Agent) -> tuple[dict[tuple[int, float], float], int]:
+        cpu: dict[tuple[int, float], float] = {}
+        rss = 0
+        with contextlib.suppress(psutil.Error, DockerException, LookupError):
+            for process in processes(agent):
+                with process.oneshot():
+                    cpu[process.pid, process.create_time()] = sum(process.cpu_times()[:2])
+                    rss += process.memory_info().rss
+        return cpu, rss
