@@ -5,7 +5,8 @@
 Node i publishes topic_i and subscribes to the topic of the node before it, in the namespace of the agent.
 A dead node is left dead, so that PHM has something to find. Each node's process id is in
 `/tmp/nodes/<node>.pid`, so that a fault can be injected into that node alone. SIGUSR1 makes this process take
-memory until it is killed; a file `/tmp/broken_start` that is not empty makes the next start fail.
+memory until it is killed; a file `/tmp/broken_start` that is not empty makes the next start fail; a node whose name is in
+`/tmp/left_out` is not started, once.
 """
 
 from __future__ import annotations
@@ -104,8 +105,11 @@ def main(argv: list[str] | None = None) -> int:
     options.marker.unlink(missing_ok=True)  # a restart is the cure for what this marker stands for
     options.pids.mkdir(parents=True, exist_ok=True)
     app = App(options.pids)
+    left_out = options.left_out.read_text("ascii").split() if options.left_out.exists() else []
+    options.left_out.unlink(missing_ok=True)  # the start that goes wrong now goes well the next time
     for number in range(1, options.nodes + 1):
-        app.start(f"node_{number}", node_argv(options.agent, number, options.nodes, options.rate))
+        if f"node_{number}" not in left_out:
+            app.start(f"node_{number}", node_argv(options.agent, number, options.nodes, options.rate))
     app.serve()
     app.stop()
     return 0
@@ -119,6 +123,9 @@ def _options(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--pids", type=Path, default=Path("/tmp/nodes"), help="folder of the pid files")
     parser.add_argument("--marker", type=Path, default=Path("/tmp/unhealthy"), help="file that breaks the healthcheck")
     parser.add_argument("--broken", type=Path, default=Path("/tmp/broken_start"), help="file that breaks the start")
+    parser.add_argument(
+        "--left-out", type=Path, default=Path("/tmp/left_out"), help="file with nodes not to start, once"
+    )
     return parser.parse_args(argv)
 
 

@@ -2,8 +2,9 @@
 
     python -m sitl.node --name node_1 --namespace /agent_1 --publish topic_1:10 --subscribe topic_3
 
-SIGUSR1 silences its topics and lets them speak again, SIGUSR2 halves their rate and gives it back: the process
-and its place in the graph stay as they are.
+Signals change what it does, and a second one of the same kind changes it back; the process stays as it is. SIGUSR1 silences its
+topics, SIGUSR2 halves their rate, SIGHUP makes it give up its subscriptions, and SIGRTMIN+1 offer its topics as best
+effort, which a reliable subscription does not take.
 
 It has a beacon, unless `--no-beacon` says otherwise. Imports rclpy, std_msgs, the one file phm/beacon.py and the standard
 library alone, so that it runs in any ROS image.
@@ -13,33 +14,99 @@ from __future__ import annotations
 
 import argparse
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import FrameType
 from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 from phm.beacon import Beacon
 
+DEPTH = 10
+SIGNALS = {
+    signal.SIGUSR1: "silent",
+    signal.SIGUSR2: "halved",
+    signal.SIGHUP: "deaf",
+    signal.SIGRTMIN + 1: "careless",
+}
 LOOK_S = 0.5
 """How often an idle node looks whether it has been told to end."""
 
 
-class Voice:
-    """What the node does with its topics' ticks; changed by signals."""
+@dataclass
+class Mood:
+    """What the node does; changed by signals."""
 
-    def __init__(self) -> None:
-        self.silent = self.halved = False
+    silent: bool = False
+    halved: bool = False
+    deaf: bool = False
+    careless: bool = False
 
     def listen(self) -> None:
-        """Take the two signals. rclpy's own handlers are for SIGINT and SIGTERM alone."""
-        signal.signal(signal.SIGUSR1, lambda *_: setattr(self, "silent", not self.silent))
-        signal.signal(signal.SIGUSR2, lambda *_: setattr(self, "halved", not self.halved))
+        """Take the signals. rclpy's own handlers are for SIGINT and SIGTERM alone."""
+        for number, name in SIGNALS.items():
+            signal.signal(number, partial(self._turn, name))
+
+    def _turn(self, name: str, number: int, frame: FrameType | None) -> None:
+        setattr(self, name, not getattr(self, name))
 
     def speaks(self, tick: int) -> bool:
         return not self.silent and not (self.halved and tick % 2)
+
+
+class Ends:
+    """The node's publishers and subscriptions, made anew when its mood says so."""
+
+    def __init__(self, node: Node, publish: Sequence[tuple[str, float]], subscribe: Sequence[str], mood: Mood) -> None:
+        self._node, self._mood = node, mood
+        self._publish, self._subscribe = tuple(publish), tuple(subscribe)
+        self._deaf = self._careless = False
+        self._subscriptions: list[Any] = []
+        self._publishers: dict[str, Any] = {}
+        self._listen()
+        self._offer()
+        for topic, rate_hz in self._publish:
+            node.create_timer(1.0 / rate_hz, self._publishing(topic))
+
+    def follow(self) -> None:
+        """Not in the signal's handler, which may come in the middle of the executor's work."""
+        if self._deaf != self._mood.deaf:
+            self._deaf = self._mood.deaf
+            self._listen()
+        if self._careless != self._mood.careless:
+            self._careless = self._mood.careless
+            self._offer()
+
+    def _listen(self) -> None:
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        wanted = () if self._deaf else self._subscribe
+        self._subscriptions = [self._node.create_subscription(String, topic, _ignore, DEPTH) for topic in wanted]
+
+    def _offer(self) -> None:
+        for publisher in self._publishers.values():
+            self._node.destroy_publisher(publisher)
+        how = ReliabilityPolicy.BEST_EFFORT if self._careless else ReliabilityPolicy.RELIABLE
+        profile = QoSProfile(depth=DEPTH, reliability=how)
+        self._publishers = {topic: self._node.create_publisher(String, topic, profile) for topic, _ in self._publish}
+
+    def _publishing(self, topic: str) -> Callable[[], None]:
+        count = 0
+
+        def publish() -> None:
+            nonlocal count
+            count += 1
+            if self._mood.speaks(count):
+                self._publishers[topic].publish(String(data=f"{self._node.get_name()} {count}"))
+
+        return publish
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -50,19 +117,16 @@ def main(argv: list[str] | None = None) -> int:
     node = rclpy.create_node(options.name, namespace=options.namespace)
     if options.beacon:
         Beacon(node)
-    voice = Voice()
-    voice.listen()
-    for topic, rate_hz in options.publish:
-        publisher = node.create_publisher(String, topic, 10)
-        node.create_timer(1.0 / rate_hz, _publishing(publisher, options.name, voice))
-    for topic in options.subscribe:
-        node.create_subscription(String, topic, _ignore, 10)
+    mood = Mood()
+    mood.listen()
+    ends = Ends(node, options.publish, options.subscribe, mood)
     try:
         # Not `spin`: a SIGTERM that comes just before it waits is lost on a node without timers, which then never ends.
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok():
             executor.spin_once(timeout_sec=LOOK_S)
+            ends.follow()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
@@ -91,18 +155,6 @@ def topic_rate(text: str) -> tuple[str, float]:
     if not topic or not rate_hz > 0:
         raise argparse.ArgumentTypeError(f"{text!r} is not TOPIC:HZ with a rate above zero, e.g. topic_1:10")
     return topic, rate_hz
-
-
-def _publishing(publisher: Any, name: str, voice: Voice) -> Callable[[], None]:
-    count = 0
-
-    def publish() -> None:
-        nonlocal count
-        count += 1
-        if voice.speaks(count):
-            publisher.publish(String(data=f"{name} {count}"))
-
-    return publish
 
 
 def _ignore(_: Any) -> None:

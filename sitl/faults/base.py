@@ -37,6 +37,9 @@ class Air(Protocol):
     def autopilot(self, agent: int, what: str) -> None:
         """``hang``, ``resume`` or ``reboot``."""
 
+    def state(self) -> dict[str, Any]:
+        """``agents``: what is so now, by the agent's number as text."""
+
 
 @dataclass
 class Agent:
@@ -141,7 +144,7 @@ class Fault(ABC):
     unit: id of the unit at which PHM must see it, with ``{agent}`` for the agent's name, ``{id}`` for its number as in A01.
     condition: as what PHM must know it; it selects the ladder.
     level: ``ERROR``, for which a fault is opened, or ``WARN``, a transition.
-    told_by: ``itself``, or ``others``: the agents that hear it no more.
+    others: unit at which all other agents of its swarm must see it, too, and others_condition as what; empty: nowhere.
     also: units of further faults that it causes, independent of the first, each with an alarm of its own.
     healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
     needs: what it takes: ``air``, emulated links; ``peers``, at least two further agents; ``configuration``, changes to the
@@ -155,7 +158,8 @@ class Fault(ABC):
     unit: ClassVar[str]
     condition: ClassVar[str]
     level: ClassVar[str] = "ERROR"
-    told_by: ClassVar[str] = "itself"
+    others: ClassVar[str] = ""
+    others_condition: ClassVar[str] = ""
     also: ClassVar[tuple[str, ...]] = ()
     healable: ClassVar[bool] = True
     passes: ClassVar[bool] = False

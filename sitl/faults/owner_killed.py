@@ -24,6 +24,7 @@ class Injection(Fault):
     condition = "exited"
     layer = "container"
     cause = "a container died in whose network namespace another one lives"
+    needs = frozenset({"configuration"})
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
         graph, topics = "\n# The ROS graph of this agent.\n", "\n  # Topics that must flow, a list."

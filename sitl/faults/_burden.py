@@ -1,0 +1,39 @@
+"""A container that takes processor time or memory of this machine for a while, within limits, and then ends by itself."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+from docker.errors import NotFound
+
+from sitl.faults.base import Agent
+
+LASTS_S = 90
+"""The burden ends after so long, whatever becomes of whoever put it there."""
+
+
+def burden(agent: Agent, script: str, **limits: Any) -> None:
+    """Run a Python script in a container of the agent's project, as one of its orphans, so that `down` takes it, too."""
+    relieve(agent)
+    app = agent.app
+    agent.docker.containers.run(
+        app.attrs["Image"],
+        ["-c", script],
+        entrypoint=["timeout", str(LASTS_S), "python"],
+        name=_name(agent),
+        detach=True,
+        network_mode="none",
+        labels={**app.labels, "com.docker.compose.service": "burden"},
+        **limits,
+    )
+
+
+def relieve(agent: Agent) -> None:
+    """End it. Doing it twice is harmless."""
+    with contextlib.suppress(NotFound):
+        agent.docker.containers.get(_name(agent)).remove(force=True)
+
+
+def _name(agent: Agent) -> str:
+    return f"{agent.project}-burden-1"

@@ -1,0 +1,26 @@
+"""The radios to the ground no longer hear each other."""
+
+from __future__ import annotations
+
+import time
+
+from sitl.faults.base import Agent, Fault
+
+
+class Injection(Fault):
+    """The radio aboard goes on with its RADIO_STATUS, so it is the ground station that PHM misses. Other agents tell the ground."""
+
+    name, title, unit = "gcs_radio_cut", "radio to the ground cut", "gcs"
+    condition = "gcs_lost"
+    layer = "link"
+    cause = "out of range, behind a hill, or the radio on the ground is off"
+    healable = False
+    needs = frozenset({"air"})
+
+    def inject(self, agent: Agent) -> float:
+        moment = time.monotonic()
+        agent.links.set(agent.number, "ground", cut=True)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        agent.links.reset(agent.number)

@@ -1,0 +1,32 @@
+"""A firewall swallows all that the application sends and gets."""
+
+from __future__ import annotations
+
+import time
+
+from sitl.faults._firewall import drop, lift
+from sitl.faults.base import STOP_S, Agent, Fault
+
+
+class Injection(Fault):
+    """Drops every packet in the application's network namespace but those on loopback. A new interface does not help, since the
+    rules are the namespace's; a new namespace does."""
+
+    name, title, unit = "network_blocked", "network blocked by a firewall", "network/ros_app"
+    condition = "address_silent"
+    layer = "container"
+    cause = "a firewall or a policy of the network swallows all that the application sends and gets"
+
+    _life = ""
+
+    def inject(self, agent: Agent) -> float:
+        self._life = agent.life
+        moment = time.monotonic()
+        drop(agent, "OUTPUT ! -o lo", "INPUT ! -i lo")
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        lift(agent)
+        if agent.life == self._life:
+            # Nodes that were cut off for longer than their lease do not find each other again.
+            agent.app.restart(timeout=STOP_S)

@@ -1,0 +1,32 @@
+"""A node runs twice."""
+
+from __future__ import annotations
+
+import time
+
+from sitl.faults.base import Agent, Fault
+
+PID = "/tmp/duplicate.pid"
+
+
+class Injection(Fault):
+    """Starts node_1 a second time inside the application container, as somebody does by hand who forgot the first."""
+
+    name, title, unit = "node_duplicate", "node runs twice", "nodes/{agent}/node_1"
+    condition = "node_twice"
+    level = "WARN"
+    layer = "ros"
+    cause = "somebody started a node by hand, or two launch files have it"
+    healable = False
+
+    def inject(self, agent: Agent) -> float:
+        node = (
+            f"echo $$ > {PID}; exec ros-entrypoint python -m sitl.node --name node_1 --namespace /{agent.name} "
+            "--publish topic_1:10 --subscribe topic_3"
+        )
+        moment = time.monotonic()
+        agent.app.exec_run(["sh", "-c", node], detach=True)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        agent.run_in_app("sh", "-c", f"if [ -e {PID} ]; then kill $(cat {PID}) || true; rm {PID}; fi")

@@ -1,0 +1,27 @@
+"""An agent's radio to the other agents fails."""
+
+from __future__ import annotations
+
+import time
+
+from sitl.faults.base import Agent, Fault
+
+
+class Injection(Fault):
+    """The others hear it no more, and it hears nobody: one fault on either side."""
+
+    name, title, unit = "peer_lost", "peer lost", "peers/swarm"
+    condition = "alone"
+    layer = "link"
+    cause = "an agent's radio to the others fails, or the agent is out of their range"
+    healable = False
+    others, others_condition = "peers/{id}", "peer_lost"
+    needs = frozenset({"air", "peers"})
+
+    def inject(self, agent: Agent) -> float:
+        moment = time.monotonic()
+        agent.links.set(agent.number, "peers", cut=True)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        agent.links.reset(agent.number)

@@ -1,0 +1,36 @@
+"""PHM itself is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+from sitl.faults.base import Agent, Fault
+
+
+class Injection(Fault):
+    """SIGKILL to PHM's daemon, whose container Docker's restart policy starts again. (`docker kill` would count as a wish to have
+    it stopped.) PHM says at its next start that it had ended without a word."""
+
+    name, title, unit = "phm_killed", "PHM killed (SIGKILL)", "companion"
+    condition = "phm_restarted"
+    level = "WARN"
+    layer = "companion"
+    cause = "PHM crashed, or the kernel ended it for lack of memory"
+
+    def inject(self, agent: Agent) -> float:
+        moment = time.monotonic()
+        os.kill(daemon(agent), signal.SIGKILL)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        sidecar = agent.sidecar
+        if sidecar.status != "running":
+            sidecar.start()
+
+
+def daemon(agent: Agent) -> int:
+    """The process id of PHM's daemon on this machine."""
+    (found,) = agent.processes(agent.sidecar, "phm run")
+    return found

@@ -1,0 +1,34 @@
+"""PHM itself hangs."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+
+from sitl.faults.base import Agent, Fault
+from sitl.faults.phm_killed import daemon
+
+
+class Injection(Fault):
+    """SIGSTOP to PHM's daemon: it is there and does nothing. Its guard notices, and lets it go on."""
+
+    name, title, unit = "phm_stopped", "PHM hung (SIGSTOP)", "companion"
+    condition = "phm_stood_still"
+    level = "WARN"
+    layer = "companion"
+    cause = "PHM hangs as a whole: stopped, or held by a library that never returns"
+
+    _pid = 0
+
+    def inject(self, agent: Agent) -> float:
+        self._pid = daemon(agent)
+        moment = time.monotonic()
+        os.kill(self._pid, signal.SIGSTOP)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        if self._pid and self._pid in agent.processes(agent.sidecar, "phm run"):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._pid, signal.SIGCONT)

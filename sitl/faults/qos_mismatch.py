@@ -1,0 +1,29 @@
+"""A node offers its topic in a way that its subscriber does not take."""
+
+from __future__ import annotations
+
+from sitl.faults.base import Agent, Fault
+
+CARELESS = "35"
+"""SIGRTMIN+1, by which a node of the demo application offers its topics as best effort."""
+
+
+class Injection(Fault):
+    """Tells node_1 to make its publisher anew as best effort; node_2 asks for reliable, and DDS keeps the two apart."""
+
+    name, title, unit = "qos_mismatch", "quality of service does not fit", "topics/{agent}/topic_1"
+    condition = "qos_mismatch"
+    layer = "ros"
+    cause = "a node was updated and offers less than its subscriber asks for"
+    healable = False
+
+    _life = ""
+
+    def inject(self, agent: Agent) -> float:
+        self._life = agent.life
+        return agent.signal_node("node_1", CARELESS)
+
+    def clear(self, agent: Agent) -> None:
+        if agent.life == self._life:
+            agent.signal_node("node_1", CARELESS)
+            self._life = ""

@@ -1,0 +1,26 @@
+"""A node is well, but it no longer listens to its topic."""
+
+from __future__ import annotations
+
+from sitl.faults.base import Agent, Fault
+
+
+class Injection(Fault):
+    """Tells node_2 to give up its subscription to the topic of node_1."""
+
+    name, title, unit = "subscriber_lost", "subscriber lost, its node alive", "topics/{agent}/topic_1"
+    condition = "subscriber_missing"
+    layer = "ros"
+    cause = "a node gave up its subscription after an error, and goes on without it"
+    healable = False
+
+    _life = ""
+
+    def inject(self, agent: Agent) -> float:
+        self._life = agent.life
+        return agent.signal_node("node_2", "HUP")
+
+    def clear(self, agent: Agent) -> None:
+        if agent.life == self._life:
+            agent.signal_node("node_2", "HUP")
+            self._life = ""

@@ -1,0 +1,47 @@
+"""Discovery between the application and PHM passes, and no data does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+from sitl.faults._firewall import drop, lift
+from sitl.faults.base import Agent, Fault
+
+PARTICIPANTS = 15
+"""As many ports as one rule takes; PHM's participant is among the first of its container."""
+
+
+class Injection(Fault):
+    """Drops what the application sends to the ports on which DDS takes data, and leaves those of discovery open.
+
+    That is how shared memory without a shared /dev/shm looks from outside, too. The nodes reach each other by loopback.
+    """
+
+    name, title, unit = "transport_blocked", "transport blocked, discovery passes", "rates/{agent}/topic_1"
+    condition = "transport_blocked"
+    layer = "ros"
+    cause = "a firewall lets discovery through and no data, or shared memory is not shared"
+    healable = False
+
+    def inject(self, agent: Agent) -> float:
+        domain = next(
+            (
+                int(entry.partition("=")[2])
+                for entry in agent.app.attrs["Config"]["Env"]
+                if entry.startswith("ROS_DOMAIN_ID=")
+            ),
+            0,
+        )
+        ports = ",".join(str(port) for port in data_ports(domain))
+        moment = time.monotonic()
+        drop(agent, f"OUTPUT ! -o lo -p udp -m multiport --dports {ports}")
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        lift(agent)
+
+
+def data_ports(domain: int) -> Iterator[int]:
+    """The ports on which the first participants of a ROS domain take data, by the formula of RTPS: unlike those of discovery, odd."""
+    return (7400 + 250 * domain + 11 + 2 * participant for participant in range(PARTICIPANTS))
