@@ -78,12 +78,14 @@ class Levels:
         self.open: dict[str, str] = {}
         """Unit by id of the open fault."""
         self.reported = False
+        self.since = 0.0
+        """When this life of PHM began, in seconds of the monotonic clock."""
 
     def take(self, event: Event) -> None:
         kind = event["event"]
         if kind == "start":
             self.units.clear()
-            self.reported = False
+            self.reported, self.since = False, event["mono"]
         elif kind in ("transition", "unit"):
             self.units[event["unit"]] = event["level"]
         elif kind == "fault_opened":

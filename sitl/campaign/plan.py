@@ -66,9 +66,13 @@ def _trials(rng: random.Random, agents: int, classes: Sequence[Class]) -> Iterat
     faults, victims = _Faults(rng, classes), _Victims(rng, agents)
     for number in count(1):
         taken: list[tuple[Class, int]] = []
-        for _ in range(SIZES[(number - 1) % len(SIZES)]):
+        size = SIZES[(number - 1) % len(SIZES)]
+        for _ in range(size):
             agent = victims.next()
-            fault = faults.next(partial(fits, agent=agent, taken=tuple(taken)))
+            fault = None
+            if size > 1 and not taken:
+                fault = faults.next(_sociable)
+            fault = fault or faults.next(partial(fits, agent=agent, taken=tuple(taken)))
             if fault is None:
                 break
             taken.append((fault, agent))
@@ -83,6 +87,10 @@ def fits(fault: Class, agent: int, taken: Sequence[tuple[Class, int]]) -> bool:
         return False
     aboard = [each for each, victim in taken if victim == agent]
     return not any(fault.whole or each.whole or each.group == fault.group for each in aboard)
+
+
+def _sociable(fault: Class) -> bool:
+    return not fault.alone
 
 
 class _Faults:

@@ -1,0 +1,7 @@
+"""``python -m sitl.campaign`` is ``python -m sitl campaign``."""
+
+import sys
+
+from sitl.campaign.cli import main
+
+sys.exit(main())

@@ -1,0 +1,57 @@
+"""Bringing an agent back to health by force, whatever a fault or a killed campaign has left of it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+
+from docker.errors import DockerException
+
+from sitl.derived import write
+from sitl.faults.base import STOP_S
+from sitl.faults.file_deleted import put_back
+from sitl.swarm import config
+from sitl.swarm.swarm import Swarm, SwarmAgent
+
+
+def restore(swarm: Swarm, agent: SwarmAgent) -> None:
+    """Links, device, file, networks, configuration; then application and PHM are restarted. Each step is tried by itself."""
+    for step in (_air, _device, _networks, _file, _application, _phm):
+        _try(step, swarm, agent)
+
+
+def _try(step: Callable[[Swarm, SwarmAgent], None], swarm: Swarm, agent: SwarmAgent) -> None:
+    with contextlib.suppress(DockerException, LookupError, OSError, RuntimeError, ValueError):
+        step(swarm, agent)
+
+
+def _air(swarm: Swarm, agent: SwarmAgent) -> None:
+    swarm.air.split([])
+    swarm.air.reset(agent.number)
+
+
+def _device(_: Swarm, agent: SwarmAgent) -> None:
+    agent.make_device()
+
+
+def _networks(_: Swarm, agent: SwarmAgent) -> None:
+    name = f"{agent.project}_net"
+    app = agent.app
+    if name not in app.attrs["NetworkSettings"]["Networks"]:
+        agent.docker.networks.get(name).connect(app, aliases=["ros_app"])
+
+
+def _file(_: Swarm, agent: SwarmAgent) -> None:
+    put_back(agent)
+
+
+def _application(_: Swarm, agent: SwarmAgent) -> None:
+    app = agent.app
+    if app.status == "paused":
+        app.unpause()
+    app.restart(timeout=STOP_S)
+
+
+def _phm(swarm: Swarm, agent: SwarmAgent) -> None:
+    write(config.text(swarm.options, agent.number), agent.config)
+    agent.sidecar.restart()

@@ -1,0 +1,261 @@
+"""Playing a campaign on a swarm that is up: nominal run, run with recovery off, trials; each restored before the next."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+from sitl.campaign.choice import LEFT_ALONE, OFF as RECOVERY_OFF, injection
+from sitl.campaign.judge import judge
+from sitl.campaign.plan import Draw, TrialPlan
+from sitl.campaign.restore import restore
+from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Injection, Trial
+from sitl.campaign.watch import Ear, Meter, Watch
+from sitl.derived import write
+from sitl.evidence import world
+from sitl.faults.base import Fault
+from sitl.swarm import config
+from sitl.swarm.swarm import Swarm, SwarmAgent
+
+Tell = Callable[[str], None]
+POLL_S = 0.05
+SEEN_LIMIT_S = 30.0
+"""So long after its injection a fault that was not told is missed."""
+HEALED_LIMIT_S = 90.0
+AFTER_S = 10.0
+"""How long a trial is watched after its faults are healed or told: longer than any grace, so late alarms are caught."""
+STILL_S = 10.0
+"""How long nothing may change with recovery off."""
+WELL_LIMIT_S = 120.0
+STEADY_S = 3.0
+"""All must have been well for so long before the next injection."""
+LASTING_S = 31.0
+"""Longer than `recovery.verify`, 30 s: before that, the same unit's next failure counts as a repair that did not last."""
+HEARTBEAT_S = 2.0
+"""PHM's own, by default, in a swarm of up to 8; of more agents it is 5 s."""
+
+
+class Unwell(RuntimeError):
+    """The swarm could not be brought back to health: the campaign cannot go on."""
+
+
+class Runner:
+    """Makes trials. `setting` goes into each of them. `tell` is given a line of progress now and then."""
+
+    def __init__(self, swarm: Swarm, faults: Mapping[str, Fault], setting: dict[str, Any], tell: Tell) -> None:
+        self.swarm, self.faults, self.setting, self.tell = swarm, faults, setting, tell
+        self.agents = {agent.number: agent for agent in swarm.agents}
+        self.watch = Watch({number: agent.record for number, agent in self.agents.items()}, Ear(swarm.ground_url))
+        self.meter = Meter(self.agents)
+        self._ended: dict[tuple[int, str], float] = {}
+        """When the last fault at a unit of an agent was over."""
+
+    def start(self) -> None:
+        """Listen, and wait until all is well and the ground hears everybody. Whatever a killed campaign left is undone."""
+        self.watch.ear.start()
+        if not self._wait(lambda: self.watch.ear.heard() >= self.agents.keys(), WELL_LIMIT_S):
+            self.tell(
+                f"the ground does not hear {sorted(self.agents.keys() - self.watch.ear.heard())}; undoing what is left"
+            )
+        try:
+            self._well(WELL_LIMIT_S / 2)
+        except Unwell:
+            for agent in self.agents.values():
+                restore(self.swarm, agent)
+            self._well(WELL_LIMIT_S)
+        self.watch.learn()
+
+    def stop(self) -> None:
+        self.watch.ear.stop()
+
+    def nominal(self, seconds: float) -> Trial:
+        """Nothing is injected."""
+        trial = self._begin(NOMINAL, 0)
+        self._wait(lambda: False, seconds)
+        return self._end(trial, well=not self.watch.unwell())
+
+    def off(self, seed: int) -> Trial:
+        """Faults that would be healed, on agents whose recovery is off: nothing in the world may change."""
+        names = [name for name in LEFT_ALONE if name in self.faults]
+        victims = random.Random(f"phm-campaign-off/{seed}").sample(
+            sorted(self.agents), min(len(names), len(self.agents))
+        )
+        draws = [Draw(name, agent) for name, agent in zip(names, victims, strict=False)]
+        for agent in victims:
+            self._configure(self.agents[agent], RECOVERY_OFF)
+        self._well(WELL_LIMIT_S)
+        trial = self._begin(OFF, 0)
+        try:
+            self._inject(trial, draws)
+            self._wait(lambda: all(verdict.detected_s is not None for verdict in judge(trial).verdicts), SEEN_LIMIT_S)
+            before = {agent: world(self.agents[agent]) for agent in victims}
+            self._wait(lambda: False, STILL_S)
+            for agent, was in before.items():
+                now = world(self.agents[agent])
+                trial.changed += [
+                    f"A{agent:02d}: {key}: {was[key]} became {now[key]}" for key in was if was[key] != now[key]
+                ]
+            trial.changed += [
+                f"A{act.agent:02d}: {act.action} at {act.unit} {act.phase}"
+                for act in trial.acts
+                if act.phase == "started"
+            ]
+        finally:
+            self._clear(trial, draws)
+        trial = self._end(trial, well=self._recover(victims))
+        for agent in victims:
+            self._configure(self.agents[agent], {})
+        self._well(WELL_LIMIT_S)
+        return trial
+
+    def trial(self, plan: TrialPlan) -> Trial:
+        """Inject all of it in one moment, watch, clear, and wait until all is well again. Raises Unwell when it does not become so."""
+        faults = [self.faults[draw.fault] for draw in plan.draws]
+        special = [
+            (fault, self.agents[draw.agent])
+            for fault, draw in zip(faults, plan.draws, strict=True)
+            if "configuration" in fault.needs
+        ]
+        self._rest(plan.draws)
+        for fault, agent in special:
+            fault.prepare(agent)
+            self._configure(agent, fault.configuration(agent))
+        if special:
+            self._well(WELL_LIMIT_S)
+        trial = self._begin(TRIAL, plan.number)
+        try:
+            self._inject(trial, plan.draws)
+            self._wait(partial(self._done, trial), HEALED_LIMIT_S)
+            self._wait(lambda: False, AFTER_S)
+        finally:
+            self._clear(trial, plan.draws)
+        well = self._recover([draw.agent for draw in plan.draws])
+        trial = self._end(trial, well=well)
+        for fault, agent in special:
+            fault.dismantle(agent)
+            self._configure(agent, {})
+        if special or not well:
+            self._well(WELL_LIMIT_S)
+        return trial
+
+    def _begin(self, kind: str, number: int) -> Trial:
+        trial = Trial(kind, number, len(self.agents), time.monotonic(), time.time(), heartbeat_s=HEARTBEAT_S)
+        trial.setting = dict(self.setting)
+        self.meter.begin()
+        trial.began = time.monotonic()
+        self.watch.begin(trial)
+        return trial
+
+    def _end(self, trial: Trial, *, well: bool) -> Trial:
+        self.watch.end()
+        trial.well_after = trial.ended - trial.began if well else None
+        trial.cost = self.meter.costs()
+        for verdict in judge(trial).verdicts:
+            fault = verdict.injection
+            until = fault.cleared if fault.cleared is not None else trial.ended
+            if fault.blinds and fault.moment is not None:
+                over = fault.moment + verdict.healed_s if verdict.healed_s is not None else until
+                trial.blind.append((fault.agent, fault.moment, over))
+        return trial
+
+    def _inject(self, trial: Trial, draws: Sequence[Draw]) -> None:
+        """All at once; what concerns one agent one after the other, since a Docker client is one thread's."""
+        trial.injections = [injection(self.faults[draw.fault], self.agents[draw.agent]) for draw in draws]
+        by_agent: dict[int, list[Injection]] = {}
+        for each in trial.injections:
+            by_agent.setdefault(each.agent, []).append(each)
+        with ThreadPoolExecutor(len(by_agent) or 1) as pool:
+            at_work = [pool.submit(self._inject_all, mine) for mine in by_agent.values()]
+            self._wait(lambda: all(each.done() for each in at_work), HEALED_LIMIT_S)
+        for future in at_work:
+            future.result()
+
+    def _inject_all(self, mine: Sequence[Injection]) -> None:
+        for each in mine:
+            try:
+                each.moment = self.faults[each.fault].inject(self.agents[each.agent])
+            except Exception as error:  # one that cannot be injected is told, and does not end the campaign
+                each.error = f"{type(error).__name__}: {error}"
+
+    def _clear(self, trial: Trial, draws: Sequence[Draw]) -> None:
+        for draw, each in reversed(list(zip(draws, trial.injections, strict=True))):
+            each.cleared = time.monotonic()
+            try:
+                self.faults[draw.fault].clear(self.agents[draw.agent])
+            except Exception as error:
+                each.error = f"clear: {type(error).__name__}: {error}"
+            self._ended[draw.agent, each.unit] = time.monotonic()
+
+    def _done(self, trial: Trial) -> bool:
+        """Whether every fault is healed, or told where it cannot be healed, or nothing more is to be expected of it."""
+        now = time.monotonic()
+        for verdict in judge(trial).verdicts:
+            fault, begun = verdict.injection, verdict.injection.moment or now
+            if verdict.healed_s is not None:
+                continue
+            if verdict.detected_s is None and now - begun <= SEEN_LIMIT_S:
+                return False
+            if fault.others and not any(alarm.unit == fault.others for alarm in verdict.alarms):
+                if now - begun <= SEEN_LIMIT_S:
+                    return False
+            elif (fault.healable or fault.passes) and verdict.detected_s is not None:
+                return False
+        return True
+
+    def _rest(self, draws: Sequence[Draw]) -> None:
+        """What was hurt a moment ago must have lasted before it is hurt again, else PHM rightly counts a repair that did not."""
+        units = [(draw.agent, injection(self.faults[draw.fault], self.agents[draw.agent]).unit) for draw in draws]
+        until = max((self._ended.get(each, 0.0) for each in units), default=0.0) + LASTING_S
+        self._wait(lambda: time.monotonic() >= until, LASTING_S)
+
+    def _recover(self, victims: Sequence[int]) -> bool:
+        """Whether all became well by itself once the faults were cleared; else they are restored by force."""
+        try:
+            self._well(WELL_LIMIT_S)
+        except Unwell as error:
+            self.tell(f"restoring by force: {error}")
+            for agent in victims:
+                restore(self.swarm, self.agents[agent])
+            return False
+        return True
+
+    def _well(self, limit_s: float) -> None:
+        since: list[float] = []
+
+        def steady() -> bool:
+            if self.watch.unwell():
+                since.clear()
+            elif not since:
+                since.append(time.monotonic())
+            return bool(since) and time.monotonic() - since[0] >= STEADY_S
+
+        if not self._wait(steady, limit_s):
+            words = [f"A{agent:02d}: {', '.join(why[:4])}" for agent, why in self.watch.unwell().items()]
+            raise Unwell(f"not well after {limit_s:g} s: {'; '.join(words)}")
+
+    def _configure(self, agent: SwarmAgent, changes: Mapping[str, str]) -> None:
+        """Start an agent's PHM with its configuration and these changes to it."""
+        write(config.text(self.swarm.options, agent.number, changes), agent.config)
+        mark = time.monotonic()
+        agent.sidecar.restart()
+        started = partial(self._started, agent.number, mark)
+        if not self._wait(started, WELL_LIMIT_S):
+            raise Unwell(f"A{agent.number:02d}: PHM did not start again; see {agent.logs}")
+
+    def _started(self, agent: int, mark: float) -> bool:
+        return self.watch.levels[agent].since > mark and self.watch.levels[agent].reported
+
+    def _wait(self, wanted: Callable[[], bool], limit_s: float) -> bool:
+        """Poll what is observable; False when it did not come."""
+        until = time.monotonic() + limit_s
+        while True:
+            self.watch.update()
+            if wanted():
+                return True
+            if time.monotonic() >= until:
+                return False
+            time.sleep(POLL_S)
