@@ -1,8 +1,10 @@
 """The demo application: starts N nodes and is the first process of the application container.
 
     python -m sitl.app --agent agent_1 --nodes 3 --rate 10
+    python -m sitl.app --agent agent_1 --graph '[{"name": "camera", "publish": {"image": 5}}]'
 
-Node i publishes topic_i and subscribes to the topic of the node before it, in the namespace of the agent.
+Node i publishes topic_i and subscribes to the topic of the node before it, in the namespace of the agent; or it is as the graph
+says, see `sitl.graph`.
 A dead node is left dead, so that PHM has something to find. Each node's process id is in
 `/tmp/nodes/<node>.pid`, so that a fault can be injected into that node alone. SIGUSR1 makes this process take
 memory until it is killed; a file `/tmp/broken_start` that is not empty makes the next start fail; a node whose name is in
@@ -12,12 +14,15 @@ memory until it is killed; a file `/tmp/broken_start` that is not empty makes th
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import signal
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+
+from sitl.graph import NodePlan, read, ring
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD, signal.SIGUSR1)
 _FAREWELL_S = 3.0
@@ -85,13 +90,9 @@ def _leak() -> None:
         taken.append(bytearray(b"x" * _BITE))
 
 
-def node_argv(agent: str, number: int, nodes: int, rate_hz: float) -> list[str]:
-    """The command of node `number` of 1 to `nodes`; each listens to the one before it, the first to the last."""
-    before = (number - 2) % nodes + 1
-    return [
-        sys.executable, "-m", "sitl.node", "--name", f"node_{number}", "--namespace", f"/{agent}",
-        "--publish", f"topic_{number}:{rate_hz:g}", "--subscribe", f"topic_{before}",
-    ]  # fmt: skip
+def node_argv(agent: str, plan: NodePlan) -> list[str]:
+    """The command of one node of the agent's graph."""
+    return [sys.executable, "-m", "sitl.node", "--namespace", f"/{agent}", *plan.argv()]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -107,9 +108,9 @@ def main(argv: list[str] | None = None) -> int:
     app = App(options.pids)
     left_out = options.left_out.read_text("ascii").split() if options.left_out.exists() else []
     options.left_out.unlink(missing_ok=True)  # the start that goes wrong now goes well the next time
-    for number in range(1, options.nodes + 1):
-        if f"node_{number}" not in left_out:
-            app.start(f"node_{number}", node_argv(options.agent, number, options.nodes, options.rate))
+    for plan in read(json.loads(options.graph)) if options.graph else ring(options.nodes, options.rate):
+        if plan.name not in left_out:
+            app.start(plan.name, node_argv(options.agent, plan))
     app.serve()
     app.stop()
     return 0
@@ -120,6 +121,7 @@ def _options(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--agent", default="agent_1")
     parser.add_argument("--nodes", type=int, default=3)
     parser.add_argument("--rate", type=float, default=10.0, help="Hz of every topic")
+    parser.add_argument("--graph", default="", metavar="JSON", help="instead of --nodes and --rate")
     parser.add_argument("--pids", type=Path, default=Path("/tmp/nodes"), help="folder of the pid files")
     parser.add_argument("--marker", type=Path, default=Path("/tmp/unhealthy"), help="file that breaks the healthcheck")
     parser.add_argument("--broken", type=Path, default=Path("/tmp/broken_start"), help="file that breaks the start")

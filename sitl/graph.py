@@ -65,6 +65,8 @@ def _read_node(number: int, entry: Any) -> NodePlan:
     name, publish, subscribe = entry.get("name"), entry.get("publish") or {}, entry.get("subscribe") or []
     if not isinstance(publish, Mapping) or not isinstance(subscribe, list):
         raise ValueError(f"{where}: publish is a map of topics to rates in Hz, subscribe a list of topics")
+    if isinstance(name, str) and "/" in name:
+        raise ValueError(f"{where}: {name!r} has a '/'; all nodes are in the agent's own namespace")
     for word in (name, *publish, *subscribe):
         if not isinstance(word, str) or not _NAME.match(word):
             raise ValueError(f"{where}: {word!r} is no name: letters, digits and '_', the first a letter, '/' between")

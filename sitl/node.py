@@ -124,6 +124,7 @@ def main(argv: list[str] | None = None) -> int:
         # Not `spin`: a SIGTERM that comes just before it waits is lost on a node without timers, which then never ends.
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        print(f"node: {options.name} is up", flush=True)
         while rclpy.ok():
             executor.spin_once(timeout_sec=LOOK_S)
             ends.follow()

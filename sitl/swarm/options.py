@@ -31,6 +31,8 @@ class Options:
     autopilot_path: str = ""
     autopilot_image: str = ""
     seed: int = 0
+    build: bool = True
+    """Whether `scripts/image` is run first, which does nothing when the images are up to date."""
     changes: Mapping[str, str] = field(default_factory=dict)
 
     def write(self, file: Path) -> None:

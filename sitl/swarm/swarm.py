@@ -2,25 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import json
+import shutil
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from docker import DockerClient
+
+from sitl.derived import write
 from sitl.faults.base import Agent
+from sitl.swarm import config, engine, place, start
 from sitl.swarm.control import Air
-from sitl.swarm.options import DEFAULT_NAME, Options
+from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
+from sitl.swarm.standing import Watch
 
 __all__ = ["Air", "Options", "Swarm", "SwarmAgent"]
 
 Tell = Callable[[str], None]
+UP_LOCK_S = 0.0
+DOWN_LOCK_S = 200.0
+"""Longer than a Compose command that lost its parent may take."""
+POLL_S = 0.2
+SLACK_S = 5.0
+"""PHM reports every interval; one that has written nothing for longer is not well."""
 
 
 @dataclass
 class SwarmAgent(Agent):
     """One agent: a compose project with the services `ros_app` and `phm`. number: 1 to N, also its MAVLink system id.
 
-    config: PHM's configuration of this agent; write it (`sitl.derived.write`) and restart the sidecar to change it.
+    config: PHM's configuration of this agent, which its sidecar has mounted.
     """
 
     config: Path = Path()
@@ -35,14 +49,22 @@ class SwarmAgent(Agent):
 class Swarm:
     """name: the compose projects are `NAME-1` to `NAME-N`, and `NAME-air`. folder: `swarm.json`, `logs/K/`, `config/K/phm.yaml`.
 
-    ground_url: where a ground station connects, `tcp:127.0.0.1:PORT`; several may.
+    ground_url: where a ground station connects, `tcp:127.0.0.1:PORT`; several may. took: seconds of each phase of `up`.
     """
 
     options: Options
-    folder: Path = Path()
+    folder: Path = field(init=False)
     ground_url: str = ""
-    agents: list[SwarmAgent] = field(default_factory=list)
+    took: dict[str, float] = field(default_factory=dict)
+    agents: list[SwarmAgent] = field(init=False)
     air: Air = field(default_factory=lambda: Air(("127.0.0.1", 0)))
+    docker: DockerClient = field(default_factory=DockerClient.from_env)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.options.agents <= MOST_AGENTS:
+            raise ValueError(f"{self.options.agents} agents: allowed are 1 to {MOST_AGENTS}")
+        self.folder = place.folder(self.name)
+        self.agents = [self._agent(number) for number in range(1, self.options.agents + 1)]
 
     @property
     def name(self) -> str:
@@ -51,21 +73,105 @@ class Swarm:
     @classmethod
     def load(cls, name: str = DEFAULT_NAME) -> Swarm:
         """The one that is up under this name; LookupError says what to do when there is none."""
-        raise LookupError(f"no swarm {name} is up: start one with `python -m sitl up --name {name}`")
+        try:
+            words = json.loads((place.folder(name) / "swarm.json").read_text("utf-8"))
+        except (OSError, ValueError) as error:
+            raise LookupError(f"no swarm {name} is up: start one with `python -m sitl up --name {name}`") from error
+        swarm = cls(Options(**words["options"]), ground_url=words["ground_url"], took=words["took"])
+        swarm.air.address = (words["control"][0], words["control"][1])
+        return swarm
 
     def up(self, tell: Tell = print) -> None:
-        """Start everything and wait until all is well. RuntimeError says what did not start; what was started stays for a look at it."""
-        raise NotImplementedError
+        """Start everything and wait until all is well. RuntimeError says what did not start; what was started stays for a
+        look at it, until `down`."""
+        config.text(self.options, 1)  # a mistake in the graph is told before anything is made
+        with place.locked(self.name, UP_LOCK_S) as lock:
+            if engine.belongings(self.docker, self.name):
+                raise RuntimeError(
+                    f"the swarm {self.name} is there already: `python -m sitl down --name {self.name}` first"
+                )
+            shutil.rmtree(self.folder, ignore_errors=True)
+            self.folder.mkdir(parents=True)
+            self.save()
+            self.took = start.bring_up(self, lock, tell)
+            self.save()
 
-    def down(self, *, keep_logs: bool = False) -> None:
-        """Remove all that belongs to a swarm of this name, also of one whose `up` was killed. Doing it twice is harmless."""
-        raise NotImplementedError
+    def down(self, *, keep_logs: bool = False) -> int:
+        """Remove all that belongs to a swarm of this name, also of one whose `up` was killed; how many things that were.
+
+        Doing it twice is harmless. keep_logs: leave the folder with PHM's logs.
+        """
+        with place.locked(self.name, DOWN_LOCK_S):
+            removed = engine.remove(self.docker, self.name)
+            for device in engine.devices(self.name):
+                device.unlink(missing_ok=True)
+            (self.folder / "swarm.json").unlink(missing_ok=True)
+            if not keep_logs:
+                shutil.rmtree(self.folder, ignore_errors=True)
+        return removed
+
+    def save(self) -> None:
+        words = {
+            "options": asdict(self.options),
+            "ground_url": self.ground_url,
+            "control": list(self.air.address),
+            "took": self.took,
+        }
+        (self.folder / "swarm.json").write_text(json.dumps(words, indent=2) + "\n", "utf-8")
 
     def status(self) -> list[dict[str, Any]]:
         """For each agent: agent, name, app, sidecar (states of the containers), well, array (PHM's status array), open
-        (units with an open fault), heard_s (age of PHM's last line)."""
-        raise NotImplementedError
+        (units with an open fault), why (what is not well), heard_s (age of PHM's last line; None: it has written none)."""
+        states = {
+            (one.labels.get("com.docker.compose.project"), one.labels.get("com.docker.compose.service")): one.status
+            for one in self.docker.containers.list(
+                all=True, filters={"label": f"{engine.LABEL}={self.name}"}, ignore_removed=True
+            )
+        }
+        return [self._status_of(agent, states) for agent in self.agents]
 
     def wait_well(self, limit_s: float = 120.0) -> None:
-        """Until every agent's PHM reports all slots well and has no open fault. RuntimeError names those that are not, and why."""
-        raise NotImplementedError
+        """Until every agent's PHM has every unit OK and no open fault. RuntimeError names those that are not, and why."""
+        watches = {agent.name: Watch(agent.record) for agent in self.agents}
+        end = time.monotonic() + limit_s
+        while True:
+            fresh_s = 1.5 * self.options.interval_s + SLACK_S
+            bad = {
+                name: why for name, watch in watches.items() if (why := watch.update().why_not(time.time(), fresh_s))
+            }
+            if not bad:
+                return
+            if time.monotonic() > end:
+                words = "; ".join(f"{name}: {why}" for name, why in bad.items())
+                raise RuntimeError(f"not well after {limit_s:g} s: {words}; logs in {self.folder / 'logs'}")
+            time.sleep(POLL_S)
+
+    def configure(self, agent: SwarmAgent, changes: Mapping[str, str]) -> None:
+        """Start the agent's PHM again with further lines of the shipped configuration replaced; ``{}``: as `up` had it."""
+        write(config.text(self.options, agent.number, changes), agent.config)
+        agent.sidecar.restart()
+
+    def _agent(self, number: int) -> SwarmAgent:
+        return SwarmAgent(
+            f"{self.name}-{number}",
+            f"agent_{number}",
+            number=number,
+            logs=self.folder / "logs" / str(number),
+            air=self.air,
+            config=self.folder / "config" / str(number) / "phm.yaml",
+        )
+
+    @staticmethod
+    def _status_of(agent: SwarmAgent, states: Mapping[tuple[str | None, str | None], str]) -> dict[str, Any]:
+        standing = Watch(agent.record).update()
+        return {
+            "agent": agent.number,
+            "name": agent.name,
+            "app": states.get((agent.project, "ros_app"), "none"),
+            "sidecar": states.get((agent.project, "phm"), "none"),
+            "well": standing.well,
+            "array": standing.array,
+            "open": sorted(standing.open.values()),
+            "why": standing.why,
+            "heard_s": None if standing.last_utc_s is None else round(time.time() - standing.last_utc_s, 1),
+        }

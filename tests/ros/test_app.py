@@ -12,16 +12,17 @@ from pathlib import Path
 import pytest
 
 from sitl.app import node_argv
+from sitl.graph import ring
 from sitl.node import topic_rate
 from tests.fakes.ros_bench import Bench, gone, seen, until
 
 
 def test_nodes_form_a_ring() -> None:
     """Node i publishes topic_i and listens to the one before it, the first to the last."""
-    assert node_argv("agent_1", 1, 3, 10.0)[3:] == [
-        "--name", "node_1", "--namespace", "/agent_1", "--publish", "topic_1:10", "--subscribe", "topic_3",
+    assert node_argv("agent_1", ring(3, 10.0)[0])[3:] == [
+        "--namespace", "/agent_1", "--name", "node_1", "--publish", "topic_1:10", "--subscribe", "topic_3",
     ]  # fmt: skip
-    assert node_argv("a", 1, 1, 0.5)[-3:] == ["topic_1:0.5", "--subscribe", "topic_1"]
+    assert node_argv("a", ring(1, 0.5)[0])[-3:] == ["topic_1:0.5", "--subscribe", "topic_1"]
 
 
 @pytest.mark.parametrize("text", ["topic", "topic:", "topic:0", "topic:-1", ":5", "topic:nan", "topic:x"])

@@ -1,0 +1,150 @@
+"""Bringing a swarm up: in phases, few agents at once, each step begun when the one before is known to be done."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+from docker.errors import APIError
+
+from sitl.derived import write
+from sitl.stack import ROOT
+from sitl.swarm import config, engine
+from sitl.swarm.ports import INSIDE
+from sitl.swarm.standing import Watch
+
+if TYPE_CHECKING:
+    from sitl.swarm.swarm import Swarm, SwarmAgent
+
+BUILD_LIMIT_S = 1200.0
+AIR_LIMIT_S = 30.0
+APP_LIMIT_S = 90.0
+PHM_LIMIT_S = 90.0
+WELL_LIMIT_S = 180.0
+POLL_S = 0.1
+UP = b" is up\n"
+"""What a node of the application prints when it is in the graph."""
+
+
+def bring_up(swarm: Swarm, lock: int, tell: Callable[[str], None]) -> dict[str, float]:
+    """Everything, until all is well; how long each phase took, in seconds. RuntimeError says what did not come up."""
+    at_once = max(1, os.cpu_count() or 1)
+    took: dict[str, float] = {}
+
+    def phase(name: str, work: Callable[[], None]) -> None:
+        began = time.monotonic()
+        work()
+        took[name] = round(time.monotonic() - began, 2)
+        tell(f"{name}: {took[name]:.1f} s")
+
+    if swarm.options.build:
+        phase("images", _images)
+    phase("air", lambda: _air(swarm, lock))
+    phase("containers", lambda: _staggered(swarm.agents, at_once, lambda agent: _create(swarm, agent, lock)))
+    nodes = len(config.graph(swarm.options))
+    phase("applications", lambda: _staggered(swarm.agents, at_once, lambda agent: _application(agent, nodes)))
+    phase("sidecars", lambda: _staggered(swarm.agents, at_once, _sidecar))
+    phase("all well", lambda: swarm.wait_well(WELL_LIMIT_S))
+    return took
+
+
+def _images() -> None:
+    done = subprocess.run(
+        [str(ROOT / "scripts" / "image")], capture_output=True, text=True, timeout=BUILD_LIMIT_S, check=False
+    )
+    if done.returncode != 0:
+        raise RuntimeError(f"scripts/image ended with {done.returncode}: {(done.stderr or done.stdout).strip()}")
+
+
+def _air(swarm: Swarm, lock: int) -> None:
+    options = swarm.options
+    variables = {"PHM_SWARM": swarm.name, "PHM_AGENTS": str(options.agents), "PHM_SEED": str(options.seed)}
+    engine.compose(f"{swarm.name}-air", engine.AIR_FILES, ["up", "--detach", "--no-build"], variables, [lock])
+    _until(lambda: _connected(swarm), AIR_LIMIT_S, f"the air process: docker logs {swarm.name}-air-air-1")
+
+
+def _connected(swarm: Swarm) -> bool:
+    control = engine.published(swarm.docker, swarm.name, INSIDE.control)
+    ground = engine.published(swarm.docker, swarm.name, INSIDE.ground)
+    if control is None or ground is None:
+        return False
+    swarm.air.address, swarm.ground_url = control, f"tcp:{ground[0]}:{ground[1]}"
+    try:
+        return bool(swarm.air.state())
+    except (OSError, ValueError):
+        return False
+
+
+def _create(swarm: Swarm, agent: SwarmAgent, lock: int) -> None:
+    """Containers, network and volumes, nothing started."""
+    assert agent.logs is not None  # a swarm's agents have one
+    agent.logs.mkdir(parents=True, exist_ok=True)
+    agent.logs.chmod(0o777)  # PHM is an ordinary user in its container, with a number this host need not know
+    agent.config.parent.mkdir(parents=True, exist_ok=True)
+    write(config.text(swarm.options, agent.number), agent.config)
+    agent.make_device()
+    engine.compose(agent.project, engine.AGENT_FILES, ["create", "--no-build"], _variables(swarm, agent), [lock])
+
+
+def _variables(swarm: Swarm, agent: SwarmAgent) -> dict[str, str]:
+    return {
+        **engine.groups(),
+        "PHM_SWARM": swarm.name,
+        "PHM_AGENT": agent.name,
+        "PHM_AGENT_ID": str(agent.number),
+        "PHM_INTERVAL": f"{swarm.options.interval_s:g}",
+        "PHM_APP": f"{agent.project}-ros_app-1",
+        "PHM_NETWORK": f"{agent.project}_net",
+        "PHM_DEVICE": str(agent.device),
+        "PHM_LOGS": str(agent.logs),
+        "PHM_CONFIG": str(agent.config),
+        "PHM_GRAPH": json.dumps([plan.as_words() for plan in config.graph(swarm.options)]),
+        "ROS_DOMAIN_ID": str(agent.number),
+    }
+
+
+def _application(agent: SwarmAgent, nodes: int) -> None:
+    app = agent.app
+    _started(app)
+    _until(lambda: app.logs().count(UP) >= nodes, APP_LIMIT_S, f"the nodes of {agent.name}: docker logs {app.name}")
+
+
+def _sidecar(agent: SwarmAgent) -> None:
+    watch = Watch(agent.record)
+    _started(agent.sidecar)
+    _until(
+        lambda: watch.update().array is not None, PHM_LIMIT_S, f"PHM of {agent.name}: docker logs {agent.project}-phm-1"
+    )
+
+
+def _started(container: object) -> None:
+    try:
+        container.start()  # type: ignore[attr-defined]
+    except APIError as error:
+        raise RuntimeError(
+            f"{getattr(container, 'name', container)} did not start: {error.explanation or error}"
+        ) from error
+
+
+def _staggered(agents: Iterable[SwarmAgent], at_once: int, work: Callable[[SwarmAgent], None]) -> None:
+    with ThreadPoolExecutor(at_once) as pool:
+        waiting = [pool.submit(work, agent) for agent in agents]
+        try:
+            for one in waiting:
+                one.result()
+        finally:
+            for one in waiting:
+                one.cancel()
+
+
+def _until(done: Callable[[], bool], limit_s: float, what: str) -> None:
+    end = time.monotonic() + limit_s
+    while not done():
+        if time.monotonic() > end:
+            raise RuntimeError(f"not ready after {limit_s:g} s: {what}")
+        time.sleep(POLL_S)
