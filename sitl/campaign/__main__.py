@@ -2,6 +2,6 @@
 
 import sys
 
-from sitl.campaign.cli import main
+from sitl.campaign.main import main
 
 sys.exit(main())

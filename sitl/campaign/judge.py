@@ -115,8 +115,8 @@ def places(injection: Injection) -> list[str]:
 
 def due(injection: Injection) -> int:
     """How many alarms a fault is to raise: a warning is none."""
-    own = len(places(injection)) if injection.level == "ERROR" else 0
-    return own + bool(injection.others)
+    units = set(places(injection) if injection.level == "ERROR" else ()) | {injection.others}
+    return len(units - {""})
 
 
 def _expected(alarm: Alarm, injection: Injection) -> bool:

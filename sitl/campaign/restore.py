@@ -7,10 +7,8 @@ from collections.abc import Callable
 
 from docker.errors import DockerException
 
-from sitl.derived import write
 from sitl.faults.base import STOP_S
 from sitl.faults.file_deleted import put_back
-from sitl.swarm import config
 from sitl.swarm.swarm import Swarm, SwarmAgent
 
 
@@ -53,5 +51,4 @@ def _application(_: Swarm, agent: SwarmAgent) -> None:
 
 
 def _phm(swarm: Swarm, agent: SwarmAgent) -> None:
-    write(config.text(swarm.options, agent.number), agent.config)
-    agent.sidecar.restart()
+    swarm.configure(agent, {})

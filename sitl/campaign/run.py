@@ -15,10 +15,8 @@ from sitl.campaign.plan import Draw, TrialPlan
 from sitl.campaign.restore import restore
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Injection, Trial
 from sitl.campaign.watch import Ear, Meter, Watch
-from sitl.derived import write
 from sitl.evidence import world
 from sitl.faults.base import Fault
-from sitl.swarm import config
 from sitl.swarm.swarm import Swarm, SwarmAgent
 
 Tell = Callable[[str], None]
@@ -239,9 +237,8 @@ class Runner:
 
     def _configure(self, agent: SwarmAgent, changes: Mapping[str, str]) -> None:
         """Start an agent's PHM with its configuration and these changes to it."""
-        write(config.text(self.swarm.options, agent.number, changes), agent.config)
         mark = time.monotonic()
-        agent.sidecar.restart()
+        self.swarm.configure(agent, changes)
         started = partial(self._started, agent.number, mark)
         if not self._wait(started, WELL_LIMIT_S):
             raise Unwell(f"A{agent.number:02d}: PHM did not start again; see {agent.logs}")
