@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Slot
+from phm_checks._deaf import Deaf
 from phm_checks._per_container import PerContainer
 from phm_checks._words import brief, clean, joined, listed
 
@@ -20,6 +21,14 @@ class Network(PerContainer):
 
     name, slot = "network", Slot.NETWORK
     period_s = 5.0
+
+    def __init__(self, entry: api.ContainerSettings, settings: api.Settings) -> None:
+        super().__init__(entry)
+        self._deaf = Deaf(self.key, settings)
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        return [cls(entry, settings) for entry in settings.containers if cls.wanted(entry)]
 
     @classmethod
     def wanted(cls, entry: api.ContainerSettings) -> bool:
@@ -49,7 +58,20 @@ class Network(PerContainer):
         if bad:
             summary = joined([finding.summary for finding in bad])
             return api.Result(bad[0].level, summary, bad[0].brief, bad[0].condition, self.key, values)
-        return api.ok(joined([finding.summary for finding in findings]), **values)
+        return self._blocked(world, fact) or api.ok(joined([finding.summary for finding in findings]), **values)
+
+    def _blocked(self, world: api.World, fact: api.ContainerFact) -> api.Result | None:
+        """The network is as it must be, and what the nodes say still does not come."""
+        why = self._deaf.why(world, fact.life)
+        if not why:
+            return None
+        return self._bad(
+            f"{self.key} is connected and answers, but discovery passes and no data: {why}. Look for a firewall, or for shared "
+            "memory without a shared /dev/shm (set FASTDDS_BUILTIN_TRANSPORTS=UDPv4); a restart of the application does not "
+            "help as a rule",
+            "transport blocked",
+            "transport_blocked",
+        )
 
     def _mode(self, fact: api.ContainerFact) -> api.Result | None:
         """The network modes in which a container cannot be on a network of its own."""

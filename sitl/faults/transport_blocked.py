@@ -18,7 +18,7 @@ class Injection(Fault):
     That is how shared memory without a shared /dev/shm looks from outside, too. The nodes reach each other by loopback.
     """
 
-    name, title, unit = "transport_blocked", "transport blocked, discovery passes", "rates/{agent}/topic_1"
+    name, title, unit = "transport_blocked", "transport blocked, discovery passes", "network/ros_app"
     condition = "transport_blocked"
     layer = "ros"
     cause = "a firewall lets discovery through and no data, or shared memory is not shared"
