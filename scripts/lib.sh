@@ -96,12 +96,15 @@ mirror_uri() {
   fail "apt has no source for $(release): add one and call again."
 }
 
-# install_locked PYTHON LOCK... : the packages of these locks, each file's hash checked. What comes as source alone (one
-# dependency of rclpy does) is built with the locked setuptools, so nothing unlocked is fetched.
+# install_locked PYTHON [--OPTION...] LOCK... : the packages of these locks, each file's hash checked; options are pip's.
+# What comes as source alone (one dependency of rclpy does) is built with the locked setuptools, so nothing unlocked is
+# fetched.
 install_locked() {
   local python=$1 name requirements=()
   shift
   "$python" -m pip install --quiet --quiet --require-hashes --requirement "$LOCKS/build.lock"
-  for name in "$@"; do requirements+=(--requirement "$LOCKS/$name.lock"); done
+  for name in "$@"; do
+    case $name in --*) requirements+=("$name") ;; *) requirements+=(--requirement "$LOCKS/$name.lock") ;; esac
+  done
   "$python" -m pip install --quiet --quiet --require-hashes --use-pep517 --no-build-isolation "${requirements[@]}"
 }
