@@ -8,7 +8,7 @@ import pytest
 
 from phm.probes.ros.meter import STALL_S, Listening, Meter
 from phm.ros_facts import RateFact
-from tests.fakes.ros_flow import TICK_S, even, feed, quiet
+from tests.fakes.ros_flow import TICK_S, even, feed, looks, quiet
 
 TWO = Listening(publishers=2, several=True)
 
@@ -106,6 +106,63 @@ def test_a_publisher_with_an_identity_that_takes_anothers_place_is_counted() -> 
     fact = feed(meter, even(10.0, 110.5, 5.0, writer=b"b"), 110.0, 115.5)
     assert fact.restarts == 1
     assert fact.hz == pytest.approx(10.0, rel=1e-3)
+
+
+def beside(hz: float, expected_hz: float, head_start_s: float) -> RateFact:
+    """Two publishers of one node, as the gauge looks at them: sorted once their numbers are found mixed."""
+    meter, several, fact = Meter(expected_hz, 3.0), False, RateFact(None, None)
+    both = even(hz, 100.0, 25.0) + even(hz, 100.0 + head_start_s, 25.0 - head_start_s)
+    for now_s, samples in looks(both, 100.0, 125.0, depth=32):
+        several = several or meter.mixed(now_s)
+        fact = meter.look(now_s, samples, Listening(2, several=several, complete=len(samples) < 32))
+    return fact
+
+
+@pytest.mark.parametrize("hz", [1.0, 10.0, 300.0])
+@pytest.mark.parametrize("pause_s", [0.3, 2.0, 6.0])
+@pytest.mark.parametrize("depth", [1, 32])
+def test_a_restart_is_counted_while_the_killed_one_is_listed(hz: float, pause_s: float, depth: int) -> None:
+    """One sequence has stopped for good and another began: that is once, however long the pause was."""
+    meter = Meter(hz, 3.0)
+    feed(meter, even(hz, 100.0, 40.0), 100.0, 140.0)
+    assert feed(meter, even(hz, 140.0 + pause_s, 12.0), 140.0, 155.0, depth=depth).restarts == 1
+
+
+@pytest.mark.parametrize(
+    ("hz", "expected_hz"), [(0.2, 0.4), (1.0, 1.0), (1.0, 2.0), (4.0, 8.0), (10.0, 20.0), (50.0, 50.0)]
+)
+@pytest.mark.parametrize("head_start_s", [0.03, 0.3, 3.07, 8.13])
+def test_two_publishers_that_live_are_no_restart(hz: float, expected_hz: float, head_start_s: float) -> None:
+    """A second one begins at 1 beside the first, as the new life of a node would; the first goes on."""
+    assert beside(hz, expected_hz, head_start_s).restarts == 0
+
+
+def test_what_seemed_to_be_gone_and_comes_back_was_no_restart() -> None:
+    """With an identity: a publisher pauses while a new one begins, and then goes on."""
+    meter, two = Meter(10.0, 3.0), Listening(publishers=2, several=True)
+    pausing = even(10.0, 100.0, 5.0, writer=b"a")
+    other = even(10.0, 105.1, 20.0, writer=b"b")
+    assert feed(meter, [*pausing, *other], 100.0, 110.0, depth=32, listening=two).restarts == 1
+    back = even(10.0, 110.0, 5.0, first=51, writer=b"a")
+    rest = [publication for publication in other if publication.received_s > 110.0]
+    assert feed(meter, [*back, *rest], 110.0, 115.0, depth=32, listening=two).restarts == 0
+
+
+def test_another_node_that_takes_over_is_counted_without_an_identity() -> None:
+    """The numbers are sorted from the moment when two nodes are listed; what was heard before is not forgotten."""
+    meter = Meter(10.0, 3.0)
+    feed(meter, even(10.0, 100.0, 20.0), 100.0, 120.0)
+    fact = feed(meter, even(10.0, 121.0, 9.0), 120.0, 130.0, depth=32, listening=TWO)
+    assert (fact.restarts, fact.problem, fact.hz) == (1, "", pytest.approx(10.0, rel=1e-2))
+
+
+def test_the_rate_stands_when_the_list_is_short_again() -> None:
+    """The lease of a killed publisher ends: what is left was measured all the time."""
+    meter = Meter(10.0, 3.0)
+    both = even(10.0, 100.0, 10.0, first=700) + even(10.0, 100.03, 4.0)
+    feed(meter, both, 100.0, 110.0, depth=32, listening=TWO)
+    fact = feed(meter, even(10.0, 110.0, 0.3, first=800), 110.0, 110.25)
+    assert (fact.restarts, fact.hz) == (0, pytest.approx(10.0, rel=1e-2))
 
 
 @pytest.mark.parametrize("step_s", [-3600.0, -2.0, 2.0, 3600.0])

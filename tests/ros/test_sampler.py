@@ -103,10 +103,7 @@ def test_two_publishers_of_one_node_are_added_up(bench: Bench, tmp_path: Path) -
 
 
 def test_a_restarted_publisher_is_measured_anew(bench: Bench, tmp_path: Path) -> None:
-    """A new life of the same node, while the killed one is still listed.
-
-    That it is a restart is not always counted then: a second publisher beside the first looks the same (tests of the meter count it).
-    """
+    """A new life of the same node, while the killed one is still listed: a restart, and not a second publisher."""
     first = flows(bench, "source", tmp_path / "first", "topic_1:40")
     probe = bench.probe([{"name": TOPIC, "rate": 40}])
     seen(probe, lambda fact: right(fact, tmp_path / "first"), "a rate")
@@ -115,6 +112,8 @@ def test_a_restarted_publisher_is_measured_anew(bench: Bench, tmp_path: Path) ->
     first.wait()
     flows(bench, "source", tmp_path / "second", "topic_1:10")
     seen(probe, lambda fact: right(fact, tmp_path / "second"), "the new rate", 40.0)
+    seen(probe, lambda fact: rate_of(fact).restarts == 1, "the restart")
+    assert rate_of(probe.look()).publishers == 2
 
 
 def test_without_sequence_numbers_samples_are_counted(bench: Bench, tmp_path: Path) -> None:

@@ -96,7 +96,8 @@ class Gauge:
             self._mixed_at_s = now_s
         twins = self._twins_since_s is not None and now_s - self._twins_since_s > GHOST_S
         mixed = now_s - self._mixed_at_s < MIXED_S
-        return twins or mixed or len({publisher.node for publisher in publishers}) > 1
+        # An endpoint is listed a moment before its node's name: no name is not another name.
+        return twins or mixed or len({publisher.node for publisher in publishers if publisher.node}) > 1
 
     def _follow(self, now_s: float, publishers: Sequence[EndpointFact], several: bool) -> None:
         """Have a reader that fits, unless this is the time between two windows."""
@@ -115,7 +116,8 @@ class Gauge:
         if self._counted:
             looks = COUNTED_LOOKS * self._tick_s * self._expected_hz * max(1, len(publishers))
             depth = min(COUNTED_MOST, max(COUNTED, math.ceil(looks)))
-        elif several:
+        elif several or len(publishers) > 1:
+            # Also of a node that was restarted: whether the older one is gone shows by all that comes, not by the newest.
             depth = min(DEPTH_MOST, PER_PUBLISHER * max(2, len(publishers)))
         latched = not self._expected_hz and all(
             (end.durability, end.reliability) == ("transient_local", "reliable") for end in publishers

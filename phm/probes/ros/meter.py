@@ -9,10 +9,10 @@ middleware's own, of the publisher's system clock: `use_sim_time` does not touch
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from phm.probes.ros.restarts import Restarts, gone_after_s
 from phm.probes.ros.silence import Silence
 from phm.probes.ros.sorter import Sorter
 from phm.probes.ros.spread import Spread
@@ -29,9 +29,6 @@ COUNTED = 20
 """Samples of several publishers that a rate is counted from, at least: they come in no even beat."""
 STALL_S = 1.0
 """Looks further apart than this tell that PHM itself stood still; what is beyond is no silence of the publisher."""
-GONE_S = 1.0
-"""A publisher is gone when another was heard this much later, or GONE_PERIODS of its own where that is longer."""
-GONE_PERIODS = 6
 _SHARE = 0.2
 
 
@@ -78,7 +75,7 @@ class Meter:
         self._last_s: float | None = None
         self._quiet_s = 0.0
         self._held: tuple[float, float] | None = None
-        self._restarts = 0
+        self._restarts = Restarts(expected_hz)
         self._samples = 0
         self._uneven = False
         self.sample_bytes: float | None = None
@@ -89,6 +86,7 @@ class Meter:
         if samples:
             self._take(now_s, samples, listening)
         self._drop_gone(now_s, listening)
+        self._restarts.settle(now_s, listening.closed_s, mixed=self.mixed(now_s))
         silent = self._silence is not None and self._last_s is not None and self._quiet_s > self._silence.limit_s
         if silent:
             self.forget()
@@ -131,11 +129,10 @@ class Meter:
         if listening.several and samples[0].writer is None and samples[0].sequence is not None:
             if self._sorter is None:
                 self._sorter = Sorter(self._counted_over_s)
-                self._tracks.pop(None, None)
+                self._hand_over()
             samples = self._sorter.sort(samples, listening.publishers, complete=listening.complete)
         elif self._sorter is not None:
-            self._sorter = None
-            self._tracks.clear()
+            self._take_back()
         steady = True
         for sample in samples:
             steady = self._add(sample) and steady
@@ -144,19 +141,36 @@ class Meter:
             self._silence.ended(self._quiet_s, now_s)
         self._quiet_s = 0.0
 
+    def _hand_over(self) -> None:
+        """To the sorter, what was one publisher so far: it may be the one that another takes the place of."""
+        assert self._sorter is not None
+        if (alone := self._tracks.pop(None, None)) is not None and alone.last is not None:
+            self._tracks[self._sorter.adopt(alone.last, alone.hz)] = alone
+
+    def _take_back(self) -> None:
+        """One publisher is left: it is the one that was heard last."""
+        newest = max(self._tracks.values(), key=lambda track: track.at_s, default=None)
+        self._sorter = None
+        self._tracks.clear()
+        if newest is not None:
+            self._tracks[None] = newest
+
     def _add(self, sample: Sample) -> bool:
         """False when it does not continue what was seen of its publisher."""
         track = self._tracks.get(sample.writer)
         new = track is None
         if track is None:
             track = self._tracks[sample.writer] = Track(self._narrow_s)
+            self._restarts.back(sample.writer)
         if self.sample_bytes is None:
             self.sample_bytes = float(sample.size)
         self.sample_bytes += _SHARE * (sample.size - self.sample_bytes)
         track.window_s = self._wide_s if self._uneven else self._narrow_s
-        restarts = track.restarts
+        last, hz = track.last, track.hz
+        self._restarts.hear(sample, last)
         continues = track.add(sample)
-        self._restarts += track.restarts - restarts
+        if track.fell and last is not None:
+            self._restarts.fell(last, hz)
         return continues and not new
 
     def _drop_gone(self, now_s: float, listening: Listening) -> None:
@@ -165,14 +179,11 @@ class Meter:
             return
         sure = self._sorter is None or not self._sorter.puzzled(listening.publishers, now_s)
         for writer, track in list(self._tracks.items()):
-            limit_s = max(GONE_S, GONE_PERIODS / (track.hz or math.inf)) + listening.closed_s
-            if self._last_s - track.at_s <= limit_s:
+            if self._last_s - track.at_s <= gone_after_s(track.hz or 0.0) + listening.closed_s:
                 continue
             del self._tracks[writer]
-            heir = next((other for other in self._tracks.values() if other.takes_place(track)), None)
-            if heir is not None and sure:
-                heir.replaced = True
-                self._restarts += 1
+            if sure:
+                self._restarts.gone(writer, track, list(self._tracks.values()))
 
     # ---- telling
 
@@ -198,7 +209,7 @@ class Meter:
             _rounded(self._age_s(newest, now_s)),
             listening.publishers,
             listening.matched,
-            self._restarts,
+            self._restarts.count,
             _rounded(self.sample_bytes),
             _rounded(error_hz),
         )

@@ -84,6 +84,13 @@ class Sorter:
             self._all.forget()
         return sorted_samples
 
+    def adopt(self, last: Sample, hz: float | None) -> bytes:
+        """Go on with a publisher that was alone until now: its newest sample and rate. The name of its line."""
+        line = self._new(last)
+        self._births.clear()
+        line.period_ns = 1e9 / hz if hz else None
+        return line.name
+
     @property
     def counted_hz(self) -> float | None:
         """All publishers together, by counting; None while some samples of the window were not seen."""

@@ -14,8 +14,6 @@ JUMP_S = 1.0
 """Stamps that disagree with the time between two looks by more than this tell a clock that was set."""
 FALLS, FALLS_S = 3, 10.0
 """A number that falls is a restarted publisher; this many falls within this time are two publishers."""
-NEW_S = 5.0
-"""A publisher whose first sample has a number of no more seconds than this has just begun: it is discovered by then."""
 QUICKEST_S = 60.0
 """For how long the quickest delivery counts, at least: clocks of two hosts drift apart by 3 ms meanwhile."""
 
@@ -52,7 +50,8 @@ class Track:
         self._beat = Beat()
         self._quickest = Recent(QUICKEST_S)
         self.last: Sample | None = None
-        self.restarts = 0
+        self.fell = False
+        """Whether the number of the newest sample fell below that of the one before."""
         self.began_s = 0.0
         self._first: int | None = None
         self.replaced = False
@@ -67,6 +66,7 @@ class Track:
             sample = replace(sample, sequence=self._counted)
         if self.last is None:
             self.began_s, self._first = sample.at_s, sample.sequence
+        self.fell = False
         continues = self.last is None or self._continues(self.last, sample, numbered)
         if not continues:
             self._kept.clear()
@@ -82,7 +82,7 @@ class Track:
         count = sample.sequence - last.sequence
         if count <= 0:
             self._falls.append(sample.at_s)
-            self.restarts += 1
+            self.fell = True
             return False
         published_s = (sample.source_ns - last.source_ns) / 1e9
         # Samples that are only counted may be of several publishers, and come in any order.
@@ -125,10 +125,9 @@ class Track:
         """When its newest sample was looked at; -inf before the first."""
         return -math.inf if self.last is None else self.last.at_s
 
-    def takes_place(self, of: Track) -> bool:
-        """Whether it is the new life of another one: began after its end, just now, and for no third one."""
+    def takes_place(self, of: Track, most: float) -> bool:
+        """Whether it is the new life of another one: began after its end, with a number of `most`, and for no third one."""
         assert self._first is not None
-        most = 1 + NEW_S * (of.hz or self.hz or 0.0)
         return self._first <= most and self.began_s > of.at_s and not self.replaced
 
     def age_s(self, now_s: float) -> float | None:
