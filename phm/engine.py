@@ -87,8 +87,11 @@ class Worker:
             reason, self._reason = self._reason, "period"
             self._wake.clear()
             self._run(reason)
-            self._clock.wait(threading.Event(), MIN_GAP_S)
-            self._clock.wait(self._wake, max(0.0, self.scheduled.period_s - MIN_GAP_S))
+            ended = self._clock.mono()
+            self._clock.wait(self._wake, max(MIN_GAP_S, self.scheduled.period_s))
+            # Only after an early wake: a wait is what an idle check costs, so the usual run has one.
+            if (left_s := ended + MIN_GAP_S - self._clock.mono()) > 0:
+                self._clock.wait(threading.Event(), left_s)
 
     def _run(self, reason: str) -> None:
         started = self._clock.mono()

@@ -92,6 +92,19 @@ def test_a_wake_runs_only_the_checks_that_named_the_subject(rig: Rig) -> None:
     assert len(rig.summaries("b")) == 1
 
 
+def test_a_check_that_is_woken_all_the_time_leaves_a_gap(rig: Rig) -> None:
+    """What wakes it meanwhile is one run, after the gap."""
+    engine = rig.start(Scripted(lambda: api.ok("well")))
+    for count in (1, 2, 3):
+        until(lambda count=count: len(rig.batches) == count)  # type: ignore[misc]
+        rig.clock.wait_for_sleepers(1)
+        engine.wake_all("test")
+        engine.wake_all("test")
+        rig.clock.wait_for_sleepers(1)
+        assert len(rig.batches) == count
+        rig.clock.advance(0.05)
+
+
 def test_a_crash_is_stale_about_phm_and_the_check_goes_on(rig: Rig) -> None:
     """A check's own crash is never the vehicle's fault, not even SystemExit from a plug-in."""
     answers: list[BaseException | None] = [ValueError("boom"), SystemExit(3), None]

@@ -42,6 +42,8 @@ class Diagnostics:
         self._said: set[str] = set()
         self._readers: dict[str, Any] = {}
         self._publisher: Any = None
+        self._published: dict[str, tuple[DiagnosticFact, Any]] = {}
+        """The newest array, by name of the status: most are as they were, and a message costs more than a comparison."""
         self._kinds: Any = None
         self._missing = False
         if listen and self._load():
@@ -129,7 +131,13 @@ class Diagnostics:
         array.header.stamp.sec = seconds
         array.header.stamp.nanosec = int((order.utc_s - seconds) * 1e9)
         array.header.frame_id = _FRAME.decode()
-        array.status = [self._status(name, fact) for name, fact in order.statuses.items()]
+        before, self._published = self._published, {}
+        for name, fact in order.statuses.items():
+            known = before.get(name)
+            if known is None or known[0] != fact:
+                known = (fact, self._status(name, fact))
+            self._published[name] = known
+        array.status = [message for _, message in self._published.values()]
         return array
 
     def _status(self, name: str, fact: DiagnosticFact) -> Any:
