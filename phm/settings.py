@@ -263,9 +263,9 @@ class EndpointSettings(Section):
     of what a 64 kbit/s telemetry radio carries."""
     name: Name | None = None
     """What logs call it; default: the url."""
-    leads_to: Literal["both", "router", "ground", "autopilot"] = "both"
+    leads_to: Literal["both", "router", "ground", "autopilot", "peers"] = "both"
     """What is at its other end. `both`: the autopilot, which passes frames on to the ground; `router`: a MAVLink router, to
-    which both are connected."""
+    which both are connected; `peers`: the other agents, and neither ground nor autopilot."""
     radio: Literal["auto", "required", "off"] = "auto"
     """Whether a telemetry radio that sends RADIO_STATUS is behind it; `auto`: once it was heard it must be there."""
 
@@ -280,11 +280,11 @@ class EndpointSettings(Section):
 
     @property
     def to_ground(self) -> bool:
-        return self.leads_to != "autopilot"
+        return self.leads_to not in ("autopilot", "peers")
 
     @property
     def to_autopilot(self) -> bool:
-        return self.leads_to != "ground"
+        return self.leads_to not in ("ground", "peers")
 
     @field_validator("url")
     @classmethod

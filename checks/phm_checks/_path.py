@@ -102,6 +102,11 @@ def to_autopilot(settings: api.Settings) -> list[api.EndpointSettings]:
     return [entry for entry in settings.mavlink.endpoints if entry.to_autopilot]
 
 
+def ways(settings: api.Settings) -> list[api.EndpointSettings]:
+    """Endpoints that a command from the ground may pass; not those to other agents."""
+    return [entry for entry in settings.mavlink.endpoints if entry.to_ground or entry.to_autopilot]
+
+
 def with_radio(settings: api.Settings) -> list[api.EndpointSettings]:
     """Endpoints behind which a radio is looked for."""
     return [
@@ -118,7 +123,7 @@ def kind(entry: api.EndpointSettings) -> str:
 
 def named(hop_name: str, entry: api.EndpointSettings, entries: Sequence[api.EndpointSettings]) -> str:
     """`radio`, or with the endpoint's name where there are several."""
-    return hop_name if len(entries) == 1 else f"{hop_name} {entry.key}"
+    return hop_name if list(entries) == [entry] else f"{hop_name} {entry.key}"
 
 
 # ---------------------------------------------------------------- what several checks ask of an endpoint

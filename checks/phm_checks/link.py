@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import kind, link_id, link_of, named, starting, target_of
+from phm_checks._path import kind, link_id, link_of, named, starting, target_of, ways
 from phm_checks._words import Steady, brief, clean, joined, last, listed, span
 
 SETTLE_S = 2.0
@@ -33,7 +33,7 @@ class Link(api.Check):
 
     def __init__(self, entry: api.EndpointSettings, settings: api.Settings) -> None:
         self.entry, self._settings = entry, settings
-        self._label = named(kind(entry), entry, settings.mavlink.endpoints)
+        self._label = named(kind(entry), entry, ways(settings))
         self._loss, self._silence = Steady(share=0.5), Steady(share=1.0)
         self._was: frozenset[str] = frozenset()
         self._opened = False
@@ -136,6 +136,8 @@ class Link(api.Check):
 
     def _spare(self, world: api.World) -> bool:
         """Whether the ground and the autopilot, as far as this one leads there, are being heard by other endpoints."""
+        if not (self.entry.to_ground or self.entry.to_autopilot):
+            return False
         gcs, pilot, limits = world.links.gcs(), world.links.autopilot(), self._settings.mavlink
         ground = gcs is not None and gcs.age_s <= limits.gcs_timeout and gcs.link not in ("", self.entry.key)
         if self.entry.to_ground and not ground:
@@ -221,7 +223,7 @@ class Link(api.Check):
         ]
 
     def _neighbour(self, world: api.World) -> tuple[int, int]:
-        if self.entry.leads_to != "ground":
+        if self.entry.to_autopilot:
             return self._settings.agent.id, 1
         gcs = world.links.gcs()
         return (gcs.system, gcs.component) if gcs is not None else (0, 0)

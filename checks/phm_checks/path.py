@@ -22,6 +22,7 @@ from phm_checks._path import (
     seen_from_here,
     to_autopilot,
     to_ground,
+    ways,
     with_radio,
 )
 from phm_checks._words import last, span
@@ -48,6 +49,7 @@ class Path(api.Check):
     def __init__(self, settings: api.Settings) -> None:
         self._settings = settings
         self._ground, self._flight, self._radios = to_ground(settings), to_autopilot(settings), with_radio(settings)
+        self._ways = ways(settings)
         self._gcs, self._autopilot = Gcs(settings), Autopilot(settings)
         self._links = {entry.key: Link(entry, settings) for entry in settings.mavlink.endpoints}
         self._radio = {entry.key: Radio(entry, settings) for entry in self._radios}
@@ -60,7 +62,7 @@ class Path(api.Check):
     @property
     def units(self) -> Sequence[api.Unit]:
         needs = [
-            *(link_id(entry) for entry in self._settings.mavlink.endpoints),
+            *(link_id(entry) for entry in self._ways),
             *(radio_id(entry) for entry in self._radios),
             "gcs",
             "autopilot",
@@ -97,7 +99,7 @@ class Path(api.Check):
         ]
 
     def _name(self, entry: api.EndpointSettings) -> str:
-        return named(kind(entry), entry, self._settings.mavlink.endpoints)
+        return named(kind(entry), entry, self._ways)
 
     def _link(self, world: api.World, entry: api.EndpointSettings) -> Hop:
         """Nothing passes by one that is closed, whoever tells that."""

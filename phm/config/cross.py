@@ -197,8 +197,8 @@ def endpoints_are_told_apart(root: View) -> None:
     autopilot = root.get("mavlink", "autopilot")
     if autopilot.value is True and not root.get("mavlink", "endpoints").value:
         autopilot.complain("is true, but there are no endpoints to hear it on: add one to 'mavlink.endpoints'")
-    elif autopilot.value is True and all(entry.get("leads_to").value == "ground" for entry in endpoints):
-        autopilot.complain("is true, but every endpoint leads to the ground alone: correct 'leads_to' of one of them")
+    elif autopilot.value is True and all(entry.get("leads_to").value in ("ground", "peers") for entry in endpoints):
+        autopilot.complain("is true, but no endpoint leads to it: correct 'leads_to' of one of them")
 
 
 def link_ids_are_told_apart(root: View) -> None:

@@ -50,7 +50,7 @@ def endpoints(options: Options, number: int) -> list[dict[str, Any]]:
             "leads_to": "router",
             "radio": "required",
         },
-        {"url": f"udpout:{AIR_HOST}:{INSIDE.peers_of(number)}", "name": "peers", "leads_to": "ground", "radio": "off"},
+        {"url": f"udpout:{AIR_HOST}:{INSIDE.peers_of(number)}", "name": "peers", "leads_to": "peers"},
     ]
     return found
 

@@ -106,6 +106,13 @@ def test_an_endpoint_to_one_side_is_missed_for_that_side_alone() -> None:
     assert run(judge, CLOSED, heard_by("spare")).level is api.Level.ERROR
 
 
+def test_the_way_to_the_other_agents_is_missed_in_any_case() -> None:
+    """Ground and autopilot that are heard elsewhere are no reserve for it, and its name is in the operator's line."""
+    result = run(check(TCP, {"url": "tcp:10.0.0.1:5762", "name": "spare"}, leads_to="peers"), CLOSED, heard_by("spare"))
+    assert result.level is api.Level.ERROR
+    assert result.brief.startswith("link ground:")
+
+
 def test_bytes_that_are_no_frames_are_an_error() -> None:
     """The wrong speed of a port, or another protocol; a trickle proves nothing."""
     garbage = changed(rx_s=400.0, frames_s=0.0, bad_s=90.0)

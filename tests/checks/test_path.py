@@ -291,6 +291,20 @@ def test_endpoints_that_lead_to_one_side_alone_make_no_path() -> None:
         assert "path" not in {entry.unit.id for entry in PathWorld(leads_to=leads_to).plan.tracked}
 
 
+def test_the_way_to_the_other_agents_is_no_hop() -> None:
+    """Neither is it in the words, nor does the path or the ground station need it; the router needs no name beside it."""
+    peers = {"url": "udpout:10.0.0.1:14600", "name": "peers", "leads_to": "peers"}
+    router = {"url": "tcp:10.0.0.1:5760", "name": "ground", "leads_to": "router"}
+    world = PathWorld(leads_to="router", mavlink={"endpoints": [router, peers]})
+    needs = {entry.unit.id: entry.needs for entry in world.plan.tracked}
+    assert "link/peers" in needs
+    assert "link/peers" not in (*needs["path"], *needs["gcs"])
+    world.run(10.0)
+    assert "router ok" in world.text("path")
+    assert "peers" not in world.text("path")
+    assert "router ground" not in world.text("path")
+
+
 def test_the_autopilot_is_no_need_of_the_ground_behind_a_router() -> None:
     """Only an autopilot that passes frames on can hide the ground station."""
     needs = {entry.unit.id: entry.needs for entry in PathWorld(leads_to="router").plan.tracked}

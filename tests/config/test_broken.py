@@ -215,7 +215,7 @@ BROKEN = [
     Broken("nothing to hear on", "mavlink:\n  autopilot: true\n", 2, "mavlink.autopilot", ("no endpoints",)),
     Broken(
         "heard on no endpoint", "mavlink:\n  endpoints: [{url: 'tcp:a:1', leads_to: ground}]\n  autopilot: true\n", 3,
-        "mavlink.autopilot", ("leads to the ground alone",),
+        "mavlink.autopilot", ("no endpoint leads to it",),
     ),
     Broken("autopilot's number", "mavlink:\n  component_id: 1\n", 2, "mavlink.component_id", ("allowed is 2 to 250",)),
     # pairs
