@@ -7,7 +7,7 @@ Nothing is opened by making the parts: that is `start`'s doing.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from phm.clock import Clock
@@ -25,8 +25,8 @@ from phm.settings import Settings
 from phm.transport.docker import Engine
 from phm.transport.mavlink import MavlinkHub
 
-SelfLook = Callable[[], tuple[float, tuple[str, ...], dict[str, int], tuple[str, ...]]]
-"""What the daemon knows of itself: uptime in seconds, overdue checks, dropped events by reporter, problems."""
+SelfLook = Callable[[], SelfFact]
+"""What the daemon knows of itself."""
 
 
 class NoRos:
@@ -45,9 +45,9 @@ class Myself:
     links: Links
 
     def look(self) -> SelfFact:
-        uptime_s, overdue, dropped, problems = self.self_look()
+        fact = self.self_look()
         restarts = self.ros.restarts if self.ros is not None else 0
-        return SelfFact(uptime_s, overdue, dropped, (*problems, *self.links.problems()), restarts)
+        return replace(fact, problems=(*fact.problems, *self.links.problems()), ros_restarts=restarts)
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,10 @@ from phm.bus import Bus
 from phm.clock import Clock, SystemClock
 from phm.control import Control
 from phm.engine import WATCH_S, Batch, Engine
-from phm.facts import CannotTell
+from phm.facts import CannotTell, SelfFact
+from phm.guard import Guard
 from phm.inbound.desk import Desk, Powers
+from phm.last_end import LastEnd
 from phm.model import ActionEvent, Event, Phase, UnitState
 from phm.pipeline import Pipeline
 from phm.plan import Plan, make
@@ -53,8 +55,12 @@ class Daemon:
     before the hub does, so that the ground hears the farewell heartbeat.
     """
 
-    def __init__(self, settings: Settings, clock: Clock | None = None) -> None:
+    def __init__(self, settings: Settings, clock: Clock | None = None, guard: Guard | None = None) -> None:
         self.settings = settings
+        self._guard = guard
+        self._last_end = LastEnd(settings.state_dir)
+        self._ended_badly = False
+        self._stood_still: tuple[float, float] | None = None
         self.clock = clock or SystemClock()
         self.boot_id = uuid.uuid4().hex[:12]
         self.plan: Plan = make(settings, registry.checks())
@@ -65,7 +71,7 @@ class Daemon:
         self.pipeline = Pipeline(tracker, self.bus, self.clock, self.plan.pass_limit_s)
         self.parts: Parts = assemble(
             settings, self.clock, wake=self._wake, docker_event=self._docker_event,
-            note=lambda text: self.pipeline.note("PHM", text), self_look=self._problems,
+            note=lambda text: self.pipeline.note("PHM", text), self_look=self._look_at_self,
         )  # fmt: skip
         self.engine = Engine(self.plan.scheduled, self.parts.world, self.clock, self._observe)
         self.pipeline.attach(self.engine.wake_units)
@@ -80,6 +86,7 @@ class Daemon:
     # ------------------------------------------------------------ life
 
     def start(self) -> None:
+        self._ended_badly = self._last_end.begin()
         self.memory.restore()
         self.reporters.start(self._reporter_context())
         self._start_recovery()
@@ -107,6 +114,8 @@ class Daemon:
 
     def stop(self) -> None:
         self._stop.set()
+        if self._guard is not None:
+            self._guard.close()
         self.pipeline.note("PHM", "PHM is stopping")
         if self.control is not None:
             self.control.close()
@@ -119,6 +128,7 @@ class Daemon:
         self.memory.close()
         self.reporters.close()
         self.parts.close()
+        self._last_end.end()
 
     def alive(self) -> bool:
         """The dead man's switch of heartbeats and of `phm status --healthy`: beating, and checks come back."""
@@ -155,12 +165,19 @@ class Daemon:
         for subject in event.subjects:
             self._wake(subject)
 
-    def _problems(self) -> tuple[float, tuple[str, ...], dict[str, int], tuple[str, ...]]:
+    def _look_at_self(self) -> SelfFact:
         problems = self.reporters.problems()
         parts = (self.memory, self.control, self.parts.mavlink)
         problems += [part.problem() for part in parts if part is not None and part.problem()]
-        uptime_s = self.clock.mono() - self._started.mono
-        return uptime_s, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems())
+        if self._guard is not None and self._guard.problem:
+            problems.append(self._guard.problem)
+        now = self.clock.mono()
+        still = self._stood_still
+        return SelfFact(
+            now - self._started.mono, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems()),
+            ended_badly=self._ended_badly, stood_still_s=still[1] if still else None,
+            stood_still_ago_s=now - still[0] if still else None,
+        )  # fmt: skip
 
     def _reporter_context(self) -> ReporterContext:
         return ReporterContext(
@@ -249,7 +266,12 @@ class Daemon:
         next_pass = self.clock.mono()
         while not self._stop.is_set():
             try:
-                self._beat = now = self.clock.mono()
+                now = self.clock.mono()
+                if now - self._beat > STALLED_BEAT_S:
+                    self._stood_still = (now, now - self._beat)
+                self._beat = now
+                if self._guard is not None:
+                    self._guard.beat()
                 if now >= next_pass:
                     self.pipeline.begin_pass()
                     next_pass = max(next_pass + self.settings.interval, now)
@@ -265,7 +287,8 @@ def run(settings: Settings) -> int:
 
     Ends the process with 70 (EX_SOFTWARE) when the engine has stalled: restart policies act on that.
     """
-    daemon = Daemon(settings)
+    guard = Guard()
+    daemon = Daemon(settings, guard=guard)
 
     def end(number: int, frame: FrameType | None) -> None:
         daemon.stop_soon()
@@ -273,6 +296,7 @@ def run(settings: Settings) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end)
     daemon.start()
+    guard.start()
     if not daemon.wait():
         logger.critical("PHM has stalled for %.0f s and ends itself, to be started anew", STALLED_END_S)
         os._exit(os.EX_SOFTWARE)  # an orderly end would wait for what hangs

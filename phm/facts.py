@@ -267,6 +267,11 @@ class SelfFact:
     problems: tuple[str, ...] = ()
     """Sentences, e.g. `log: no space left on /var/log/phm, 12 lines kept in memory`."""
     ros_restarts: int = 0
+    ended_badly: bool = False
+    """The PHM before this one was killed, crashed, or ended itself because it had stalled."""
+    stood_still_s: float | None = None
+    """For how long PHM as a whole last did nothing, without having ended; None: never."""
+    stood_still_ago_s: float | None = None
 
 
 class SelfProbe(Protocol):

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._words import brief, clean, joined, listed
+from phm_checks._words import brief, clean, joined, listed, span
+
+TOLD_S = 30.0
+"""What is over when it is noticed is told for so long, so that a ground station that is away for a moment hears of it, too."""
 
 
 class Companion(api.Check):
@@ -30,7 +35,7 @@ class Companion(api.Check):
 
     @staticmethod
     def _own(facts: api.SelfFact) -> list[api.Result]:
-        found = []
+        found = list(Companion._interruptions(facts))
         if facts.overdue:
             found.append(
                 api.warn(
@@ -54,3 +59,21 @@ class Companion(api.Check):
             for problem in facts.problems
         ]
         return found
+
+    @staticmethod
+    def _interruptions(facts: api.SelfFact) -> Iterable[api.Result]:
+        if facts.ended_badly and facts.uptime_s < TOLD_S:
+            yield api.warn(
+                "PHM had ended without being told to, and was started again; nobody watched this agent meanwhile: see the "
+                "end of its container's log, and whether its memory limit is too low",
+                brief="PHM was restarted",
+                condition="phm_restarted",
+            )
+        ago_s, lasted_s = facts.stood_still_ago_s, facts.stood_still_s
+        if ago_s is not None and lasted_s is not None and ago_s < TOLD_S:
+            yield api.warn(
+                f"PHM as a whole stood still for {span(lasted_s)} and goes on; nobody watched this agent meanwhile: was it "
+                "stopped or paused, or is the processor used up?",
+                brief=brief("PHM", f"stood still {lasted_s:.0f} s"),
+                condition="phm_stood_still",
+            )

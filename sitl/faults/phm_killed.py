@@ -17,6 +17,8 @@ class Injection(Fault):
     condition = "phm_restarted"
     level = "WARN"
     layer = "companion"
+    healable = False
+    passes = True
     cause = "PHM crashed, or the kernel ended it for lack of memory"
 
     def inject(self, agent: Agent) -> float:

@@ -18,6 +18,8 @@ class Injection(Fault):
     condition = "phm_stood_still"
     level = "WARN"
     layer = "companion"
+    healable = False
+    passes = True
     cause = "PHM hangs as a whole: stopped, or held by a library that never returns"
 
     _pid = 0

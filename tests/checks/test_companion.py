@@ -40,3 +40,21 @@ def test_the_links_are_not_its_business() -> None:
     """A closed link and a lost ground station are told by checks of their own, once."""
     links = testing.FakeLinks(gcs_age_s=60.0, links=(api.LinkFact("radio", False, "no such device"),))
     assert run(check(), testing.world(links=links)).level is api.Level.OK
+
+
+def test_an_end_without_a_word_is_told_for_a_while() -> None:
+    """PHM was killed and started again: a warning, and no longer than a ground station needs to hear of it."""
+    myself = testing.FakeSelf(uptime_s=2.0, ended_badly=True)
+    result = run(check(), testing.world(myself=myself))
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "phm_restarted", "PHM was restarted")
+    myself.change(uptime_s=60.0)
+    assert run(check(), testing.world(myself=myself)).level is api.Level.OK
+
+
+def test_standing_still_is_told_for_a_while() -> None:
+    """PHM was stopped and goes on: how long nobody watched."""
+    myself = testing.FakeSelf(stood_still_s=4.2, stood_still_ago_s=1.0)
+    result = run(check(), testing.world(myself=myself))
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "phm_stood_still", "PHM stood still 4 s")
+    myself.change(stood_still_ago_s=40.0)
+    assert run(check(), testing.world(myself=myself)).level is api.Level.OK

@@ -1,0 +1,138 @@
+"""The guard over the daemon, with real processes and a short look; and what tells that PHM had not ended in good order."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from phm.guard import SILENT_LOOKS, STOPPED_LOOKS, Guard, state_of, watch
+from phm.last_end import LastEnd
+
+LOOK_S = 0.02
+LIMIT_S = 20.0
+
+
+def until(wanted: Callable[[], object], what: str) -> None:
+    end = time.monotonic() + LIMIT_S
+    while not wanted():
+        assert time.monotonic() < end, what
+        time.sleep(0.01)
+
+
+class Watched:
+    """A process that sleeps, and a guard over it; `kills` has what was sent. Nothing beats but what the test writes."""
+
+    def __init__(self, look_s: float = LOOK_S) -> None:
+        self.process = subprocess.Popen([sys.executable, "-S", "-c", "import time; time.sleep(600)"])
+        self.kills: list[int] = []
+        far, self.pipe = os.pipe()
+        self.thread = threading.Thread(target=watch, args=(far, self.process.pid, self._kill, look_s), daemon=True)
+        self.thread.start()
+
+    def _kill(self, pid: int, number: int) -> None:
+        self.kills.append(number)
+        os.kill(pid, number)
+
+    def close(self) -> None:
+        os.close(self.pipe)
+        self.thread.join(LIMIT_S)
+        self.process.kill()
+        self.process.wait()
+
+
+@pytest.fixture
+def watched() -> Iterator[Watched]:
+    made = Watched()
+    yield made
+    made.close()
+
+
+def test_a_stopped_daemon_is_let_go_on_and_not_ended(watched: Watched) -> None:
+    """SIGSTOP: SIGCONT after a few looks, so that it loses nothing of what it knew."""
+    assert STOPPED_LOOKS < SILENT_LOOKS
+    os.kill(watched.process.pid, signal.SIGSTOP)
+    until(lambda: watched.kills, "the guard's first step")
+    os.write(watched.pipe, b".")
+    assert watched.kills[0] == signal.SIGCONT
+    until(lambda: state_of(watched.process.pid) != "T", "going on")
+
+
+def test_a_daemon_that_does_not_beat_is_ended(watched: Watched) -> None:
+    """It lives and nothing comes: Docker starts what has ended."""
+    assert watched.process.wait(LIMIT_S) == -signal.SIGKILL
+    assert watched.kills == [signal.SIGKILL]
+
+
+def test_a_daemon_that_beats_is_left_alone() -> None:
+    """As long as bytes come nothing is done, for longer than silence is borne."""
+    look_s = 0.2
+    watched = Watched(look_s)
+    try:
+        for _ in range(SILENT_LOOKS + 2):
+            os.write(watched.pipe, b".")
+            time.sleep(look_s)
+        assert watched.kills == []
+    finally:
+        watched.close()
+
+
+def test_the_guard_goes_with_the_daemon() -> None:
+    """Closed pipe, no process left."""
+    guard = Guard()
+    guard.start()
+    process = guard._process
+    assert process is not None
+    guard.beat()
+    guard.close()
+    guard.close()
+    assert process.wait(LIMIT_S) == 0
+    assert guard.problem == ""
+
+
+def test_a_guard_that_cannot_start_or_dies_is_a_problem_and_no_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PHM runs without it and says so; switched off it is no problem."""
+    guard = Guard(("/nonexistent/python",))
+    guard.start()
+    guard.beat()
+    assert "cannot be started" in guard.problem
+    dead = Guard((sys.executable, "-S", "-c", ""))
+    dead.start()
+
+    def noticed() -> str:
+        dead._wrote_at = float("-inf")
+        dead.beat()
+        return dead.problem
+
+    until(noticed, "the problem")
+    assert "has ended" in dead.problem
+    monkeypatch.setenv("PHM_GUARD", "off")
+    off = Guard(("/nonexistent/python",))
+    off.start()
+    assert off.problem == ""
+
+
+def test_an_end_without_a_word_is_known_at_the_next_start(tmp_path: Path) -> None:
+    """Not at the first start, not after an orderly end, not after a power cut of the machine."""
+    assert not LastEnd(str(tmp_path), "boot-1").begin()
+    assert LastEnd(str(tmp_path), "boot-1").begin()
+    assert not LastEnd(str(tmp_path), "boot-2").begin()
+    LastEnd(str(tmp_path), "boot-2").end()
+    assert not LastEnd(str(tmp_path), "boot-2").begin()
+
+
+def test_without_a_folder_to_write_to_nothing_is_said(tmp_path: Path) -> None:
+    """Cannot tell: somebody else tells about the folder."""
+    file = tmp_path / "file"
+    file.touch()
+    end = LastEnd(str(file / "below"), "boot-1")
+    assert not end.begin()
+    end.end()
+    assert not end.begin()
