@@ -10,7 +10,6 @@ from phm.gcs.frames import BOOT, Beat
 from phm.gcs.lines import Kind, Line, same
 from phm.gcs.presence import Presence, State
 from phm.model import Level, Slot, Stamp
-from phm.swarm.peers import Peer
 from phm.wire import status_word
 from phm.wire.status_line import agent_name
 from phm.wire.tunnel import Detail, View
@@ -19,7 +18,8 @@ PHM_COMPONENT = 193
 MAX_BAD = 4
 """Bad units that are remembered of a slot: PHM tells up to ten in all."""
 MAX_DETAILS = 4
-MAX_LINKS = 8
+MAX_CHANGES, AGAIN_S = 16, 5.0
+"""An agent with two ways to the ground says everything twice, in frames that differ by their numbers."""
 _RANK = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 
 
@@ -74,12 +74,10 @@ class Agent:
     hop: object = None
     """The same of its first broken hop."""
     details: OrderedDict[str, dict[int, Detail]] = field(default_factory=OrderedDict)
-    last_line: dict[Kind, str] = field(default_factory=dict)
-    frames: Peer = field(init=False)
-    """Counts frames that fall back: two senders with one id."""
-
-    def __post_init__(self) -> None:
-        self.frames = Peer(self.system, 2.0)
+    refreshed: dict[Kind, str] = field(default_factory=dict)
+    """The newest line of each kind that repeats."""
+    changes: OrderedDict[str, float] = field(default_factory=OrderedDict)
+    """The newest changes, and when they came."""
 
     @property
     def name(self) -> str:
@@ -135,6 +133,17 @@ class Agent:
             units.popitem(last=False)
         if line.alone:
             self.bad = {line.slot: OrderedDict({told.text: told})}
+
+    def repeats(self, line: Line, text: str, now: float) -> bool:
+        """Whether this line says nothing that it has not said before."""
+        if line.kind is not Kind.CHANGE:
+            old, self.refreshed[line.kind] = self.refreshed.get(line.kind), text
+            return old == text
+        at = self.changes.pop(text, None)
+        self.changes[text] = now
+        if len(self.changes) > MAX_CHANGES:
+            self.changes.popitem(last=False)
+        return at is not None and now - at <= AGAIN_S
 
     def newest(self, slot: int, level: Level) -> Bad | None:
         """The newest unit of this level that was told for a slot."""

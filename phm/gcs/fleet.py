@@ -15,7 +15,7 @@ from phm.gcs.agent import PHM_COMPONENT, Agent
 from phm.gcs.hops import Around, Hop, first_broken
 from phm.gcs.presence import Presence, State
 from phm.model import Stamp
-from phm.swarm.peers import CLASH_PERIODS, CLASHES, VIEW_LATE_PERIODS
+from phm.swarm.peers import LOST_PERIODS, VIEW_LATE_PERIODS
 from phm.transport.mavlink_budget import periods
 from phm.wire.tunnel import Digest, Seen, View
 
@@ -23,6 +23,8 @@ MAX_AGENTS, MAX_PILOTS, MAX_STATIONS = 256, 256, 16
 PILOT_GUESS_S = 1.0
 """Autopilots and ground stations send a heartbeat a second."""
 STATION_S = 10.0
+FULL_S = 1.0
+"""When all agents are there, it is not looked at once more before: a flood of new ones must cost little."""
 _THERE = (Seen.ALIVE, Seen.LATE)
 K = TypeVar("K")
 V = TypeVar("V")
@@ -66,8 +68,11 @@ class Fleet:
         self.swarm = Swarm()
         self.links: Mapping[str, tuple[bool, str]] = {}
         """The ground's own, by name: whether open, and if not why."""
+        self.began: float | None = None
+        """Since when the ground listens."""
         self.refused = 0
         """Frames of agents for which there was no room."""
+        self._full_until = float("-inf")
         for agent in sorted(self.expected):
             self.agents[agent, PHM_COMPONENT] = Agent(agent, PHM_COMPONENT)
 
@@ -79,16 +84,12 @@ class Fleet:
     def state(self, agent: Agent, now: float) -> State:
         return agent.presence.state(now, self.guess_s)
 
-    def twins(self, agent: Agent, now: float) -> bool:
-        """Two senders use its id: their frames fall back again and again."""
-        falls = agent.frames.falls
-        return len(falls) == CLASHES and now - falls[0] <= CLASH_PERIODS * agent.presence.period_s(self.guess_s)
-
     def agent(self, system: int, component: int, now: float) -> Agent | None:
         """The one there is or a new one; None: there is no room."""
         key = (system, component)
         if key not in self.agents:
-            if not _room(self.agents, MAX_AGENTS, lambda one: self._stays(one, now)):
+            if now < self._full_until or not _room(self.agents, MAX_AGENTS, lambda one: self._stays(one, now)):
+                self._full_until = self._full_until if now < self._full_until else now + FULL_S
                 self.refused += 1
                 return None
             self.agents[key] = Agent(system, component)
@@ -123,6 +124,9 @@ class Look:
         self._states = {key: fleet.state(agent, now) for key, agent in fleet.agents.items()}
         self._views = [(agent, view) for key, agent in fleet.agents.items() if (view := self._counts(key, agent))]
         shut = [f"{name}: {error}" for name, (is_open, error) in fleet.links.items() if not is_open]
+        began = now if fleet.began is None else fleet.began
+        self._early = now - began <= LOST_PERIODS * fleet.guess_s
+        """Who was never heard may just not have spoken yet."""
         self._closed = ", ".join(shut) if fleet.links and len(shut) == len(fleet.links) else ""
         heard = [self._states[key] for key, agent in fleet.agents.items() if agent.first is not None]
         self._all_silent = (
@@ -147,6 +151,8 @@ class Look:
         state = self.state(agent)
         if state.there or state is State.LEFT:
             return first_broken(agent, state, None, Around())
+        if state is State.NEVER and self._early:
+            return None
         pilot = self._fleet.pilots.get(agent.system)
         around = Around(
             self._closed,

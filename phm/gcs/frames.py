@@ -24,7 +24,7 @@ MAX_TEXT = 200
 
 @dataclass(frozen=True, slots=True)
 class Beat:
-    """A HEARTBEAT. frame: its sequence number."""
+    """A HEARTBEAT."""
 
     system: int
     component: int
@@ -33,7 +33,6 @@ class Beat:
     base_mode: int
     custom_mode: int
     state: int
-    frame: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +64,7 @@ def read(message: Any) -> Frame | None:
     if number == HEARTBEAT:
         return Beat(
             system, component, message.type, message.autopilot, message.base_mode, message.custom_mode,
-            message.system_status, message.get_seq(),
+            message.system_status,
         )  # fmt: skip
     if number == STATUSTEXT:
         return Said(system, component, message.severity, one_line(_text(message.text))[:MAX_TEXT])

@@ -18,6 +18,9 @@ VERSION = 1
 """`v` of the lines. It rises only when a key changes its meaning or goes away."""
 SEVERITIES = ("EMERGENCY", "ALERT", "CRITICAL", "ERROR", "WARNING", "NOTICE", "INFO", "DEBUG")
 
+_BAD = frozenset(("WARN", "ERROR"))
+_QUIET = {"OK": "OK", "STALE": "unknown"}
+
 
 @dataclass(frozen=True, slots=True)
 class News:
@@ -59,8 +62,13 @@ def _text(body: Mapping[str, Any]) -> str:
 
 
 def _slots(body: Mapping[str, Any]) -> str:
-    changed = ", ".join(f"{slot} {old} -> {new}" for slot, (old, new) in body["changed"].items())
-    return f"{_name(body)} slots: {changed}" if changed else f"{_name(body)} {body['state']}"
+    """What is bad or was: slot by slot; the others by number."""
+    changed = dict(body["changed"])
+    notable = {slot: pair for slot, pair in changed.items() if _BAD.intersection(pair)}
+    pieces = [f"slot {slot} {old} -> {new}" for slot, (old, new) in notable.items()]
+    quiet = [new for slot, (_, new) in changed.items() if slot not in notable]
+    pieces += [f"{quiet.count(level)} slots become {word}" for level, word in _QUIET.items() if level in quiet]
+    return ", ".join([f"{_name(body)} {body['state']}", *pieces])
 
 
 def _presence(body: Mapping[str, Any]) -> str:

@@ -115,7 +115,7 @@ def _agent(fleet: Fleet, look: Look, agent: Agent, now: float) -> dict[str, Any]
         "hears_ground": None if agent.deaf is None else not agent.deaf,
         "swarm_says": level.name if level not in (None, Level.STALE) else None,
         "pilot": pilot(aboard, now) if aboard is not None else None,
-        "restarts": agent.restarts, "twins": fleet.twins(agent, now), "problem": agent.problem or None,
+        "restarts": agent.restarts, "problem": agent.problem or None,
         "first_utc": iso(agent.first.utc) if agent.first else None,
         "last_utc": iso(agent.last.utc) if agent.last else None,
     }  # fmt: skip

@@ -1,18 +1,18 @@
 """Whether somebody is there, by the heartbeats heard and the ground's own clock alone. Pure.
 
 A ground station is told no periods: agents choose theirs by the size of the swarm, and radios lose frames. So the usual pause
-is learned. A few gaps may be doubled by loss or halved by an answer to a ground station: the median does not mind.
+is learned, from the longer ones: loss doubles some, and an answer to a ground station or a second way to the ground cuts some.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from enum import Enum
-from statistics import median
 
 from phm.swarm.peers import LATE_PERIODS, LOST_PERIODS
 
-GAPS, ENOUGH = 9, 3
+GAPS, ENOUGH, LONGER = 9, 3, 0.75
+"""Gaps that are remembered, that are enough to tell, and which of them by length counts."""
 COPY_S = 0.1
 """Two in one moment tell no period."""
 LONGEST_S = 150.0
@@ -49,7 +49,9 @@ class Presence:
 
     def period_s(self, guess_s: float) -> float:
         """Its usual pause; before that is known, the guess, or what was seen where that is longer."""
-        return median(self._gaps) if len(self._gaps) >= ENOUGH else max(guess_s, *self._gaps, 0.0)
+        if len(self._gaps) < ENOUGH:
+            return max(guess_s, *self._gaps, 0.0)
+        return sorted(self._gaps)[int(LONGER * len(self._gaps))]
 
     def silent_s(self, now: float) -> float | None:
         return None if self.heard_s is None else max(0.0, now - self.heard_s)

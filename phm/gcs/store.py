@@ -52,6 +52,8 @@ class Store:
     def tick(self, at: Stamp) -> list[News]:
         """What follows from time passing. Call a few times a second."""
         found: list[News] = []
+        if self.fleet.began is None:
+            self.fleet.began = at.mono
         for system, pilot in self.fleet.pilots.items():
             lost = pilot.seen(at.mono) is State.LOST
             if lost and pilot.shown is not State.LOST:
@@ -87,7 +89,6 @@ class Store:
                 yield from self._agent(agent, beat, link, at)
 
     def _agent(self, agent: Agent, beat: Beat, link: str, at: Stamp) -> Iterator[News]:
-        agent.frames.count(beat.frame, link, at.mono)
         agent.presence.beat(at.mono, leaving=beat.state == POWEROFF)
         agent.link, agent.last = link, at
         if agent.first is None:
@@ -136,8 +137,7 @@ class Store:
         if line is not None and _believed(said, line, agent):
             agent = agent or self.fleet.agent(said.system, said.component, at.mono)
             if agent is not None:
-                repeat = line.kind is not Kind.CHANGE and agent.last_line.get(line.kind) == said.text
-                agent.last_line[line.kind] = said.text
+                repeat = agent.repeats(line, said.text, at.mono)
                 self._take(line, said, agent, at)
         else:
             line = None

@@ -41,6 +41,7 @@ class Ground:
     def __init__(self, expected: tuple[int, ...] = ()) -> None:
         self.clock, self.store, self.news = FakeClock(), Store(expected, own=(254, 190)), list[News]()
         self.store.links({"gcs": (True, "")}, self.clock.stamp())
+        self.store.tick(self.clock.stamp())
 
     def hear(self, *frames: Frame) -> list[News]:
         """What is new by these frames."""

@@ -141,15 +141,6 @@ def test_wrong_clocks_change_nothing(ground: Ground) -> None:
     assert line["utc_s"] == ground.clock.utc()
 
 
-def test_two_agents_with_one_id_are_told(ground: Ground) -> None:
-    """Their frames' numbers fall back again and again; a restart does that once."""
-    for turn in range(4):
-        for frame in (10 + turn, 100 + turn):
-            ground.hear(Beat(7, 193, 18, 8, 0, 1 << 30, 4, frame))
-            ground.wait(1)
-    assert ground.agent(7)["twins"] is True
-
-
 # ---------------------------------------------------------------- lines
 
 
@@ -182,6 +173,20 @@ def test_a_refresh_that_repeats_is_recorded_and_not_told(ground: Ground) -> None
     again = ground.hear(said(7, "A07 OK 11111111", 6))
     assert [bool(timed(news)) for news in first + again] == [True, False]
     assert events(again, "text")[0]["repeat"] is True
+
+
+def test_an_agent_with_two_ways_to_the_ground_is_told_once(ground: Ground) -> None:
+    """Each line comes twice, and heartbeats come in pairs: neither a second line nor a shorter period."""
+    ground.hear(beat(7))
+    first, second = ground.hear(said(7, "A07 FAIL 6 node_1 dead")), ground.hear(said(7, "A07 FAIL 6 node_1 dead"))
+    assert (bool(timed(first[0])), bool(timed(second[0]))) == (True, False)
+    for _ in range(10):
+        ground.wait(0.5)
+        ground.hear(beat(7))
+        ground.wait(1.5)
+        ground.hear(beat(7))
+    assert ground.agent(7)["period_s"] == 1.5
+    assert timed(ground.hear(said(7, "A07 FAIL 6 node_1 dead"))[0])
 
 
 def test_a_refresh_that_does_not_know_all_is_stale(ground: Ground) -> None:
@@ -340,6 +345,13 @@ def test_silence_is_told_by_what_else_is_heard(ground: Ground) -> None:
     assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "gcs: Connection refused", "certain": True}
 
 
+def test_who_was_never_heard_is_given_time_to_speak() -> None:
+    """Five heartbeats long nothing is said of an expected agent; then where to look."""
+    ground = Ground(expected=(3,))
+    assert ground.wait(9) == []
+    assert [body["hop"]["evidence"] for body in events(ground.wait(2), "hop")] == ["never heard"]
+
+
 def test_a_hop_is_news_once(ground: Ground) -> None:
     """When it breaks and when it is whole again; the seconds that its silence grows by are none."""
     ground.hear(beat(7), beat(8))
@@ -390,7 +402,7 @@ def test_made_up_agents_do_not_push_out_those_that_are_there() -> None:
     assert len(whole["agents"]) == 256
     assert whole["refused"] > 2000
     assert {one["agent"] for one in whole["agents"] if one["component"] == 193} == set(range(1, 101))
-    ground.wait(300, beat(1))
+    ground.clock.advance(300)
     ground.hear(beat(150))
     assert ground.agent(150)["how"] == "OK"
     assert ground.agent(100)["presence"] == "never heard"

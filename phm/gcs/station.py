@@ -1,0 +1,203 @@
+"""Hears: MAVLink endpoints into the store, and its news to whoever asked for them.
+
+It speaks like any ground station, one HEARTBEAT a second, because an ArduPilot passes frames on only to a link that has
+itself sent one. It sends nothing else.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import threading
+import uuid
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from phm import __version__
+from phm.clock import Clock
+from phm.gcs import frames
+from phm.gcs.frames import Frame
+from phm.gcs.news import News, encode
+from phm.gcs.outlet import Item, Outlet
+from phm.gcs.sieve import Copies, Meter
+from phm.gcs.store import Store
+from phm.model import Stamp
+from phm.settings import MavlinkSettings
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink import MavlinkHub
+
+logger = logging.getLogger(__name__)
+
+COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
+"""190, which ground stations use."""
+HEARTBEAT_S = 1.0
+TICK_S = 0.2
+MAX_WAITING = 4096
+"""Frames between the endpoints' threads and the store."""
+CLOSE_LIMIT_S = 3.0
+TAKEN = frozenset((errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.EACCES, errno.EPERM))
+"""Errors of a listening port that do not go away by waiting."""
+_LISTENING = ("udpin:", "tcpin:")
+
+
+@dataclass(frozen=True, slots=True)
+class _Heard:
+    frame: Frame
+    raw: bytes
+    link: str
+    at: Stamp
+
+
+class Station:
+    """Making it opens nothing; `start` does. Raises KeyProblem."""
+
+    def __init__(
+        self,
+        settings: MavlinkSettings,
+        system: int,
+        clock: Clock,
+        expected: Iterable[int] = (),
+        *,
+        silent: bool = False,
+    ) -> None:
+        """system: our own MAVLink id. silent: send nothing at all."""
+        self.ids = (system, settings.component_id)
+        self.run = uuid.uuid4().hex[:12]
+        self._urls, self._clock, self._silent = [entry.key for entry in settings.endpoints], clock, silent
+        self._store, self._hub = Store(expected, self.ids), MavlinkHub(settings, system, clock)
+        self._waiting: deque[_Heard] = deque()
+        self._meter, self._copies = Meter(), Copies()
+        self._outlets: tuple[Outlet, ...] = ()
+        self._number = 0
+        self._problems: tuple[str, ...] = ()
+        self._twin = ""
+        self._overrun = 0
+        self._tick_at = self._beat_at = float("-inf")
+        self._lock, self._inbox = threading.Lock(), threading.Lock()
+        self._ready, self._stop = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="phm-gcs", daemon=True)
+        self._hub.listen(self._hear, frames.IDS)
+
+    def start(self) -> None:
+        body = {"version": __version__, "system": self.ids[0], "component": self.ids[1], "links": self._urls}
+        with self._lock:
+            self._publish([News(self._clock.stamp(), "start", body)])
+        self._hub.start()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends within seconds whatever the links do."""
+        self._stop.set()
+        self._ready.set()
+        if self._thread.ident is not None:
+            self._thread.join(CLOSE_LIMIT_S)
+        self._hub.close()
+        with self._lock:
+            self._publish([News(self._clock.stamp(), "end", {})])
+
+    def taken(self, timeout_s: float) -> str:
+        """Why one of the listening ports can never open, empty when all do; waits until each was tried."""
+        listening = {url for url in self._urls if url.startswith(_LISTENING)}
+        end = self._clock.mono() + timeout_s
+        while True:
+            facts = [link for link in self._hub.links() if link.name in listening]
+            for link in facts:
+                if not link.open and link.code in TAKEN:
+                    return f"{link.name}: {link.error}"
+            if len(facts) == len(listening) or self._clock.mono() >= end:
+                return ""
+            self._clock.wait(self._stop, 0.02)
+
+    def subscribe(self, outlet: Outlet) -> None:
+        """Have all news put there from now on."""
+        with self._lock:
+            self._outlets = (*self._outlets, outlet)
+
+    def snapshot(self) -> tuple[int, News]:
+        """How everybody is, and the number of the last news that is in it."""
+        with self._lock:
+            at = self._clock.stamp()
+            body = {
+                "system": self.ids[0], "component": self.ids[1], **self._store.snapshot(at),
+                "problems": list(self._problems), "frames_refused": self._meter.refused + self._overrun,
+            }  # fmt: skip
+            return self._number, News(at, "snapshot", body)
+
+    def line(self, number: int, news: News) -> bytes:
+        """As one line of JSON, without its end."""
+        return encode(news, self.run, number)
+
+    # ------------------------------------------------------------ from the endpoints' threads
+
+    def _hear(self, message: Any, link: str) -> None:
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        raw, at = bytes(message.get_msgbuf()), self._clock.stamp()
+        if sender == self.ids:
+            if not self._hub.echo(raw):
+                self._twin = (
+                    f"another program sends as system {sender[0]} component {sender[1]}, and routers hide one of the "
+                    "two: give this one another id (--id)"
+                )
+            return
+        frame = frames.read(message)
+        if frame is None:
+            return
+        with self._inbox:
+            if not self._meter.lets(sender, at.mono):
+                return
+            if len(self._waiting) >= MAX_WAITING:
+                self._overrun += 1
+                return
+            self._waiting.append(_Heard(frame, raw, link, at))
+        self._ready.set()
+
+    # ------------------------------------------------------------ the station's thread
+
+    def _loop(self) -> None:
+        while not self._stop.is_set():
+            try:
+                self._turn()
+            except Exception:  # a defect that one frame brings out must not end all
+                logger.exception("the ground station stumbled")
+            self._clock.wait(self._ready, TICK_S)
+
+    def _turn(self) -> None:
+        self._ready.clear()
+        with self._inbox:
+            heard = list(self._waiting)
+            self._waiting.clear()
+        for one in heard:
+            if not self._copies.copy(one.raw, one.link, one.at.mono):
+                with self._lock:
+                    self._publish(self._store.hear(one.frame, one.link, one.at))
+        now = self._clock.mono()
+        if now - self._beat_at >= HEARTBEAT_S and not self._silent:
+            self._beat_at = now
+            self._hub.send(
+                mavlink.MAVLink_heartbeat_message(
+                    mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+                )
+            )
+        if now - self._tick_at >= TICK_S:
+            self._tick_at = now
+            self._tick()
+
+    def _tick(self) -> None:
+        links = {link.name: (link.open, link.error) for link in self._hub.links()}
+        problems = tuple(filter(None, (self._twin, self._hub.problem())))
+        with self._lock:
+            at = self._clock.stamp()
+            news = self._store.links(links, at)
+            news += [News(at, "problem", {"text": text}) for text in problems if text not in self._problems]
+            self._problems = problems
+            self._publish([*news, *self._store.tick(at)])
+
+    def _publish(self, news: Iterable[News]) -> None:
+        """With the lock held, so that a snapshot and the news that follow it leave no gap."""
+        for one in news:
+            self._number += 1
+            item = Item(self._number, one, encode(one, self.run, self._number))
+            for outlet in self._outlets:
+                outlet.put(item)

@@ -1,0 +1,160 @@
+"""The live table: agents by slots, of the same JSON that machines get. Levels are letters as well as colours.
+
+At 80 columns every part has its place; what does not fit is cut in the table and stands whole in the lines below it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from phm.wire.text import one_line
+
+Json = Mapping[str, Any]
+SLOTS = tuple(str(number) for number in range(1, 16))
+GAPS = ("8", "12")
+"""A blank stands behind these: mission, the agent's surroundings, the user's own."""
+HEADER = "12345678 9012 345"
+LEGEND = "+ ok  W warn  E error  - not known or unused  ? not heard"
+_CELLS = {"OK": ("+", "green"), "WARN": ("W", "bold yellow"), "ERROR": ("E", "bold white on red")}
+_NOT_KNOWN, _NOT_HEARD = ("-", "dim"), ("?", "magenta")
+_STYLES = {
+    "OK": "green", "WARN": "yellow", "ERROR": "bold red", "STALE": "magenta", "BOOT": "cyan", "LOST": "bold red",
+    "LEFT": "dim", "UNKNOWN": "magenta",
+}  # fmt: skip
+_GRAVITY = ("ERROR", "LOST", "WARN", "UNKNOWN", "STALE", "BOOT", "LEFT", "OK")
+_OTHERS = 8
+"""Lines beside the rows of agents: header, legend, swarm, links, problems."""
+
+
+def whole(snapshot: Json, news: Sequence[str] = (), *, height: int | None = None, notes: Sequence[str] = ()) -> Group:
+    """The table and what belongs to it.
+
+    news: the newest lines, oldest first. height: rows of the terminal, None for no limit. notes: what the program says
+    about itself.
+    """
+    agents = list(snapshot["agents"])
+    shown, left = _choose(agents, None if height is None else max(1, height - _OTHERS - min(len(news), 5)))
+    parts: list[RenderableType] = [_head(snapshot), _agents(shown)]
+    if left:
+        parts.append(_plain(f"and {len(left)} more: {_counts(left)}", "dim"))
+    parts.append(Text(LEGEND, "dim"))
+    parts += _below(snapshot, notes)
+    room = len(news) if height is None else max(0, height - len(shown) - len(parts) - 2)
+    parts += [_plain(line, "dim", crop=True) for line in (news[-room:] if room else ())]
+    return Group(*parts)
+
+
+def _choose(agents: list[Json], room: int | None) -> tuple[list[Json], list[Json]]:
+    """Those that are shown, in their order: where not all fit, the gravest are."""
+    if room is None or len(agents) <= room:
+        return agents, []
+    ranked = sorted(range(len(agents)), key=lambda place: (_GRAVITY.index(agents[place]["how"]), place))
+    chosen = set(ranked[:room])
+    return [agents[place] for place in sorted(chosen)], [agents[place] for place in ranked[room:]]
+
+
+def _head(snapshot: Json) -> Text:
+    agents = snapshot["agents"]
+    heard = "no agent heard yet" if not agents else f"{len(agents)} agents: {_counts(agents)}"
+    return _plain(f"phm gcs {snapshot['system']}/{snapshot['component']}  {heard}", "bold", crop=True)
+
+
+def _counts(agents: Sequence[Json]) -> str:
+    hows = [agent["how"] for agent in agents]
+    return ", ".join(f"{hows.count(how)} {how}" for how in _GRAVITY if how in hows)
+
+
+def _agents(agents: Sequence[Json]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="dim", padding=(0, 1, 0, 0), expand=True)
+    for name, width in (("agent", None), (HEADER, len(HEADER)), ("is", 7), ("age", 4), ("fc", 4)):
+        table.add_column(name, no_wrap=True, min_width=width)
+    table.add_column("broken at", no_wrap=True, overflow="ellipsis", ratio=2)
+    table.add_column("last line", no_wrap=True, overflow="ellipsis", ratio=3)
+    for agent in agents:
+        how = str(agent["how"])
+        table.add_row(
+            _plain(agent["name"], "bold"), cells(agent), Text(how, _STYLES.get(how, "")), _age(agent), _pilot(agent),
+            _hop(agent), _line(agent),
+        )  # fmt: skip
+    return table
+
+
+def cells(agent: Json) -> Text:
+    """A letter for each slot."""
+    text = Text()
+    heard = agent["presence"] in ("alive", "late")
+    for slot in SLOTS:
+        known = _CELLS.get(agent["slots"].get(slot, ""), _NOT_KNOWN)
+        text.append(*(known if heard else _NOT_HEARD))
+        if slot in GAPS:
+            text.append(" ")
+    return text
+
+
+def age(seconds: float | None) -> str:
+    """``3s``, ``12m``, ``5h``, ``9d``; ``?`` when there is none."""
+    if seconds is None:
+        return "?"
+    for size, unit in ((60, "s"), (3600, "m"), (86400, "h")):
+        if seconds < size:
+            return f"{int(seconds // (size / 60 if unit != 'h' else 3600))}{unit}"
+    return f"{int(seconds // 86400)}d"
+
+
+def _age(agent: Json) -> Text:
+    styles = {"alive": "", "late": "yellow", "left": "dim"}
+    return Text(age(agent["age_s"]), styles.get(agent["presence"], "bold red"))
+
+
+def _pilot(agent: Json) -> Text:
+    """What the autopilot of its vehicle says."""
+    pilot = agent["pilot"]
+    if pilot is None:
+        return Text("?", "dim")
+    if pilot["presence"] == "lost":
+        return Text("lost", "bold red")
+    return Text("ARM", "bold cyan") if pilot["armed"] else Text("dis", "dim")
+
+
+def _hop(agent: Json) -> Text:
+    hop = agent["hop"]
+    if hop is None:
+        return Text("")
+    return _plain(
+        f"{hop['name']}{'' if hop['certain'] else '?'}: {hop['evidence']}", "red" if hop["certain"] else "yellow"
+    )
+
+
+def _line(agent: Json) -> Text:
+    if agent["problem"]:
+        return _plain(agent["problem"], "yellow")
+    line = agent["line"]
+    if line is None:
+        says = agent["swarm_says"]
+        return Text(f"the swarm says {says}", "dim") if says else Text("")
+    return _plain(line["text"].removeprefix(f"{agent['name']} "), "" if line["severity"] > 4 else "yellow")
+
+
+def _below(snapshot: Json, notes: Sequence[str]) -> list[RenderableType]:
+    """The swarm, the links, other ground stations, and what is wrong with the ground itself."""
+    parts: list[RenderableType] = []
+    swarm = snapshot["swarm"]
+    if swarm and swarm["line"]:
+        parts.append(_plain(f"{swarm['line']}  (A{swarm['by']:02d}, {age(swarm['line_age_s'])} ago)", "", crop=True))
+    links = [f"{one['link']} {'open' if one['open'] else one['error']}" for one in snapshot["links"]]
+    others = [f"{one['system']}/{one['component']}" for one in snapshot["stations"]]
+    closed = bool(snapshot["links"]) and not all(one["open"] for one in snapshot["links"])
+    words = f"links: {', '.join(links) or 'opening'}; other ground stations: {', '.join(others) or 'none heard'}"
+    parts.append(_plain(words, "yellow" if closed else "dim", crop=True))
+    parts += [_plain(note, "dim", crop=True) for note in notes]
+    parts += [_plain(f"problem: {text}", "yellow") for text in snapshot["problems"]]
+    return parts
+
+
+def _plain(text: object, style: str = "", *, crop: bool = False) -> Text:
+    return Text(one_line(str(text)), style, no_wrap=crop or None, overflow="ellipsis" if crop else None)
