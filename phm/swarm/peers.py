@@ -23,7 +23,9 @@ and every 20 heartbeats; while its sender lives and says nothing new, its view s
 CLASHES, CLASH_PERIODS = 3, 30.0
 """An id is used twice when the frames' sequence falls back this often within so many periods: a restart does it once."""
 REORDERED = 8
-"""Frames may overtake each other by so many."""
+"""Frames may overtake each other by so many, or come twice by two ways: what falls back no further counts only when it was
+not heard before. Two agents that were switched on together, from copies of one card, are never further apart."""
+REMEMBERED = 32
 MAX_LINKS = 16
 MAX_PEERS = 250
 
@@ -44,12 +46,19 @@ class Peer:
     falls: deque[float] = field(default_factory=lambda: deque(maxlen=CLASHES))
     frames: dict[str, int] = field(default_factory=dict)
     """Newest frame number by link."""
+    beats: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    """Link, frame number and word of the last heartbeats."""
 
-    def count(self, frame: int, link: str, now: float) -> None:
+    def count(self, frame: int, word: int, link: str, now: float) -> None:
         """Notice a sequence that falls back: a restart, or two senders with one id."""
-        last = self.frames.get(link, frame)
-        if 128 <= (frame - last) % 256 < 256 - REORDERED:
-            self.falls.append(now)
+        last, beat = self.frames.get(link), (link, frame, word)
+        known = beat in self.beats
+        if last is not None:
+            back = (last - frame) % 256
+            if back <= 128 and not (known and back <= REORDERED):
+                self.falls.append(now)
+        if not known:
+            self.beats.append(beat)
         if link in self.frames or len(self.frames) < MAX_LINKS:
             self.frames[link] = frame
 
@@ -93,7 +102,7 @@ class Peers:
             return False
         peer = self._peer(agent)
         if frame is not None:
-            peer.count(frame, link, now)
+            peer.count(frame, word, link, now)
         before = (peer.seen(now), peer.word, peer.leaving)
         if peer.heard_s is not None and before[0] in (Seen.ALIVE, Seen.LATE):
             gap_s = min(now - peer.heard_s, MAX_PERIOD_S)

@@ -168,6 +168,37 @@ def test_an_id_used_twice_is_noticed_and_a_restart_is_not() -> None:
     assert peers.clashing(24.0 + 61 * PERIOD_S) == ()
 
 
+@pytest.mark.parametrize("behind", [0, 1, 5, 8])
+def test_twins_that_were_switched_on_together_are_noticed(behind: int) -> None:
+    """Their numbers are never far apart, and their words the same but for what stands in one of them alone."""
+    peers = Peers(1, PERIOD_S)
+    for turn in range(12):
+        peers.heartbeat(2, WELL, 2.0 * turn, frame=turn + behind)
+        peers.heartbeat(2, WELL | 3 << 16, 2.0 * turn + 1.0, frame=turn)
+    assert peers.clashing(24.0) == (2,)
+
+
+def test_twins_that_say_the_same_are_noticed_by_what_they_say_between() -> None:
+    """Each sends a line now and then; a heartbeat with the number of a line was not heard before."""
+    peers = Peers(1, PERIOD_S)
+    first, second = 4, 0
+    for turn in range(30):
+        first, second = first + 1 + (turn % 5 == 0), second + 1 + (turn % 5 == 2)
+        peers.heartbeat(2, WELL, 2.0 * turn, frame=first % 256)
+        peers.heartbeat(2, WELL, 2.0 * turn + 1.0, frame=second % 256)
+    assert peers.clashing(60.0) == (2,)
+
+
+def test_a_copy_that_comes_late_is_no_clash() -> None:
+    """The same heartbeats once more, three of them later, by the same link."""
+    peers = Peers(1, PERIOD_S)
+    for turn in range(100):
+        peers.heartbeat(2, WELL, 2.0 * turn, frame=turn % 256)
+        if turn >= 3:
+            peers.heartbeat(2, WELL, 2.0 * turn + 1.0, frame=(turn - 3) % 256)
+        assert peers.clashing(2.0 * turn) == ()
+
+
 def test_the_same_frame_by_two_ways_is_no_clash() -> None:
     """Routers hand a frame on by several links, each with a delay of its own."""
     peers = Peers(1, PERIOD_S)
