@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent
-NEEDS = {"system": ("engine", "ros"), "ros": ("ros",)}
+NEEDS = {"system": ("engine", "ros"), "ros": ("ros",), "interop": ("interop",)}
 """What all tests of a folder need; a test elsewhere carries its own mark. `scripts/test` runs those without any of these
 marks on every Python of the machine, with no ROS and no engine there."""
 SKIPPED_IS_FAILED = "tests were skipped: what a test needs is set up by scripts/test, so a skipped test is a failed one"

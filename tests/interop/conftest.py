@@ -1,0 +1,34 @@
+"""A vehicle, and whatever is connected to it; all of it ends with the test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+
+from tests.interop.programs import Program
+from tests.interop.vehicle import Vehicle
+
+SomeProgram = TypeVar("SomeProgram", bound=Program)
+
+
+@pytest.fixture
+def vehicle(tmp_path: Path) -> Iterator[Vehicle]:
+    made = Vehicle(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def ends(vehicle: Vehicle) -> Iterator[Callable[[SomeProgram], SomeProgram]]:
+    """Give it a program: it is ended with the test, before the vehicle."""
+    with ExitStack() as stack:
+
+        def end_with_the_test(program: SomeProgram) -> SomeProgram:
+            stack.callback(program.close)
+            return program
+
+        yield end_with_the_test

@@ -1,0 +1,116 @@
+"""Ground software of others as real processes, from the environment that `scripts/venv interop` makes."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+BIN = ROOT / ".venv-interop" / "bin"
+LIMIT_S = 60.0
+"""Bounds failure alone: these programs take seconds to start on a loaded machine."""
+END_LIMIT_S = 5.0
+KEPT = 20_000
+
+
+def until(wanted: Callable[[], Any], what: str, told: Callable[[], object] = str) -> Any:
+    """Poll until `wanted` gives something true, and return that; fail after LIMIT_S with what was `told`."""
+    end = time.monotonic() + LIMIT_S
+    while not (value := wanted()):
+        assert time.monotonic() < end, f"{what} did not happen within {LIMIT_S:g} s; seen: {told()}"
+        time.sleep(0.02)
+    return value
+
+
+class Program:
+    """One process in a group of its own, which ends with `close`; `lines` holds what it has printed so far."""
+
+    def __init__(self, words: list[str], folder: Path) -> None:
+        python = BIN / "python"
+        assert python.exists(), f"there is no {python}: run scripts/venv interop"
+        self.lines: deque[str] = deque(maxlen=KEPT)
+        self._process = subprocess.Popen(
+            [str(python), "-u", *words], cwd=folder, start_new_session=True, text=True, errors="replace",
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            env={"PATH": os.environ["PATH"], "HOME": str(folder), "TERM": "dumb"},
+        )  # fmt: skip
+        self._reader = threading.Thread(target=self._read, name="program", daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as output:
+            for line in output:
+                self.lines.append(line.rstrip("\n"))
+
+    def say(self, line: str) -> None:
+        """Type a line."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{line}\n")
+        self._process.stdin.flush()
+
+    def printed(self, part: str) -> list[str]:
+        """The lines so far with `part` in them."""
+        return [line for line in list(self.lines) if part in line]
+
+    def wait_for(self, part: str) -> str:
+        """The first line with `part` in it, once it is there."""
+        found: list[str] = until(lambda: self.printed(part), f"a line with {part!r}", self._last)
+        return found[0]
+
+    def _last(self) -> str:
+        return "\n".join(list(self.lines)[-30:])
+
+    def close(self) -> None:
+        """End the group; whoever does not go is killed. MAVProxy, when it is typed into, goes at the end of its input alone."""
+        with contextlib.suppress(OSError, ValueError):
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, number)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(END_LIMIT_S)
+        self._reader.join(END_LIMIT_S)
+
+
+class Mavproxy(Program):
+    """A MAVProxy without windows: an operator types into it with `say`."""
+
+    def __init__(self, folder: Path, *words: str) -> None:
+        folder.mkdir()
+        script = [str(BIN / "mavproxy.py"), "--state-basedir", str(folder)]
+        super().__init__([*script, *words], folder)
+
+    def texts(self) -> list[str]:
+        """The STATUSTEXTs that its console has shown."""
+        return [line.partition("AP: ")[2] for line in self.printed("AP: ")]
+
+
+class Watcher(Program):
+    """MAVSDK in a process; `news` holds what it was told, as records with a `kind`."""
+
+    def __init__(self, script: str, folder: Path, *urls: str) -> None:
+        folder.mkdir()
+        super().__init__([str(Path(__file__).with_name(script)), *urls], folder)
+
+    def news(self, kind: str, **more: Any) -> list[dict[str, Any]]:
+        """Those of a kind whose keys have these values."""
+        records = [json.loads(line) for line in list(self.lines) if line.startswith("{")]
+        return [
+            record for record in records
+            if record["kind"] == kind and all(record[key] == value for key, value in more.items())
+        ]  # fmt: skip
+
+    def wait_news(self, kind: str, **more: Any) -> dict[str, Any]:
+        found: list[dict[str, Any]] = until(lambda: self.news(kind, **more), f"{kind} {more}", self._last)
+        return found[0]

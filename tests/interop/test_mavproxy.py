@@ -1,0 +1,168 @@
+"""MAVProxy as ground station and as router, between the operator and a vehicle with PHM."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.model import Level, Slot
+from sitl.ground import Ground
+from sitl.link import mavlink
+from tests.fakes.mavlink import free_port
+from tests.interop.programs import Mavproxy, until
+from tests.interop.vehicle import COMPONENT, ERROR, FAIL, FIXED, SYSTEM, WARN, Vehicle
+
+ONLINE = f"online system {SYSTEM}"
+OTHER = 250
+"""System id of a second ground station; MAVProxy is 255."""
+Ends = Callable[[Mavproxy], Mavproxy]
+
+
+class Asking(Ground):
+    """A ground station that asks, and keeps what it is answered."""
+
+    def __init__(self, url: str) -> None:
+        super().__init__(url, system=OTHER)
+        self.answers: list[Any] = []
+
+    def ask(self, component: int, command: int, first: float) -> None:
+        self._send(mavlink.MAVLink_command_long_message(SYSTEM, component, command, 0, first, 0, 0, 0, 0, 0, 0))
+
+    def _take(self, message: Any) -> None:
+        super()._take(message)
+        if message.get_type() in ("COMMAND_ACK", "ONBOARD_COMPUTER_STATUS"):
+            self.answers.append(message)
+
+
+@pytest.fixture
+def proxy(vehicle: Vehicle, ends: Ends, tmp_path: Path) -> Callable[..., Mavproxy]:
+    """Starts a MAVProxy at the vehicle's ground port, with these words."""
+    return lambda *words: ends(Mavproxy(tmp_path / "proxy", f"--master=tcp:127.0.0.1:{vehicle.port}", *words))
+
+
+@pytest.fixture
+def behind(proxy: Callable[..., Mavproxy]) -> Iterator[tuple[Mavproxy, Asking]]:
+    """A MAVProxy with `--out`, and a ground station there."""
+    port = free_port(socket.SOCK_DGRAM)
+    ground = Asking(f"udpin:127.0.0.1:{port}")
+    ground.start()
+    out = proxy("--non-interactive", "--out", f"127.0.0.1:{port}")
+    out.wait_for(ONLINE)
+    yield out, ground
+    ground.stop()
+
+
+def test_the_console_shows_phm_once_the_target_component_is_0(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
+    """By default it shows the autopilot's text alone, from the moment at which it knows the autopilot."""
+    console = proxy()
+    console.wait_for(ONLINE)
+    beside = Ground(f"tcp:127.0.0.1:{vehicle.port}", system=OTHER)
+    beside.start()
+    try:
+        vehicle.break_container()
+        until(lambda: [line for line in beside.lines if line.text.startswith(FAIL)], "PHM's line on this port")
+        # The autopilot's answer left after the line, on the same connection.
+        beside.arm(SYSTEM, armed=True)
+        console.wait_for("ARMED")
+        assert not [text for text in console.texts() if text.startswith(FAIL)]
+        console.say("set target_component 0")
+        console.say("set target_component")
+        console.wait_for("target_component 0")
+        vehicle.mend_container()
+        console.wait_for(f"AP: {FIXED}")
+    finally:
+        beside.stop()
+
+
+def test_a_target_system_on_the_command_line_shows_all_severities(
+    vehicle: Vehicle, proxy: Callable[..., Mavproxy]
+) -> None:
+    """With `--target-system` nothing needs to be typed; INFO, the refresh, is shown like an alarm."""
+    console = proxy("--non-interactive", f"--target-system={SYSTEM}")
+    console.wait_for("Mode LOITER")
+    for line in (ERROR, WARN, "A07 FAIL 11------ 9 memory"):
+        console.wait_for(f"AP: {line}")
+    vehicle.break_container()
+    console.wait_for(f"AP: {FAIL}")
+    vehicle.mend_container()
+    console.wait_for(f"AP: {FIXED}")
+
+
+def test_the_setting_does_nothing_before_the_autopilot_is_known(
+    proxy: Callable[..., Mavproxy], vehicle: Vehicle
+) -> None:
+    """As `--cmd`, it is overwritten by the first heartbeat of the autopilot; typed after that, it stays."""
+    console = proxy("--cmd", "set target_component 0")
+    console.wait_for(ONLINE)
+    console.say("set target_component")
+    console.wait_for("target_component 1")
+    console.say(f"vehicle {SYSTEM}:0")
+    console.say("set target_component")
+    console.wait_for("target_component 0")
+    vehicle.break_container()
+    console.wait_for(f"AP: {FAIL}")
+
+
+def test_phm_changes_neither_mode_nor_arming_nor_acknowledgements(
+    vehicle: Vehicle, proxy: Callable[..., Mavproxy]
+) -> None:
+    """The status word is where an autopilot has its mode, and all components are addressed: one answer comes, the autopilot's."""
+    console = proxy(f"--target-system={SYSTEM}")
+    console.wait_for("Mode LOITER")
+    console.wait_for(f"Detected vehicle {SYSTEM}:{COMPONENT}")
+    console.say("arm throttle")
+    console.wait_for("COMMAND_ACK: COMPONENT_ARM_DISARM: ACCEPTED")
+    console.wait_for("ARMED")
+    word = vehicle.status_word()
+    vehicle.break_container()
+    console.wait_for(f"AP: {FAIL}")
+    until(lambda: vehicle.status_word() != word, "another status word")
+    console.say("disarm")
+    console.wait_for("DISARMED")
+    assert len(console.printed("Mode ")) == 1, "the mode changed"
+    answers = console.printed("COMMAND_ACK: COMPONENT_ARM_DISARM")
+    assert len(answers) == 2 and all(line.endswith("ACCEPTED") for line in answers)
+
+
+def test_a_ground_station_behind_it_reads_all_that_phm_says(vehicle: Vehicle, behind: tuple[Mavproxy, Asking]) -> None:
+    """Status word and lines pass `--out` unchanged, although its own console does not show them."""
+    console, ground = behind
+    vehicle.break_container()
+    line = until(lambda: [line for line in ground.lines if line.text.startswith(FAIL)], "the line")[0]
+    assert (line.system, line.component, line.severity) == (SYSTEM, COMPONENT, 2)
+    until(lambda: any(word.levels.get(Slot.CONTAINER) is Level.ERROR for word in list(ground.words)), "the word")
+    change = next(word for word in list(ground.words) if word.levels.get(Slot.CONTAINER) is Level.ERROR)
+    assert (change.system, change.component, change.system_status) == (SYSTEM, COMPONENT, mavlink.MAV_STATE_EMERGENCY)
+    assert change.levels[Slot.HOST] is Level.ERROR
+    assert not [text for text in console.texts() if text.startswith(FAIL)]
+
+
+def test_a_ground_station_behind_it_is_heard_and_answered(vehicle: Vehicle, behind: tuple[Mavproxy, Asking]) -> None:
+    """PHM hears its heartbeat, sends it the full state, and acknowledges its request to it alone."""
+    _, ground = behind
+    until(lambda: [line for line in ground.lines if line.text.startswith(ERROR)], "the full state")
+    until(lambda: (OTHER, 190) in vehicle.senders(), "its heartbeat at PHM", lambda: vehicle.senders())
+    ground.ask(COMPONENT, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_ONBOARD_COMPUTER_STATUS)
+    kinds = {"COMMAND_ACK", "ONBOARD_COMPUTER_STATUS"}
+    until(
+        lambda: kinds <= {message.get_type() for message in list(ground.answers)}, "the answers", lambda: ground.answers
+    )
+    for message in ground.answers:
+        assert (message.get_srcSystem(), message.get_srcComponent()) == (SYSTEM, COMPONENT)
+    answer = next(message for message in ground.answers if message.get_type() == "COMMAND_ACK")
+    assert (answer.command, answer.result) == (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_RESULT_ACCEPTED)
+    assert (answer.target_system, answer.target_component) == (OTHER, 190)
+
+
+def test_a_dead_autopilot_is_told_by_phm_and_by_the_link(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
+    """Where PHM has a way of its own to the ground, its heartbeats do not pass for the autopilot's."""
+    console = proxy(f"--master=tcp:127.0.0.1:{vehicle.direct}", f"--target-system={SYSTEM}")
+    console.wait_for("Mode LOITER")
+    console.wait_for(f"Detected vehicle {SYSTEM}:{COMPONENT}")
+    vehicle.pilot.hung = True
+    console.wait_for("AP: A07 FAIL 10 autopilot: no heartbeat")
+    console.wait_for("link 1 down")

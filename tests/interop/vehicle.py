@@ -1,0 +1,73 @@
+"""A vehicle for ground software of others: a whole PHM beside a simulated autopilot, and faults of each severity."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+from phm.daemon import Daemon
+from phm.model import worst_by_slot
+from phm.testing import settings
+from phm.wire import status_word
+from sitl.autopilot import Autopilot
+from tests.fakes.engine import FakeEngine, container
+from tests.fakes.mavlink import free_port
+
+SYSTEM, COMPONENT = 7, 193
+FAIL = "A07 FAIL 2 ros_app exited"
+FIXED = "A07 OK 2 cleared itself: ros_app exited"
+WARN, ERROR = "A07 WARN 9 disk", "A07 FAIL 9 memory"
+
+
+class Vehicle:
+    """Vehicle 7: the autopilot's ground port is `tcp:127.0.0.1:<port>`, PHM is at its companion port and can be reached
+    around the autopilot at `tcp:127.0.0.1:<direct>`, as by a radio of its own. Everything runs in this process. The disk is
+    WARN and the memory ERROR from the start; `break_container` is CRITICAL, `mend_container` NOTICE.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.port, self.direct, companion = free_port(), free_port(), free_port()
+        self.pilot = Autopilot(SYSTEM, f"tcpin:127.0.0.1:{companion}", f"tcpin:127.0.0.1:{self.port}")
+        self._thread = threading.Thread(target=self.pilot.run, name="autopilot", daemon=True)
+        self._thread.start()
+        self.engine = FakeEngine(folder / "engine.sock")
+        self.engine.containers["ros_app"] = container("ros_app")
+        self.engine.__enter__()
+        made = settings(
+            agent={"id": SYSTEM}, interval=1, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")}, checks={"peers": {"enabled": False}},
+            docker={"socket": self.engine.url}, containers=[{"name": "ros_app"}], recovery={"mode": "off"},
+            host={"memory": {"warn": 0, "error": 0}, "disk": {"warn": 0, "error": 100}, "cpu": {"warn": 100, "error": 100}},
+            mavlink={
+                "endpoints": [
+                    {"url": f"tcp:127.0.0.1:{companion}", "name": "fc", "budget": 0, "leads_to": "both"},
+                    {"url": f"tcpin:127.0.0.1:{self.direct}", "name": "direct", "budget": 0, "leads_to": "ground"},
+                ],
+                "heartbeat": 0.5, "refresh": 2, "autopilot_timeout": 2,
+            },
+        )  # fmt: skip
+        self.daemon = Daemon(made)
+        self.daemon.start()
+
+    def break_container(self) -> None:
+        self.engine.set("ros_app", status="exited", exit_code=1)
+
+    def mend_container(self) -> None:
+        self.engine.set("ros_app", status="running")
+
+    def senders(self) -> set[tuple[int, int]]:
+        """System and component of everyone whom PHM hears."""
+        return {
+            (sender.system, sender.component)
+            for link in self.daemon.parts.world.links.links()
+            for sender in link.senders
+        }
+
+    def status_word(self) -> int:
+        return status_word.encode(worst_by_slot(self.daemon.pipeline.states()))
+
+    def close(self) -> None:
+        self.daemon.stop()
+        self.pilot.stop()
+        self._thread.join(5.0)
+        self.engine.__exit__(None, None, None)
