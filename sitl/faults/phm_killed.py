@@ -8,6 +8,9 @@ import time
 
 from sitl.faults.base import Agent, Fault
 
+RUN = "bin/phm run"
+"""In the daemon's command line, and not in that of the container's first process, which only says `phm run`."""
+
 
 class Injection(Fault):
     """SIGKILL to PHM's daemon, whose container Docker's restart policy starts again. (`docker kill` would count as a wish to have
@@ -34,5 +37,5 @@ class Injection(Fault):
 
 def daemon(agent: Agent) -> int:
     """The process id of PHM's daemon on this machine."""
-    (found,) = agent.processes(agent.sidecar, "phm run")
+    (found,) = agent.processes(agent.sidecar, RUN)
     return found

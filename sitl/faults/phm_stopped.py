@@ -8,7 +8,7 @@ import signal
 import time
 
 from sitl.faults.base import Agent, Fault
-from sitl.faults.phm_killed import daemon
+from sitl.faults.phm_killed import RUN, daemon
 
 
 class Injection(Fault):
@@ -31,6 +31,6 @@ class Injection(Fault):
         return moment
 
     def clear(self, agent: Agent) -> None:
-        if self._pid and self._pid in agent.processes(agent.sidecar, "phm run"):
+        if self._pid and self._pid in agent.processes(agent.sidecar, RUN):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._pid, signal.SIGCONT)
