@@ -1,0 +1,95 @@
+"""The ground has a real container restarted: the command over UDP, the engine's restart, the proof, and the line about its end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pymavlink import mavutil
+
+from phm.daemon import Daemon
+from phm.model import ActionEvent, Event, FaultOpened, Level
+from phm.testing import settings
+from phm.transport.dialect import mavlink
+from tests.fakes.mavlink import free_port, heartbeat
+
+LIMIT_S = 60.0
+RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
+# With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
+mavutil.set_dialect("common")
+
+
+class Agent:
+    """PHM as agent 7 on the real engine, with the container `app` that has opted in and `other` that has not."""
+
+    def __init__(self, folder: Path, names: dict[str, str]) -> None:
+        port = free_port()
+        made = settings(
+            agent={"id": 7}, interval=2, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}, "peers": {"enabled": False}},
+            containers=[{"name": name, "alias": key, "recover": key == "app"} for key, name in names.items()],
+            recovery={"verify": "3s", "stop_timeout": "2s"},
+            mavlink={"endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0}], "commands": ["restart"]},
+        )  # fmt: skip
+        self.events: list[Event] = []
+        self.lines: list[tuple[int, str]] = []
+        self.daemon = Daemon(made)
+        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.start()
+        self.ground: Any = mavutil.mavlink_connection(
+            f"udpout:127.0.0.1:{port}", source_system=255, source_component=190
+        )
+
+    def close(self) -> None:
+        self.ground.close()
+        self.daemon.stop()
+
+    def until(self, wanted: Callable[[], Any], what: str) -> None:
+        """Reads what comes meanwhile, and lets the agent know that a ground station is there."""
+        end = time.monotonic() + LIMIT_S
+        while not wanted():
+            assert time.monotonic() < end, f"waited {LIMIT_S:g} s for {what}; lines {self.lines}"
+            self.ground.mav.send(heartbeat(kind=mavlink.MAV_TYPE_GCS))
+            message = self.ground.recv_match(blocking=True, timeout=0.2)
+            if message is not None and message.get_type() == "STATUSTEXT":
+                self.lines.append((message.severity, message.text))
+            elif message is not None and message.get_type() == "COMMAND_ACK":
+                self.answer = message.result
+
+    def ask(self, place: int) -> int:
+        """The result with which a restart of this container is acknowledged."""
+        self.answer: int | None = None
+        self.ground.mav.command_long_send(7, 193, 31010, 0, 3, place, 0, 0, 0, 0, 0)
+        self.until(lambda: self.answer is not None, "the acknowledgement")
+        assert self.answer is not None
+        return self.answer
+
+    def well(self) -> bool:
+        states = self.daemon.pipeline.states()
+        return {state.level for state in states if state.unit.startswith("container/")} == {Level.OK}
+
+
+def started(container: Any) -> str:
+    container.reload()
+    return str(container.attrs["State"]["StartedAt"])
+
+
+def test_a_restart_that_the_ground_asks_for_is_done_proven_and_told(real: Any, tmp_path: Path) -> None:
+    """The container lives anew, the other one as before, no fault is opened, and the ground reads the end."""
+    containers = {"app": real.container(RUN), "other": real.container(RUN)}
+    agent = Agent(tmp_path, {key: container.name for key, container in containers.items()})
+    before = {key: started(container) for key, container in containers.items()}
+    try:
+        agent.until(agent.well, "all to be well")
+        assert agent.ask(2) == mavlink.MAV_RESULT_FAILED, "it has not opted in"
+        assert agent.ask(1) == mavlink.MAV_RESULT_ACCEPTED
+        agent.until(lambda: (5, "A07 OK 2 restart done: app") in agent.lines, "the line about its end")
+    finally:
+        agent.close()
+    assert started(containers["app"]) != before["app"]
+    assert started(containers["other"]) == before["other"]
+    assert [event.fault.unit for event in agent.events if isinstance(event, FaultOpened)] == []
+    phases = [event.phase.value for event in agent.events if isinstance(event, ActionEvent)]
+    assert phases == ["started", "done", "verified"]
