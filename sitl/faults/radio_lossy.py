@@ -15,7 +15,7 @@ RSSI, NOISE = 52, 45
 class Injection(Fault):
     """Loses frames in bursts, and RADIO_STATUS says why: the signal is hardly above the noise."""
 
-    name, title, unit = "radio_lossy", "radio lossy", "radio/ground"
+    name, title, unit = "radio_lossy", "radio lossy", "radio/router"
     condition = "radio_weak"
     layer = "link"
     cause = "the vehicle is at the edge of its radio's range, or something disturbs it"

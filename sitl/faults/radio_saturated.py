@@ -13,7 +13,7 @@ FILL_BPS = 64_000
 class Injection(Fault):
     """Foreign traffic beyond what the radio carries fills its transmit buffer. PHM's own lines must still get through."""
 
-    name, title, unit = "radio_saturated", "radio saturated", "radio/ground"
+    name, title, unit = "radio_saturated", "radio saturated", "radio/router"
     condition = "radio_full"
     layer = "link"
     cause = "stream rates are set too high, or somebody loads a log over the radio"

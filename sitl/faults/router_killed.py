@@ -10,7 +10,7 @@ from sitl.faults.base import Agent, Fault
 class Injection(Fault):
     """Connections to it are refused. PHM opens its own again as soon as somebody answers; the router is not PHM's to start."""
 
-    name, title, unit = "router_killed", "MAVLink router killed", "link/ground"
+    name, title, unit = "router_killed", "MAVLink router killed", "link/router"
     condition = "link_closed"
     layer = "link"
     cause = "the MAVLink router aboard crashed or was stopped"
