@@ -16,8 +16,9 @@ SomeProgram = TypeVar("SomeProgram", bound=Program)
 
 
 @pytest.fixture
-def vehicle(tmp_path: Path) -> Iterator[Vehicle]:
-    made = Vehicle(tmp_path)
+def vehicle(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Vehicle]:
+    """Unsigned, or by the passphrase that a test gives as the parameter `vehicle`."""
+    made = Vehicle(tmp_path, getattr(request, "param", ""))
     yield made
     made.close()
 

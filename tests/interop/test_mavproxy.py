@@ -12,11 +12,12 @@ import pytest
 from phm.model import Level, Slot
 from sitl.ground import Ground
 from sitl.link import mavlink
-from tests.fakes.mavlink import free_port
+from tests.fakes.mavlink import Sender, free_port, text
 from tests.interop.programs import Mavproxy, until
 from tests.interop.vehicle import COMPONENT, ERROR, FAIL, FIXED, SYSTEM, WARN, Vehicle
 
 ONLINE = f"online system {SYSTEM}"
+PASSPHRASE = "over-the-hills-and-far-away"
 OTHER = 250
 """System id of a second ground station; MAVProxy is 255."""
 Ends = Callable[[Mavproxy], Mavproxy]
@@ -68,7 +69,7 @@ def test_the_console_shows_phm_once_the_target_component_is_0(vehicle: Vehicle, 
         # The autopilot's answer left after the line, on the same connection.
         beside.arm(SYSTEM, armed=True)
         console.wait_for("ARMED")
-        assert not [text for text in console.texts() if text.startswith(FAIL)]
+        assert not [line for line in console.texts() if line.startswith(FAIL)]
         console.say("set target_component 0")
         console.say("set target_component")
         console.wait_for("target_component 0")
@@ -128,6 +129,49 @@ def test_phm_changes_neither_mode_nor_arming_nor_acknowledgements(
     assert len(answers) == 2 and all(line.endswith("ACCEPTED") for line in answers)
 
 
+def test_it_shows_the_vehicle_that_it_is_set_to_alone(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
+    """Another agent's lines, on the same port, are shown once the console is switched over to that agent."""
+    console = proxy(f"--target-system={SYSTEM}")
+    console.wait_for(f"AP: {ERROR}")
+    other = Sender(8, COMPONENT)
+    with socket.create_connection(("127.0.0.1", vehicle.companion)) as companion:
+        companion.sendall(other.frame(text("A08 FAIL 6 node_1 dead", 2)))
+        vehicle.break_container()  # told later, on the same way
+        console.wait_for(f"AP: {FAIL}")
+        console.say("vehicle 8:0")
+        console.say("set target_system")
+        console.wait_for("target_system 8")
+        companion.sendall(other.frame(text("A08 OK 6 cleared itself: node_1 dead", 5)))
+        console.wait_for("AP: A08 OK 6")
+    assert not [line for line in console.texts() if line.startswith("A08 FAIL")]
+
+
+def test_an_operator_commands_phm_by_its_component(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
+    """`long` goes to the target component; what the configuration does not allow is DENIED, and the console says so."""
+    console = proxy(f"--target-system={SYSTEM}")
+    console.wait_for("Mode LOITER")
+    console.say(f"set target_component {COMPONENT}")
+    console.say("long USER_1 1")
+    console.wait_for("COMMAND_ACK: USER_1: DENIED")
+
+
+@pytest.mark.parametrize("vehicle", [PASSPHRASE], indirect=True)
+def test_the_key_of_its_passphrase_is_phms(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
+    """Signed lines are shown with and without the key; a command is obeyed with it alone."""
+    console = proxy(f"--target-system={SYSTEM}")
+    console.wait_for("Mode LOITER")
+    console.wait_for(f"AP: {ERROR}")
+    console.say(f"set target_component {COMPONENT}")
+    console.say("long USER_1 1")
+    console.wait_for("COMMAND_ACK: USER_1: DENIED")
+    console.say(f"signing key {PASSPHRASE}")
+    console.wait_for("Setup signing key")
+    console.say("long USER_1 1")
+    console.wait_for("COMMAND_ACK: USER_1: ACCEPTED")
+    vehicle.break_container()
+    console.wait_for(f"AP: {FAIL}")
+
+
 def test_a_ground_station_behind_it_reads_all_that_phm_says(vehicle: Vehicle, behind: tuple[Mavproxy, Asking]) -> None:
     """Status word and lines pass `--out` unchanged, although its own console does not show them."""
     console, ground = behind
@@ -138,7 +182,7 @@ def test_a_ground_station_behind_it_reads_all_that_phm_says(vehicle: Vehicle, be
     change = next(word for word in list(ground.words) if word.levels.get(Slot.CONTAINER) is Level.ERROR)
     assert (change.system, change.component, change.system_status) == (SYSTEM, COMPONENT, mavlink.MAV_STATE_EMERGENCY)
     assert change.levels[Slot.HOST] is Level.ERROR
-    assert not [text for text in console.texts() if text.startswith(FAIL)]
+    assert not [line for line in console.texts() if line.startswith(FAIL)]
 
 
 def test_a_ground_station_behind_it_is_heard_and_answered(vehicle: Vehicle, behind: tuple[Mavproxy, Asking]) -> None:

@@ -33,11 +33,16 @@ def told(watcher: Watcher, severity: str, begin: str) -> bool:
     return any(record["text"].startswith(begin) for record in watcher.news("text", severity=severity))
 
 
-@pytest.mark.parametrize("script", ["mavsdk_watch.py", "mavsdk_grpc_watch.py"], ids=["native", "gRPC"])
+@pytest.mark.parametrize(
+    ("script", "vehicle"),
+    [("mavsdk_watch.py", ""), ("mavsdk_watch.py", "a passphrase"), ("mavsdk_grpc_watch.py", "")],
+    ids=["native", "native, signed", "gRPC"],
+    indirect=["vehicle"],
+)
 def test_status_text_has_every_line_with_its_severity(
     vehicle: Vehicle, ends: Ends, tmp_path: Path, script: str
 ) -> None:
-    """CRITICAL, ERROR, WARNING, NOTICE and INFO arrive under their names, without any setting."""
+    """CRITICAL, ERROR, WARNING, NOTICE and INFO arrive under their names, without any setting, and signed without a key."""
     watcher = ends(Watcher(script, tmp_path / "mavsdk", url(vehicle)))
     # What was told before MAVSDK knew the system and the program subscribed is lost to it.
     until(lambda: told(watcher, "INFO", REFRESH), REFRESH, lambda: watcher.news("text"))

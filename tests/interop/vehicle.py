@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from pathlib import Path
 
@@ -19,15 +20,26 @@ FIXED = "A07 OK 2 cleared itself: ros_app exited"
 WARN, ERROR = "A07 WARN 9 disk", "A07 FAIL 9 memory"
 
 
+def _signed(folder: Path, passphrase: str) -> dict[str, object]:
+    """What signing adds to the configuration."""
+    if not passphrase:
+        return {}
+    key = folder / "mavlink.key"
+    key.write_text(hashlib.sha256(passphrase.encode()).hexdigest())
+    key.chmod(0o600)
+    return {"signing": {"key": str(key)}, "commands": ["status", "details", "check"]}
+
+
 class Vehicle:
     """Vehicle 7: the autopilot's ground port is `tcp:127.0.0.1:<port>`, PHM is at its companion port and can be reached
     around the autopilot at `tcp:127.0.0.1:<direct>`, as by a radio of its own. Everything runs in this process. The disk is
-    WARN and the memory ERROR from the start; `break_container` is CRITICAL, `mend_container` NOTICE.
+    WARN and the memory ERROR from the start; `break_container` is CRITICAL, `mend_container` NOTICE. With a passphrase PHM
+    signs, by the key that Mission Planner and MAVProxy make of it, and may be told to run its checks.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.port, self.direct, companion = free_port(), free_port(), free_port()
-        self.pilot = Autopilot(SYSTEM, f"tcpin:127.0.0.1:{companion}", f"tcpin:127.0.0.1:{self.port}")
+    def __init__(self, folder: Path, passphrase: str = "") -> None:
+        self.port, self.direct, self.companion = free_port(), free_port(), free_port()
+        self.pilot = Autopilot(SYSTEM, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self.port}")
         self._thread = threading.Thread(target=self.pilot.run, name="autopilot", daemon=True)
         self._thread.start()
         self.engine = FakeEngine(folder / "engine.sock")
@@ -40,10 +52,10 @@ class Vehicle:
             host={"memory": {"warn": 0, "error": 0}, "disk": {"warn": 0, "error": 100}, "cpu": {"warn": 100, "error": 100}},
             mavlink={
                 "endpoints": [
-                    {"url": f"tcp:127.0.0.1:{companion}", "name": "fc", "budget": 0, "leads_to": "both"},
+                    {"url": f"tcp:127.0.0.1:{self.companion}", "name": "fc", "budget": 0, "leads_to": "both"},
                     {"url": f"tcpin:127.0.0.1:{self.direct}", "name": "direct", "budget": 0, "leads_to": "ground"},
                 ],
-                "heartbeat": 0.5, "refresh": 2, "autopilot_timeout": 2,
+                "heartbeat": 0.5, "refresh": 2, "autopilot_timeout": 2, **_signed(folder, passphrase),
             },
         )  # fmt: skip
         self.daemon = Daemon(made)
