@@ -18,7 +18,8 @@ CHANGES = {
     "#restore: image": "restore: image",
 }
 """Of the shipped configuration, for all agents: room for many faults in a row, and a file that can be judged and restored."""
-OFF = {"\n  mode: act": "\n  mode: off"}
+OFF = {"\n  mode: act": '\n  mode: "off"'}
+"""In quotes, since the swarm's configuration goes through a reader for which a bare off is a falsehood."""
 _GROUPS = {
     **dict.fromkeys(("container", "health", "network", "devices", "nodes", "topics", "rates", "consensus"), "app"),
     "files": "files", "host": "host", "companion": "phm",

@@ -63,6 +63,7 @@ def parser() -> argparse.ArgumentParser:
         "--stop-after", type=float, metavar="S", help="begin no trial after so many seconds; call again to go on"
     )
     words.add_argument("--keep", action="store_true", help="leave the swarm up at the end")
+    words.add_argument("--no-build", action="store_true", help="take the images as they are")
     words.add_argument("--plan", action="store_true", help="only print what would be injected")
     return words
 
@@ -121,7 +122,7 @@ def _swarm(asked: argparse.Namespace, console: Console) -> tuple[Swarm, bool]:
     except LookupError:
         options = Options(
             agents=asked.agents, name=asked.name, interval_s=asked.interval, autopilot=asked.autopilot,
-            autopilot_path=asked.autopilot_path, autopilot_image=asked.autopilot_image, seed=asked.seed, changes=CHANGES,
+            autopilot_path=asked.autopilot_path, autopilot_image=asked.autopilot_image, seed=asked.seed, changes=CHANGES, build=not asked.no_build,
         )  # fmt: skip
         swarm = Swarm(options)
         console.print(f"starting {asked.agents} agents")
