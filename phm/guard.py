@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable
 
 LOOK_S = 1.0
-STOPPED_LOOKS = 3
+STOPPED_LOOKS = 4
 """So long a daemon may be stopped by a signal; a shell's job control takes less."""
 SILENT_LOOKS = 12
 """A starved daemon beats late; one that has not beaten for so long does not beat at all."""
