@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -97,6 +98,9 @@ def _up(chosen: argparse.Namespace) -> int:
         build=not chosen.no_build,
     )
     swarm = Swarm(options)
+    # A shell that starts this in the background has SIGINT ignored; whoever ends `up` wants no half of a swarm.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     try:
         swarm.up(lambda words: print(words, flush=True))
     except KeyboardInterrupt:

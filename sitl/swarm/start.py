@@ -7,10 +7,12 @@ import os
 import subprocess
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from threading import Event
 from typing import TYPE_CHECKING
 
 from docker.errors import APIError
+from docker.models.containers import Container
 
 from sitl.derived import write
 from sitl.stack import ROOT
@@ -45,9 +47,11 @@ def bring_up(swarm: Swarm, lock: int, tell: Callable[[str], None]) -> dict[str, 
     if swarm.options.build:
         phase("images", _images)
     phase("air", lambda: _air(swarm, lock))
-    phase("containers", lambda: _staggered(swarm.agents, at_once, lambda agent: _create(swarm, agent, lock)))
+    phase("containers", lambda: _staggered(swarm.agents, at_once, lambda agent, _: _create(swarm, agent, lock)))
     nodes = len(config.graph(swarm.options))
-    phase("applications", lambda: _staggered(swarm.agents, at_once, lambda agent: _application(agent, nodes)))
+    phase(
+        "applications", lambda: _staggered(swarm.agents, at_once, lambda agent, stop: _application(agent, nodes, stop))
+    )
     phase("sidecars", lambda: _staggered(swarm.agents, at_once, _sidecar))
     phase("all well", lambda: swarm.wait_well(WELL_LIMIT_S))
     return took
@@ -108,43 +112,46 @@ def _variables(swarm: Swarm, agent: SwarmAgent) -> dict[str, str]:
     }
 
 
-def _application(agent: SwarmAgent, nodes: int) -> None:
+def _application(agent: SwarmAgent, nodes: int, stop: Event) -> None:
     app = agent.app
     _started(app)
-    _until(lambda: app.logs().count(UP) >= nodes, APP_LIMIT_S, f"the nodes of {agent.name}: docker logs {app.name}")
+    what = f"the nodes of {agent.name}: docker logs {app.name}"
+    _until(lambda: app.logs().count(UP) >= nodes, APP_LIMIT_S, what, stop)
 
 
-def _sidecar(agent: SwarmAgent) -> None:
-    watch = Watch(agent.record)
-    _started(agent.sidecar)
-    _until(
-        lambda: watch.update().array is not None, PHM_LIMIT_S, f"PHM of {agent.name}: docker logs {agent.project}-phm-1"
-    )
+def _sidecar(agent: SwarmAgent, stop: Event) -> None:
+    watch, sidecar = Watch(agent.record), agent.sidecar
+    _started(sidecar)
+    what = f"PHM of {agent.name}: docker logs {sidecar.name}"
+    _until(lambda: watch.update().array is not None, PHM_LIMIT_S, what, stop)
 
 
-def _started(container: object) -> None:
+def _started(container: Container) -> None:
     try:
-        container.start()  # type: ignore[attr-defined]
+        container.start()
     except APIError as error:
-        raise RuntimeError(
-            f"{getattr(container, 'name', container)} did not start: {error.explanation or error}"
-        ) from error
+        raise RuntimeError(f"{container.name} did not start: {error.explanation or error}") from error
 
 
-def _staggered(agents: Iterable[SwarmAgent], at_once: int, work: Callable[[SwarmAgent], None]) -> None:
+def _staggered(agents: Iterable[SwarmAgent], at_once: int, work: Callable[[SwarmAgent, Event], None]) -> None:
+    """All of them, few at once. When one fails or the user interrupts, none is begun any more and those at work end soon."""
+    stop = Event()
     with ThreadPoolExecutor(at_once) as pool:
-        waiting = [pool.submit(work, agent) for agent in agents]
+        waiting = [pool.submit(work, agent, stop) for agent in agents]
         try:
-            for one in waiting:
+            for one in as_completed(waiting):
                 one.result()
         finally:
+            stop.set()
             for one in waiting:
                 one.cancel()
 
 
-def _until(done: Callable[[], bool], limit_s: float, what: str) -> None:
+def _until(done: Callable[[], bool], limit_s: float, what: str, stop: Event | None = None) -> None:
+    stop = stop or Event()
     end = time.monotonic() + limit_s
     while not done():
         if time.monotonic() > end:
             raise RuntimeError(f"not ready after {limit_s:g} s: {what}")
-        time.sleep(POLL_S)
+        if stop.wait(POLL_S):
+            return
