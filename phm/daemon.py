@@ -148,6 +148,7 @@ class Daemon:
             "problems": list(fact.problems),
             "ros_restarts": fact.ros_restarts,
             "links": self.parts.link_reports(),
+            "reporters": self.reporters.reports(),
         }
 
     # ------------------------------------------------------------ wiring

@@ -384,7 +384,7 @@ class FleetSettings(Section):
     refresh: Annotated[Seconds, Field(ge=1, le=3600)] = 10.0
     """Seconds after which an unchanged status is published again."""
     deadline: Annotated[Seconds, Field(ge=0.5, le=60)] = 5.0
-    """Limit of each attempt to connect; a fleet that is not reached for two of these is a problem of PHM."""
+    """Limit of each attempt to connect, for each endpoint; a fleet that is not reached for two of these is a problem of PHM."""
     lease: Annotated[Seconds, Field(ge=1, le=300)] = 10.0
     """A connection that is silent for so long is taken as lost, by both ends; so is an agent behind it."""
     tls: FleetTlsSettings = FleetTlsSettings()

@@ -173,6 +173,11 @@ def _health(health: Json) -> list[RenderableType]:
     for link in health.get("links", ()):
         state = "open" if link["open"] else f"closed: {link['error']}"
         parts.append(_plain(f"link {link['name']}: {state}{_sent(link)}", "" if link["open"] else "yellow"))
+    fleet = health.get("reporters", {}).get("fleet")
+    if fleet:
+        state = "connected" if fleet["connected"] else f"not connected: {fleet['error']}"
+        words = f"fleet {fleet['fleet']}: {state} ({fleet['published']} published, {fleet['bytes_out']} bytes)"
+        parts.append(_plain(words, "" if fleet["connected"] else "yellow"))
     dropped = ", ".join(f"{name} {count}" for name, count in health.get("dropped", {}).items())
     counters = f"events dropped: {dropped or 'none'}; ROS child restarts: {health.get('ros_restarts', 0)}"
     parts.append(_plain(counters))

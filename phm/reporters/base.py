@@ -99,3 +99,7 @@ class Reporter(ABC):
     def problem(self) -> str:
         """A sentence when the sink is not well, else empty."""
         return ""
+
+    def report(self) -> dict[str, Any]:
+        """How the sink does, for `phm status`; JSON-able. Empty: there is nothing to say."""
+        return {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from typing import Any
 
 from phm import registry
 from phm.bus import Bus
@@ -38,6 +39,10 @@ class Installed:
 
     def problems(self) -> list[str]:
         return [problem for reporter in self._reporters if (problem := reporter.problem())]
+
+    def reports(self) -> dict[str, dict[str, Any]]:
+        """By name, of those that have something to say."""
+        return {reporter.name: report for reporter in self._reporters if (report := reporter.report())}
 
     def close(self) -> None:
         """After the bus, which hands out what is queued."""

@@ -1,0 +1,118 @@
+"""To a fleet on IP: the status as a small JSON over Zenoh, on each change and from time to time, and a token of presence.
+
+`docs/fleet.md` states keys and payload as a contract. A dead man's switch as the MAVLink heartbeat: when the engine stalls the
+token is taken back, nothing is published, and no query is answered.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Protocol
+
+from phm.model import Event, Fault, FaultClosed, FaultOpened, Report, Transition
+from phm.reporters.base import Reporter, ReporterContext
+from phm.transport.zenoh_link import FleetFact, Keys, ZenohLink
+from phm.wire import fleet_status, status_word
+
+ALONG_S = 0.1
+"""Changes within this time of the last status wait for the next tick, so that a burst costs one."""
+TICK_S = 0.25
+_OPEN_FAULTS = 256
+_ATTEMPTS = 2
+"""A fleet that is not reached for so many deadlines is a problem of PHM: a lost packet or a roaming radio is not."""
+
+
+class Link(Protocol):
+    """`phm.transport.zenoh_link.ZenohLink`."""
+
+    def start(self) -> None: ...
+    def put(self, payload: bytes) -> None: ...
+    def present(self, yes: bool) -> None: ...
+    def fact(self) -> FleetFact: ...
+    def close(self, last: bytes = b"") -> None: ...
+
+
+class Fleet(Reporter):
+    """See the module."""
+
+    name = "fleet"
+    period_s: ClassVar[float | None] = TICK_S
+    kinds = (Transition, FaultOpened, FaultClosed, Report)
+
+    def __init__(self, context: ReporterContext, link: Link) -> None:
+        self._context, self._settings, self._link = context, context.settings.fleet, link
+        self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
+        self._sequence = 0
+        self._complete = self._changed = False
+        self._told_at = float("-inf")
+        link.start()
+
+    @classmethod
+    def build(cls, context: ReporterContext) -> Fleet | None:
+        fleet, agent = context.settings.fleet, context.settings.agent.name
+        if not fleet.enabled:
+            return None
+        keys = Keys(
+            fleet_status.key(fleet.name, agent),
+            fleet_status.alive_key(fleet.name, agent, context.boot_id),
+            fleet_status.alive_key(fleet.name, agent, "*"),
+        )
+        return cls(context, ZenohLink(fleet, keys, context.clock))
+
+    def handle(self, event: Event) -> None:
+        if isinstance(event, FaultOpened):
+            self._open[event.fault.id] = event.fault
+            if len(self._open) > _OPEN_FAULTS:
+                del self._open[next(iter(self._open))]
+        elif isinstance(event, FaultClosed):
+            self._open.pop(event.fault.id, None)
+        elif isinstance(event, Report):
+            if self._complete:
+                return
+            self._complete = True
+        self._changed = True
+        if self._context.clock.mono() - self._told_at >= ALONG_S:
+            self.tick()
+
+    def tick(self) -> None:
+        alive = self._context.alive()
+        self._link.present(alive)
+        now = self._context.clock.mono()
+        if alive and (self._changed or now - self._told_at >= self._settings.refresh):
+            self._told_at, self._changed = now, False
+            self._link.put(self._status())
+
+    def close(self) -> None:
+        """Say that this end was meant; whoever sees the token go without it knows that it was not."""
+        self._link.close(self._status(fleet_status.POWEROFF))
+
+    def problem(self) -> str:
+        fact = self._link.fact()
+        if fact.namesakes:
+            key = fleet_status.key(self._settings.name, self._context.settings.agent.name)
+            return f"another PHM is present as {key}: give each agent a name of its own (agent.name)"
+        if fact.connected or fact.since_s < _ATTEMPTS * self._settings.deadline:
+            return ""
+        return f"the fleet {self._settings.name} is not reached by Zenoh: {fact.error}"
+
+    def report(self) -> dict[str, Any]:
+        fact = self._link.fact()
+        return {
+            "fleet": self._settings.name,
+            "connected": fact.connected,
+            "error": fact.error,
+            "since_s": round(fact.since_s, 1),
+            "published": fact.published,
+            "answered": fact.answered,
+            "bytes_out": fact.bytes_out,
+            "connects": fact.connects,
+        }
+
+    def _status(self, state: str = "") -> bytes:
+        self._sequence += 1
+        context, states = self._context, self._context.states()
+        agent = context.settings.agent
+        state = state or fleet_status.STATES[status_word.system_status(states, complete=self._complete)]
+        faults = list(self._open.values())
+        return fleet_status.encode(
+            (agent.name, agent.id), context.boot_id, self._sequence, context.clock.stamp(), states, faults, state
+        )

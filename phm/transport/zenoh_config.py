@@ -1,0 +1,63 @@
+"""Zenoh's own configuration, made of the section `fleet`. Imports nothing of Zenoh until it is asked to make one."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+from phm.settings import FleetSettings
+
+RETRY_MS = (500, 4000)
+"""Zenoh's pauses between attempts to find a lost router again, the first and the longest."""
+_SOURCE_PLACE = re.compile(r"\s+at /\S+?\.rs:\d+\.?")
+_MAX_WORDS = 200
+
+
+def options(settings: FleetSettings) -> dict[str, Any]:
+    """What differs from Zenoh's defaults, by its path there."""
+    tls = settings.tls
+    chosen: dict[str, Any] = {
+        "mode": settings.mode,
+        "connect/endpoints": list(settings.connect),
+        # A client tries each endpoint once, and the thread that opened it tries again: with a limit here Zenoh 1.10 would
+        # spend all of it on the first. A peer is open at once, and goes on trying by itself.
+        "connect/timeout_ms": 0 if settings.mode == "client" else -1,
+        "connect/exit_on_failure": settings.mode == "client",
+        "connect/retry": {"period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1]},
+        "listen/endpoints": list(settings.listen),
+        # Only those that are named: nobody is looked for by multicast, and agents do not connect to one another because a
+        # router told them of each other, which would be half a million connections in a fleet of 1000.
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/unicast/open_timeout": int(settings.deadline * 1000),
+        "transport/link/tx/lease": int(settings.lease * 1000),
+    }
+    files = {
+        "root_ca_certificate": tls.ca, "connect_certificate": tls.certificate, "connect_private_key": tls.key,
+        "listen_certificate": tls.certificate if settings.listen else None,
+        "listen_private_key": tls.key if settings.listen else None,
+    }  # fmt: skip
+    chosen |= {f"transport/link/tls/{name}": path for name, path in files.items() if path is not None}
+    chosen["transport/link/tls/verify_name_on_connect"] = tls.verify_name
+    chosen["transport/link/tls/enable_mtls"] = tls.certificate is not None
+    return chosen
+
+
+def make(settings: FleetSettings) -> Any:
+    """A `zenoh.Config`. Raises ImportError without the package, `zenoh.ZError` for what Zenoh does not take."""
+    import zenoh
+
+    made = zenoh.Config()
+    for path, value in options(settings).items():
+        made.insert_json5(path, json.dumps(value))
+    return made
+
+
+def words(error: BaseException) -> str:
+    """What an error says, in one line, without the place in Zenoh's sources."""
+    if isinstance(error, ImportError):
+        return "eclipse-zenoh cannot be imported: pip install 'phm-sidecar[fleet]'"
+    said = _SOURCE_PLACE.sub("", str(error)).strip() or type(error).__name__
+    said = "".join(char if char.isprintable() else " " for char in said[: 2 * _MAX_WORDS])
+    return said if len(said) <= _MAX_WORDS else f"{said[: _MAX_WORDS - 2]}.."

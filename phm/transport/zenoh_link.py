@@ -1,0 +1,237 @@
+"""One agent's place in a fleet on Zenoh: a session that is opened and kept open, a status, a token of presence.
+
+All of it is done by one thread, so whatever Zenoh waits for, nobody else does. Zenoh finds a lost router again by itself
+and then declares everything anew; this thread opens the session and sees to what must be said after that.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from phm.clock import Clock
+from phm.settings import FleetSettings
+from phm.transport import zenoh_config
+
+logger = logging.getLogger(__name__)
+
+BACKOFF_S, BACKOFF_MAX_S = 0.5, 5.0
+IDLE_S = 0.5
+"""How soon a lost or a new connection is noticed."""
+STUCK_S = 10.0
+"""A turn of the thread that takes so much longer than the deadlines of all endpoints is told: Zenoh does not come back."""
+MAX_QUERIES, MAX_NAMESAKES = 64, 16
+FAREWELL_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """status: where the status goes. alive: the token of this PHM. namesakes: the tokens of all PHMs with this agent's name."""
+
+    status: str
+    alive: str
+    namesakes: str
+
+
+@dataclass(frozen=True, slots=True)
+class FleetFact:
+    """How the connection is. since_s: for how long it has been so. error: why it is not connected, in words.
+
+    published, answered: messages since the start; bytes_out: of their payload. connects: how often it was connected.
+    namesakes: tokens of other PHMs with the same name that do not go away.
+    """
+
+    connected: bool
+    since_s: float
+    error: str
+    published: int
+    answered: int
+    bytes_out: int
+    connects: int
+    namesakes: tuple[str, ...]
+
+
+class ZenohLink:
+    """See the module. Making it opens nothing; `start` does. Every method returns at once, but for `close`."""
+
+    def __init__(self, settings: FleetSettings, keys: Keys, clock: Clock) -> None:
+        self._settings, self._keys, self._clock = settings, keys, clock
+        self._bell, self._stopping = threading.Event(), threading.Event()
+        self._newest = b""
+        self._due = self._present = False
+        self._queries: deque[Any] = deque(maxlen=MAX_QUERIES)
+        self._namesakes: dict[str, float] = {}
+        self._connected, self._error = False, "not tried yet"
+        self._since = self._turned = clock.mono()
+        self._published = self._answered = self._bytes_out = self._connects = 0
+        self._thread = threading.Thread(target=self._loop, name="phm-fleet", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def put(self, payload: bytes) -> None:
+        """Have this published, now or as soon as there is a connection. What waits is replaced: only the newest counts."""
+        self._newest, self._due = payload, True
+        self._bell.set()
+
+    def present(self, yes: bool) -> None:
+        """Whether this PHM looks after its agent: only then is its token there, and only then are queries answered."""
+        if yes is not self._present:
+            self._present = yes
+            self._bell.set()
+
+    def fact(self) -> FleetFact:
+        now, error = self._clock.mono(), self._error
+        stuck_s = now - self._turned
+        if self._thread.ident is not None and not self._stopping.is_set():
+            if not self._thread.is_alive():
+                error = "the thread of the session has ended"
+            elif stuck_s > self._settings.deadline * max(1, len(self._settings.connect)) + STUCK_S:
+                error = f"Zenoh has not come back for {stuck_s:.0f} s"
+        # What is left of a PHM that was here before goes away within its lease.
+        steady_s = 1.5 * self._settings.lease
+        namesakes = tuple(name for name, since in list(self._namesakes.items()) if now - since > steady_s)
+        return FleetFact(
+            self._connected and not error, now - self._since, error, self._published, self._answered, self._bytes_out,
+            self._connects, namesakes,
+        )  # fmt: skip
+
+    def close(self, last: bytes = b"") -> None:
+        """Publish `last` where there is a connection, take the token back, and close; waits at most FAREWELL_S."""
+        if last:
+            self.put(last)
+        self._stopping.set()
+        self._bell.set()
+        if self._thread.ident is not None:
+            self._thread.join(FAREWELL_S)
+
+    # ------------------------------------------------------------ the thread
+
+    def _loop(self) -> None:
+        wait_s = BACKOFF_S
+        while not self._stopping.is_set():
+            opened = False
+            self._turned = self._clock.mono()
+            try:
+                session = self._open()
+                opened = True
+                self._serve(session)
+            except BaseException as error:  # a panic in Zenoh is no Exception; it must not end this thread either
+                if opened:
+                    logger.warning("fleet: the session is opened anew", exc_info=True)
+                self._tell(connected=False, error=zenoh_config.words(error))
+            wait_s = BACKOFF_S if opened else wait_s
+            self._turned = self._clock.mono()
+            self._clock.wait(self._stopping, wait_s)
+            wait_s = min(2 * wait_s, BACKOFF_MAX_S)
+
+    def _open(self) -> Any:
+        import zenoh
+
+        zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call] # silent unless the environment has RUST_LOG
+        return zenoh.open(zenoh_config.make(self._settings))
+
+    def _serve(self, session: Any) -> None:
+        try:
+            declared = Declared(session, self._keys, self._asked, self._seen)
+            while not self._stopping.is_set() and not session.is_closed():
+                self._turn(session, declared)
+                self._clock.wait(self._bell, IDLE_S)
+                self._bell.clear()
+            self._turn(session, declared)
+            declared.present(False)
+        finally:
+            self._tell(connected=False, error="closed")
+            self._namesakes.clear()
+            session.close()
+
+    def _turn(self, session: Any, declared: Declared) -> None:
+        self._turned = self._clock.mono()
+        connected = bool(session.info.routers_zid() or session.info.peers_zid())
+        if connected and not self._connected:
+            self._connects += 1
+            self._due = bool(self._newest)  # whoever was not reached before has missed what was said meanwhile
+        if connected != self._connected or not connected:
+            self._tell(connected=connected, error="" if connected else self._nobody())
+        declared.present(self._present)
+        if self._due and connected:
+            # Before the payload is read: one that is put meanwhile is due again.
+            self._due = False
+            payload = self._newest
+            declared.publish(payload)
+            self._published += 1
+            self._bytes_out += len(payload)
+        while self._queries:
+            declared.answer(self._queries.popleft(), self._newest if self._present else b"")
+            self._answered += 1
+
+    def _nobody(self) -> str:
+        return (
+            f"no connection to {', '.join(self._settings.connect)}"
+            if self._settings.connect
+            else "nobody has connected"
+        )
+
+    def _tell(self, *, connected: bool, error: str) -> None:
+        if connected != self._connected:
+            self._since = self._clock.mono()
+            logger.info("fleet: %s", "connected" if connected else error)
+        self._connected, self._error = connected, error
+
+    # ------------------------------------------------------------ from Zenoh's threads
+
+    def _asked(self, query: Any) -> None:
+        self._queries.append(query)
+        self._bell.set()
+
+    def _seen(self, token: str, there: bool) -> None:
+        if token == self._keys.alive:
+            return
+        if not there:
+            self._namesakes.pop(token, None)
+        elif len(self._namesakes) < MAX_NAMESAKES:
+            self._namesakes.setdefault(token, self._clock.mono())
+
+
+class Declared:
+    """What one session has declared; Zenoh declares it again by itself after each reconnect."""
+
+    def __init__(
+        self, session: Any, keys: Keys, asked: Callable[[Any], None], seen: Callable[[str, bool], None]
+    ) -> None:
+        import zenoh
+
+        self._session, self._keys = session, keys
+        self._token: Any = None
+        # A router drops what a slow reader does not take instead of waiting for it: others are not held up, and what was
+        # lost comes with the next refresh.
+        self._publisher = session.declare_publisher(
+            keys.status, encoding=zenoh.Encoding.APPLICATION_JSON, congestion_control=zenoh.CongestionControl.DROP
+        )
+        self._kept = (
+            session.declare_queryable(keys.status, asked, complete=True),
+            session.liveliness().declare_subscriber(
+                keys.namesakes, lambda sample: seen(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT), history=True
+            ),
+        )  # fmt: skip
+        self._json = zenoh.Encoding.APPLICATION_JSON
+
+    def present(self, yes: bool) -> None:
+        if yes and self._token is None:
+            self._token = self._session.liveliness().declare_token(self._keys.alive)
+        elif not yes and self._token is not None:
+            self._token.undeclare()
+            self._token = None
+
+    def publish(self, payload: bytes) -> None:
+        self._publisher.put(payload)
+
+    def answer(self, query: Any, payload: bytes) -> None:
+        """One reply, or none for an empty payload."""
+        with query:
+            if payload:
+                query.reply(self._keys.status, payload, encoding=self._json)

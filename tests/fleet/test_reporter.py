@@ -1,0 +1,177 @@
+"""What the reporter has published and when, with a link that keeps it and a clock that the test moves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from phm.cli import render
+from phm.model import Level, Outcome, Report, Slot, UnitState
+from phm.reporters.fleet import ALONG_S, Fleet
+from phm.settings import Settings
+from phm.testing import FakeClock
+from phm.transport.zenoh_link import FleetFact
+from tests.fakes.records import at, closed, context, fault, opened, transition, unit
+
+WELL = unit("container/ros_app", Slot.CONTAINER)
+DEAD = unit("nodes/a/one", Slot.NODES, Level.ERROR, brief="one dead", condition="gone", fault="ab12-1")
+CONNECTED = FleetFact(True, 100.0, "", 3, 1, 900, 1, ())
+
+
+class Link:
+    """Keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.put_: list[dict[str, Any]] = []
+        self.is_present: bool | None = None
+        self.started = False
+        self.last: dict[str, Any] = {}
+        self.state = CONNECTED
+
+    def start(self) -> None:
+        self.started = True
+
+    def put(self, payload: bytes) -> None:
+        self.put_.append(json.loads(payload))
+
+    def present(self, yes: bool) -> None:
+        self.is_present = yes
+
+    def fact(self) -> FleetFact:
+        return self.state
+
+    def close(self, last: bytes = b"") -> None:
+        self.last = json.loads(last)
+
+
+class Bench:
+    def __init__(self, states: Sequence[UnitState] = (WELL,), **parts: Any) -> None:
+        self.clock, self.link, self.alive, self.states = FakeClock(), Link(), True, tuple(states)
+        self.settings = Settings.model_validate(
+            {
+                "agent": {"name": "agent_3", "id": 3},
+                "fleet": {"enabled": True, "name": "north", "connect": ["tcp/r:7447"]},
+            }
+        )
+        made = context(self.settings, clock=self.clock, states=lambda: self.states, alive=lambda: self.alive)
+        self.fleet = Fleet(replace(made, **parts), self.link)
+
+    @property
+    def last(self) -> dict[str, Any]:
+        return self.link.put_[-1]
+
+
+def test_nothing_is_made_where_it_is_off() -> None:
+    """By default there is no such reporter, and Zenoh is not imported."""
+    assert Fleet.build(context(Settings())) is None
+
+
+def test_the_state_goes_out_at_once_and_again_from_time_to_time() -> None:
+    """The first tick tells; the next when the refresh is due; the sequence counts on."""
+    bench = Bench()
+    bench.fleet.tick()
+    bench.fleet.tick()
+    assert [entry["seq"] for entry in bench.link.put_] == [1]
+    bench.clock.advance(bench.settings.fleet.refresh)
+    bench.fleet.tick()
+    assert [entry["seq"] for entry in bench.link.put_] == [1, 2]
+    assert bench.last["mono"] > bench.link.put_[0]["mono"]
+
+
+def test_before_the_first_report_is_complete_it_says_boot() -> None:
+    """As the MAVLink heartbeat does."""
+    bench = Bench()
+    bench.fleet.tick()
+    assert bench.last["state"] == "BOOT"
+    bench.clock.advance(1)
+    bench.fleet.handle(Report(at(), 1, at(), (WELL,)))
+    assert bench.last["state"] == "ACTIVE"
+    count = len(bench.link.put_)
+    bench.clock.advance(1)
+    bench.fleet.handle(Report(at(), 2, at(), (WELL,)))
+    bench.fleet.tick()
+    assert len(bench.link.put_) == count
+
+
+def test_a_change_is_told_at_once_and_a_burst_as_one() -> None:
+    """What follows within a moment waits for the next tick."""
+    bench = Bench()
+    bench.fleet.tick()
+    bench.clock.advance(1)
+    bench.states = (WELL, DEAD)
+    for _ in range(50):
+        bench.fleet.handle(transition(DEAD))
+    bench.fleet.handle(opened(DEAD))
+    assert len(bench.link.put_) == 2
+    assert bench.last["slots"] == {"2": "OK", "6": "ERROR"}
+    bench.clock.advance(ALONG_S)
+    bench.fleet.tick()
+    assert len(bench.link.put_) == 3
+    assert (bench.last["open_faults"], bench.last["faults"][0]["brief"]) == (1, "one dead")
+
+
+def test_a_fault_that_is_over_is_not_listed() -> None:
+    """Also one that was open before PHM was started again."""
+    bench = Bench((DEAD,), restored=(fault(DEAD),))
+    bench.fleet.tick()
+    assert bench.last["open_faults"] == 1
+    bench.clock.advance(1)
+    bench.fleet.handle(closed(DEAD, Outcome.RESOLVED, "restart", 3.0))
+    assert bench.last["open_faults"] == 0
+
+
+def test_a_stalled_engine_takes_the_presence_back() -> None:
+    """A dead man's switch: no token, no status, until checks come back."""
+    bench = Bench()
+    bench.fleet.tick()
+    assert bench.link.is_present is True
+    bench.alive = False
+    bench.clock.advance(100)
+    bench.fleet.tick()
+    assert (bench.link.is_present, len(bench.link.put_)) == (False, 1)
+    bench.alive = True
+    bench.fleet.tick()
+    assert (bench.link.is_present, len(bench.link.put_)) == (True, 2)
+
+
+def test_an_end_on_purpose_is_said() -> None:
+    """The last status is POWEROFF."""
+    bench = Bench()
+    bench.fleet.close()
+    assert bench.link.last["state"] == "POWEROFF"
+
+
+def test_a_short_loss_is_no_problem_and_a_long_one_is() -> None:
+    """Two deadlines without the fleet, or another PHM of the same name, are told in slot 1."""
+    bench = Bench()
+    assert not bench.fleet.problem()
+    bench.link.state = replace(CONNECTED, connected=False, since_s=9.0, error="no connection to tcp/r:7447")
+    assert not bench.fleet.problem()
+    bench.link.state = replace(bench.link.state, since_s=10.0)
+    assert bench.fleet.problem() == "the fleet north is not reached by Zenoh: no connection to tcp/r:7447"
+    bench.link.state = replace(CONNECTED, namesakes=("phm/north/agent_3/alive/x",))
+    assert "another PHM is present as phm/north/agent_3/status" in bench.fleet.problem()
+
+
+def test_phm_status_shows_the_connection(capsys: Any) -> None:
+    """Whether it is connected, else why not."""
+    bench = Bench()
+    document = {"agent": "agent_3", "checks": [], "health": {"reporters": {"fleet": bench.fleet.report()}}}
+    render.status(document, "")
+    assert "fleet north: connected (3 published, 900 bytes)" in capsys.readouterr().out
+    bench.link.state = replace(CONNECTED, connected=False, error="no connection to tcp/r:7447")
+    document["health"] = {"reporters": {"fleet": bench.fleet.report()}}
+    render.status(document, "")
+    assert "fleet north: not connected: no connection to tcp/r:7447" in capsys.readouterr().out
+
+
+def test_the_document_names_every_key() -> None:
+    """docs/fleet.md is a contract: each key of the payload is in its table."""
+    bench = Bench((WELL, DEAD), restored=(fault(DEAD),))
+    bench.fleet.tick()
+    text = Path(__file__).parents[2].joinpath("docs", "fleet.md").read_text()
+    missing = [key for key in (*bench.last, *bench.last["faults"][0]) if f"`{key}`" not in text]
+    assert not missing

@@ -1,0 +1,104 @@
+"""The payload of a status: the contract of docs/fleet.md, and what a reader refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given, strategies as st
+
+from phm.model import Level, Slot, UnitState
+from phm.wire import fleet_status, status_word
+from tests.fakes.records import at, fault, unit
+
+WELL = unit("container/ros_app", Slot.CONTAINER)
+DEAD = unit("nodes/a/one", Slot.NODES, Level.ERROR, brief="one dead", condition="gone", fault="ab12-1")
+
+
+def made(*states: UnitState, faults: tuple[Any, ...] = ()) -> bytes:
+    return fleet_status.encode(("agent_3", 3), "0123456789ab", 7, at(), states, faults, "EMERGENCY")
+
+
+def test_what_is_published() -> None:
+    """Exactly these keys, in this form."""
+    assert json.loads(made(WELL, DEAD, faults=(fault(DEAD),))) == {
+        "v": 1, "agent": "agent_3", "agent_id": 3, "boot_id": "0123456789ab", "seq": 7,
+        "utc": "2026-03-01T12:00:00.123Z", "utc_s": 1772366400.123, "mono": 100.0, "state": "EMERGENCY",
+        "status_word": status_word.encode({Slot.CONTAINER: Level.OK, Slot.NODES: Level.ERROR}),
+        "slots": {"2": "OK", "6": "ERROR"}, "line": "A03 FAIL -1---0-- 6 one dead", "broken_hop": None, "open_faults": 1,
+        "faults": [{"fault": "ab12-1", "unit": "nodes/a/one", "slot": 6, "condition": "gone", "brief": "one dead",
+                    "opened": "2026-03-01T12:00:00.123Z"}],
+    }  # fmt: skip
+
+
+def test_a_reader_gets_what_was_written() -> None:
+    """Levels by slot, word, sequence and times come back."""
+    status = fleet_status.decode(made(WELL, DEAD, faults=(fault(DEAD),)))
+    assert (status.agent, status.agent_id, status.boot_id, status.sequence) == ("agent_3", 3, "0123456789ab", 7)
+    assert status.levels == status_word.decode(status.word) == {Slot.CONTAINER: Level.OK, Slot.NODES: Level.ERROR}
+    assert (status.utc_s, status.mono_s, status.state) == (1772366400.123, 100.0, "EMERGENCY")
+    assert (status.open_faults, status.faults[0]["fault"]) == (1, "ab12-1")
+
+
+def path(level: Level, blocked_by: str = "", **hops: str) -> UnitState:
+    return unit("path", Slot.AUTOPILOT, level, values=hops, blocked_by=blocked_by)
+
+
+@pytest.mark.parametrize(
+    ("states", "hop"),
+    [
+        ((WELL,), None),
+        ((path(Level.OK, GCS="ok", radio="ok"),), ""),
+        ((path(Level.STALE, "radio/ground", GCS="not known", radio="BROKEN", autopilot="BROKEN"),), "radio"),
+        ((path(Level.STALE, "gcs", GCS="not known"),), "gcs"),
+        ((path(Level.STALE),), None),
+    ],
+)
+def test_the_first_broken_hop(states: tuple[UnitState, ...], hop: str | None) -> None:
+    """As the path check has it: the first that is broken, what blocks it, none, or not known."""
+    assert fleet_status.decode(made(*states)).broken == hop
+
+
+def test_the_longest_status_is_taken_by_a_reader() -> None:
+    """Names of any length and script, and more faults than are listed, stay below what a reader refuses."""
+    long = unit("\U0001f600" * 5000, Slot.NODES, Level.ERROR, brief="\U0001f600" * 999, condition="\U0001f600" * 999)
+    faults = tuple(replace(fault(long), id=f"ab12-{number}") for number in range(300))
+    payload = made(path(Level.STALE, "\U0001f600" * 999), long, faults=faults)
+    status = fleet_status.decode(payload)
+    assert (status.open_faults, len(status.faults)) == (300, fleet_status.MAX_FAULTS)
+    assert len(payload) <= fleet_status.MAX_BYTES
+
+
+GOOD = json.loads(made(WELL, DEAD, faults=(fault(DEAD),)))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"v": 2}, {"agent": 5}, {"agent": "a" * 201}, {"agent_id": True}, {"agent_id": -1}, {"seq": 1.5}, {"mono": "1"},
+        {"mono": float("nan")}, {"utc_s": 10**400}, {"slots": []}, {"slots": {"16": "OK"}}, {"slots": {"2": "WELL"}},
+        {"slots": {"2": None}}, {"faults": {}}, {"broken_hop": 1}, {"line": None}, {"status_word": None},
+    ],
+)  # fmt: skip
+def test_what_is_not_of_this_contract_is_refused(change: dict[str, Any]) -> None:
+    """Each key is judged: it comes from outside."""
+    with pytest.raises(ValueError, match="status"):
+        fleet_status.decode(json.dumps({**GOOD, **change}).encode())
+
+
+@given(
+    st.one_of(
+        st.binary(max_size=200), st.text(max_size=50).map(str.encode), st.just(b"[" * 50_000), st.just(b" " * 70_000)
+    )
+)
+def test_garbage_is_refused(payload: bytes) -> None:
+    """Whatever it is, a ValueError and nothing else."""
+    with pytest.raises(ValueError):
+        fleet_status.decode(payload)
+
+
+def test_keys_may_grow() -> None:
+    """A reader of this version takes a status with more keys."""
+    assert fleet_status.decode(json.dumps({**GOOD, "more": 1}).encode()).agent == "agent_3"

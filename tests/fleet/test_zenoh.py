@@ -1,0 +1,316 @@
+"""Real Zenoh sessions on loopback: a router in a process of its own, agents with the real reporter, a reader as any client."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from phm.model import Level, Slot
+from phm.wire.status_file import NAME, read
+from sitl.fleet_agents import Agent, Crowd, Ticker
+from sitl.fleet_router import Ground, Router, config, free_port
+
+FLEET = "north"
+LIMIT_S = 30.0
+
+
+def until(done: Callable[[], Any], limit_s: float = LIMIT_S) -> None:
+    end = time.monotonic() + limit_s
+    while not done():
+        assert time.monotonic() < end, "not in time"
+        time.sleep(0.02)
+
+
+class Bench:
+    """What a test starts, and ends again."""
+
+    def __init__(self) -> None:
+        self.port = free_port()
+        self._ends: list[Callable[[], Any]] = []
+
+    @property
+    def endpoint(self) -> str:
+        return f"tcp/127.0.0.1:{self.port}"
+
+    def later(self, end: Callable[[], Any]) -> None:
+        self._ends.append(end)
+
+    def router(self, **options: Any) -> Router:
+        router = Router(self.port, **options)
+        self.later(router.kill)
+        return router
+
+    def ground(self) -> Ground:
+        ground = Ground(self.endpoint, FLEET)
+        self.later(ground.close)
+        return ground
+
+    def agent(self, name: str = "agent_1", **options: Any) -> Agent:
+        agent = Agent(name, options.pop("endpoint", self.endpoint), FLEET, **{"deadline": 1, **options})
+        ticker = Ticker([agent])
+        self.later(agent.reporter.close)
+        self.later(ticker.close)
+        return agent
+
+    def crowd(self, count: int, first: int = 0, **options: Any) -> Crowd:
+        crowd = Crowd(self.endpoint, FLEET, first, count, **options)
+        self.later(crowd.kill)
+        return crowd
+
+    def close(self) -> None:
+        for end in reversed(self._ends):
+            end()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    made = Bench()
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def test_a_change_is_seen_on_the_ground(bench: Bench) -> None:
+    """Status and token appear; a fault and its end are seen; the end of PHM is said before the token goes."""
+    bench.router()
+    ground, agent = bench.ground(), bench.agent()
+    ground.wait(lambda g: "agent_1" in g.statuses and len(g.tokens) == 1)
+    assert list(ground.tokens) == [("agent_1", agent.boot_id)]
+    agent.turn()
+    ground.wait(
+        lambda g: g.statuses["agent_1"].levels[Slot.NODES] is Level.ERROR and g.statuses["agent_1"].open_faults == 1
+    )
+    agent.turn()
+    ground.wait(
+        lambda g: g.statuses["agent_1"].levels[Slot.NODES] is Level.OK and not g.statuses["agent_1"].open_faults
+    )
+    agent.reporter.close()
+    ground.wait(lambda g: not g.tokens)
+    assert ground.statuses["agent_1"].state == "POWEROFF"
+    assert not ground.refused
+
+
+def test_who_comes_late_gets_the_state_at_once(bench: Bench) -> None:
+    """A query is answered with the newest status, long before the next refresh; a stalled agent answers nobody."""
+    bench.router()
+    agent = bench.agent(refresh="1h")
+    until(lambda: agent.reporter.report()["published"])
+    late = bench.ground()
+    late.wait(lambda g: "agent_1" in g.statuses and len(g.tokens) == 1)
+    agent.alive = False
+    late.wait(lambda g: not g.tokens)
+    replies = list(late.session.get(f"phm/{FLEET}/*/status", timeout=LIMIT_S))
+    assert [reply for reply in replies if reply.ok is not None] == []
+
+
+def test_a_router_that_is_absent_dies_and_comes_back(bench: Bench) -> None:
+    """The agent starts without it, says so, connects when it is there, and so again after its end; nothing waits for it."""
+    agent = bench.agent(refresh="1h")
+    until(lambda: "Unable to connect" in agent.reporter.report()["error"])
+    assert ".rs" not in agent.reporter.report()["error"]
+    until(agent.reporter.problem)
+    router = bench.router()
+    until(lambda: agent.reporter.report()["connected"])
+    assert not agent.reporter.problem()
+    ground = bench.ground()
+    ground.wait(lambda g: "agent_1" in g.statuses)
+    before = ground.statuses["agent_1"].sequence
+    router.kill()
+    until(lambda: not agent.reporter.report()["connected"])
+    ground.wait(lambda g: not g.tokens)
+    agent.turn()
+    until(agent.reporter.problem)
+    bench.router()
+    # What changed meanwhile is told after the reconnect, without waiting for a refresh.
+    ground.wait(lambda g: bool(g.tokens) and g.statuses["agent_1"].open_faults == 1)
+    assert ground.statuses["agent_1"].sequence > before
+    assert agent.reporter.report()["connects"] == 2
+
+
+def test_a_client_takes_the_router_that_answers(bench: Bench) -> None:
+    """The first endpoint of the list leads nowhere."""
+    bench.router()
+    agent = bench.agent(connect=[f"tcp/127.0.0.1:{free_port()}", bench.endpoint])
+    until(lambda: agent.reporter.report()["connected"])
+
+
+def test_a_peer_needs_no_router(bench: Bench) -> None:
+    """It listens, and a reader connects to it."""
+    agent = bench.agent(mode="peer", connect=[], listen=[bench.endpoint])
+    until(lambda: agent.reporter.report()["error"] == "nobody has connected")
+    ground = bench.ground()
+    ground.wait(lambda g: "agent_1" in g.statuses and len(g.tokens) == 1)
+
+
+def test_two_agents_of_one_name_are_noticed(bench: Bench) -> None:
+    """Each sees the other's token stay, says so, and is at ease again when the other is gone."""
+    bench.router()
+    one = bench.agent(lease=1)
+    until(lambda: one.reporter.report()["connected"])
+    other = bench.agent(lease=1)
+    until(lambda: "another PHM is present" in one.reporter.problem() and other.reporter.problem())
+    bystander = bench.agent("agent_2", lease=1)
+    other.reporter.close()
+    until(lambda: not one.reporter.problem())
+    assert not bystander.reporter.problem()
+
+
+def test_a_killed_process_is_missed(bench: Bench) -> None:
+    """Its connection ends with it, and the token at once; nobody said POWEROFF."""
+    bench.router()
+    ground, crowd = bench.ground(), bench.crowd(3)
+    ground.wait(lambda g: len(g.tokens) == 3 and len(g.statuses) == 3)
+    crowd.process.send_signal(signal.SIGKILL)
+    ground.wait(lambda g: not g.tokens)
+    assert {status.state for status in ground.statuses.values()} == {"ACTIVE"}
+
+
+def test_a_process_that_hangs_is_missed_after_its_lease(bench: Bench) -> None:
+    """Its connection stays open and silent; when it goes on, it is there again, with its state."""
+    bench.router()
+    ground, crowd = bench.ground(), bench.crowd(1, lease=1)
+    ground.wait(lambda g: len(g.tokens) == 1)
+    os.kill(crowd.process.pid, signal.SIGSTOP)
+    ground.wait(lambda g: not g.tokens)
+    ground.statuses.clear()
+    os.kill(crowd.process.pid, signal.SIGCONT)
+    ground.wait(lambda g: len(g.tokens) == 1 and len(g.statuses) == 1)
+
+
+def test_a_fleet_of_fifty(bench: Bench) -> None:
+    """All are known to a reader, also to one that comes late; each change is seen; all are missed when their process dies."""
+    bench.router()
+    ground = bench.ground()
+    crowds = [bench.crowd(25), bench.crowd(25, first=25)]
+    ground.wait(lambda g: len(g.tokens) == len(g.statuses) == 50)
+    for crowd in crowds:
+        crowd.turn(range(25))
+    ground.wait(lambda g: sum(status.open_faults for status in g.statuses.values()) == 50)
+    late = bench.ground()
+    late.wait(lambda g: len(g.tokens) == 50 and sum(status.open_faults for status in g.statuses.values()) == 50)
+    crowds[0].process.kill()
+    ground.wait(lambda g: len(g.tokens) == 25)
+    assert {name for name, _ in ground.tokens} == set(crowds[1].names)
+    assert crowds[1].end() == 0
+    ground.wait(lambda g: not g.tokens and all(g.statuses[name].state == "POWEROFF" for name in crowds[1].names))
+
+
+def test_queries_of_others_cannot_fill_the_memory(bench: Bench) -> None:
+    """Thousands of questions at once leave the agent well; those that it has no room for are not answered."""
+    bench.router()
+    agent, ground = bench.agent(), bench.ground()
+    ground.wait(lambda g: "agent_1" in g.statuses)
+    for _ in range(3000):
+        ground.session.get(f"phm/{FLEET}/agent_1/status", lambda reply: None, timeout=1.0)
+    agent.turn()
+    ground.wait(lambda g: g.statuses["agent_1"].open_faults == 1)
+
+
+def run_daemon(bench: Bench, folder: Path) -> subprocess.Popen[bytes]:
+    text = (
+        f"agent: {{name: real_1, id: 1}}\ninterval: 2s\nrun_dir: {folder}/run\nstate_dir: {folder}/state\n"
+        f"log: {{directory: {folder}/log}}\nfleet: {{enabled: true, name: {FLEET}, connect: [{bench.endpoint}], deadline: 1s}}\n"
+    )
+    folder.joinpath("phm.yaml").write_text(text)
+    process = subprocess.Popen((sys.executable, "-m", "phm.cli", "run", "-c", str(folder / "phm.yaml")))
+    bench.later(process.wait)
+    bench.later(process.kill)
+    return process
+
+
+def test_the_daemon_tells_a_fleet(bench: Bench, tmp_path: Path) -> None:
+    """It starts and reports without a router, warns, recovers when there is one, and is missed when it is killed."""
+    daemon = run_daemon(bench, tmp_path)
+    until(
+        lambda: (
+            (tmp_path / "run" / NAME).exists()
+            and "not reached" in str(read(str(tmp_path / "run"))["health"]["problems"])
+        )
+    )
+    assert read(str(tmp_path / "run"))["health"]["reporters"]["fleet"]["connected"] is False
+    bench.router()
+    ground = bench.ground()
+    ground.wait(lambda g: "real_1" in g.statuses and g.statuses["real_1"].levels.get(Slot.COMPANION) is Level.OK)
+    until(lambda: read(str(tmp_path / "run"))["health"]["reporters"]["fleet"]["connected"])
+    daemon.kill()
+    ground.wait(lambda g: not g.tokens)
+    daemon.wait()
+    # Its successor has another boot id, and says goodbye.
+    second = run_daemon(bench, tmp_path)
+    ground.wait(lambda g: bool(g.tokens))
+    second.terminate()
+    assert second.wait(LIMIT_S) == 0
+    ground.wait(lambda g: not g.tokens and g.statuses["real_1"].state == "POWEROFF")
+
+
+def certificates(folder: Path) -> None:
+    """An authority, a router's certificate for 127.0.0.1 and an agent's; another authority that nobody trusts."""
+    for name in ("ca", "other"):
+        openssl(
+            "req", "-x509", *NEW, "-keyout", f"{name}.key", "-out", f"{name}.pem", "-subj", f"/CN={name}", folder=folder
+        )
+    for name in ("router", "agent"):
+        openssl("req", *NEW, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}", folder=folder)
+        (folder / f"{name}.ext").write_text("subjectAltName=IP:127.0.0.1\n")
+        words = ("-in", f"{name}.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2")
+        openssl("x509", "-req", *words, "-extfile", f"{name}.ext", "-out", f"{name}.pem", folder=folder)
+
+
+NEW = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
+
+
+def openssl(*words: str, folder: Path) -> None:
+    if words[0] == "req" and "-x509" not in words:
+        words = tuple(word for word in words if word not in ("-days", "2"))
+    subprocess.run(("openssl", *words), cwd=folder, check=True, capture_output=True, timeout=30)
+
+
+def test_a_fleet_by_tls(bench: Bench, tmp_path: Path) -> None:
+    """Both ends prove who they are: an agent without a certificate, or that trusts another authority, is not let in."""
+    certificates(tmp_path)
+    place = "transport__link__tls__"
+    files = {"root_ca_certificate": "ca.pem", "listen_certificate": "router.pem", "listen_private_key": "router.key"}
+    options = {f"{place}{name}": str(tmp_path / file) for name, file in files.items()}
+    secret = f"tls/127.0.0.1:{free_port()}"
+    clear = bench.endpoint
+    bench.router(listen__endpoints=[secret, clear], **options, **{f"{place}enable_mtls": True})
+
+    def tls(name: str, **files: str) -> Agent:
+        chosen = {key: str(tmp_path / file) for key, file in files.items()}
+        return bench.agent(name, endpoint=secret, tls=chosen)
+
+    good = tls("good", ca="ca.pem", certificate="agent.pem", key="agent.key")
+    anonymous = tls("anonymous", ca="ca.pem")
+    misled = tls("misled", ca="other.pem", certificate="agent.pem", key="agent.key")
+    missing = tls("missing", ca="none.pem")
+    ground = bench.ground()
+    ground.wait(lambda g: "good" in g.statuses)
+    for agent in (anonymous, misled, missing):
+        until(agent.reporter.problem)
+    assert set(ground.statuses) == {name for name, _ in ground.tokens} == {"good"}
+    assert good.reporter.report()["connected"]
+
+
+def test_a_stranger_cannot_crash_a_reader_or_an_agent(bench: Bench) -> None:
+    """Whatever is published under the keys of the fleet is refused or taken, and the rest goes on."""
+    bench.router()
+    agent, ground = bench.agent(), bench.ground()
+    stranger = zenoh.open(config("client", connect__endpoints=[bench.endpoint]))
+    bench.later(stranger.close)
+    for payload in (b"", b"{", b"[" * 60_000, b"\xff\xfe", b'{"v":1}'):
+        stranger.put(f"phm/{FLEET}/agent_1/status", payload)
+    token = stranger.liveliness().declare_token(f"phm/{FLEET}/agent_1/alive/x")
+    ground.wait(lambda g: g.refused >= 5 and len(g.tokens) == 2)
+    token.undeclare()  # type: ignore[no-untyped-call]
+    agent.turn()
+    ground.wait(lambda g: g.statuses["agent_1"].open_faults == 1)
