@@ -109,7 +109,7 @@ class Swarm(Reporter):
             peer = fact.peers.get(agent)
             if peer is None:
                 continue
-            said = digest.worst(peer.word)
+            said = digest.worst(peer.word, deaf=True)
             if self._relayed.get(agent) == said:
                 continue
             self._relayed[agent] = said

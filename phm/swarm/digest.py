@@ -28,8 +28,12 @@ _GRAVITY = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 _WORD = {Level.OK: "OK", Level.STALE: "OK", Level.WARN: "WARN", Level.ERROR: "FAIL"}
 
 
-def worst(word: int) -> tuple[Level, Slot | None]:
-    """The worst level in a status word and the first slot that has it; STALE, None for one that says nothing."""
+def worst(word: int, *, deaf: bool = False) -> tuple[Level, Slot | None]:
+    """The worst level in a status word and the first slot that has it; STALE, None for one that says nothing.
+
+    deaf: an agent that hears no ground station says so in slot 1 or 11, and so does not know the whole path of a command (10):
+    neither may hide what else is wrong with it.
+    """
     try:
         levels = status_word.decode(word)
     except ValueError:
@@ -38,13 +42,17 @@ def worst(word: int) -> tuple[Level, Slot | None]:
     levels.pop(Slot.PEERS, None)
     if not levels:
         return Level.STALE, None
+    if deaf:
+        levels = {slot: level for slot, level in levels.items() if not _is_way(slot, level)} or {
+            Slot.COMPANION: Level.OK
+        }
     slot = max(levels, key=lambda entry: (_GRAVITY[levels[entry]], -entry))
     return levels[slot], slot
 
 
 def levels(consensus: Consensus, own_word: int, deaf: Collection[int] = ()) -> dict[int, tuple[Level, str]]:
     """Each member's level with a word for why it is not OK, by agent id."""
-    told = {consensus.own: _of_word(own_word)}
+    told = {consensus.own: _of_word(own_word, deaf=consensus.own in deaf)}
     for agent, verdict in consensus.verdicts.items():
         if verdict.state is State.LEFT:
             continue
@@ -53,7 +61,7 @@ def levels(consensus: Consensus, own_word: int, deaf: Collection[int] = ()) -> d
         elif verdict.state is State.NEVER:
             told[agent] = (Level.STALE, "unseen")
         else:
-            told[agent] = _of_word(verdict.word)
+            told[agent] = _of_word(verdict.word, deaf=agent in deaf)
     for agent in deaf:
         if told[agent][0] in (Level.OK, Level.STALE):
             told[agent] = (Level.WARN, "deaf")
@@ -85,7 +93,7 @@ def relay(agent: int, heard_by: Collection[int], word: int) -> str:
     A03 no GCS radio, heard by A01 A02: 2 ERROR
     A03 no GCS radio, heard by A01 A02 +5: OK
     """
-    level, slot = worst(word)
+    level, slot = worst(word, deaf=True)
     how = (
         "not known" if level is Level.STALE else "OK" if level is Level.OK or slot is None else f"{slot:d} {level.name}"
     )
@@ -100,7 +108,7 @@ def relay(agent: int, heard_by: Collection[int], word: int) -> str:
 
 def relay_severity(word: int) -> Severity:
     """As the agent's own line would have; a radio that is lost is a warning by itself."""
-    level, slot = worst(word)
+    level, slot = worst(word, deaf=True)
     return severity(level, slot) if level.bad and slot is not None else Severity.WARNING
 
 
@@ -110,8 +118,12 @@ def digest(consensus: Consensus, told: Mapping[int, tuple[Level, str]]) -> Diges
     )
 
 
-def _of_word(word: int) -> tuple[Level, str]:
-    level, slot = worst(word)
+def _is_way(slot: Slot, level: Level) -> bool:
+    return slot in (Slot.COMPANION, Slot.RADIO) or (slot is Slot.AUTOPILOT and level is Level.STALE)
+
+
+def _of_word(word: int, *, deaf: bool) -> tuple[Level, str]:
+    level, slot = worst(word, deaf=deaf)
     if level is Level.OK:
         return level, ""
     return level, _LAYERS.get(slot, "USER") if slot is not None else "mute"

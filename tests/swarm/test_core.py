@@ -314,3 +314,17 @@ def test_the_line_is_always_short(words: dict[int, int], data: st.DataObject) ->
 def test_the_deaf_are_named_once_nothing_graver_is_known() -> None:
     verdicts = {2: Verdict(State.ALIVE, gcs=False, word=WELL), 3: Verdict(State.ALIVE, gcs=False, word=bad(Slot.NODES))}
     assert digest.line(digest.levels(Consensus(1, verdicts), WELL, deaf=(2, 3))) == "SWARM 1/3 FAIL A03:ROS A02:deaf"
+
+
+def test_what_makes_an_agent_deaf_hides_nothing_else() -> None:
+    """It misses the ground by itself (slot 1 or 11, and 10 not known); what the ground wants to know is how it is otherwise."""
+    way = {Slot.COMPANION: Level.ERROR, Slot.RADIO: Level.ERROR, Slot.AUTOPILOT: Level.STALE}
+    well, broken = (
+        dict.fromkeys(list(Slot)[:8], Level.OK) | way | more for more in ({}, {Slot.CONTAINER: Level.ERROR})
+    )
+    words = [status_word.encode(levels) for levels in (well, broken)]
+    assert digest.relay(3, [1, 2], words[0]) == "A03 no GCS radio, heard by A01 A02: OK"
+    assert digest.relay(3, [1, 2], words[1]) == "A03 no GCS radio, heard by A01 A02: 2 ERROR"
+    assert [int(digest.relay_severity(word)) for word in words] == [4, 2]
+    verdicts = {agent: Verdict(State.ALIVE, gcs=False, word=word) for agent, word in enumerate(words, 2)}
+    assert digest.line(digest.levels(Consensus(1, verdicts), WELL, deaf=(2, 3))) == "SWARM 1/3 FAIL A03:DOCKER A02:deaf"

@@ -1,0 +1,84 @@
+"""A radio network of agents on loopback: each has a UDP port of the mesh as its endpoint; who hears whom is set by the test."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from collections.abc import Iterable
+from typing import Any
+
+from phm.transport.dialect import mavlink
+from tests.fakes.mavlink import Sender, heartbeat
+
+GROUND_S = 0.5
+"""Between heartbeats of the ground station."""
+
+
+class Mesh:
+    """Members are told apart by a name, so that two agents may use one id. Datagrams go as they came, to all that hear.
+
+    `apart`: groups that do not hear each other. `deaf`: members that the ground station does not reach, nor they it.
+    `ground` False: there is no ground station. `lines`: sender and text of each STATUSTEXT that it read.
+    """
+
+    def __init__(self, members: Iterable[str]) -> None:
+        self.apart: tuple[frozenset[str], ...] = ()
+        self.deaf: frozenset[str] = frozenset()
+        self.ground = True
+        self.lines: list[tuple[int, str]] = []
+        self.payloads: list[tuple[int, bytes]] = []
+        """Sender and content of each TUNNEL that it read."""
+        self._sockets = {name: _bound() for name in members}
+        self._heard_at: dict[str, Any] = {}
+        self._decoder, self._gcs = mavlink.MAVLink(None), Sender(255, 190)
+        self._decoder.robust_parsing = True
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="mesh", daemon=True)
+        self._thread.start()
+
+    def url(self, member: str) -> str:
+        return f"udpout:127.0.0.1:{self._sockets[member].getsockname()[1]}"
+
+    def close(self) -> None:
+        self._stopping.set()
+        self._thread.join(5.0)
+        for sock in self._sockets.values():
+            sock.close()
+
+    def _run(self) -> None:
+        of, due = {sock: name for name, sock in self._sockets.items()}, time.monotonic()
+        while not self._stopping.is_set():
+            for sock in select.select(list(of), [], [], 0.05)[0]:
+                with contextlib.suppress(OSError):
+                    data, self._heard_at[of[sock]] = sock.recvfrom(65535)
+                    self._pass_on(of[sock], data)
+            if self.ground and time.monotonic() >= due:
+                due = time.monotonic() + GROUND_S
+                self._send(self._gcs.frame(heartbeat(kind=mavlink.MAV_TYPE_GCS)), set(of.values()) - self.deaf)
+
+    def _pass_on(self, sender: str, data: bytes) -> None:
+        hears = set(self._sockets) - {sender}
+        if self.apart:
+            hears &= next((group for group in self.apart if sender in group), frozenset())
+        self._send(data, hears)
+        if self.ground and sender not in self.deaf:
+            for message in self._decoder.parse_buffer(data) or []:
+                if message.get_type() == "STATUSTEXT":
+                    self.lines.append((message.get_srcSystem(), message.text))
+                elif message.get_type() == "TUNNEL":
+                    self.payloads.append((message.get_srcSystem(), bytes(message.payload[: message.payload_length])))
+
+    def _send(self, data: bytes, members: Iterable[str]) -> None:
+        for name in members:
+            if name in self._heard_at:
+                with contextlib.suppress(OSError):
+                    self._sockets[name].sendto(data, self._heard_at[name])
+
+
+def _bound() -> socket.socket:
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    made.bind(("127.0.0.1", 0))
+    return made

@@ -1,0 +1,150 @@
+"""Five whole daemons on sockets of this machine: heartbeats, views and digests by UDP, with a split, a deaf agent, a restart and
+an id that is used twice."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.daemon import Daemon
+from phm.swarm_facts import SwarmFact
+from phm.testing import settings
+from phm.wire import tunnel
+from tests.fakes.mesh import Mesh
+
+IDS = (1, 2, 3, 4, 5)
+ALL = frozenset(f"a{number}" for number in IDS)
+LIMIT_S = 40.0
+BUDGET = 3170
+OFF = ("host", "engine", "path", "autopilot", "radio")
+
+
+class Fleet:
+    """Agents 1 to 5, and place for one more that claims to be agent 3."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.mesh = folder, Mesh([*sorted(ALL), "clone"])
+        self.daemons: dict[str, Daemon] = {}
+        for number in IDS:
+            self.start(f"a{number}", number)
+
+    def start(self, name: str, number: int, off: tuple[str, ...] = OFF) -> None:
+        place = self.folder / name
+        made = settings(
+            agent={"id": number}, interval=5, state_dir=str(place / "state"), run_dir=str(place / "run"),
+            log={"directory": str(place / "log")}, swarm={"agents": list(IDS)},
+            checks={check: {"enabled": False} for check in off},
+            mavlink={
+                "endpoints": [{"url": self.mesh.url(name), "name": "mesh", "budget": BUDGET}],
+                "heartbeat": 0.5, "refresh": 3, "gcs_timeout": 2,
+            },
+        )  # fmt: skip
+        self.daemons[name] = Daemon(made)
+        self.daemons[name].start()
+
+    def stop(self, name: str) -> None:
+        self.daemons.pop(name).stop()
+
+    def close(self) -> None:
+        for name in list(self.daemons):
+            self.stop(name)
+        self.mesh.close()
+
+    def sees(self, name: str) -> SwarmFact:
+        return self.daemons[name].parts.world.swarm.look()
+
+    def states(self, name: str) -> dict[int, str]:
+        return {agent: peer.state for agent, peer in self.sees(name).peers.items()}
+
+    def well(self) -> bool:
+        return all(set(self.states(name).values()) <= {"alive", "late"} for name in sorted(ALL)) and not any(
+            self.sees(name).deaf or self.sees(name).clashing for name in ALL
+        )
+
+    def until(self, wanted: Callable[[], Any], what: str) -> None:
+        end = time.monotonic() + LIMIT_S
+        while not wanted():
+            assert time.monotonic() < end, (
+                f"waited {LIMIT_S:g} s for {what}; states {[(name, self.states(name)) for name in self.daemons]}, "
+                f"lines {self.mesh.lines[-12:]}"
+            )
+            time.sleep(0.05)
+
+    def read(self, text: str, *, by: int | None = None) -> bool:
+        """Whether the ground has read this line, from that agent."""
+        return any(line == text and by in (None, sender) for sender, line in list(self.mesh.lines))
+
+
+@pytest.fixture(scope="module")
+def swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
+    made = Fleet(tmp_path_factory.mktemp("swarm"))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def fleet(swarm: Fleet) -> Fleet:
+    """All five there and well, whatever the test before has done."""
+    swarm.mesh.apart, swarm.mesh.deaf = (), frozenset()
+    swarm.until(swarm.well, "all agents to be well")
+    swarm.mesh.lines.clear()
+    swarm.mesh.payloads.clear()
+    return swarm
+
+
+def test_a_restarted_agent_leaves_and_comes_back(fleet: Fleet) -> None:
+    """It says that it goes: nobody calls it lost. Back again it is alive, and no clash of ids."""
+    fleet.stop("a2")
+    fleet.until(lambda: fleet.states("a5")[2] == "left", "agent 2 to leave")
+    assert fleet.sees("a5").members == 4
+    fleet.start("a2", 2)
+    fleet.until(fleet.well, "agent 2 to be back")
+
+
+def test_all_hear_each_other_and_one_speaks(fleet: Fleet) -> None:
+    """Views are exchanged, so everybody knows who hears whom; the digest of the speaker says how all are."""
+    fleet.until(
+        lambda: all(set(peer.heard_by) == set(IDS) for name in ALL for peer in fleet.sees(name).peers.values()), "views"
+    )
+    fleet.until(lambda: {fleet.sees(name).speaker for name in ALL} == {1}, "agent 1 to be elected")
+    fleet.mesh.lines.clear()
+    fleet.until(lambda: fleet.read("SWARM 5/5 OK", by=1), "the line of the swarm")
+    speakers = {sender for sender, line in list(fleet.mesh.lines) if line.startswith("SWARM")}
+    assert speakers == {1}
+
+    def digested() -> bool:
+        read = [(sender, tunnel.decode(payload)) for sender, payload in list(fleet.mesh.payloads)]
+        return any(isinstance(told, tunnel.Digest) and (sender, told.alive) == (1, 5) for sender, told in read)
+
+    fleet.until(digested, "the digest")
+
+
+def test_an_agent_that_the_ground_does_not_reach_is_told_by_its_peers(fleet: Fleet) -> None:
+    """Its own words do not arrive; the speaker says who hears it and how it is."""
+    fleet.mesh.deaf = frozenset({"a3"})
+    fleet.until(lambda: fleet.sees("a1").deaf == (3,), "the deaf agent")
+    fleet.until(lambda: fleet.read("A03 no GCS radio, heard by A01 A02 A04 A05: OK", by=1), "the relayed line")
+
+
+def test_both_sides_of_a_split_know_it_and_it_heals(fleet: Fleet) -> None:
+    """Each side calls the other lost and split, and has a speaker; together again they are one swarm."""
+    fleet.mesh.apart = (frozenset({"a1", "a2"}), frozenset({"a3", "a4", "a5"}))
+    fleet.until(lambda: fleet.sees("a1").split == (3, 4, 5) and fleet.sees("a5").split == (1, 2), "the split")
+    fleet.until(lambda: fleet.read("SWARM 2/5 FAIL A03:lost A04:lost A05:lost", by=1), "one side's line")
+    fleet.until(lambda: fleet.read("SWARM 3/5 FAIL A01:lost A02:lost", by=3), "the other side's line")
+    fleet.mesh.apart = ()
+    fleet.until(fleet.well, "the swarm to be whole")
+
+
+def test_two_agents_with_one_id_are_found_out(fleet: Fleet) -> None:
+    """By the others, from their frames' numbers, however near these are; by both of them, who hear their own identity."""
+    fleet.start("clone", 3, off=OFF[1:])
+    fleet.until(lambda: fleet.sees("a1").clashing == fleet.sees("a5").clashing == (3,), "the clash")
+    for name in ("a3", "clone"):
+        problems = fleet.daemons[name].parts.world.links.problems  # type: ignore[attr-defined]
+        fleet.until(lambda ask=problems: any("another program" in words for words in ask()), f"{name} to notice")
+    fleet.stop("clone")
