@@ -1,0 +1,375 @@
+"""The air: what a link does to frames, what a vehicle's router passes on, who hears whom, and the process around it."""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from sitl.air import AirProcess
+from sitl.ground import Ground
+from sitl.link import Port, mavlink, messages, parser
+from sitl.pilot import Pilot
+from sitl.swarm.control import Air
+from sitl.swarm.frames import HEARTBEAT, RADIO_STATUS, Frame
+from sitl.swarm.medium import BUFFER_BYTES, Conditions, Losses, Pipe
+from sitl.swarm.mesh import Mesh
+from sitl.swarm.ports import Ports
+from sitl.swarm.vehicle import Vehicle
+from tests.fakes.swarm import until
+
+
+def pipe(*, filled: bool = False, **how: Any) -> Pipe[str]:
+    """A link of 8000 bytes a second without delay, unless said else."""
+    return Pipe(Conditions(**{"delay_s": 0.0, "rate_bps": 64_000, **how}), random.Random(1), share=1.0, filled=filled)
+
+
+# ---------------------------------------------------------------- one link
+
+
+def test_a_frame_arrives_after_its_time_on_the_air_and_the_delay() -> None:
+    """800 bytes at 8000 bytes a second take 0.1 s, then comes the delay."""
+    link = pipe(delay_s=0.5)
+    assert link.offer(10.0, 800, "a")
+    assert link.arrived(10.59) == []
+    assert link.next_s() == pytest.approx(10.6)
+    assert link.arrived(10.61) == ["a"]
+    assert link.next_s() is None
+
+
+def test_frames_share_the_rate() -> None:
+    """Each waits for the one before it, so a burst takes as long as its bytes need; order stays."""
+    link = pipe()
+    for name in "abc":
+        link.offer(0.0, 400, name)
+    assert link.arrived(0.11) == ["a", "b"]
+    assert link.arrived(0.16) == ["c"]
+
+
+def test_a_sik_pair_carries_what_was_measured() -> None:
+    """64 kbit/s in the air are 3170 bytes a second each way (docs/mavlink.md)."""
+    link: Pipe[int] = Pipe(Conditions(delay_s=0.0), random.Random(1))
+    arrived = 0
+    for step in range(1000):
+        now = step / 100
+        link.offer(now, 50, step)
+        arrived += 50 * len(link.arrived(now))
+    assert arrived / 10 == pytest.approx(3170, rel=0.05)
+
+
+def test_a_full_buffer_takes_no_more() -> None:
+    """What finds no room is dropped whole and counted; txbuf says how much is free."""
+    link = pipe(rate_bps=100)
+    assert link.free_percent(0.0) == 100
+    for _ in range(4):
+        assert link.offer(0.0, BUFFER_BYTES // 4, "x")
+    assert link.free_percent(0.0) == 0
+    assert not link.offer(0.0, 1, "y")
+    assert link.full == 1
+
+
+def test_a_cut_holds_what_waits_and_lets_it_go_after() -> None:
+    """As in a SiK radio: the buffer fills up, and leaves from when the link is back."""
+    link = pipe()
+    link.conditions.cut = True
+    link.offer(0.0, 800, "a")
+    assert link.arrived(60.0) == []
+    assert link.free_percent(60.0) < 100
+    link.conditions.cut = False
+    assert link.arrived(60.05) == []
+    assert link.arrived(60.2) == ["a"]
+
+
+@pytest.mark.parametrize("burst", [1.0, 5.0])
+def test_as_many_get_lost_as_was_said(burst: float) -> None:
+    """In the long run the share is `loss`, in bursts or not; and bursts are as long as was said."""
+    losses = Losses(random.Random(3))
+    drawn = [losses.next(0.2, burst) for _ in range(40_000)]
+    assert sum(drawn) / len(drawn) == pytest.approx(0.2, abs=0.02)
+    starts = sum(now and not before for before, now in zip([False, *drawn], drawn, strict=False))
+    expected = burst if burst > 1 else 1 / 0.8
+    assert sum(drawn) / starts == pytest.approx(expected, rel=0.1)
+
+
+def test_what_is_lost_is_counted_and_not_delivered() -> None:
+    """With a loss of 1 nothing arrives."""
+    link = pipe(loss=1.0)
+    link.offer(0.0, 80, "a")
+    assert link.arrived(9.0) == []
+    assert link.lost == 1
+
+
+def test_foreign_traffic_fills_the_buffer() -> None:
+    """More than the air carries: txbuf falls to nothing; without it the buffer is empty again soon."""
+    link = pipe(filled=True, fill_bps=640_000)
+    for step in range(100):
+        link.arrived(step / 10)
+    assert link.free_percent(10.0) < 5
+    link.conditions.fill_bps = 0.0
+    assert link.free_percent(20.0) == 100
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"loss": 2}, "0 to 1"),
+        ({"cut": 1}, "true and false"),
+        ({"burst": 0.5}, "1 to 1000"),
+        ({"colour": 3}, "no 'colour'"),
+        ({"rate_bps": "fast"}, "rate_bps is 'fast'"),
+    ],
+    ids=lambda value: str(value),
+)
+def test_what_a_link_cannot_be_is_refused_whole(values: dict[str, Any], said: str) -> None:
+    """The sentence has what is allowed, and nothing of it is done."""
+    conditions = Conditions()
+    with pytest.raises(ValueError, match=said):
+        conditions.change({"delay_s": 1.0, **values})
+    assert conditions == Conditions()
+
+
+# ---------------------------------------------------------------- one vehicle
+
+
+def framed(message: Any, system: int, component: int) -> Frame:
+    """A message as it comes from somebody, decoded anew."""
+    raw = message.pack(mavlink.MAVLink(None, srcSystem=system, srcComponent=component))
+    return Frame.of(messages(parser(), raw)[0])
+
+
+def beat(system: int, component: int) -> Frame:
+    return framed(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), system, component)
+
+
+def vehicle(*, pilot: bool = False) -> Vehicle:
+    return Vehicle(3, 0.0, random.Random(1), Pilot(3, 0.0) if pilot else None)
+
+
+def kinds(one: Vehicle, place: str) -> list[int]:
+    """Message ids that went there since the last look, and nothing else is left."""
+    found = [Frame.of(messages(parser(), raw)[0]).kind for where, raw in one.out if where == place]
+    one.out = [entry for entry in one.out if entry[0] != place]
+    return found
+
+
+def test_the_router_passes_on_what_is_for_all() -> None:
+    """PHM's heartbeat goes to the autopilot and, over the air, to the ground; not back."""
+    one = vehicle()
+    one.take(0.0, "phm", beat(3, 193))
+    one.turn(1.0)
+    assert kinds(one, "pilot") == [HEARTBEAT, RADIO_STATUS]
+    assert kinds(one, "ground") == [HEARTBEAT]
+    assert kinds(one, "phm") == [RADIO_STATUS]
+
+
+def test_a_radio_answers_each_heartbeat_of_its_own_side() -> None:
+    """As system 51 component 68, also while the other radio is not heard, with what is free of the buffer."""
+    one = vehicle()
+    one.ground.cut = True
+    for second in range(40):
+        one.take(float(second), "phm", beat(3, 193))
+    answers = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
+    assert {(answer.get_srcSystem(), answer.get_srcComponent()) for answer in answers} == {(51, 68)}
+    assert len(answers) == 40
+    assert answers[-1].txbuf < answers[0].txbuf < 100
+    assert kinds(one, "ground") == []
+
+
+def test_the_radio_on_the_ground_answers_too() -> None:
+    """The ground station's heartbeat gets a RADIO_STATUS at once and reaches PHM and the autopilot over the air."""
+    one = vehicle()
+    one.take(0.0, "ground", beat(255, 190))
+    one.turn(1.0)
+    assert kinds(one, "ground") == [RADIO_STATUS]
+    assert kinds(one, "phm") == [HEARTBEAT]
+    assert kinds(one, "pilot") == [HEARTBEAT]
+
+
+def test_what_is_for_somebody_goes_only_there() -> None:
+    """A command for PHM does not reach the autopilot; one for nobody known reaches nobody."""
+    one = vehicle()
+    one.take(0.0, "phm", beat(3, 193))
+    one.take(0.0, "pilot", beat(3, 1))
+    one.turn(5.0)
+    one.out.clear()
+    for component, place in ((193, "phm"), (1, "pilot"), (77, "")):
+        command = mavlink.MAVLink_command_long_message(3, component, 512, 0, 0, 0, 0, 0, 0, 0, 0)
+        one.take(6.0, "ground", framed(command, 255, 190))
+        one.turn(7.0)
+        assert {where for where, _ in one.out} - {place} == set()
+        assert bool(one.out) == bool(place)
+        one.out.clear()
+
+
+def test_damaged_packets_are_in_the_radio_status() -> None:
+    """rxerrors grows with the loss of the link, as the margin of a real one would show."""
+    one = vehicle()
+    one.ground.loss = 0.5
+    for second in range(1, 6):
+        one.take(float(second), "phm", beat(3, 193))
+    answers = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
+    errors = [answer.rxerrors for answer in answers]
+    assert errors == sorted(errors)
+    assert errors[-1] == pytest.approx(40, abs=2)
+
+
+def test_a_radio_without_power_says_nothing() -> None:
+    """Neither RADIO_STATUS nor frames, either way."""
+    one = vehicle()
+    one.change("ground", {"off": True})
+    one.take(0.0, "phm", beat(3, 193))
+    one.take(0.0, "ground", beat(255, 190))
+    one.turn(1.0)
+    assert kinds(one, "phm") == []
+    assert kinds(one, "ground") == [RADIO_STATUS]  # the radio on the ground has power
+
+
+def test_a_killed_router_passes_nothing() -> None:
+    """Not between PHM and the autopilot either; `reset` starts it again."""
+    one = vehicle(pilot=True)
+    one.change("router", {"off": True})
+    one.take(5.0, "phm", beat(3, 193))
+    assert one.out == []
+    one.reset()
+    one.turn(7.0)
+    assert kinds(one, "phm")
+
+
+def test_the_simulated_autopilot_obeys_through_the_router() -> None:
+    """Arming by the ground: acknowledged to the ground, heard armed by PHM."""
+    one = vehicle(pilot=True)
+    one.take(0.0, "ground", beat(255, 190))
+    command = mavlink.MAVLink_command_long_message(3, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    one.take(0.1, "ground", framed(command, 255, 190))
+    one.turn(0.5)
+    one.turn(0.9)
+    assert one.pilot is not None
+    assert one.pilot.armed
+    assert mavlink.MAVLINK_MSG_ID_COMMAND_ACK in kinds(one, "ground")
+
+
+def test_an_autopilot_reboots_disarmed_and_counts_its_time_anew() -> None:
+    """It is silent meanwhile, and hangs only until it is told to go on."""
+    one = vehicle(pilot=True)
+    one.order(10.0, "arm", {})
+    one.turn(10.0)
+    one.order(10.0, "reboot", {"boot_s": 2.0})
+    one.out.clear()
+    one.turn(11.9)
+    assert kinds(one, "phm") == []
+    one.turn(12.1)
+    heard = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
+    assert any(message.get_type() == "SYSTEM_TIME" and message.time_boot_ms < 1000 for message in heard)
+    assert one.state()["autopilot"] == {"off": False, "armed": False, "hung": False}
+    one.order(13.0, "hang", {})
+    one.out.clear()
+    one.turn(20.0)
+    assert kinds(one, "phm") == []
+
+
+# ---------------------------------------------------------------- between agents
+
+
+def heard(mesh: Mesh, now: float) -> set[int]:
+    return {agent for agent, _ in mesh.turn(now)}
+
+
+def test_all_others_hear_an_agent() -> None:
+    """And it does not hear itself."""
+    mesh = Mesh(range(1, 4), random.Random(1))
+    mesh.take(0.0, 1, b"x" * 30)
+    assert heard(mesh, 1.0) == {2, 3}
+
+
+def test_a_cut_or_split_is_both_ways() -> None:
+    """An agent that is cut neither hears nor is heard; groups hear themselves alone."""
+    mesh = Mesh(range(1, 5), random.Random(1))
+    mesh.change(2, {"cut": True})
+    mesh.take(0.0, 1, b"x")
+    mesh.take(0.0, 2, b"x")
+    assert heard(mesh, 1.0) == {3, 4}
+    mesh.reset(2)
+    assert heard(mesh, 2.0) == set()
+    mesh.split([[1, 2], [3]])
+    mesh.take(3.0, 1, b"x")
+    mesh.take(3.0, 3, b"x")
+    mesh.take(3.0, 4, b"x")
+    assert heard(mesh, 4.0) == {2}
+    mesh.split([])
+    mesh.take(5.0, 4, b"x")
+    assert heard(mesh, 6.0) == {1, 2, 3}
+    with pytest.raises(ValueError, match="each once"):
+        mesh.split([[1], [1]])
+
+
+# ---------------------------------------------------------------- the process
+
+
+@pytest.fixture
+def process() -> Iterator[AirProcess]:
+    air = AirProcess(2, host="127.0.0.1", ports=Ports())
+    thread = threading.Thread(target=air.run, name="air", daemon=True)
+    thread.start()
+    yield air
+    air.stop()
+    thread.join(5.0)
+    assert not thread.is_alive()
+
+
+def test_the_ground_hears_each_vehicle_and_phm_hears_radio_and_autopilot(process: AirProcess) -> None:
+    """Over real sockets, with RADIO_STATUS, and counted."""
+    control = Air(("127.0.0.1", process.control_port))
+    ground = Ground(f"tcp:127.0.0.1:{process.station.bound_port}")
+    ground.start()
+    phm = Port(f"tcp:127.0.0.1:{process.routers[2].rpartition(':')[2]}")
+    seen: set[str] = set()
+
+    def both() -> bool:
+        phm.send(beat(2, 193).raw)
+        for sock in phm.sockets():
+            seen.update(message.get_type() for _, message in phm.receive(sock))
+        return {"RADIO_STATUS", "HEARTBEAT"} <= seen and {(1, 1), (2, 1), (2, 193)} <= set(ground.heartbeats)
+
+    assert until(both)
+    traffic = control.traffic()
+    assert traffic[2]["phm_to_ground"] > 0
+    assert traffic[1]["phm_to_ground"] == 0
+    assert traffic[1]["to_ground"] > 0
+    ground.stop()
+    phm.close()
+
+
+def test_a_killed_router_refuses_and_comes_back_at_the_same_place(process: AirProcess) -> None:
+    """So PHM sees `connection refused`, and finds it again."""
+    control, url = Air(("127.0.0.1", process.control_port)), f"tcp:{process.routers[1].partition(':')[2]}"
+    phm = Port(url)
+    assert until(lambda: control.state()["agents"][1]["router"]["connected"] == 1)
+    control.set(1, "router", off=True)
+    assert control.state()["agents"][1]["router"] == {"off": True, "connected": 0}
+    with pytest.raises(ConnectionRefusedError):
+        Port(url)
+    control.reset(1)
+    again = Port(url)
+    assert until(lambda: control.state()["agents"][1]["router"]["connected"] == 1)
+    phm.close()
+    again.close()
+
+
+def test_orders_that_make_no_sense_are_answered_with_why(process: AirProcess) -> None:
+    """And the process goes on."""
+    control = Air(("127.0.0.1", process.control_port))
+    for order, said in (
+        (lambda: control.set(9, "ground", cut=True), "no agent 9: allowed are 1 to 2"),
+        (lambda: control.set(1, "moon", cut=True), "no link 'moon'"),
+        (lambda: control.set(1, "router", loss=0.5), "only `off`"),
+        (lambda: control.autopilot(1, "land"), "cannot 'land'"),
+        (lambda: control.split([[1, 7]]), "name agents of"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            order()
+    assert process.answer(b"garbage")["error"]
+    assert process.answer(b"[]")["error"]
+    assert set(control.state()["agents"]) == {1, 2}
