@@ -198,6 +198,13 @@ class Roster:
             return Evidence(Kind.PROCESS, Says.BUSY, f"its process {known.pid} computes", age_s)
         return Evidence(Kind.PROCESS, Says.ALIVE, f"its process {known.pid} runs", age_s)
 
+    def fit(self, name: str, now: float) -> int:
+        """How many processes of the newest list may be the node's own, where it is more than one; 0: one, none, or no list."""
+        if self._listed_at is None or now - self._listed_at > OLD_S:
+            return 0
+        count = self._unclear.get(name, 0)
+        return count if count > 1 else 0
+
     def told(self, name: str) -> str:
         """How it is with the node's process, for the values of a result."""
         known, count = self._known.get(name), self._unclear.get(name, 0)

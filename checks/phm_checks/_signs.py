@@ -145,6 +145,8 @@ class Signs:
             self.appeared_at = now
             self.doubts.add("listed anew")
         self.count = count
+        if count > 1:
+            self.doubts.add("listed twice")
         if count:
             self._listed_by_this_child, self._gone_since = True, None
             self._twice_since = (self._twice_since or now) if count > 1 else None

@@ -15,6 +15,8 @@ from phm_checks._words import brief, did_you_mean, last, span
 OLD_PICTURE_S = 5.0
 """A picture of the graph older than this proves nothing."""
 SLOW_S = 1.0
+BOTH_S = 2.0
+"""A node that is started anew may overlap with the old one for a moment: two processes for longer are two nodes."""
 _Words = tuple[Level, str, str, str]
 BUSY_S = 10.0
 """A node that computes and has not answered for this long is told as busy: a WARN, for nobody knows that it is wrong."""
@@ -27,6 +29,9 @@ class _Node:
         self.wanted, self.signs = wanted, signs
         self.state: State | None = None
         self.seen = False
+        self.copies = 0
+        """Processes of its own, where more than one lasts: then it is known to run twice, whatever leases say."""
+        self._both_since: float | None = None
         self._life = ""
 
     @property
@@ -35,9 +40,12 @@ class _Node:
         told = set() if self.state in (State.ALIVE, State.DUPLICATE, None) else {self.state.value}
         return {(self.wanted.name, why) for why in self.signs.doubts | told}
 
-    def judge(self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float) -> Judgement:
+    def judge(self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float, fit: int) -> Judgement:
+        """fit: how many processes may be the node's own."""
+        self._both_since = (self._both_since or now) if min(fit, self.signs.count) > 1 else None
+        self.copies = fit if self._both_since is not None and now - self._both_since >= BOTH_S else 0
         starting = now - began_at < grace_s
-        past = Past(self.state is State.ALIVE, self.seen, starting, self.signs.twice(now))
+        past = Past(self.state is State.ALIVE, self.seen, starting, self.copies > 0 or self.signs.twice(now))
         judgement = fuse(evidence, past)
         self.state = judgement.state
         return judgement
@@ -116,12 +124,12 @@ class Nodes(api.Check):
         self, node: _Node, signs: Sequence[Evidence], fact: api.RosFact | None, why: str, now: float
     ) -> api.Result:
         roster, name = self._rosters.get(node.wanted.container), node.wanted.name
-        evidence, began_at, told = list(signs), NEVER, ""
+        evidence, began_at, told, fit = list(signs), NEVER, "", 0
         if roster is not None:
             pieces = (roster.container(now), roster.process(name, now))
             evidence += [piece for piece in pieces if piece is not None]
-            began_at, told = roster.began_at(name), roster.told(name)
-        judgement = node.judge(evidence, began_at, now, self._grace_s)
+            began_at, told, fit = roster.began_at(name), roster.told(name), roster.fit(name, now)
+        judgement = node.judge(evidence, began_at, now, self._grace_s, fit)
         node.live(roster.life if roster is not None else "", began_at, now)
         level, words, short, condition = self._words(node, judgement, fact, why)
         values: dict[str, api.Value] = {"listed": node.signs.count, "process": told}
@@ -142,6 +150,13 @@ class Nodes(api.Check):
                 "or too much work in a callback"
             )
             return Level.WARN, words, "busy", "node_busy"
+        if state is State.DUPLICATE and node.copies:
+            words = (
+                f"node {name} runs twice{where}: {node.copies} processes fit it, and it is listed {node.signs.count} times, expected "
+                "once: two nodes of one name publish twice and disturb each other; stop the one that should not be there, or give "
+                "each its own namespace"
+            )
+            return Level.ERROR, words, "runs twice", "node_twice"
         if state is State.DUPLICATE:
             words = (
                 f"node {name} is listed {node.signs.count} times for more than {TWICE_S:.0f} s, expected once: two nodes of "

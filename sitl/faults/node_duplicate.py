@@ -14,7 +14,6 @@ class Injection(Fault):
 
     name, title, unit = "node_duplicate", "node runs twice", "nodes/{agent}/node_1"
     condition = "node_twice"
-    level = "WARN"
     layer = "ros"
     cause = "somebody started a node by hand, or two launch files have it"
     healable = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -223,6 +224,31 @@ def test_a_node_listed_twice_is_told_only_after_the_lease() -> None:
     levels.append(bench.result().level)
     assert levels == [api.Level.OK, api.Level.WARN, api.Level.OK]
     assert (twice.condition, twice.brief) == ("node_twice", "node_1 runs twice")
+
+
+def test_a_node_with_two_processes_runs_twice_whatever_its_lease() -> None:
+    """Listed twice and two processes for a moment longer than a restart takes: certain, so it is an error, and the cause."""
+    bench = Bench()
+    bench.result()
+    bench.ros.change(nodes={NAME: 2})
+    bench.processes(MAIN, ONE, replace(ONE, pid=99))
+    assert bench.result().level is api.Level.OK
+    twice = bench.after(4.0)
+    assert (twice.level, twice.condition, twice.target) == (api.Level.ERROR, "node_twice", "ros_app")
+    assert "2 processes" in twice.summary
+    bench.ros.change(nodes={NAME: 1})
+    bench.processes(MAIN, ONE)
+    assert bench.after(1.0).level is api.Level.OK
+
+
+@pytest.mark.parametrize(("listed", "pids"), [(2, (71,)), (1, (71, 99))])
+def test_one_sign_of_a_second_node_is_not_enough(listed: int, pids: tuple[int, ...]) -> None:
+    """A lease that has not ended, or a process that only looks like the node's."""
+    bench = Bench()
+    bench.result()
+    bench.ros.change(nodes={NAME: listed})
+    bench.processes(MAIN, *(replace(ONE, pid=pid) for pid in pids))
+    assert bench.after(10.0).level is api.Level.OK
 
 
 def test_a_name_that_lost_its_endpoints_is_not_alive() -> None:
