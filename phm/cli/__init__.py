@@ -28,6 +28,7 @@ VERBS = {
     "faults": "List open and recent faults, or one with its timeline.",
     "approve": "Say yes to the action that PHM advises for an open fault.",
     "note": "Write a line into the running daemon's log.",
+    "gcs": "Show how all agents are, as a ground station hears them.",
 }
 VERB_GROUP = "phm.verbs"
 

@@ -1,0 +1,223 @@
+"""`phm gcs`: the ground's view of all agents, live, recorded and served. What it does is in `phm.gcs`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import TYPE_CHECKING, Protocol
+
+import click
+
+if TYPE_CHECKING:
+    from phm.clock import Clock
+    from phm.gcs.serve import Server
+    from phm.gcs.station import Station
+    from phm.settings import MavlinkSettings
+
+DEFAULT = "udpin:0.0.0.0:14551"
+IDS = (251, 254)
+"""Above all agents' ids (250) and below 255, which is the pilot's own ground station."""
+TRY_S = 2.0
+ONCE_S = 5.0
+
+
+def _agents(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[int, ...]:
+    """``1,2,5-8``."""
+    found: set[int] = set()
+    for piece in (value or "").split(",") if value else ():
+        first, dash, last = piece.strip().partition("-")
+        if not first.isdecimal() or not (last.isdecimal() if dash else True):
+            raise click.BadParameter(f"{piece!r} is no agent: ids are 1 to 250, as in 1,2,5-8")
+        ids = range(int(first), int(last or first) + 1)
+        if not ids or ids[0] < 1 or ids[-1] > 250:
+            raise click.BadParameter(f"{piece!r} is no agent: ids are 1 to 250, as in 1,2,5-8")
+        found.update(ids)
+    return tuple(sorted(found))
+
+
+def _address(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, int] | None:
+    """``HOST:PORT`` or ``PORT``."""
+    if value is None:
+        return None
+    host, _, port = value.rpartition(":")
+    if not port.isdecimal() or int(port) > 65535:
+        raise click.BadParameter(f"{value!r} needs a port of 0 to 65535, as in 8014 or 192.168.7.1:8014")
+    return host.strip("[]") or "127.0.0.1", int(port)
+
+
+@click.command(epilog="Example, beside QGroundControl and MAVProxy: phm gcs udpin:127.0.0.1:14551")
+@click.argument("urls", metavar="[URL]...", nargs=-1)
+@click.option(
+    "--baud", type=click.IntRange(1200, 4_000_000), default=57600, show_default=True, help="Of a serial port."
+)
+@click.option(
+    "--id",
+    "system",
+    type=click.IntRange(*IDS),
+    default=IDS[1],
+    show_default=True,
+    help="MAVLink system id. 255 stays the pilot's ground station, for which an autopilot's failsafe waits.",
+)
+@click.option("--silent", is_flag=True, help="Send nothing, no heartbeat either. An ArduPilot then passes nothing on.")
+@click.option(
+    "--key",
+    type=click.Path(exists=True, dir_okay=False),
+    help="File with the key of MAVLink signing, as the agents have it.",
+)
+@click.option(
+    "--unsigned",
+    type=click.Choice(["vehicle", "all", "none"]),
+    default="vehicle",
+    show_default=True,
+    help="With --key: what is believed without a signature.",
+)
+@click.option(
+    "--expect", metavar="IDS", callback=_agents, help="Agents that are missed before they were heard, as in 1,2,5-8."
+)
+@click.option("--record", type=click.Path(dir_okay=False), help="Append all news to this file as JSON lines.")
+@click.option(
+    "--serve", metavar="[HOST:]PORT", callback=_address, help="Serve the news to other programs by TCP and HTTP."
+)
+@click.option(
+    "--json", "as_json", is_flag=True, help="Print the news as JSON lines; with --once how all are, as one object."
+)
+@click.option("--once", is_flag=True, help="Listen for a while, print how all are, and end.")
+@click.option(
+    "--for",
+    "seconds",
+    metavar="SECONDS",
+    type=click.FloatRange(min=0, min_open=True),
+    help=f"End after this time.  [default: {ONCE_S:g} with --once, else never]",
+)
+@click.pass_context
+def command(
+    ctx: click.Context, urls: tuple[str, ...], baud: int, system: int, silent: bool, key: str | None, unsigned: str,
+    expect: tuple[int, ...], record: str | None, serve: tuple[str, int] | None, as_json: bool, once: bool,
+    seconds: float | None,
+) -> None:  # fmt: skip
+    """Show how all agents are, as a ground station hears them.
+
+    Connects to the MAVLink network and finds the agents by what they send. URL is as in the configuration's
+    `mavlink.endpoints`: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, /dev/ttyUSB0 and so on; by default
+    udpin:0.0.0.0:14551. On a terminal it shows a live table, else a line for each piece of news.
+
+    Exit code 0; 1 when a port is taken, and with --once when an agent is in ERROR, lost or not heard, or there is none.
+    """
+    from phm.cli import render
+    from phm.clock import SystemClock
+    from phm.gcs.record import Record
+    from phm.gcs.show import Show
+
+    clock = SystemClock()
+    station = _station(_settings(urls or (DEFAULT,), baud, key, unsigned), system, expect, clock, silent=silent)
+    book = Record(record, station, clock) if record else None
+    server = _server(serve, station, clock) if serve else None
+
+    def notes() -> list[str]:
+        return [part.about() for part in (server, book) if part is not None and part.about()]
+
+    show, console = Show(station, clock, click.echo, notes), render.console()
+    with _ending() as stop, _running(station, book, server):
+        _tried(station)
+        limit_s = seconds if seconds is not None else ONCE_S if once else None
+        end = None if limit_s is None else clock.mono() + limit_s
+        if once:
+            clock.wait(stop, limit_s)
+            ctx.exit(0 if show.once(console, as_json=as_json) else 1)
+        elif as_json or not console.is_terminal:
+            show.lines(stop, end, as_json=as_json)
+        else:
+            show.live(stop, end, console)
+    if as_json:
+        show.rest(0.0, as_json=True)
+
+
+class _Part(Protocol):
+    def start(self) -> None: ...
+    def close(self) -> None: ...
+
+
+@contextmanager
+def _running(station: Station, *others: _Part | None) -> Iterator[None]:
+    parts = [part for part in others if part is not None]
+    for part in parts:
+        part.start()
+    station.start()
+    try:
+        yield
+    finally:
+        station.close()
+        for part in parts:
+            part.close()
+
+
+@contextmanager
+def _ending() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and SIGTERM set, so that the end is orderly; a second one does not wait for that."""
+    stop = threading.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _settings(urls: tuple[str, ...], baud: int, key: str | None, unsigned: str) -> MavlinkSettings:
+    from pydantic import ValidationError
+
+    from phm.gcs.station import COMPONENT
+    from phm.settings import MavlinkSettings
+
+    if len(set(urls)) < len(urls):
+        raise click.UsageError("The same URL is given twice.")
+    endpoints = [{"url": url, "baud": baud, "budget": 0} for url in urls]
+    signing = {"key": os.path.abspath(key) if key else None, "unsigned": unsigned}
+    try:
+        return MavlinkSettings.model_validate({"endpoints": endpoints, "component_id": COMPONENT, "signing": signing})
+    except ValidationError as error:
+        raise click.UsageError(
+            "; ".join(entry["msg"].removeprefix("Value error, ") for entry in error.errors())
+        ) from None
+
+
+def _station(settings: MavlinkSettings, system: int, expect: tuple[int, ...], clock: Clock, *, silent: bool) -> Station:
+    from phm.gcs.station import Station
+    from phm.transport.mavlink_signing import KeyProblem
+
+    try:
+        return Station(settings, system, clock, expect, silent=silent)
+    except KeyProblem as problem:
+        raise click.UsageError(str(problem).replace("mavlink.signing.key:", "--key:")) from None
+
+
+def _tried(station: Station) -> None:
+    """Ends the program when a port that it should listen at is taken."""
+    taken = station.taken(TRY_S)
+    if taken:
+        raise click.ClickException(
+            f"{taken}: another program listens there, or the address is not this machine's. Choose another port, and have "
+            "the router or MAVProxy send the frames to it too (docs/gcs.md)"
+        )
+
+
+def _server(address: tuple[str, int], station: Station, clock: Clock) -> Server:
+    from phm.gcs.serve import Server
+
+    try:
+        server = Server(*address, station, clock)
+    except OSError as error:
+        reason = (error.strerror or str(error)).partition(" (while ")[0]
+        raise click.ClickException(f"--serve {address[0]}:{address[1]}: {reason}") from None
+    click.echo(f"news are served at {server.address[0]}:{server.address[1]}", err=True)
+    return server

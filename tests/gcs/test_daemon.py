@@ -1,0 +1,402 @@
+"""Real agents on loopback, heard by the ground as a whole: station, record and command line."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import phm
+from phm.clock import SystemClock
+from phm.daemon import Daemon
+from phm.gcs.outlet import Outlet
+from phm.gcs.record import Record
+from phm.gcs.station import COMPONENT, Station
+from phm.settings import MavlinkSettings
+from phm.testing import settings
+from phm.transport.dialect import mavlink
+from phm.wire import journal
+from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
+
+ROOT = Path(phm.__file__).parents[1]
+KEY = bytes(range(1, 33))
+
+
+class SlowClock(SystemClock):
+    """A companion computer without a battery: years behind."""
+
+    def utc(self) -> float:
+        return super().utc() - 9e7
+
+
+def agent(folder: Path, number: int, url: str, *, key: Path | None = None, engine: bool = False) -> Daemon:
+    """A PHM. engine: it has a container, and an engine that is not there."""
+    docker = {"docker": {"socket": f"unix://{folder}/none.sock"}, "containers": [{"name": "app"}]} if engine else {}
+    made = settings(
+        agent={"id": number}, interval=1, state_dir=str(folder / f"state{number}"), run_dir=str(folder / f"run{number}"),
+        log={"directory": str(folder / f"log{number}")}, checks={"host": {"enabled": False}},
+        mavlink={
+            "endpoints": [{"url": url, "leads_to": "router", "budget": 0}], "heartbeat": 0.5, "refresh": 1, "signing": {"key": str(key) if key else None},
+        },
+        **docker,
+    )  # fmt: skip
+    return Daemon(made, SlowClock())
+
+
+def endpoints(*urls: str, key: Path | None = None) -> MavlinkSettings:
+    return MavlinkSettings.model_validate({
+        "endpoints": [{"url": url, "budget": 0} for url in urls], "component_id": COMPONENT,
+        "signing": {"key": str(key) if key else None},
+    })  # fmt: skip
+
+
+class Router:
+    """What each peer of one UDP port sends goes to all others, as a router without rules does it."""
+
+    def __init__(self) -> None:
+        self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sock.bind(("127.0.0.1", 0))
+        self._sock.settimeout(0.2)
+        self.port = int(self._sock.getsockname()[1])
+        self._peers: set[Any] = set()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join(5.0)
+        self._sock.close()
+
+    def _loop(self) -> None:
+        while not self._stop.is_set():
+            try:
+                data, sender = self._sock.recvfrom(65535)
+            except OSError:  # nothing for a moment, or a peer that is gone
+                continue
+            self._peers.add(sender)
+            for peer in self._peers - {sender}:
+                with contextlib.suppress(OSError):
+                    self._sock.sendto(data, peer)
+
+
+class Scene:
+    """Agent 7, whose engine is missing, agent 8 and the ground, all at one router."""
+
+    def __init__(self, folder: Path, key: Path | None = None) -> None:
+        self.router = Router()
+        self.port, url = self.router.port, f"udpout:127.0.0.1:{self.router.port}"
+        self.agents = {7: agent(folder, 7, url, key=key, engine=True), 8: agent(folder, 8, url, key=key)}
+        clock = SystemClock()
+        self.station = Station(endpoints(url, key=key), 254, clock)
+        self.outlet = Outlet(clock)
+        self.station.subscribe(self.outlet)
+        self.seen: list[dict[str, Any]] = []
+
+    def start(self) -> None:
+        self.station.start()
+        for daemon in self.agents.values():
+            daemon.start()
+
+    def close(self) -> None:
+        for daemon in self.agents.values():
+            daemon.stop()
+        self.station.close()
+        self.router.close()
+
+    def of(self, number: int) -> dict[str, Any]:
+        agents = self.station.snapshot()[1].body["agents"]
+        return next((one for one in agents if one["agent"] == number), {"how": None, "view": None, "line": None})
+
+    def events(self, event: str) -> list[dict[str, Any]]:
+        self.seen += [json.loads(item.line) for item in self.outlet.take(0.0)]
+        return [body for body in self.seen if body["event"] == event]
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    made = Scene(tmp_path)
+    made.start()
+    yield made
+    made.close()
+
+
+def test_two_real_agents_are_found_and_shown(scene: Scene, tmp_path: Path) -> None:
+    """Slots, lines, views and the digest of agents whose clocks are years behind; one ends on purpose, one is killed."""
+    until(lambda: scene.of(7)["how"] == "ERROR" and scene.of(8)["how"] in ("OK", "WARN"), "both agents")
+    until(lambda: any(bad["slot"] == 2 for bad in scene.of(7)["bad"]), "the line of the fault")
+    assert scene.of(7)["slots"]["2"] == "ERROR"
+    until(lambda: (view := scene.of(8)["view"]) and view["gcs"] and view["peers"] == {"7": "alive"}, "the view")
+    until(lambda: scene.of(7)["heard_by"] == [8], "who hears it")
+    until(lambda: (swarm := scene.station.snapshot()[1].body["swarm"]) and swarm["line"], "the swarm's line")
+    assert all(one["presence"] == "alive" for one in (scene.of(7), scene.of(8)))
+    lines = [body for body in scene.events("text") if body["phm"] and body["agent"] == 7]
+    assert any(body["text"].startswith("A07 FAIL 2 ") and body["severity_name"] == "CRITICAL" for body in lines)
+    now = SystemClock().utc()
+    assert all(abs(body["utc_s"] - now) < 600 for body in scene.seen)
+    scene.agents[8].stop()
+    until(lambda: scene.of(8)["how"] == "LEFT", "the farewell")
+    hub = scene.agents[7].parts.mavlink
+    assert hub is not None
+    hub.close()  # as a killed process: no farewell
+    until(lambda: scene.of(7)["how"] == "LOST", "the loss")
+    assert (scene.of(7)["slots"], scene.of(7)["last_slots"]["2"]) == ({}, "ERROR")
+
+
+def test_with_a_key_only_what_is_signed_counts(tmp_path: Path) -> None:
+    """Agents whose clocks are behind take the time from the ground, and their tunnels are believed; a forger's are not."""
+    key = tmp_path / "key"
+    key.write_text(KEY.hex())
+    key.chmod(0o600)
+    scene = Scene(tmp_path, key)
+    scene.start()
+    try:
+        until(lambda: (view := scene.of(8)["view"]) and view["peers"], "a signed view")
+        forger, sock = Sender(8, 193), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        forged = mavlink.MAVLink_tunnel_message(0, 0, 46193, 4, list(b"\x11\x01\x00\x09".ljust(128, b"\0")))
+        for _ in range(20):
+            sock.sendto(forger.frame(forged), ("127.0.0.1", scene.port))
+        sock.sendto(forger.frame(text("marker", 7)), ("127.0.0.1", scene.port))
+        until(lambda: any(body["text"] == "marker" for body in scene.events("text")), "the end of the forgery")
+        sock.close()
+        assert all("9" not in body["peers"] for body in scene.events("view"))
+    finally:
+        scene.close()
+
+
+def test_the_record_can_be_read_back(scene: Scene, tmp_path: Path) -> None:
+    """Numbers without a gap, stamps of the ground, a snapshot at the end; a torn last line harms nothing."""
+    path = tmp_path / "record" / "flight.jsonl"
+    book = Record(str(path), scene.station, SystemClock())
+    book.start()
+    until(lambda: scene.of(7)["how"] == "ERROR" and scene.of(8)["how"] is not None, "news")
+    until(lambda: path.exists() and path.stat().st_size > 1000, "the file")
+    book.close()
+    with path.open("ab") as stream:
+        stream.write(b'{"v":1,"run":"torn')
+    events = list(journal.read(path))
+    news = [event for event in events if event["event"] != "snapshot"]
+    assert [event["seq"] for event in news] == list(range(news[0]["seq"], news[0]["seq"] + len(news)))
+    assert events[-1]["event"] == "snapshot"
+    assert {one["agent"] for one in events[-1]["agents"]} == {7, 8}
+    monos = [event["mono"] for event in news]
+    assert max(monos) - min(monos) < 600
+    assert book.about() == ""
+
+
+# ---------------------------------------------------------------- the station's own manners
+
+
+class Wire:
+    """A socket of another program that sends to the station and hears what it says."""
+
+    def __init__(self, port: int) -> None:
+        self.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.sock.settimeout(0.2)
+        self._to = ("127.0.0.1", port)
+        self._decoder = mavlink.MAVLink(None)
+
+    def send(self, data: bytes) -> None:
+        self.sock.sendto(data, self._to)
+
+    def hear(self) -> list[Any]:
+        try:
+            return self._decoder.parse_buffer(self.sock.recv(65535)) or []
+        except TimeoutError:
+            return []
+
+
+@pytest.fixture
+def wired() -> Iterator[Callable[..., tuple[Station, Wire]]]:
+    made: list[tuple[Station, Wire]] = []
+
+    def make(*, silent: bool = False) -> tuple[Station, Wire]:
+        port = free_port(socket.SOCK_DGRAM)
+        station, wire = Station(endpoints(f"udpin:127.0.0.1:{port}"), 254, SystemClock(), silent=silent), Wire(port)
+        made.append((station, wire))
+        station.start()
+        until(lambda: station.snapshot()[1].body["links"], "the link")
+        return station, wire
+
+    yield make
+    for station, wire in made:
+        station.close()
+        wire.sock.close()
+
+
+def test_it_says_hello_like_a_ground_station(wired: Callable[..., tuple[Station, Wire]]) -> None:
+    """Type GCS, 254/190, and nothing but heartbeats."""
+    _, wire = wired()
+    wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
+    heard = until(lambda: (wire.hear() + wire.hear() + wire.hear()) or None, "a heartbeat")
+    assert {(one.get_type(), one.get_srcSystem(), one.get_srcComponent(), one.type) for one in heard} == {
+        ("HEARTBEAT", 254, 190, mavlink.MAV_TYPE_GCS)
+    }
+
+
+def test_silent_is_silent(wired: Callable[..., tuple[Station, Wire]]) -> None:
+    """It hears all the same."""
+    station, wire = wired(silent=True)
+    sender = Sender(7, 193)
+    wire.send(sender.frame(heartbeat(1 << 30)))
+    until(lambda: station.snapshot()[1].body["agents"], "the agent")
+    assert [wire.hear() for _ in range(8)] == [[]] * 8
+
+
+def test_another_program_with_our_id_is_told(wired: Callable[..., tuple[Station, Wire]]) -> None:
+    """Frames of our own that come back from a router are not: those were ours."""
+    station, wire = wired()
+    wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
+    own = until(lambda: wire.hear() or None, "a heartbeat of ours")[0]
+    wire.send(bytes(own.get_msgbuf()))
+    wire.send(Sender(8, 193).frame(heartbeat(1 << 30)))
+    until(lambda: len(station.snapshot()[1].body["agents"]) == 2, "what came behind the echo")
+    assert station.snapshot()[1].body["problems"] == []
+    wire.send(Sender(254, 190).frame(heartbeat(5, kind=mavlink.MAV_TYPE_GCS)))
+    problems = until(lambda: station.snapshot()[1].body["problems"], "the problem")
+    assert "--id" in problems[0]
+
+
+def test_a_flood_crowds_out_nobody_else(wired: Callable[..., tuple[Station, Wire]]) -> None:
+    """Of a sender that says too much only its own frames are dropped; garbage between them changes nothing."""
+    station, wire = wired()
+    loud, calm = Sender(9, 193), Sender(7, 193)
+    for number in range(600):
+        wire.send(loud.frame(text(f"A09 FAIL 6 unit {number}", 2)))
+        if number % 100 == 0:
+            wire.send(os.urandom(64) + calm.frame(heartbeat(1 << 30 | number)))
+    until(lambda: station.snapshot()[1].body["frames_refused"], "refused frames")
+    until(lambda: any(one["agent"] == 7 for one in station.snapshot()[1].body["agents"]), "the calm agent")
+
+
+# ---------------------------------------------------------------- the command line, in a process of its own
+
+
+def run(*arguments: str, **more: Any) -> subprocess.Popen[str]:
+    places = os.pathsep.join((str(ROOT), str(ROOT / "checks")))
+    return subprocess.Popen(
+        [sys.executable, "-m", "phm.cli", "gcs", *arguments], env={**os.environ, "PYTHONPATH": places}, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, **more,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def voices() -> Iterator[tuple[int, Callable[[], None]]]:
+    """A port for the program, and a function that lets agent 7 say there that node_1 is dead."""
+    port = free_port(socket.SOCK_DGRAM)
+    wire, sender = Wire(port), Sender(7, 193)
+
+    def speak() -> None:
+        wire.send(sender.frame(heartbeat(0x40025D55)))
+        wire.send(sender.frame(text("A07 FAIL 6 node_1 dead", 2)))
+
+    yield port, speak
+    wire.sock.close()
+
+
+def test_the_command_prints_news_until_it_is_ended(voices: tuple[int, Callable[[], None]], tmp_path: Path) -> None:
+    """JSON lines; SIGTERM ends it in order, with code 0 and a whole record."""
+    port, speak = voices
+    done = run(f"udpin:127.0.0.1:{port}", "--json", "--record", str(tmp_path / "r.jsonl"))
+    lines: list[dict[str, Any]] = []
+    assert done.stdout is not None
+    while not any(line["event"] == "text" for line in lines):
+        lines.append(json.loads(done.stdout.readline()))  # each line of the start comes by itself
+        if lines[-1]["event"] == "link":
+            speak()
+    assert [line["seq"] for line in lines] == list(range(1, len(lines) + 1))
+    assert (lines[0]["event"], lines[-1]["brief"]) == ("start", "node_1 dead")
+    done.send_signal(signal.SIGTERM)
+    rest, errors = done.communicate(timeout=30)
+    assert (done.returncode, errors) == (0, "")
+    assert json.loads(rest.splitlines()[-1])["event"] == "end"
+    recorded = [event["event"] for event in journal.read(tmp_path / "r.jsonl")]
+    assert recorded[-2:] == ["end", "snapshot"]
+
+
+def test_without_a_terminal_news_are_words(voices: tuple[int, Callable[[], None]]) -> None:
+    """One line for each piece of news, without a table."""
+    port, speak = voices
+    done = run(f"udpin:127.0.0.1:{port}")
+    assert done.stdout is not None
+    while "is open" not in done.stdout.readline():
+        pass
+    speak()
+    while not (line := done.stdout.readline()).endswith("CRITICAL A07 FAIL 6 node_1 dead\n"):
+        assert line
+    done.send_signal(signal.SIGINT)
+    assert done.communicate(timeout=30)[1] == ""
+    assert done.returncode == 0
+
+
+def test_once_says_by_its_exit_code_whether_all_are_well(voices: tuple[int, Callable[[], None]]) -> None:
+    """Nobody heard is not well; the snapshot of `--json` is one object."""
+    port, _ = voices
+    alone = run(f"udpin:127.0.0.1:{port}", "--once", "--for", "0.3", "--json", "--expect", "1-2")
+    output, errors = alone.communicate(timeout=60)
+    assert (alone.returncode, errors) == (1, "")
+    whole = json.loads(output)
+    assert [(one["name"], one["how"]) for one in whole["agents"]] == [("A01", "UNKNOWN"), ("A02", "UNKNOWN")]
+    nobody = run(f"udpin:127.0.0.1:{port}", "--once", "--for", "0.3")
+    output, _ = nobody.communicate(timeout=60)
+    assert (nobody.returncode, "no agent heard yet" in output) == (1, True)
+
+
+def test_a_taken_port_is_one_sentence(tmp_path: Path) -> None:
+    """Exit code 1 and what to do; the same for the port of `--serve`."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock, socket.create_server(("127.0.0.1", 0)) as server:
+        sock.bind(("127.0.0.1", 0))
+        taken = run(f"udpin:127.0.0.1:{sock.getsockname()[1]}")
+        output, errors = taken.communicate(timeout=60)
+        assert (taken.returncode, output, errors.count("\n")) == (1, "", 1)
+        assert "Address already in use: another program listens there" in errors
+        port = server.getsockname()[1]
+        serving = run(f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}", "--serve", str(port))
+        _, errors = serving.communicate(timeout=60)
+        assert (serving.returncode, errors) == (1, f"Error: --serve 127.0.0.1:{port}: Address already in use\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("udp:127.0.0.1:1",), "is no MAVLink endpoint: allowed are udpout:HOST:PORT"),
+        (("udpin:127.0.0.1",), "needs a host and a port"),
+        (("tcp:a:1", "tcp:a:1"), "given twice"),
+        (("--id", "255"), "not in the range 251<=x<=254"),
+        (("--expect", "1,x"), "ids are 1 to 250"),
+        (("--expect", "8-5"), "ids are 1 to 250"),
+        (("--serve", "here"), "needs a port"),
+        (("--for", "0"), "x>0"),
+    ],
+)
+def test_a_mistake_is_an_error_of_usage(arguments: tuple[str, ...], words: str) -> None:
+    """Exit code 2, before anything is opened."""
+    from click.testing import CliRunner
+
+    from phm.cli import group
+
+    result = CliRunner().invoke(group, ["gcs", *arguments])
+    assert (result.exit_code, words in result.output) == (2, True), result.output
+
+
+def test_a_key_that_others_can_read_is_refused(tmp_path: Path) -> None:
+    """As the agents refuse it, by the name that the option has here."""
+    from click.testing import CliRunner
+
+    from phm.cli import group
+
+    key = tmp_path / "key"
+    key.write_text(KEY.hex())
+    key.chmod(0o644)
+    result = CliRunner().invoke(group, ["gcs", "--key", str(key)])
+    assert (result.exit_code, "--key: " in result.output, "chmod 600" in result.output) == (2, True, True)
