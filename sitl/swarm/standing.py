@@ -9,12 +9,15 @@ from typing import Any
 from sitl.record import Event, Record
 
 MOST_NAMED = 4
+MACHINE = "host/"
+"""Units that judge the machine. All agents of a swarm share this one, and what loads it need not be the swarm."""
 
 
 class Standing:
-    """Feed it the events of one `phm.jsonl` in order."""
+    """Feed it the events of one `phm.jsonl` in order. but: beginnings of units that do not count."""
 
-    def __init__(self) -> None:
+    def __init__(self, but: tuple[str, ...] = ()) -> None:
+        self._but = but
         self.array: list[Any] | None = None
         """Slots 1 to 8 of the last report; None before the first one."""
         self.open: dict[str, str] = {}
@@ -28,6 +31,8 @@ class Standing:
 
     def _take(self, event: Event) -> None:
         kind = event["event"]
+        if str(event.get("unit", "")).startswith(self._but or "\n"):
+            return
         self.last_utc_s = event.get("utc_s", self.last_utc_s)
         if kind == "start":
             self.array = None
@@ -71,12 +76,12 @@ class Standing:
 
 
 class Watch:
-    """The standing of one agent, kept up to date from its record."""
+    """The standing of one agent, kept up to date from its record. but: as `Standing`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, but: tuple[str, ...] = ()) -> None:
         self._record = Record(path)
         self._seen = 0
-        self.standing = Standing()
+        self.standing = Standing(but)
 
     def update(self) -> Standing:
         self._record.update()

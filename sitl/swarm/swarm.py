@@ -17,7 +17,7 @@ from sitl.faults.base import Agent
 from sitl.swarm import config, engine, place, start
 from sitl.swarm.control import Air
 from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
-from sitl.swarm.standing import Watch
+from sitl.swarm.standing import MACHINE, Watch
 
 __all__ = ["Air", "Options", "Swarm", "SwarmAgent"]
 
@@ -131,8 +131,11 @@ class Swarm:
         return [self._status_of(agent, states) for agent in self.agents]
 
     def wait_well(self, limit_s: float = 120.0) -> None:
-        """Until every agent's PHM has every unit OK and no open fault. RuntimeError names those that are not, and why."""
-        watches = {agent.name: Watch(agent.record) for agent in self.agents}
+        """Until every agent's PHM has every unit OK and no open fault; the units of the machine, `host/...`, do not count.
+
+        RuntimeError names the agents that are not well, and why.
+        """
+        watches = {agent.name: Watch(agent.record, but=(MACHINE,)) for agent in self.agents}
         end = time.monotonic() + limit_s
         while True:
             fresh_s = 1.5 * self.options.interval_s + SLACK_S
