@@ -1,0 +1,145 @@
+"""Which faults are drawn, and what an agent's record becomes in a trial."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from sitl.campaign.choice import CHANGES, LEFT_ALONE, OFF, chosen, class_of, useless
+from sitl.campaign.gather import Levels, note
+from sitl.campaign.main import main
+from sitl.campaign.plan import plan
+from sitl.campaign.report import BEGIN, END
+from sitl.campaign.trial import append
+from sitl.derived import derived
+from sitl.faults import all_faults
+from sitl.stack import ROOT
+from tests.fakes.campaign_trials import trial
+
+
+def test_every_fault_is_drawn_or_there_is_a_reason() -> None:
+    """With eight agents and emulated links, nothing is left out but what is two faults already."""
+    faults = all_faults()
+    left = {name for name, fault in faults.items() if useless(fault, 8, air=True)}
+    assert left == {name for name, fault in faults.items() if fault.also}
+    assert {class_of(fault).layer for fault in faults.values()} == {"companion", "container", "ros", "link"}
+    drawn = {
+        draw.fault
+        for each in plan(1, 8, 80, [class_of(fault) for fault in chosen(faults, (), 8, air=True).values()])
+        for draw in each.draws
+    }
+    assert drawn == faults.keys() - left
+
+
+def test_phm_itself_is_among_the_victims() -> None:
+    """Twenty trials of any seed kill or stop PHM, and inject faults of every layer."""
+    faults = chosen(all_faults(), (), 8, air=True)
+    for seed in range(20):
+        drawn = {
+            draw.fault
+            for each in plan(seed, 8, 20, [class_of(fault) for fault in faults.values()])
+            for draw in each.draws
+        }
+        assert drawn & {"phm_killed", "phm_stopped"}
+        assert {faults[name].layer for name in drawn} == {"companion", "container", "ros", "link"}
+
+
+def test_what_was_asked_for_and_cannot_be_had_is_refused() -> None:
+    """A fault that does not exist, or needs more agents, is told by name."""
+    with pytest.raises(ValueError, match="no such fault: nonsense"):
+        chosen(all_faults(), ["nonsense"], 8, air=True)
+    with pytest.raises(ValueError, match="peer_lost: it needs three agents"):
+        chosen(all_faults(), ["peer_lost"], 2, air=True)
+
+
+def test_the_changes_fit_the_shipped_configuration() -> None:
+    """What a campaign changes is there to be changed; all that the recovery-off run injects exists."""
+    assert derived({**CHANGES, **OFF})
+    assert set(LEFT_ALONE) <= all_faults().keys()
+
+
+def test_the_page_of_results_has_room() -> None:
+    """docs/results.md has the marks, in their order, once."""
+    page = (ROOT / "docs" / "results.md").read_text("utf-8")
+    assert page.count(BEGIN) == page.count(END) == 1
+    assert page.index(BEGIN) < page.index(END)
+
+
+def event(kind: str, mono: float, **more: Any) -> dict[str, Any]:
+    return {"event": kind, "mono": mono, "fault": "", "unit": "nodes/a", "slot": 6, **more}
+
+
+def test_a_fault_is_followed_to_its_end() -> None:
+    """Opened, known by a second condition, closed; the end of what opened before the trial is not part of it."""
+    made = trial(alarms=[], acts=[], lines=[])
+    for each in (
+        event("fault_closed", 1.0, fault="f0", outcome="resolved", by="itself"),
+        event("fault_opened", 2.0, fault="f1", condition="node_hung", summary="it hangs"),
+        event(
+            "transition", 3.0, fault="f1", level="ERROR", old="ERROR", condition="node_missing", summary="it is dead"
+        ),
+        event("action", 3.5, action="restart", phase="started", detail=""),
+        event("fault_closed", 4.0, fault="f1", outcome="resolved", by="restart"),
+    ):
+        note(made, 3, each)
+    (alarm,) = made.alarms
+    assert (alarm.mono, alarm.conditions, alarm.closed, alarm.by) == (
+        2.0,
+        ["node_hung", "node_missing"],
+        4.0,
+        "restart",
+    )
+    assert [act.phase for act in made.acts] == ["started"]
+
+
+def test_a_warning_is_followed_to_its_end() -> None:
+    """From the transition to WARN to OK; a change of its wording is no second one."""
+    made = trial(alarms=[], acts=[], lines=[])
+    for mono, level, old in ((1.0, "WARN", "OK"), (2.0, "WARN", "WARN"), (3.0, "OK", "WARN"), (9.0, "OK", "OK")):
+        note(made, 3, event("transition", mono, level=level, old=old, condition="rate_low", summary="slow"))
+    assert [(each.mono, each.ended) for each in made.warned] == [(1.0, 3.0)]
+
+
+def test_a_new_life_of_phm_is_whole_with_its_first_report() -> None:
+    """Its start, and the first report after it."""
+    made = trial(alarms=[], acts=[], lines=[])
+    for each in (event("report", 1.0), event("start", 2.0), event("report", 3.0), event("report", 4.0)):
+        note(made, 3, each)
+    assert [(start.mono, start.report) for start in made.starts] == [(2.0, 3.0)]
+
+
+def test_well_is_as_it_was() -> None:
+    """Not before the first report; not with a fault open; a unit that was never known need not be; the shared machine's load does not count."""
+    levels = Levels()
+    assert levels.unwell({}) == ["no report yet"]
+    for unit, level in (("nodes/a", "OK"), ("gcs", "STALE"), ("host/cpu", "ERROR")):
+        levels.take(event("unit", 1.0, unit=unit, level=level))
+    levels.take(event("report", 1.0))
+    usual = levels.as_usual()
+    assert levels.unwell(usual) == []
+    levels.take(event("fault_opened", 2.0, fault="f1"))
+    levels.take(event("transition", 2.0, level="ERROR"))
+    assert levels.unwell(usual) == ["nodes/a is faulty", "nodes/a is ERROR"]
+    levels.take(event("fault_closed", 3.0, fault="f1"))
+    levels.take(event("transition", 3.0, level="OK"))
+    assert levels.unwell(usual) == []
+    levels.take(event("start", 4.0))
+    assert levels.unwell(usual) == ["no report yet"]
+    assert levels.since == 4.0
+
+
+def test_the_plan_is_printed_without_a_swarm(capsys: pytest.CaptureFixture[str]) -> None:
+    """`--plan` needs nothing that runs; a record of another campaign, or a wrong fault, ends with 2."""
+    assert main(["--plan", "--trials", "3", "--record", "none.jsonl"]) == 0
+    assert len(capsys.readouterr().out.strip().splitlines()) == 3
+    assert main(["--plan", "--only", "nonsense"]) == 2
+    assert "no such fault" in capsys.readouterr().err
+
+
+def test_a_record_of_another_campaign_is_refused(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    """Trials of two seeds in one file would be no campaign."""
+    file = tmp_path / "trials.jsonl"
+    append(file, trial(setting={"seed": 2, "agents": 8}))
+    assert main(["--plan", "--record", str(file), "--seed", "1"]) == 2
+    assert "another campaign" in capsys.readouterr().err
