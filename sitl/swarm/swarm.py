@@ -7,6 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,6 @@ class Swarm:
     took: dict[str, float] = field(default_factory=dict)
     agents: list[SwarmAgent] = field(init=False)
     air: Air = field(default_factory=lambda: Air(("127.0.0.1", 0)))
-    docker: DockerClient = field(default_factory=DockerClient.from_env)
 
     def __post_init__(self) -> None:
         if not 1 <= self.options.agents <= MOST_AGENTS:
@@ -69,6 +69,10 @@ class Swarm:
     @property
     def name(self) -> str:
         return self.options.name
+
+    @cached_property
+    def docker(self) -> DockerClient:
+        return DockerClient.from_env()
 
     @classmethod
     def load(cls, name: str = DEFAULT_NAME) -> Swarm:

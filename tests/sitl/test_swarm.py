@@ -1,0 +1,258 @@
+"""The swarm's pure parts: options, node graph, PHM's configuration of each agent, how an agent stands, the lock, the commands."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from phm.config import loads
+from sitl import graph
+from sitl.swarm import config, place
+from sitl.swarm.cli import main
+from sitl.swarm.options import Options
+from sitl.swarm.standing import MACHINE, Standing
+from sitl.swarm.swarm import Swarm
+from tests.fakes.swarm import until
+
+
+def settings(options: Options, number: int) -> Any:
+    """PHM's own reading of what it is given."""
+    environ = {
+        "PHM_AGENT": f"agent_{number}",
+        "PHM_AGENT_ID": str(number),
+        "PHM_APP": "app",
+        "PHM_NETWORK": "net",
+        "PHM_DEVICE": "/dev/null",
+    }
+    return loads(config.text(options, number), environ=environ)
+
+
+# ---------------------------------------------------------------- configuration
+
+
+def test_phm_takes_the_configuration_of_each_agent() -> None:
+    """Without a complaint, with its own names, and with all others as its swarm."""
+    for number in (1, 8):
+        found = settings(Options(agents=8), number)
+        assert found.agent.name == f"agent_{number}"
+        assert found.agent.id == number
+        assert list(found.swarm.agents) == list(range(1, 9))
+        assert [node.name for node in found.ros.nodes] == [f"/agent_{number}/node_{node}" for node in (1, 2, 3)]
+
+
+def test_the_ground_and_the_peers_are_reached_by_ways_of_their_own() -> None:
+    """One endpoint to the router, behind which radio and autopilot must be; one to the other agents."""
+    router, peers = settings(Options(agents=4), 3).mavlink.endpoints
+    assert (router.leads_to, router.radio) == ("router", "required")
+    assert (peers.leads_to, peers.to_ground, peers.to_autopilot) == ("peers", False, False)
+    assert router.url.endswith(":5603")
+    assert peers.url.endswith(":14603")
+
+
+def test_each_agent_has_its_own_ports() -> None:
+    """Nobody shares a router or a radio."""
+    urls = [endpoint["url"] for number in range(1, 25) for endpoint in config.endpoints(Options(agents=24), number)]
+    assert len(set(urls)) == len(urls)
+
+
+def test_lines_of_the_shipped_configuration_can_be_changed() -> None:
+    """For a fault that needs it, on top of what all agents of the swarm have."""
+    options = Options(changes={"  patience: 10s": "  patience: 7s"})
+    assert yaml.safe_load(config.text(options, 1))["recovery"]["patience"] == "7s"
+    more = {"  backoff: 1s": "  backoff: 3s"}
+    assert yaml.safe_load(config.text(options, 1, more))["recovery"]["backoff"] == "3s"
+    with pytest.raises(ValueError, match="0 times"):
+        config.text(options, 1, {"no such line": ""})
+
+
+def test_the_mode_of_recovery_is_the_swarms() -> None:
+    """`--mode off` is how a campaign proves that nothing happens by itself."""
+    assert settings(Options(mode="off"), 1).recovery.mode == "off"
+
+
+# ---------------------------------------------------------------- node graph
+
+
+def test_a_ring_is_closed() -> None:
+    """Every topic has one publisher and one subscriber."""
+    plans = graph.ring(4, 10)
+    assert sorted(topic for plan in plans for topic in plan.publish) == sorted(
+        topic for plan in plans for topic in plan.subscribe
+    )
+
+
+def test_a_graph_of_ones_own_is_what_phm_watches(tmp_path: Path) -> None:
+    """Nodes, topics, rates, publishers and subscribers; a topic without subscribers needs none."""
+    file = tmp_path / "graph.yaml"
+    file.write_text(
+        "nodes:\n- {name: camera, publish: {image: 5}}\n- {name: planner, publish: {path: 1}, subscribe: [image]}\n"
+    )
+    found = settings(Options(graph=str(file)), 2)
+    assert [node.name for node in found.ros.nodes] == ["/agent_2/camera", "/agent_2/planner"]
+    image, path = found.ros.topics
+    assert (image.name, image.rate, image.subscribers) == ("/agent_2/image", 5.0, ["/agent_2/planner"])
+    assert (path.publishers, path.subscribers) == (["/agent_2/planner"], [])
+
+
+def test_a_graph_comes_through_as_it_was_read() -> None:
+    """What the application's container is told is JSON of the same graph."""
+    plans = graph.ring(3, 2.5)
+    assert graph.read(json.loads(json.dumps([plan.as_words() for plan in plans]))) == plans
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        ({}, "a list of 1 to 64 nodes"),
+        ([{"name": "a", "publish": {"t": 1}, "rate": 3}], "allowed are the keys"),
+        ([{"name": "a b", "publish": {"t": 1}}], "'a b' is no name"),
+        ([{"name": "a/b", "publish": {"t": 1}}], "has a '/'"),
+        ([{"name": "a"}], "publishes nothing"),
+        ([{"name": "a", "publish": {"t": 0}}], "0.1 to 1000 Hz"),
+        ([{"name": "a", "publish": ["t"]}], "a map of topics"),
+        ([{"name": "a", "publish": {"t": 1}}] * 2, "found twice: a"),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_a_graph_with_a_mistake_is_refused(found: Any, said: str) -> None:
+    """Which entry, what is wrong, what is allowed."""
+    with pytest.raises(ValueError, match=said):
+        graph.read(found)
+
+
+# ---------------------------------------------------------------- how an agent stands
+
+
+def events(*found: dict[str, Any]) -> list[dict[str, Any]]:
+    return [{"utc_s": 100.0 + number, **event} for number, event in enumerate(found)]
+
+
+REPORT = {"event": "report", "status_array": [1] * 8}
+
+
+def unit(name: str, level: str, event: str = "transition") -> dict[str, Any]:
+    return {"event": event, "unit": name, "level": level}
+
+
+def test_an_agent_is_well_when_a_report_was_made_and_every_unit_is_ok() -> None:
+    """What was STALE in the report and became OK since counts as OK; an open fault does not."""
+    standing = Standing()
+    standing.feed(events(unit("nodes/a", "STALE", "unit"), REPORT))
+    assert not standing.well
+    assert standing.why == "nodes/a STALE"
+    standing.feed(events(unit("nodes/a", "OK")))
+    assert standing.well
+    standing.feed(events({"event": "fault_opened", "fault": "x-1", "unit": "files/a"}))
+    assert standing.why == "open fault at files/a"
+    standing.feed(events({"event": "fault_closed", "fault": "x-1", "unit": "files/a"}))
+    assert standing.well
+
+
+def test_a_restart_of_phm_begins_anew() -> None:
+    """What the run before had found proves nothing; faults that were open stay so until PHM closes them."""
+    standing = Standing()
+    standing.feed(events(unit("files/a", "OK", "unit"), REPORT, {"event": "start"}))
+    assert standing.why == "no report of PHM yet"
+
+
+def test_a_record_that_stands_still_is_not_well() -> None:
+    """A dead PHM leaves a record in which all was well."""
+    standing = Standing()
+    standing.feed(events(REPORT))
+    assert standing.why_not(110.0, 35.0) == ""
+    assert standing.why_not(140.0, 35.0) == "PHM has written nothing for 40 s"
+
+
+def test_what_loads_the_machine_is_not_the_swarms() -> None:
+    """Where that is asked for, units of the machine are not looked at."""
+    loaded = events(REPORT, unit("host/cpu", "ERROR"), {"event": "fault_opened", "fault": "x-1", "unit": "host/cpu"})
+    everything, agent = Standing(), Standing(but=(MACHINE,))
+    everything.feed(loaded)
+    agent.feed(loaded)
+    assert not everything.well
+    assert agent.well
+
+
+# ---------------------------------------------------------------- place, options, commands
+
+
+@pytest.fixture(autouse=True)
+def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("PHM_SITL_DIR", str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["", "A", "a_b", "-a", "../x", "a" * 41, "x-air"])
+def test_a_name_that_compose_would_not_take_is_refused(name: str) -> None:
+    """Nor one that leaves the folder, or is that of another swarm's air."""
+    with pytest.raises(ValueError, match="is no name for a swarm"):
+        place.folder(name)
+
+
+def test_one_command_at_a_time_works_on_a_swarm(base: Path) -> None:
+    """A second one is told who is at work; swarms of other names are free."""
+    with place.locked("one", 0.0):
+        with pytest.raises(RuntimeError, match="another command works on this swarm"), place.locked("one", 0.0):
+            pass
+        with place.locked("two", 0.0):
+            pass
+    with place.locked("one", 0.0):
+        pass
+
+
+def test_a_child_keeps_the_lock_of_a_parent_that_was_killed(base: Path) -> None:
+    """So `down` does not begin while a Compose of a killed `up` is still making things."""
+    code = (
+        "import subprocess, sys, os, time\n"
+        "from sitl.swarm import place\n"
+        "with place.locked('one', 0.0) as lock:\n"
+        "    child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'], pass_fds=[lock])\n"
+        "    print(child.pid, flush=True)\n"
+        "    time.sleep(600)\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+
+    def free() -> bool:
+        try:
+            with place.locked("one", 0.0):
+                return True
+        except RuntimeError:
+            return False
+
+    assert not free()
+    subprocess.run(["kill", "-KILL", str(child)], check=True)
+    assert until(free)
+
+
+@pytest.mark.parametrize("agents", [0, 25])
+def test_too_many_agents_are_refused(agents: int) -> None:
+    """Before anything is made."""
+    with pytest.raises(ValueError, match="allowed are 1 to 24"):
+        Swarm(Options(agents=agents))
+
+
+@pytest.mark.parametrize(
+    "words", [["status"], ["inject", "node_killed"], ["clear"], ["logs"]], ids=lambda words: words[0]
+)
+def test_without_a_swarm_the_next_step_is_said(words: Sequence[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 1, and what to do."""
+    assert main([*words, "--name", "nobody"]) == 1
+    assert "python -m sitl up --name nobody" in capsys.readouterr().err
+
+
+def test_faults_are_listed_without_a_swarm(capsys: pytest.CaptureFixture[str]) -> None:
+    """By layer and name."""
+    assert main(["inject"]) == 0
+    assert "ros        node_killed" in capsys.readouterr().out
