@@ -24,6 +24,7 @@ from phm.probes.ros.protocol import (
     encode_order,
     encode_wanted,
 )
+from phm.probes.ros.view import View
 
 END = EndpointFact("/a/n", "std_msgs/msg/String", "reliable", "volatile")
 
@@ -91,3 +92,19 @@ def test_an_order_that_is_none_is_refused(line: bytes) -> None:
     """Whatever else stands in the pipe raises ProtocolError and nothing else."""
     with pytest.raises(ProtocolError):
         decode_order(line)
+
+
+def test_silence_goes_on_between_two_pictures() -> None:
+    """A tick tells how long topics with a rate are silent; all else is as in the last picture, and all ages grow."""
+    topics = {"/t": TopicFact((END,), (), RateFact(9.9, 0.1)), "/u": TopicFact((), (END,))}
+    view = View().with_message(Picture(5.0, {"/a/n": 1}, topics), 100.0)
+    view = view.with_message(Heard({"/a/n": BeaconFact(0.1, 0.2)}), 100.0)
+    view = view.with_message(Tick(5.25, {"/t": 0.35}), 100.25)
+    assert view.picture is not None
+    fact = view.fact(view.picture, 100.35)
+    assert fact.topics["/u"] == topics["/u"] and fact.topics["/t"].publishers == (END,)
+    rate = fact.topics["/t"].rate
+    assert rate is not None
+    assert (rate.hz, rate.silent_s, fact.up_s) == (9.9, pytest.approx(0.45), pytest.approx(5.35))
+    assert fact.beacons["/a/n"].age_s == pytest.approx(0.45)
+    assert view.with_message(Picture(6.0, {}, topics), 101.0).fact(view.picture, 101.0).topics == topics

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from phm.probes.ros.protocol import Heard
+from phm.probes.ros.records import changer
 from phm.ros_facts import BeaconFact, DiagnosticFact
 
+_aged_beacon = changer(BeaconFact, "age_s")
+_aged_status = changer(DiagnosticFact, "age_s")
 _Fact = TypeVar("_Fact", BeaconFact, DiagnosticFact)
 
 MAX_NAMES = 500
@@ -28,7 +31,7 @@ class Hearsay:
         beacons = {**self.beacons, **{name: (now_s, fact) for name, fact in news.beacons.items()}}
         for name, age_s in news.ages.items():
             if name in beacons:
-                beacons[name] = (now_s, replace(beacons[name][1], age_s=age_s))
+                beacons[name] = (now_s, _aged_beacon(beacons[name][1], age_s))
         diagnostics = {**self.diagnostics, **{name: (now_s, fact) for name, fact in news.diagnostics.items()}}
         return Hearsay(_newest(beacons), _newest(diagnostics), max(self.refused, news.refused))
 
@@ -50,8 +53,8 @@ class Hearsay:
     def since(self, now_s: float) -> tuple[dict[str, BeaconFact], dict[str, DiagnosticFact]]:
         """All of it, with ages as of `now_s`."""
         return (
-            {name: replace(fact, age_s=fact.age_s + now_s - at) for name, (at, fact) in self.beacons.items()},
-            {name: replace(fact, age_s=fact.age_s + now_s - at) for name, (at, fact) in self.diagnostics.items()},
+            {name: _aged_beacon(fact, fact.age_s + now_s - at) for name, (at, fact) in self.beacons.items()},
+            {name: _aged_status(fact, fact.age_s + now_s - at) for name, (at, fact) in self.diagnostics.items()},
         )
 
 

@@ -13,7 +13,9 @@ import types
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from operator import attrgetter
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
 
 Read = Callable[[Any], Any]
 _PLAIN = frozenset({str, int, float, bool, type(None)})
@@ -36,6 +38,19 @@ def pack(fact: Any) -> Any:
 def value(hint: Any, data: Any) -> Any:
     """`data`, which `pack` wrote, as the type that `hint` names. Raises TypeError or ValueError for anything else."""
     return _reader(hint)(data)
+
+
+@functools.cache
+def changer(kind: Callable[..., T], name: str) -> Callable[[T, Any], T]:
+    """A function that gives a fact of this kind with another value of one field: dataclasses.replace in half the time."""
+    place = [field.name for field in fields(cast(Any, kind))].index(name)
+
+    def change(fact: T, item: Any) -> T:
+        parts = list(_parts(kind)(fact))
+        parts[place] = item
+        return kind(*parts)
+
+    return change
 
 
 @functools.cache

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from phm.facts import RosFact, TopicFact
 from phm.probes.ros.hearsay import Hearsay
 from phm.probes.ros.protocol import Heard, Message, Others, Picture, Tick
-from phm.ros_facts import NameFact
+from phm.probes.ros.records import changer
+from phm.ros_facts import NameFact, RateFact
+
+_with_rate = changer(TopicFact, "rate")
+_with_silence = changer(RateFact, "silent_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,19 +23,20 @@ class View:
     heard_s: float = 0.0
     hearsay: Hearsay = field(default_factory=Hearsay)
     others: Mapping[str, NameFact] = field(default_factory=dict)
+    silent_s: Mapping[str, float | None] = field(default_factory=dict)
+    """Of topics with a rate, as of `heard_s`, where that is newer than the picture."""
 
     def with_message(self, message: Message, now_s: float) -> View:
-        view = replace(self, heard_s=now_s)
+        picture, hearsay, others, silent_s = self.picture, self.hearsay, self.others, self.silent_s
         if isinstance(message, Heard):
-            return replace(view, hearsay=self.hearsay.with_news(message, now_s))
-        if isinstance(message, Others):
-            return replace(view, others=message.names)
-        if isinstance(message, Picture):
-            return replace(view, picture=message)
-        if isinstance(message, Tick) and self.picture is not None:
-            topics = {name: _silent(topic, message.silent_s.get(name)) for name, topic in self.picture.topics.items()}
-            return replace(view, picture=Picture(message.up_s, self.picture.nodes, topics))
-        return view
+            hearsay = hearsay.with_news(message, now_s)
+        elif isinstance(message, Others):
+            others = message.names
+        elif isinstance(message, Picture):
+            picture, silent_s = message, {}
+        elif isinstance(message, Tick) and picture is not None:
+            picture, silent_s = Picture(message.up_s, picture.nodes, picture.topics), message.silent_s
+        return View(picture, now_s, hearsay, others, silent_s)
 
     def changed_by(self, message: Message) -> bool:
         """Whether checks are to look at once: nodes, endpoints, whether topics flow, beacons, a level in the diagnostics."""
@@ -42,20 +47,16 @@ class View:
     def fact(self, picture: Picture, now_s: float) -> RosFact:
         """As a fact, with ages as of `now_s`. picture: that of this view, which there must be."""
         age_s = max(0.0, now_s - self.heard_s)
-        topics = {name: _older(topic, age_s) for name, topic in picture.topics.items()}
+        topics = {name: self._aged(name, topic, age_s) for name, topic in picture.topics.items()}
         hearsay = self.hearsay.since(now_s)
         return RosFact(age_s, picture.up_s + age_s, picture.nodes, topics, *hearsay, self.others, self.hearsay.refused)
 
-
-def _older(topic: TopicFact, age_s: float) -> TopicFact:
-    rate = topic.rate
-    if rate is None or rate.silent_s is None:
-        return topic
-    return replace(topic, rate=replace(rate, silent_s=rate.silent_s + age_s))
-
-
-def _silent(topic: TopicFact, silent_s: float | None) -> TopicFact:
-    return topic if topic.rate is None else replace(topic, rate=replace(topic.rate, silent_s=silent_s))
+    def _aged(self, name: str, topic: TopicFact, age_s: float) -> TopicFact:
+        rate = topic.rate
+        if rate is None:
+            return topic
+        silent_s = self.silent_s.get(name, rate.silent_s)
+        return topic if silent_s is None else _with_rate(topic, _with_silence(rate, silent_s + age_s))
 
 
 def _shape(picture: Picture) -> object:
