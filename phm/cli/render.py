@@ -187,14 +187,14 @@ def _health(health: Json) -> list[RenderableType]:
 
 
 def _sent(link: Json) -> str:
-    """What left by a link: all of it, and what did not."""
-    counts = link.get("sent", {}).values()
-    lost = {word: sum(count.get(word, 0) for count in counts) for word in ("coalesced", "dropped")}
+    """What left by a link: all of it in bytes, and by class how many messages did and did not."""
     words = [f"{link['bytes_out']} bytes sent"] if "bytes_out" in link else []
-    words += [f"{number} {word}" for word, number in lost.items() if number]
+    for kind, count in link.get("sent", {}).items():
+        told = [f"{count[word]} {word}" for word in ("sent", "coalesced", "dropped") if count.get(word)]
+        words += [f"{kind} {', '.join(told)}"] if told else []
     if link.get("slowed", 1) > 1:
         words.append(f"slowed down {link['slowed']:g} times by its radio")
-    return f" ({', '.join(words)})" if words else ""
+    return f" ({'; '.join(words)})" if words else ""
 
 
 def _table(*columns: str) -> Table:

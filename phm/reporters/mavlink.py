@@ -33,7 +33,8 @@ MAX_GROUND_STATIONS = 16
 FULL_EVERY_S = 5.0
 """Ground stations that come and go have the full state sent again at most this often."""
 SPREAD_S = 0.02
-"""Seconds by which agents' answers to the same ground station differ, times the agent's number (modulo 50)."""
+"""Seconds by which agents' answers to the same ground station differ, times the agent's number: as long as a 64 kbit/s radio
+needs for a heartbeat and a refresh."""
 
 
 class Mavlink(Reporter):
@@ -96,7 +97,7 @@ class Mavlink(Reporter):
 
     def gcs_appeared(self) -> None:
         """Send the full state once, soon: a ground station is there that has heard nothing so far."""
-        soon = self._context.clock.mono() + SPREAD_S * (self._agent % 50)
+        soon = self._context.clock.mono() + SPREAD_S * self._agent
         self._full_at = max(soon, self._last_full + FULL_EVERY_S)
 
     def _hear(self, message: Any, link: str) -> None:

@@ -253,7 +253,8 @@ def test_status_shows_faults_first_then_units_links_and_counters(tmp_path: Path)
         "Host is calm",
         "Status Array: [-, -, -, -, -, 0, -, -]   1 OK, 0 WARN, 1 ERROR, 1 STALE",
         "link gcs: closed: refused",
-        "link fc: open (421 bytes sent, 2 coalesced, 4 dropped, slowed down 2.5 times by its radio)",
+        "link fc: open (421 bytes sent; transition 3 sent, 1 coalesced; refresh 9 sent, 1 coalesced, 4 dropped; "
+        "slowed down 2.5 times by its radio)",
         "events dropped: log 3; ROS child restarts: 2",
         "problem: log: no space left",
     ]
