@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import itertools
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from phm.clock import SystemClock
 from phm.facts import CannotTell, RosFact
@@ -20,7 +22,23 @@ from phm.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMITS = Limits()
-_domains = itertools.count(os.getpid() % 60)
+FIRST_DOMAIN, DOMAINS = 60, 60
+"""Clear of 0, which others use, and below 128, above which ports collide with ephemeral ones."""
+_turns = itertools.count(os.getpid())
+
+
+def claim_domain() -> tuple[int, IO[bytes]]:
+    """A ROS domain that no other test of this machine uses while the file is open: the kernel lets go of it with the process."""
+    for turn in itertools.islice(_turns, DOMAINS):
+        domain = FIRST_DOMAIN + turn % DOMAINS
+        lock = Path(tempfile.gettempdir(), f"phm-ros-domain-{domain}.lock").open("ab")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+        else:
+            return domain, lock
+    raise RuntimeError(f"all ROS domains from {FIRST_DOMAIN} to {FIRST_DOMAIN + DOMAINS - 1} are used by other tests")
 
 
 def until(condition: Callable[[], Any], what: str, limit_s: float = 20.0) -> Any:
@@ -37,8 +55,7 @@ class Bench:
     """Starts application nodes and probes in one private domain, and ends them all."""
 
     def __init__(self) -> None:
-        # 60 to 119: clear of 0, which others use, and below 128, above which ports collide with ephemeral ones.
-        self.domain = 60 + next(_domains) % 60
+        self.domain, lock = claim_domain()
         self.environ = {
             **os.environ,
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -49,6 +66,7 @@ class Bench:
         self.changes = 0
         self.on_change: Callable[[], object] = lambda: None
         self._closing = contextlib.ExitStack()
+        self._closing.callback(lock.close)
 
     def node(self, name: str, *arguments: str, module: str = "sitl.node") -> subprocess.Popen[bytes]:
         """A demo node in /agent_1 with the short-lease profile that we ship."""
