@@ -36,11 +36,21 @@ class Topics(api.Check):
     name, slot, layer = "topics", Slot.TOPICS, Layer.ROS
     period_s = 1.0
 
-    def __init__(self, topics: Sequence[api.TopicSettings], units: Sequence[api.Unit], grace_s: float) -> None:
+    def __init__(
+        self,
+        topics: Sequence[api.TopicSettings],
+        units: Sequence[api.Unit],
+        grace_s: float,
+        homes: Mapping[str, str],
+    ) -> None:
+        """homes: the container of each named node, by full name."""
         self._topics = tuple(topics)
         self._units = tuple(units)
         self._targets = {unit.id: unit.target for unit in units}
         self._grace_s = grace_s
+        self._homes = dict(homes)
+        self._had: set[tuple[str, str, str]] = set()
+        """Named ends that were there since their node came into the graph: topic, kind, node. At most as many as configured."""
         self._stray_since: dict[str, float] = {}
         self._audits: dict[str, tuple[object, Sequence[api.Result]]] = {}
 
@@ -56,7 +66,9 @@ class Topics(api.Check):
             units.append(
                 api.Unit(_unit(topic), needs=tuple(needs), target=key, settle_s=1.5, grace_s=settings.ros.grace)
             )
-        return [cls(topics, units, settings.ros.grace)] if topics else []
+        named = {full(node) for topic in topics for node in (*topic.publishers, *topic.subscribers)}
+        homes = {node: settings.container_of_node(node) for node in named}
+        return [cls(topics, units, settings.ros.grace, homes)] if topics else []
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -111,16 +123,26 @@ class Topics(api.Check):
     def _missing(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact) -> api.Result | None:
         """The first of: no such topic, a publisher is missing, a subscriber is missing."""
         name = full(topic.name)
-        if not seen.publishers and not seen.subscribers:
+        sides_of = (
+            ("publisher", topic.publishers, seen.publishers),
+            ("subscriber", topic.subscribers, seen.subscribers),
+        )
+        lost = [found for kind, wanted, there in sides_of for found in self._lost(name, kind, wanted, there, fact)]
+        if not lost and not seen.publishers and not seen.subscribers:
             return self._bad(
                 topic, seen, Level.ERROR, "topic_missing", "missing",
                 f"topic {name} does not exist, expected a publisher: check that its node runs and how it is remapped."
                 f"{_hint(topic, fact, (*topic.publishers, *topic.subscribers), absent=True)}",
             )  # fmt: skip
-        for kind, wanted, there in (
-            ("publisher", topic.publishers, seen.publishers),
-            ("subscriber", topic.subscribers, seen.subscribers),
-        ):
+        if lost:
+            kind, node = lost[0]
+            return self._bad(
+                topic, seen, Level.ERROR, f"{kind}_lost", f"lost {kind} {last(node)}"[:30],
+                f"topic {name} has lost its {kind} {node}, which was there before and whose node still runs: it gave its "
+                f"{'publisher' if kind == 'publisher' else 'subscription'} up; see its log, restart it",
+                self._homes.get(node, ""),
+            )  # fmt: skip
+        for kind, wanted, there in sides_of:
             names = {end.node for end in there}
             lacking = [full(node) for node in wanted if full(node) not in names]
             if lacking:
@@ -137,6 +159,23 @@ class Topics(api.Check):
                 f"{_hint(topic, fact, ())}",
             )  # fmt: skip
         return None
+
+    def _lost(
+        self, name: str, kind: str, wanted: Sequence[str], there: Sequence[api.EndpointFact], fact: api.RosFact
+    ) -> list[tuple[str, str]]:
+        """Kind and node of named ends that their running nodes once had. What never was there is a matter of configuration, and no
+        restart helps; neither is anything known of a node that was started anew."""
+        names = {end.node for end in there}
+        lost = []
+        for node in map(full, wanted):
+            key = (name, kind, node)
+            if node in names:
+                self._had.add(key)
+            elif not fact.nodes.get(node):
+                self._had.discard(key)
+            elif key in self._had:
+                lost.append((kind, node))
+        return lost
 
     def _type(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
         """ERROR for a needed end whose type is not the configured one, or for a needed pair that differs; else WARN."""
@@ -203,10 +242,17 @@ class Topics(api.Check):
         )]  # fmt: skip
 
     def _bad(
-        self, topic: api.TopicSettings, seen: api.TopicFact, level: Level, condition: str, short: str, words: str
+        self,
+        topic: api.TopicSettings,
+        seen: api.TopicFact,
+        level: Level,
+        condition: str,
+        short: str,
+        words: str,
+        target: str | None = None,
     ) -> api.Result:
-        short = brief(last(topic.name), short)
-        return api.Result(level, words, short, condition, self._targets[_unit(topic)], _numbers(seen))
+        told = self._targets[_unit(topic)] if target is None else target
+        return api.Result(level, words, brief(last(topic.name), short), condition, told, _numbers(seen))
 
 
 def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *, absent: bool = False) -> str:

@@ -31,6 +31,8 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "node_hung": ("restart",),
     "silent": ("relaunch", "restart"),
     "rate_low": ("relaunch", "restart"),
+    "publisher_lost": ("restart",),
+    "subscriber_lost": ("restart",),
     "file_missing": ("restore",),
     "file_not_executable": ("restore",),
     "file_altered": ("restore",),
@@ -42,8 +44,9 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
 """Built-in ladders by condition. Conditions that are not here are told and left alone: `restarting` because the engine's
 own restart policy is at work and is not fought, `dead` because the engine refuses to restart what it could not remove,
 `not_received` because a blocked transport outlives every restart."""
-PATIENT = frozenset({"silent", "rate_low"})
-"""Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs."""
+PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost"})
+"""Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs, and a node may make
+its ends anew by itself."""
 
 
 @dataclass(frozen=True, slots=True)

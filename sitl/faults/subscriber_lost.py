@@ -9,10 +9,9 @@ class Injection(Fault):
     """Tells node_2 to give up its subscription to the topic of node_1."""
 
     name, title, unit = "subscriber_lost", "subscriber lost, its node alive", "topics/{agent}/topic_1"
-    condition = "subscriber_missing"
+    condition = "subscriber_lost"
     layer = "ros"
     cause = "a node gave up its subscription after an error, and goes on without it"
-    healable = False
 
     _life = ""
 
@@ -21,6 +20,4 @@ class Injection(Fault):
         return agent.signal_node("node_2", "HUP")
 
     def clear(self, agent: Agent) -> None:
-        if agent.life == self._life:
-            agent.signal_node("node_2", "HUP")
-            self._life = ""
+        agent.renew_app(self._life)

@@ -69,6 +69,29 @@ def test_a_named_end_that_is_lacking_is_told(side: str, condition: str) -> None:
     assert "node_7" in result.brief and "is one of these meant" in result.summary
 
 
+@pytest.mark.parametrize(
+    ("kind", "left"), [("publisher", ((), PAIR.subscribers)), ("subscriber", (PAIR.publishers, ()))]
+)
+def test_an_end_that_a_running_node_gave_up_is_lost(kind: str, left: tuple[Any, Any]) -> None:
+    """It was there and its node still is: a restart of that node's container brings it back, so that is the target."""
+    check = build(publishers=["/agent_1/node_1"], subscribers=["/agent_1/node_2"])
+    nodes = {"/agent_1/node_1": 1, "/agent_1/node_2": 1}
+    assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
+    result = judge(check, api.TopicFact(*left), nodes=nodes)
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, f"{kind}_lost", "ros_app")
+    assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
+
+
+def test_an_end_of_a_node_that_was_started_anew_is_missing() -> None:
+    """Its node was away since: it may be another version, and no restart helps against a mistake of the configuration."""
+    check = build(subscribers=["/agent_1/node_2"])
+    nodes = {"/agent_1/node_2": 1}
+    alone = api.TopicFact(PAIR.publishers)
+    judge(check, PAIR, nodes=nodes)
+    judge(check, alone, nodes={})
+    assert judge(check, alone, nodes=nodes).condition == "subscriber_missing"
+
+
 INT = "std_msgs/msg/Int32"
 ONE, TWO, THREE = "/agent_1/node_1", "/agent_1/node_2", "/agent_1/node_3"
 
