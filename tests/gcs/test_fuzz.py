@@ -1,0 +1,151 @@
+"""Hostile bytes from the parser to the table: nothing raises, nothing grows, and nobody else's row changes."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+
+from hypothesis import HealthCheck, given, settings as hypothesis_settings, strategies as st
+from rich.console import Console
+
+from phm.gcs import frames, table
+from phm.gcs.news import encode, timed
+from phm.gcs.sieve import BURST, NEW_BURST, Copies, Meter
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink_codec import Codec
+from phm.wire import tunnel
+from tests.fakes.mavlink import Sender, heartbeat, text
+from tests.gcs.bench import HEALTHY, Ground, beat
+
+HARD = hypothesis_settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+NUMBERS = st.integers(0, 2**32 - 1)
+BYTE = st.integers(0, 255)
+BEATS = st.builds(
+    lambda kind, pilot, mode, word, state: mavlink.MAVLink_heartbeat_message(kind, pilot, mode, word, state, 3),
+    st.sampled_from([18, 6, 2, 255]), st.sampled_from([8, 3, 255]), BYTE,
+    NUMBERS | st.sampled_from([0, 1 << 30, 0x40025D55, 0x7FFFFFFF]), BYTE,
+)  # fmt: skip
+LINES = st.from_regex(
+    r"(A[0-9]{2,3}|SWARM) (FAIL|OK|WARN|1/2|no GCS radio, heard by A01:) [0-9]{1,9}.{0,20}", fullmatch=True
+)
+TEXTS = st.builds(
+    lambda words, severity: mavlink.MAVLink_statustext_message(severity, words),
+    st.binary(max_size=50) | LINES.map(lambda line: line.encode()[:50]),
+    BYTE,
+)
+TUNNELS = st.builds(
+    lambda data: mavlink.MAVLink_tunnel_message(0, 0, tunnel.PAYLOAD_TYPE, len(data), list(data.ljust(128, b"\0"))),
+    st.binary(max_size=128) | st.builds(lambda kind, rest: bytes((0x10 | kind,)) + rest, st.integers(1, 5), st.binary(max_size=40)),
+)  # fmt: skip
+SENDERS = st.tuples(st.sampled_from([0, 7, 8, 51, 250, 251, 255]), st.sampled_from([0, 1, 190, 193, 255]))
+
+
+class Air:
+    """Bytes of a link on their way to the store, as the station takes them."""
+
+    def __init__(self) -> None:
+        self.ground = Ground()
+        self.parser = Codec(254, 190, frames.IDS.__contains__).parser()
+
+    def feed(self, data: bytes) -> None:
+        for message in self.parser.feed(data):
+            frame = frames.read(message)
+            assert frame is not None
+            for news in self.ground.hear(frame):
+                json.loads(encode(news, "run", 1))
+                assert timed(news).isprintable()
+
+    def look(self) -> None:
+        """Everything that is made of it can be made."""
+        for news in self.ground.wait(1):
+            assert timed(news).isprintable()
+        whole = {**self.ground.whole(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
+        json.dumps(whole, allow_nan=False)
+        Console(file=io.StringIO(), width=80).print(table.whole(whole, height=24))
+        assert len(whole["agents"]) <= 256
+
+
+@HARD
+@given(st.lists(st.tuples(SENDERS, BEATS | TEXTS | TUNNELS), max_size=30))
+def test_whatever_is_rightly_framed_is_taken(sent: list[tuple[tuple[int, int], object]]) -> None:
+    """Any fields, from anybody."""
+    air = Air()
+    for (system, component), message in sent:
+        air.feed(Sender(system, component).frame(message))
+        air.ground.clock.advance(0.5)
+    air.look()
+
+
+@HARD
+@given(st.lists(st.binary(max_size=80) | st.integers(0, 400), max_size=20), st.integers())
+def test_garbage_and_damaged_frames_change_nothing(pieces: list[bytes | int], seed: int) -> None:
+    """Between good frames of an agent: its row is what it says, and no other row appears."""
+    air, agent, luck = Air(), Sender(7, 193), random.Random(seed)
+    good = heartbeat(0x40025D55)
+    for piece in pieces:
+        if isinstance(piece, bytes):
+            air.feed(bytes(byte for byte in piece if byte not in (0xFD, 0xFE)))
+        else:
+            frame = bytearray(Sender(8, 193).frame(text("A08 FAIL 6 node_1 dead")))
+            frame[luck.randrange(10, len(frame))] ^= 1 << luck.randrange(8)
+            air.feed(bytes(frame))
+        air.feed(agent.frame(good))
+    for _ in range(300):  # a length that promises more is waited for: good frames follow on a link that lives
+        air.feed(agent.frame(good))
+    air.look()
+    assert [one["agent"] for one in air.ground.whole()["agents"]] == [7]
+    assert air.ground.agent(7)["slots"]["6"] == "ERROR"
+
+
+def test_others_cannot_change_an_agents_row() -> None:
+    """Frames of all other senders, with lines about this agent: its row stays."""
+    ground, luck = Ground(), random.Random(1)
+    ground.hear(beat(7))
+    before = {**ground.agent(7), "age_s": None}
+    for _ in range(2000):
+        system, component = luck.randrange(256), luck.randrange(256)
+        if (system, component) == (7, 193):
+            continue
+        words = luck.choice(
+            ["A07 FAIL 6 node_1 dead", "A07 OK 11111111", "A07 FAIL 11111011 6 x", "SWARM 0/9 FAIL A07:lost"]
+        )
+        ground.hear(frames.Said(system, component, 2, words))
+    assert {**ground.agent(7), "age_s": None} == before
+    assert ground.whole()["swarm"] is None
+    assert before["slots"] == {str(int(slot)): "OK" for slot in HEALTHY}
+
+
+# ---------------------------------------------------------------- the sieve
+
+
+def test_one_sender_uses_up_his_own_share() -> None:
+    """A burst and a rate; it comes back with time, and the others do not notice."""
+    meter = Meter()
+    taken = sum(meter.lets((9, 1), 100.0) for _ in range(5000))
+    assert taken == BURST
+    assert meter.lets((7, 193), 100.0)
+    assert not meter.lets((9, 1), 100.0)
+    assert meter.lets((9, 1), 100.1)
+
+
+def test_made_up_senders_share_one_entrance() -> None:
+    """And those that are known already go on."""
+    meter = Meter()
+    meter.lets((7, 193), 100.0)
+    taken = sum(meter.lets((system, component), 100.0) for system in range(20) for component in range(200, 250))
+    assert taken == NEW_BURST - 1
+    assert meter.lets((7, 193), 100.0)
+    assert meter.refused == 1000 - taken
+
+
+def test_a_copy_by_another_link_is_one() -> None:
+    """The same bytes by the same link are not: a sender may not count its frames."""
+    copies = Copies()
+    assert not copies.copy(b"frame", "a", 1.0)
+    assert copies.copy(b"frame", "b", 1.1)
+    assert not copies.copy(b"frame", "a", 1.2)
+    assert not copies.copy(b"frame", "b", 20.0)
+    for number in range(5000):
+        copies.copy(str(number).encode(), "a", 21.0)
+    assert len(copies._seen) <= 2048

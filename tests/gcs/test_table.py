@@ -1,0 +1,122 @@
+"""The table says on 80 columns who is how, and nothing that is not known."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import pytest
+from rich.console import Console
+
+from phm.gcs import table
+from phm.model import Level, Slot
+from phm.wire import status_word
+from phm.wire.tunnel import Digest, Seen, View
+from tests.gcs.bench import Ground, beat, pilot, said, told
+
+
+def drawn(ground: Ground, *, width: int = 80, height: int | None = None, news: Sequence[str] = ()) -> list[str]:
+    """The lines of the table as a terminal of this width shows them."""
+    stream = io.StringIO()
+    target = Console(file=stream, width=width, highlight=False, markup=False, emoji=False)
+    snapshot = {**ground.whole(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
+    target.print(table.whole(snapshot, news, height=height))
+    return [line.rstrip() for line in stream.getvalue().splitlines()]
+
+
+def row(lines: list[str], name: str) -> str:
+    return next(line for line in lines if line.startswith(f"{name} "))
+
+
+@pytest.fixture
+def ground() -> Ground:
+    """Agent 1 is well, 2 has a dead node, 3 is lost here and heard by 1, 4 is only known of, 7 lost its companion, 100 is new."""
+    made = Ground()
+    made.hear(*(beat(number) for number in (1, 3, 7)), pilot(1, armed=True), pilot(2), pilot(7))
+    made.hear(said(7, "A07 OK 11111111", 6))
+    heard = View(1, gcs=True, autopilot=True, radio=False, peers={3: Seen.ALIVE})
+    bad = beat(2, {Slot.NODES: Level.ERROR, Slot.HOST: Level.WARN, Slot.FILES: Level.STALE})
+    made.wait(30, beat(1), bad, told(1, heard), pilot(1, armed=True), pilot(2), pilot(7))
+    made.hear(said(2, "A02 FAIL 6 node_1 dead"), beat(100, {Slot.AUTOPILOT: Level.OK, Slot.USER_1: Level.OK}))
+    made.hear(said(1, "SWARM 1/5 FAIL A07:lost A02:ROS", 6), told(1, Digest(5, 3, {4: Level.WARN})))
+    return made
+
+
+def test_each_agent_has_its_row(ground: Ground) -> None:
+    """Slots, level, age, autopilot, hop and line; what is not heard is a question mark in every place."""
+    lines = drawn(ground)
+    assert lines[0] == "phm gcs 254/190  6 agents: 1 ERROR, 2 LOST, 1 UNKNOWN, 2 OK"
+    assert lines[1].startswith("agent 12345678 9012 345 is      age  fc   broken at")
+    assert row(lines, "A01") == "A01   ++++++++ +--- --- OK      0s   ARM"
+    assert row(lines, "A02").startswith("A02   ++-++E++ W--- --- ERROR   0s   dis  application…")
+    assert row(lines, "A02").endswith("FAIL 6 node_1 dead")
+    assert row(lines, "A03").startswith("A03   ???????? ???? ??? LOST    30s  ?    radio: sil")
+    assert row(lines, "A04").startswith("A04   ???????? ???? ??? UNKNOWN ?    ?")
+    assert row(lines, "A04").endswith("the swarm says WARN")
+    assert row(lines, "A07").startswith("A07   ???????? ???? ??? LOST    30s  dis  companion")
+    assert row(lines, "A100").startswith("A100  ++++++++ ++-- +-- OK      0s   ?")
+    assert "SWARM 1/5 FAIL A07:lost A02:ROS  (A01, 0s ago)" in lines
+    assert "links: gcs open; other ground stations: none heard" in lines
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 200])
+def test_it_is_never_wider_than_the_terminal(ground: Ground, width: int) -> None:
+    """One row an agent, whatever names and texts there are."""
+    ground.hear(said(2, "A02 FAIL 6 " + "n" * 38))
+    lines = drawn(ground, width=width, news=["x" * 300])
+    assert max(map(len, lines)) <= width
+    if width >= 80:
+        assert sum(line.startswith("A") for line in lines) == 6
+
+
+def test_a_short_terminal_shows_those_in_trouble() -> None:
+    """In their order, and counts the others; the picture is never higher than the terminal."""
+    ground = Ground()
+    bad = {5: Slot.FILES, 77: Slot.NODES}
+    ground.hear(*(beat(number, {bad[number]: Level.ERROR} if number in bad else None) for number in range(1, 101)))
+    lines = drawn(ground, height=24, news=[f"news {number}" for number in range(20)])
+    assert len(lines) <= 24
+    assert row(lines, "A05")
+    assert lines.index(row(lines, "A05")) < lines.index(row(lines, "A77"))
+    left = next(line for line in lines if line.startswith("and "))
+    shown = sum(line.startswith("A") for line in lines)
+    assert left == f"and {100 - shown} more: {100 - shown} OK"
+    assert lines[-1] == "news 19"
+
+
+def test_before_anybody_is_heard_it_says_so() -> None:
+    """An empty table is no picture of a healthy swarm."""
+    ground = Ground()
+    ground.store.links({}, ground.clock.stamp())
+    lines = drawn(ground)
+    assert lines[0] == "phm gcs 254/190  no agent heard yet"
+    assert "links: opening; other ground stations: none heard" in lines
+
+
+def test_names_from_the_air_cannot_steer_the_terminal(ground: Ground) -> None:
+    """Also where a text never came through the reader."""
+    ground.hear(said(2, "A02 FAIL 6 \x1b[2J\u202enode"))
+    assert not any("\x1b" in line or "\u202e" in line for line in drawn(ground, width=200))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"),
+    [(None, "?"), (0.0, "0s"), (59.9, "59s"), (60, "1m"), (3599, "59m"), (3600, "1h"), (86399, "23h"), (2e6, "23d")],
+)
+def test_ages_are_short(seconds: float | None, shown: str) -> None:
+    """Four characters at most, for years."""
+    assert table.age(seconds) == shown
+
+
+def test_letters_are_those_of_the_word() -> None:
+    """Every slot has its place: each level of each slot is shown there and nowhere else."""
+    for level, letter in ((Level.OK, "+"), (Level.WARN, "W"), (Level.ERROR, "E")):
+        for slot in Slot:
+            levels = {
+                str(int(one)): found.name
+                for one, found in status_word.decode(status_word.encode({slot: level})).items()
+            }
+            shown = table.cells({"presence": "alive", "slots": levels}).plain
+            assert shown.replace(" ", "").index(letter) == slot - 1
+            assert shown.count("-") == 14
+            assert len(shown) == len(table.HEADER)
