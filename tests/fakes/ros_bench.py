@@ -31,7 +31,7 @@ def claim_domain() -> tuple[int, IO[bytes]]:
     """A ROS domain that no other test of this machine uses while the file is open: the kernel lets go of it with the process."""
     for turn in itertools.islice(_turns, DOMAINS):
         domain = FIRST_DOMAIN + turn % DOMAINS
-        lock = Path(tempfile.gettempdir(), f"phm-ros-domain-{domain}.lock").open("ab")  # noqa: SIM115: it outlives this
+        lock = Path(tempfile.gettempdir(), f"phm-ros-domain-{domain}.lock").open("ab")  # noqa: SIM115 (it outlives this)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
