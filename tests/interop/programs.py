@@ -34,8 +34,7 @@ def until(wanted: Callable[[], Any], what: str, told: Callable[[], object] = str
 class Program:
     """One process in a group of its own, which ends with `close`; `lines` holds what it has printed so far."""
 
-    def __init__(self, words: list[str], folder: Path) -> None:
-        python = BIN / "python"
+    def __init__(self, words: list[str], folder: Path, python: Path = BIN / "python") -> None:
         assert python.exists(), f"there is no {python}: run scripts/venv interop"
         self.lines: deque[str] = deque(maxlen=KEPT)
         self._process = subprocess.Popen(
@@ -64,10 +63,11 @@ class Program:
 
     def wait_for(self, part: str) -> str:
         """The first line with `part` in it, once it is there."""
-        found: list[str] = until(lambda: self.printed(part), f"a line with {part!r}", self._last)
+        found: list[str] = until(lambda: self.printed(part), f"a line with {part!r}", self.told)
         return found[0]
 
-    def _last(self) -> str:
+    def told(self) -> str:
+        """The last lines, for a failure's message."""
         return "\n".join(list(self.lines)[-30:])
 
     def close(self) -> None:
@@ -112,5 +112,5 @@ class Watcher(Program):
         ]  # fmt: skip
 
     def wait_news(self, kind: str, **more: Any) -> dict[str, Any]:
-        found: list[dict[str, Any]] = until(lambda: self.news(kind, **more), f"{kind} {more}", self._last)
+        found: list[dict[str, Any]] = until(lambda: self.news(kind, **more), f"{kind} {more}", self.told)
         return found[0]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import socket
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ from phm.model import Level, Slot
 from sitl.ground import Ground
 from sitl.link import mavlink
 from tests.fakes.mavlink import Sender, free_port, text
-from tests.interop.programs import Mavproxy, until
+from tests.interop.programs import Mavproxy, Program, until
 from tests.interop.vehicle import COMPONENT, ERROR, FAIL, FIXED, SYSTEM, WARN, Vehicle
 
 ONLINE = f"online system {SYSTEM}"
@@ -200,6 +202,26 @@ def test_a_ground_station_behind_it_is_heard_and_answered(vehicle: Vehicle, behi
     answer = next(message for message in ground.answers if message.get_type() == "COMMAND_ACK")
     assert (answer.command, answer.result) == (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_RESULT_ACCEPTED)
     assert (answer.target_system, answer.target_component) == (OTHER, 190)
+
+
+def test_phm_gcs_behind_it_shows_the_vehicle(
+    vehicle: Vehicle, proxy: Callable[..., Mavproxy], ends: Callable[[Program], Program], tmp_path: Path
+) -> None:
+    """As the operator starts it beside the pilot's MAVProxy: slots and lines of an agent that nobody named, and PHM hears it."""
+    port = free_port(socket.SOCK_DGRAM)
+    words = ["-m", "phm.cli", "gcs", "--json", f"udpin:127.0.0.1:{port}"]
+    station = ends(Program(words, tmp_path, Path(sys.executable)))
+    station.wait_for('"event":"link"')
+    proxy("--non-interactive", "--out", f"127.0.0.1:{port}").wait_for(ONLINE)
+    until(lambda: (254, 190) in vehicle.senders(), "its heartbeat at PHM", lambda: vehicle.senders())
+    vehicle.break_container()
+
+    def told(event: str) -> list[dict[str, Any]]:
+        news = [json.loads(line) for line in list(station.lines)]
+        return [record for record in news if record["event"] == event and record["agent"] == SYSTEM]
+
+    until(lambda: [record for record in told("text") if record["text"].startswith(FAIL)], "the line", station.told)
+    until(lambda: [record for record in told("slots") if record["slots"]["2"] == "ERROR"], "the slot", station.told)
 
 
 def test_a_dead_autopilot_is_told_by_phm_and_by_the_link(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
