@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Sequence, Set
@@ -129,7 +130,7 @@ def _expected(alarm: Alarm, injection: Injection) -> bool:
 def _times(verdict: Verdict, trial: Trial) -> None:
     fault = verdict.injection
     begun = fault.moment or 0.0
-    until = fault.cleared if fault.cleared is not None else trial.ended
+    until = fault.cleared if fault.cleared is not None else math.inf
     if not fault.unit:
         _rebirth(verdict, trial, begun, until)
         return

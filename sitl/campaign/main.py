@@ -151,7 +151,7 @@ def _play(
     swarm = None
     try:
         swarm, ours = _swarm(asked, console)
-        runner = Runner(swarm, faults, setting, lambda words: console.print(words, highlight=False))
+        runner = Runner(swarm, all_faults(), setting, lambda words: console.print(words, highlight=False))
         try:
             runner.start()
             return _all(runner, asked, trials, file, console, began)

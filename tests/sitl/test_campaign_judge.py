@@ -85,6 +85,11 @@ def test_healed_only_before_it_was_cleared() -> None:
     assert only(trial(acts=[], alarms=[alarm(0.4, closed=T0 + 3, outcome="reattributed")])).healed_s is None
 
 
+def test_a_trial_that_still_runs_can_be_judged() -> None:
+    """While nothing is cleared and the end is not known, what is healed is healed."""
+    assert only(trial(injections=[injection(cleared=None)], ended=0.0)).healed_s == pytest.approx(4.0)
+
+
 def test_nothing_is_healed_with_recovery_off() -> None:
     """In that run the only question is whether anything changed."""
     made = trial()
