@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
+import termios
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -337,6 +340,40 @@ def test_without_a_terminal_news_are_words(voices: tuple[int, Callable[[], None]
     done.send_signal(signal.SIGINT)
     assert done.communicate(timeout=30)[1] == ""
     assert done.returncode == 0
+
+
+def test_a_terminal_gets_a_live_table(voices: tuple[int, Callable[[], None]]) -> None:
+    """Redrawn in place; Ctrl-C gives the terminal back as it was."""
+    port, speak = voices
+    ours, theirs = os.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    # The terminal of the pty alone counts, not what the one of these tests says about itself.
+    asked = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES", "NO_COLOR")}
+    done = subprocess.Popen(
+        [sys.executable, "-m", "phm.cli", "gcs", f"udpin:127.0.0.1:{port}"], stdin=theirs, stdout=theirs, stderr=theirs,
+        env={**asked, "TERM": "xterm-256color", "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks")))},
+    )  # fmt: skip
+    os.close(theirs)
+    os.set_blocking(ours, False)
+    shown = bytearray()
+
+    def sees(words: bytes) -> bool:
+        with contextlib.suppress(OSError):  # nothing new yet, or the program has ended
+            shown.extend(os.read(ours, 65536))
+        return words in shown
+
+    until(lambda: sees(b"no agent heard yet"), "the table")
+
+    def told() -> bool:
+        speak()
+        return sees(b"FAIL 6 node_1 dead")
+
+    until(told, "the row")
+    assert b"\x1b[?1049h" in shown
+    done.send_signal(signal.SIGINT)
+    until(lambda: sees(b"\x1b[?1049l"), "the end")
+    assert done.wait(30) == 0
+    os.close(ours)
 
 
 def test_once_says_by_its_exit_code_whether_all_are_well(voices: tuple[int, Callable[[], None]]) -> None:
