@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._liveness import Evidence, Judgement, Past, State, fuse
+from phm_checks._liveness import Evidence, Judgement, Kind, Past, Says, State, fuse
 from phm_checks._matching import Wanted
 from phm_checks._roster import NEVER, Roster
 from phm_checks._signs import TWICE_S, Ends, Signs
@@ -15,6 +15,8 @@ from phm_checks._words import brief, did_you_mean, last, span
 OLD_PICTURE_S = 5.0
 """A picture of the graph older than this proves nothing."""
 SLOW_S = 1.0
+WITNESSES = 2
+"""One node that is not heard may have lost its own way; when none of a container is, this many at least, it is the container's."""
 BOTH_S = 2.0
 """A node that is started anew may overlap with the old one for a moment: two processes for longer are two nodes."""
 _Words = tuple[Level, str, str, str]
@@ -111,7 +113,23 @@ class Nodes(api.Check):
             doubts = set().union(*(node.doubts for node in own))
             roster.look(world, doubts, blind=any(node.signs.blind for node in own))
         now = world.clock.mono()
-        return {node.wanted.unit: self._result(node, signs[node.wanted.name], fact, why, now) for node in self._nodes}
+        evidence = {node.wanted.name: self._evidence(node, signs[node.wanted.name], now) for node in self._nodes}
+        cut_off = self._cut_off(evidence)
+        return {
+            node.wanted.unit: self._result(node, evidence[node.wanted.name], fact, why, now, cut_off=cut_off)
+            for node in self._nodes
+        }
+
+    def _evidence(self, node: _Node, signs: Sequence[Evidence], now: float) -> list[Evidence]:
+        roster = self._rosters.get(node.wanted.container)
+        pieces = (roster.container(now), roster.process(node.wanted.name, now)) if roster is not None else ()
+        return [*signs, *(piece for piece in pieces if piece is not None)]
+
+    def _cut_off(self, evidence: Mapping[str, Sequence[Evidence]]) -> set[str]:
+        """Containers of which no node is heard or listed though the processes of all of them run: it is the way to them."""
+        containers = [node.wanted.container for node in self._nodes]
+        unheard = [node.wanted.container for node in self._nodes if _unheard(evidence[node.wanted.name])]
+        return {key for key in self._rosters if unheard.count(key) == containers.count(key) >= WITNESSES}
 
     def _signs(self, node: _Node, fact: api.RosFact | None, now: float) -> list[Evidence]:
         roster, name = self._rosters.get(node.wanted.container), node.wanted.name
@@ -121,18 +139,25 @@ class Nodes(api.Check):
         return found
 
     def _result(
-        self, node: _Node, signs: Sequence[Evidence], fact: api.RosFact | None, why: str, now: float
+        self,
+        node: _Node,
+        evidence: Sequence[Evidence],
+        fact: api.RosFact | None,
+        why: str,
+        now: float,
+        *,
+        cut_off: Collection[str],
     ) -> api.Result:
         roster, name = self._rosters.get(node.wanted.container), node.wanted.name
-        evidence, began_at, told, fit = list(signs), NEVER, "", 0
+        began_at, told, fit = NEVER, "", 0
         if roster is not None:
-            pieces = (roster.container(now), roster.process(name, now))
-            evidence += [piece for piece in pieces if piece is not None]
             began_at, told, fit = roster.began_at(name), roster.told(name), roster.fit(name, now)
         judgement = node.judge(evidence, began_at, now, self._grace_s, fit)
         node.live(roster.life if roster is not None else "", began_at, now)
         level, words, short, condition = self._words(node, judgement, fact, why)
         values: dict[str, api.Value] = {"listed": node.signs.count, "process": told}
+        if condition == "node_missing" and node.wanted.container in cut_off:
+            return _unreached(node, judgement, values)
         target = node.wanted.container if level is Level.ERROR else ""
         return api.Result(level, words, brief(last(name), short) if short else "", condition, target, values)
 
@@ -183,6 +208,28 @@ class Nodes(api.Check):
         """Listed nodes that are not configured: only one of these can be the missing one under another name."""
         configured = {node.wanted.name for node in self._nodes}
         return [name for name in fact.nodes if name not in configured] if fact is not None else []
+
+
+def _unheard(evidence: Iterable[Evidence]) -> bool:
+    """Whether nothing is heard of a node and its name is not listed, while its process runs."""
+    said = {piece.kind: piece.says for piece in evidence}
+    return (
+        said.get(Kind.PROCESS) in (Says.ALIVE, Says.BUSY)
+        and said.get(Kind.NAME) is Says.GONE
+        and said.get(Kind.BEACON) in (None, Says.SILENT)
+        and said.get(Kind.TOPICS) in (None, Says.SILENT)
+    )
+
+
+def _unreached(node: _Node, judgement: Judgement, values: dict[str, api.Value]) -> api.Result:
+    """No target: a restart does not open the way between PHM and a container."""
+    name, where = node.wanted.name, node.wanted.container
+    words = (
+        f"node {name} is not heard, and no other node of {where} is, while the processes of all of them run: {judgement.words}. "
+        f"They were expected in the graph: look at the network between PHM and {where}, ROS_DOMAIN_ID, firewalls, discovery; "
+        "nothing is restarted for it"
+    )
+    return api.Result(Level.ERROR, words, brief(last(name), "unheard"), "node_unheard", "", values)
 
 
 def _picture(world: api.World) -> tuple[api.RosFact | None, str]:

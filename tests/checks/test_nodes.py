@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks._liveness import GOODBYE_S, HANG_S
+from phm_checks._liveness import GOODBYE_S, HANG_S, LOST_S
 from phm_checks._roster import BLIND_S, OLD_S, QUIET_S, SOON_S
 from phm_checks._signs import TWICE_S
 from phm_checks.nodes import BUSY_S, Nodes
@@ -578,6 +578,55 @@ def test_a_container_that_does_not_run_is_named(status: str, condition: str) -> 
     bench.docker.change("ros_app", status="running", started_at="later")
     bench.ros.change(topics=flowing())
     assert bench.after(1.25).level is api.Level.OK
+
+
+# ---------------------------------------------------------------- the way to a container
+
+
+def pair(**more: Any) -> Bench:
+    """Two nodes of one container, both listed and both with a process."""
+    bench = Bench(nodes=[{"name": "agent_1/node_1"}, {"name": "agent_1/node_2"}], **more)
+    bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1})
+    bench.processes(MAIN, ONE, TWO)
+    return bench
+
+
+def test_when_no_node_of_a_container_is_heard_though_all_run_nothing_is_restarted() -> None:
+    """Discovery between PHM and the container is cut; the nodes themselves may be well."""
+    bench = pair()
+    bench.after(3.0)
+    bench.ros.change(nodes={})
+    result = bench.after(LOST_S + 1.0)
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_unheard", "")
+    assert "no other node of ros_app is" in result.summary and "its process 71 runs" in result.summary
+    bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1})
+    assert bench.after(1.0).level is api.Level.OK
+
+
+def test_a_transport_that_hides_names_restarts_no_node() -> None:
+    """Names of nodes come as data: publishers are there, nobody is listed, and nobody was ever seen."""
+    bench = pair(topics=[{"name": TOPIC, "rate": 10, "publishers": [NAME]}])
+    nameless = api.TopicFact((api.EndpointFact("", "std_msgs/msg/String"),), (), api.RateFact(None, None))
+    bench.ros.change(nodes={}, topics={TOPIC: nameless})
+    result = bench.after(GRACE_S + LOST_S + 1.0)
+    assert (result.condition, result.target) == ("node_unheard", "")
+
+
+@pytest.mark.parametrize("why", ["one is heard", "one is listed", "one ended", "nobody knows the processes"])
+def test_a_node_is_dead_unless_all_of_its_container_run_unheard(why: str) -> None:
+    """One sign that the way is open, or one process that nobody knows, and a missing node is a missing node."""
+    bench = pair()
+    bench.after(3.0)
+    bench.ros.change(nodes={"/agent_1/node_2": 1} if why == "one is listed" else {})
+    if why == "one is heard":
+        bench.after(LOST_S + 1.0, lambda _: bench.ros.change(beacons={"/agent_1/node_2": beating()[NAME]}))
+    if why == "one ended":
+        bench.processes(MAIN, ONE)
+    if why == "nobody knows the processes":
+        del bench.docker.lists["ros_app"]
+        bench.after(OLD_S)
+    result = bench.after(LOST_S + 1.0)
+    assert (result.condition, result.target) == ("node_missing", "ros_app")
 
 
 # ---------------------------------------------------------------- cost
