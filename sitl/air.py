@@ -275,13 +275,11 @@ def _udp(host: str, port: int) -> socket.socket:
 def main(arguments: list[str] | None = None) -> int:
     words = argparse.ArgumentParser(prog="python -m sitl.air", description=__doc__.partition("\n")[0])
     words.add_argument("--agents", type=int, default=8, help="how many (8)")
-    words.add_argument(
-        "--pilot", action="append", default=[], metavar="AGENT=URL", help="a real autopilot's connection"
-    )
+    words.add_argument("--pilots", default="", metavar="AGENT=URL,...", help="connections of real autopilots (none)")
     words.add_argument("--seed", type=int, default=0, help="of what is drawn at random (0)")
     chosen = words.parse_args(arguments)
     try:
-        urls = {int(agent): url for agent, _, url in (pair.partition("=") for pair in chosen.pilot)}
+        urls = {int(agent): url for agent, _, url in (pair.partition("=") for pair in chosen.pilots.split(",") if pair)}
         air = AirProcess(chosen.agents, pilots=urls, seed=chosen.seed)
     except (OSError, ValueError) as error:
         print(f"sitl.air: {error}", file=sys.stderr)

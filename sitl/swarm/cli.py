@@ -53,6 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     up.add_argument("--autopilot", choices=("sim", "ardupilot", "px4"), default="sim", help="which autopilot (sim)")
     up.add_argument("--autopilot-path", default="", metavar="FILE", help="a SITL binary of this machine")
     up.add_argument("--autopilot-image", default="", metavar="IMAGE", help="a Docker image that has one")
+    up.add_argument("--autopilot-command", default="", metavar="WORDS", help="how it is started: docs/sitl.md")
     up.add_argument("--seed", type=int, default=0, help="of losses that are drawn at random (0)")
     up.add_argument("--no-build", action="store_true", help="take the images as they are")
     down = _verb(verbs, "down", _down, "remove everything that belongs to a swarm")
@@ -92,8 +93,9 @@ def _up(chosen: argparse.Namespace) -> int:
         graph=str(Path(chosen.graph).resolve()) if chosen.graph else "",
         mode=chosen.mode,
         autopilot=chosen.autopilot,
-        autopilot_path=str(Path(chosen.autopilot_path).resolve()) if chosen.autopilot_path else "",
+        autopilot_path=_binary(chosen),
         autopilot_image=chosen.autopilot_image,
+        autopilot_command=chosen.autopilot_command,
         seed=chosen.seed,
         build=not chosen.no_build,
     )
@@ -110,6 +112,13 @@ def _up(chosen: argparse.Namespace) -> int:
     print(f"{options.agents} agents are well; a ground station connects to {swarm.ground_url}")
     print(f"logs: {swarm.folder / 'logs'}; the end: python -m sitl down --name {swarm.name}")
     return 0
+
+
+def _binary(chosen: argparse.Namespace) -> str:
+    """A path of this machine, or one inside the image."""
+    if not chosen.autopilot_path or chosen.autopilot_image:
+        return str(chosen.autopilot_path)
+    return str(Path(chosen.autopilot_path).resolve())
 
 
 def _down(chosen: argparse.Namespace) -> int:

@@ -10,6 +10,7 @@ import yaml
 
 from sitl.derived import derived
 from sitl.graph import NodePlan, read, ring
+from sitl.swarm import pilots
 from sitl.swarm.options import Options
 from sitl.swarm.ports import INSIDE
 
@@ -52,6 +53,11 @@ def endpoints(options: Options, number: int) -> list[dict[str, Any]]:
         },
         {"url": f"udpout:{AIR_HOST}:{INSIDE.peers_of(number)}", "name": "peers", "leads_to": "peers"},
     ]
+    serial = pilots.serial_port(options, number)
+    if serial is not None:
+        # On a cable of its own, as beside a real flight controller, and not limited as a radio is.
+        url = f"tcp:{AIR_HOST}:{serial}"
+        found.append({"url": url, "name": "autopilot", "leads_to": "autopilot", "radio": "off", "budget": 0})
     return found
 
 

@@ -18,7 +18,8 @@ Autopilot = Literal["sim", "ardupilot", "px4"]
 class Options:
     """interval_s: PHM's. nodes, rate_hz: the application's ring, each node publishing one topic. graph: instead of the
     ring, a file in YAML (docs/sitl.md). changes: lines of the shipped configuration to be replaced, for `sitl.derived`.
-    mode: `recovery.mode`. autopilot_path, autopilot_image: where a real autopilot comes from."""
+    mode: `recovery.mode`. autopilot_path, autopilot_image, autopilot_command: where a real autopilot comes
+    from and how it is started, see `sitl.swarm.pilots`."""
 
     agents: int = 8
     name: str = DEFAULT_NAME
@@ -30,6 +31,7 @@ class Options:
     autopilot: Autopilot = "sim"
     autopilot_path: str = ""
     autopilot_image: str = ""
+    autopilot_command: str = ""
     seed: int = 0
     build: bool = True
     """Whether `scripts/image` is run first, which does nothing when the images are up to date."""

@@ -16,7 +16,7 @@ from docker.models.containers import Container
 
 from sitl.derived import write
 from sitl.stack import ROOT
-from sitl.swarm import config, engine
+from sitl.swarm import config, engine, pilots
 from sitl.swarm.ports import INSIDE
 from sitl.swarm.standing import Watch
 
@@ -50,7 +50,8 @@ def bring_up(swarm: Swarm, lock: int, tell: Callable[[str], None]) -> dict[str, 
     phase("containers", lambda: _staggered(swarm.agents, at_once, lambda agent, _: _create(swarm, agent, lock)))
     nodes = len(config.graph(swarm.options))
     phase(
-        "applications", lambda: _staggered(swarm.agents, at_once, lambda agent, stop: _application(agent, nodes, stop))
+        "applications",
+        lambda: _staggered(swarm.agents, at_once, lambda agent, stop: _application(swarm, agent, nodes, stop)),
     )
     phase("sidecars", lambda: _staggered(swarm.agents, at_once, _sidecar))
     phase("all well", lambda: swarm.wait_well(WELL_LIMIT_S))
@@ -67,7 +68,12 @@ def _images() -> None:
 
 def _air(swarm: Swarm, lock: int) -> None:
     options = swarm.options
-    variables = {"PHM_SWARM": swarm.name, "PHM_AGENTS": str(options.agents), "PHM_SEED": str(options.seed)}
+    variables = {
+        "PHM_SWARM": swarm.name,
+        "PHM_AGENTS": str(options.agents),
+        "PHM_SEED": str(options.seed),
+        "PHM_PILOTS": pilots.urls(options),
+    }
     engine.compose(f"{swarm.name}-air", engine.AIR_FILES, ["up", "--detach", "--no-build"], variables, [lock])
     _until(lambda: _connected(swarm), AIR_LIMIT_S, f"the air process: docker logs {swarm.name}-air-air-1")
 
@@ -92,7 +98,8 @@ def _create(swarm: Swarm, agent: SwarmAgent, lock: int) -> None:
     agent.config.parent.mkdir(parents=True, exist_ok=True)
     write(config.text(swarm.options, agent.number), agent.config)
     agent.make_device()
-    engine.compose(agent.project, engine.AGENT_FILES, ["create", "--no-build"], _variables(swarm, agent), [lock])
+    files = [*engine.AGENT_FILES, *pilots.write(swarm.options, agent.number, agent.config.parent)]
+    engine.compose(agent.project, files, ["create", "--no-build"], _variables(swarm, agent), [lock])
 
 
 def _variables(swarm: Swarm, agent: SwarmAgent) -> dict[str, str]:
@@ -112,7 +119,9 @@ def _variables(swarm: Swarm, agent: SwarmAgent) -> dict[str, str]:
     }
 
 
-def _application(agent: SwarmAgent, nodes: int, stop: Event) -> None:
+def _application(swarm: Swarm, agent: SwarmAgent, nodes: int, stop: Event) -> None:
+    if swarm.options.autopilot != "sim":
+        _started(agent.container(pilots.SERVICE))
     app = agent.app
     _started(app)
     what = f"the nodes of {agent.name}: docker logs {app.name}"

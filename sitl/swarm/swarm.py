@@ -15,7 +15,7 @@ from docker import DockerClient
 
 from sitl.derived import write
 from sitl.faults.base import Agent
-from sitl.swarm import config, engine, place, start
+from sitl.swarm import config, engine, pilots, place, start
 from sitl.swarm.control import Air
 from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
 from sitl.swarm.standing import MACHINE, Watch
@@ -88,7 +88,9 @@ class Swarm:
     def up(self, tell: Tell = print) -> None:
         """Start everything and wait until all is well. RuntimeError says what did not start; what was started stays for a
         look at it, until `down`."""
-        config.text(self.options, 1)  # a mistake in the graph is told before anything is made
+        # Mistakes are told before anything is made.
+        config.text(self.options, 1)
+        pilots.check(self.options)
         with place.locked(self.name, UP_LOCK_S) as lock:
             if engine.belongings(self.docker, self.name):
                 raise RuntimeError(

@@ -1,0 +1,161 @@
+"""Real autopilots in the place of simulated ones: where each is, how it is started, and a session of ArduPilot played to the air."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from sitl.air import AirProcess
+from sitl.ground import Ground
+from sitl.link import Port, mavlink
+from sitl.swarm import config, pilots
+from sitl.swarm.options import Options
+from sitl.swarm.ports import Ports
+from tests.fakes.ardupilot import ArduPilot, decoded, read, record
+from tests.fakes.swarm import until
+
+ARDUPILOT = Options(agents=3, autopilot="ardupilot", autopilot_path="/usr/bin/env")
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """PHM_SITL_TLOG names a recording of a real session, which is played instead."""
+    real = os.environ.get("PHM_SITL_TLOG")
+    if real:
+        return Path(real)
+    file = tmp_path_factory.mktemp("session") / "ardupilot.tlog"
+    record(file, 1)
+    return file
+
+
+@pytest.fixture
+def vehicle(session: Path) -> Iterator[ArduPilot]:
+    made = ArduPilot(session)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def air(vehicle: ArduPilot) -> Iterator[AirProcess]:
+    url = f"tcp:127.0.0.1:{vehicle.serial_0.bound_port}"
+    made = AirProcess(1, pilots={1: url}, host="127.0.0.1", ports=Ports())
+    thread = threading.Thread(target=made.run, name="air", daemon=True)
+    thread.start()
+    yield made
+    made.stop()
+    thread.join(5.0)
+
+
+# ---------------------------------------------------------------- the session
+
+
+def test_a_session_has_the_form_of_a_telemetry_log(session: Path) -> None:
+    """Stamps that do not go back, and frames that decode, of one vehicle's autopilot, whose heartbeat is ArduPilot's."""
+    entries = read(session)
+    stamps = [stamp for stamp, _ in entries]
+    assert stamps == sorted(stamps)
+    messages = [decoded(frame) for _, frame in entries]
+    beats = [message for message in messages if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1]
+    assert {(beat.autopilot, beat.base_mode & ~128) for beat in beats} == {(3, 81)}
+    assert {"STATUSTEXT", "SYSTEM_TIME"} <= {message.get_type() for message in messages}
+
+
+def test_the_air_boots_it_by_connecting_and_carries_its_session(air: AirProcess, vehicle: ArduPilot) -> None:
+    """Ground and PHM hear its heartbeat, its words, and what only its own dialect knows; it hears both of them and the radio."""
+    ground = Ground(f"tcp:127.0.0.1:{air.station.bound_port}")
+    ground.start()
+    phm = Port(f"tcp:{air.routers[1].partition(':')[2]}")
+    seen: set[str] = set()
+    beat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(
+        mavlink.MAVLink(None, srcSystem=1, srcComponent=193)
+    )
+
+    def all_heard() -> bool:
+        phm.send(beat)
+        for sock in phm.sockets():
+            seen.update(message.get_type() for _, message in phm.receive(sock))
+        told = {(message.get_type(), message.get_srcSystem()) for message in vehicle.heard[0]}
+        return (
+            {"HEARTBEAT", "STATUSTEXT", "SYSTEM_TIME", "RADIO_STATUS", "UNKNOWN_152"} <= seen
+            and (1, 1) in ground.heartbeats
+            and any("ArduCopter" in line.text for line in ground.lines)
+            and {("HEARTBEAT", 1), ("HEARTBEAT", 255), ("RADIO_STATUS", 51)} <= told
+        )
+
+    assert until(all_heard, 60.0), seen
+    ground.stop()
+    phm.close()
+
+
+def test_a_command_of_the_ground_reaches_it_alone(air: AirProcess, vehicle: ArduPilot) -> None:
+    """And not PHM, which is a component of its own."""
+    ground = Ground(f"tcp:127.0.0.1:{air.station.bound_port}")
+    ground.start()
+    phm = Port(f"tcp:{air.routers[1].partition(':')[2]}")
+    seen: list[Any] = []
+    assert until(lambda: (1, 1) in ground.heartbeats)
+
+    def obeyed() -> bool:
+        ground.arm(1, armed=True)
+        for sock in phm.sockets():
+            seen.extend(message for _, message in phm.receive(sock))
+        return any(message.get_type() == "COMMAND_LONG" for message in vehicle.heard[0])
+
+    assert until(obeyed)
+    assert not [message for message in seen if message.get_type() == "COMMAND_LONG"]
+    ground.stop()
+    phm.close()
+
+
+# ---------------------------------------------------------------- where it is and how it is started
+
+
+def test_ardupilot_has_the_ports_and_ids_of_its_convention() -> None:
+    """Instance i on 5760 + 10 i with system id i + 1, and PHM on its serial port 1, which passes nothing on."""
+    assert pilots.urls(ARDUPILOT) == "1=tcp:127.0.0.1:5760,2=tcp:127.0.0.1:5770,3=tcp:127.0.0.1:5780"
+    own = config.endpoints(ARDUPILOT, 3)[2]
+    assert (own["url"], own["leads_to"]) == ("tcp:air:5782", "autopilot")
+    assert "MAV2_OPTIONS 2" in pilots.PARAMETER_LINES
+    assert len(config.endpoints(Options(), 3)) == 2
+
+
+def test_its_container_is_the_swarms_and_lives_in_the_airs_network(tmp_path: Path) -> None:
+    """So `down` finds it, and every instance has the ports of its convention on one address."""
+    (file,) = pilots.write(ARDUPILOT, 2, tmp_path)
+    made = yaml.safe_load(Path(file).read_text())["services"][pilots.SERVICE]
+    assert made["labels"] == {"phm.sitl.swarm": "${PHM_SWARM}"}
+    assert made["network_mode"] == "container:${PHM_SWARM}-air-air-1"
+    words = " ".join(made["entrypoint"])
+    assert words.startswith("/opt/autopilot --model quad --instance 1 --sysid 2 ")
+    assert "/usr/bin/env:/opt/autopilot:ro" in made["volumes"]
+    assert pilots.write(Options(), 2, tmp_path) == []
+
+
+def test_px4_is_an_image_and_hears_where_its_api_is() -> None:
+    """Instance i sends to UDP 14540 + i; its container is started in the image's own way, or as is said."""
+    options = Options(agents=2, autopilot="px4", autopilot_image="px4:sih", autopilot_command="run-px4 {instance} {id}")
+    pilots.check(options)
+    assert pilots.urls(options) == "1=udpin:127.0.0.1:14540,2=udpin:127.0.0.1:14541"
+    made = pilots.service(options, 2, Path("/p"))["services"][pilots.SERVICE]
+    assert (made["image"], made["entrypoint"]) == ("px4:sih", ["run-px4", "1", "2"])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (Options(autopilot="ardupilot"), "needs --autopilot-path"),
+        (Options(autopilot="ardupilot", autopilot_path="/no/such/file"), "there is no such file"),
+        (Options(agents=11, autopilot="px4", autopilot_image="x"), "allowed are up to 10"),
+    ],
+    ids=["neither", "no file", "too many"],
+)
+def test_what_cannot_be_started_is_refused_before_anything_is_made(options: Options, said: str) -> None:
+    """The sentence has what is needed."""
+    with pytest.raises(ValueError, match=said):
+        pilots.check(options)
