@@ -15,6 +15,7 @@ from sitl import faults, proof, proofplan
 from sitl.demo import STORY
 from sitl.derived import derived, write
 from sitl.faults.base import LAYERS, Agent, Fault
+from sitl.stack import ROOT
 
 FILES = sorted(path.stem for path in Path(faults.__file__).parent.glob("[!_]*.py") if path.stem != "base")
 
@@ -136,3 +137,14 @@ def test_the_critical_file_is_the_one_of_the_image() -> None:
     written = CONTENT.decode().replace("\n", "\\n")
     dockerfile = (Path(faults.__file__).parents[2] / "docker" / "Dockerfile").read_text("utf-8")
     assert f"printf '{written}' >{CRITICAL}" in dockerfile
+
+
+def test_the_document_has_every_fault_with_its_unit_and_condition() -> None:
+    """docs/sitl_faults.md names each fault once, in the table of its layer, and what it must be told as."""
+    text = (ROOT / "docs" / "sitl_faults.md").read_text("utf-8")
+    tables = {part.partition("\n")[0].lower(): part for part in text.split("\n## ")[1:5]}
+    for name, fault in faults.all_faults().items():
+        (row,) = [line for line in tables[fault.layer].splitlines() if line.startswith(f"| `{name}`")]
+        if not fault.also:
+            assert f"`{fault.condition}`" in row
+            assert f"`{fault.unit.replace('{agent}', '...')}`" in row
