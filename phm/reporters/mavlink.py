@@ -6,7 +6,6 @@ the engine does, so that silence means that nobody is looking after this agent.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from typing import Any, ClassVar
 
 from phm.model import (
@@ -23,13 +22,13 @@ from phm.model import (
 from phm.reporters.base import MavlinkPort, Reporter, ReporterContext
 from phm.reporters.mavlink_flaps import Damper
 from phm.reporters.mavlink_lines import Line, Teller
+from phm.reporters.stations import Stations
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_budget import periods
 from phm.wire import status_line, status_word
 
 PEERS = "peers/"
 """Units about other agents."""
-MAX_GROUND_STATIONS = 16
 FULL_EVERY_S = 5.0
 """Ground stations that come and go have the full state sent again at most this often."""
 SPREAD_S = 0.02
@@ -55,7 +54,7 @@ class Mavlink(Reporter):
         self._refresh_at: float | None = None
         self._full_at: float | None = None
         self._last_full = float("-inf")
-        self._ground: OrderedDict[tuple[int, int], float] = OrderedDict()
+        self._stations = Stations(self._agent, self._settings.gcs_timeout)
         port.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
 
     @classmethod
@@ -102,14 +101,7 @@ class Mavlink(Reporter):
 
     def _hear(self, message: Any, link: str) -> None:
         """A HEARTBEAT, in an endpoint's thread."""
-        if message.type != mavlink.MAV_TYPE_GCS or message.get_srcSystem() == self._agent:
-            return
-        now, sender = self._context.clock.mono(), (message.get_srcSystem(), message.get_srcComponent())
-        heard = self._ground.pop(sender, None)
-        self._ground[sender] = now
-        while len(self._ground) > MAX_GROUND_STATIONS:
-            self._ground.popitem(last=False)
-        if heard is None or now - heard > self._settings.gcs_timeout:
+        if self._stations.appears(message, self._context.clock.mono()):
             self.gcs_appeared()
 
     def _change(self, lines: list[Line], slot: Slot, brief: str) -> None:

@@ -5,10 +5,14 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any, ClassVar
 
 from phm.model import Event, worst_by_slot
 from phm.reporters.base import MavlinkPort, Reporter, ReporterContext
+from phm.reporters.mavlink_flaps import Damper
+from phm.reporters.mavlink_lines import Line
+from phm.reporters.stations import Stations
 from phm.swarm import digest
 from phm.swarm.consensus import Consensus, State, Verdict
 from phm.swarm_facts import SwarmFact, SwarmProbe
@@ -23,10 +27,13 @@ VIEW_HEARTBEATS = 20
 CALM_S = 1.0
 """Changes within this time, or half a heartbeat, go out as one view: agents are lost and found in groups."""
 TUNNEL_BYTES = 128
+UNTOLD_HEARTBEATS = 6
+"""A speaker is known to be lost after five of its heartbeats: what became so within them it may not have told."""
+RELAY = "relay "
 
 
 class Swarm(Reporter):
-    """See the module. All of it runs in the bus's thread for this reporter."""
+    """See the module. All but `_hear` runs in the bus's thread for this reporter."""
 
     name = "swarm"
     period_s: ClassVar[float | None] = 0.2
@@ -40,7 +47,12 @@ class Swarm(Reporter):
         self._again = False
         self._view_at = float("-inf")
         self._told_line, self._line_at = "", float("-inf")
-        self._relayed: dict[int, object] = {}
+        self._relayed: dict[int, tuple[object, float]] = {}
+        """What the ground was told for each agent that cannot reach it, by this or another speaker, and since when it is so."""
+        self._spoke, self._damper = False, Damper()
+        self._stations = Stations(self._agent, context.settings.mavlink.gcs_timeout)
+        self._appeared = threading.Event()
+        port.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
 
     @classmethod
     def build(cls, context: ReporterContext) -> Swarm | None:
@@ -58,10 +70,28 @@ class Swarm(Reporter):
         if not fact.peers:
             return
         self._view(fact, now)
-        if fact.speaker == self._agent:
+        speaks = fact.speaker == self._agent
+        if speaks and self._appeared.is_set():
+            self._told_line, self._relayed = "", {}
+        elif speaks and not self._spoke:
+            # What the last speaker may have been lost with, untold, is told; the rest would be repeated aloud.
+            untold_s = UNTOLD_HEARTBEATS * self._heartbeat_s(fact)
+            self._relayed = {agent: told for agent, told in self._relayed.items() if now - told[1] > untold_s}
+        self._appeared.clear()
+        self._spoke = speaks
+        if speaks:
             self._speak(fact, now)
         else:
-            self._told_line, self._relayed = "", {}
+            self._told_line = ""
+            self._relay(fact, now)
+
+    def _hear(self, message: Any, link: str) -> None:
+        """A HEARTBEAT, in an endpoint's thread."""
+        if self._stations.appears(message, self._context.clock.mono()):
+            self._appeared.set()
+
+    def _heartbeat_s(self, fact: SwarmFact) -> float:
+        return self._context.settings.mavlink.heartbeat or periods(fact.members)[0]
 
     # ------------------------------------------------------------ to the agents
 
@@ -69,7 +99,7 @@ class Swarm(Reporter):
         pilot = self._context.pilot() if self._context.pilot is not None else False
         seen = {agent: _seen(peer.state, self._agent in peer.heard_by) for agent, peer in fact.peers.items()}
         said = (fact.gcs, pilot, tuple(sorted(seen.items())))
-        heartbeat_s = self._context.settings.mavlink.heartbeat or periods(fact.members)[0]
+        heartbeat_s = self._heartbeat_s(fact)
         since_s = now - self._view_at
         if said == self._viewed:
             if since_s < (heartbeat_s if self._again else VIEW_HEARTBEATS * heartbeat_s):
@@ -91,7 +121,7 @@ class Swarm(Reporter):
         agreed = _consensus(fact)
         word = status_word.encode(worst_by_slot(self._context.states()))
         levels = digest.levels(agreed, word, fact.deaf)
-        self._relay(fact)
+        self._tell(self._relay(fact, now), fact, now)
         line = digest.line(levels)
         refresh_s = self._context.settings.mavlink.refresh or periods(fact.members)[1]
         since_s = now - self._line_at
@@ -103,24 +133,30 @@ class Swarm(Reporter):
         # INFO is shown and never spoken: each agent speaks for itself, and the speaker's own check for the lost ones.
         self._say(line, Severity.INFO, "swarm line", Class.TRANSITION if changed else Class.REFRESH)
 
-    def _relay(self, fact: SwarmFact) -> None:
-        """Say for agents that cannot reach the ground what they would say, once for each change."""
+    def _relay(self, fact: SwarmFact, now: float) -> list[Line]:
+        """What agents that cannot reach the ground would say, once for each change."""
+        lines = []
         for agent in fact.deaf:
             peer = fact.peers.get(agent)
             if peer is None:
                 continue
             said = digest.worst(peer.word, deaf=True)
-            if self._relayed.get(agent) == said:
-                continue
-            self._relayed[agent] = said
-            self._say(
-                digest.relay(agent, peer.heard_by, peer.word),
-                digest.relay_severity(peer.word),
-                f"relay {agent}",
-                Class.TRANSITION,
-            )
+            if agent not in self._relayed or self._relayed[agent][0] != said:
+                self._relayed[agent] = (said, now)
+                text, severity = digest.relay(agent, peer.heard_by, peer.word), digest.relay_severity(peer.word)
+                lines.append(Line(f"{RELAY}{agent}", severity, text))
         for agent in [agent for agent in self._relayed if agent not in fact.deaf]:
             del self._relayed[agent]
+        return lines
+
+    def _tell(self, lines: list[Line], fact: SwarmFact, now: float) -> None:
+        """These lines, unless their agent comes and goes again and again; then its last one when that has ended."""
+        deaf = {f"{RELAY}{agent}" for agent in fact.deaf}
+        told = [line for line in self._damper.calm(now) if line.key in deaf]
+        for line in lines:
+            told += self._damper.through([line], now, digest.flapping(int(line.key.removeprefix(RELAY))))
+        for line in told:
+            self._say(line.text, line.severity, line.key, line.kind)
 
     def _say(self, text: str, severity: Severity, key: str, kind: Class) -> None:
         message = mavlink.MAVLink_statustext_message(int(severity), text.encode("ascii"))

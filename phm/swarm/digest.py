@@ -106,6 +106,11 @@ def relay(agent: int, heard_by: Collection[int], word: int) -> str:
     return text[:MAX_CHARS]
 
 
+def flapping(agent: int) -> str:
+    """An agent loses and finds the ground again and again, or fails and recovers meanwhile; it is not told each time."""
+    return f"{agent_name(agent)} no GCS radio: comes and goes"
+
+
 def relay_severity(word: int) -> Severity:
     """As the agent's own line would have; a radio that is lost is a warning by itself."""
     level, slot = worst(word, deaf=True)

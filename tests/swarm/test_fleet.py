@@ -5,8 +5,10 @@ from __future__ import annotations
 import pytest
 
 from phm.model import Level
+from phm.transport.dialect import mavlink
 from phm.transport.mavlink_budget import BURST_MIN, SWARM_BYTES_S
 from sitl.fleet import Fleet
+from tests.fakes.mavlink import Sender, heartbeat
 
 
 def test_one_agent_speaks_and_its_line_is_not_repeated_aloud() -> None:
@@ -39,6 +41,61 @@ def test_an_agent_without_its_ground_radio_is_told_through_its_peers() -> None:
     assert fleet.lines(3) == ["A03 no GCS radio, heard by A01 A02 A04: 2 ERROR"]
     fleet.run(60)
     assert fleet.lines(4) == []
+
+
+def test_a_new_speaker_repeats_nothing_aloud() -> None:
+    """Nothing has changed for A03; the ground was told of it by the speaker before."""
+    fleet = Fleet(4)
+    fleet.deaf = {3}
+    fleet.run(60)
+    fleet.lines()
+    fleet.down = {1}
+    fleet.run(60)
+    assert fleet.agents[2].probe.look().speaker == 2
+    assert fleet.lines(4) == []
+
+
+def test_what_a_speaker_was_lost_with_is_told_by_the_next() -> None:
+    """A03 fails in the moment in which the speaker dies."""
+    fleet = Fleet(4)
+    fleet.deaf = {3}
+    fleet.run(60)
+    fleet.lines()
+    fleet.down = {1}
+    fleet.agents[3].become("container/app", Level.ERROR, "app exited")
+    fleet.run(60)
+    assert [line.partition(",")[0] for line in fleet.lines(4)] == ["A03 no GCS radio"]
+
+
+def test_a_ground_station_that_appears_is_told_of_the_deaf_once_more() -> None:
+    """As each agent sends it its full state, the speaker does for those that cannot."""
+    fleet = Fleet(4)
+    fleet.deaf = {3}
+    fleet.run(60)
+    fleet.lines()
+    for _ in range(3):
+        hello = Sender(254, 190).received(heartbeat(kind=mavlink.MAV_TYPE_GCS))
+        for number in (1, 2, 4):
+            fleet.agents[number].port.hear([hello])
+        fleet.run(5)
+    assert fleet.lines(4) == ["A03 no GCS radio, heard by A01 A02 A04: OK"]
+
+
+def test_an_agent_at_the_edge_of_its_radio_is_not_told_each_time() -> None:
+    """It loses and finds the ground every quarter of a minute, and fails and recovers meanwhile."""
+    fleet = Fleet(4)
+    fleet.run(60)
+    fleet.deaf = {3}
+    fleet.run(20)
+    fleet.lines()
+    for turn in range(40):
+        fleet.agents[3].become("container/app", Level.OK if turn % 2 else Level.ERROR, "app exited")
+        fleet.run(6)
+    told = fleet.lines(5)
+    assert "A03 no GCS radio: comes and goes" in told
+    assert len(told) < 10
+    fleet.run(60)
+    assert len(fleet.lines(5)) <= 1
 
 
 def test_a_radio_that_comes_back_takes_the_word_back() -> None:

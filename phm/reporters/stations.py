@@ -1,0 +1,30 @@
+"""Which ground stations are there, and when one appears that has heard nothing so far. Not thread-safe."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any
+
+from phm.transport.dialect import mavlink
+
+MAX_STATIONS = 16
+
+
+class Stations:
+    """own: this agent's system id, under which a program aboard may call itself a ground station. timeout_s: a station that was
+    silent for longer has missed what was sent meanwhile."""
+
+    def __init__(self, own: int, timeout_s: float) -> None:
+        self._own, self._timeout_s = own, timeout_s
+        self._heard: OrderedDict[tuple[int, int], float] = OrderedDict()
+
+    def appears(self, message: Any, now: float) -> bool:
+        """Whether this HEARTBEAT is that of a ground station that is new, or back."""
+        if message.type != mavlink.MAV_TYPE_GCS or message.get_srcSystem() == self._own:
+            return False
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        heard = self._heard.pop(sender, None)
+        self._heard[sender] = now
+        while len(self._heard) > MAX_STATIONS:
+            self._heard.popitem(last=False)
+        return heard is None or now - heard > self._timeout_s
