@@ -117,6 +117,8 @@ class Agent:
         if line.level is not None:
             self._worse(line, line.level, at)
         elif line.over:
+            if line.over.startswith("GCS:"):
+                self.deaf = False
             units = self.bad.get(line.slot, OrderedDict())
             for text in [text for text in units if same(text, line.over)]:
                 del units[text]

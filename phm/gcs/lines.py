@@ -15,10 +15,11 @@ _REFRESH = re.compile(
 _CHANGE = re.compile(
     rf"{_AGENT} (?P<word>FAIL|WARN|OK|ADVISE|APPROVED|GAVE UP) (?P<slot>[0-9]{{1,2}})(?: (?P<text>.+))?"
 )
-_RELAY = re.compile(rf"{_AGENT} (?P<text>no GCS radio, heard by .*)")
+_RELAY = re.compile(rf"{_AGENT} (?P<text>no GCS radio[,:] .*)")
 _SWARM = re.compile(r"SWARM (?P<well>[0-9]{1,3})/(?P<members>[0-9]{1,3}) (?P<word>OK|WARN|FAIL)(?: (?P<text>.+))?")
 _OVER = re.compile(r"(?:cleared itself|cleared|\S.{0,15}? fixed): (?P<brief>.+)")
 _MORE = re.compile(r" \+[0-9]+$")
+_NAMED = re.compile(r"A([0-9]{2,3}):")
 LEVELS = {"FAIL": Level.ERROR, "GAVE UP": Level.ERROR, "WARN": Level.WARN}
 
 
@@ -70,6 +71,13 @@ def read(text: str) -> Line | None:
             return Line(kind, agent, word, slot, _MORE.sub("", rest), word in LEVELS and not _MORE.search(rest))
         return Line(kind, agent, word, slot, rest)
     return None
+
+
+def named(line: Line) -> frozenset[int] | None:
+    """Who is not well by a SWARM line; None when it had no room for all."""
+    if _MORE.search(f" {line.text}"):
+        return None
+    return frozenset(int(found) for found in _NAMED.findall(line.text))
 
 
 def same(brief: str, cut: str) -> bool:

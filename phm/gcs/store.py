@@ -147,6 +147,10 @@ class Store:
         if line.kind is Kind.SWARM:
             swarm = self.fleet.swarm
             swarm.line, swarm.line_by, swarm.line_at = said.text, said.system, at
+            unwell = lines.named(line)
+            for other in self.fleet.agents.values():
+                if unwell is not None and other.system not in unwell:
+                    other.deaf = None  # a relay is said once, and its end by nobody
         elif line.kind is Kind.RELAY and line.agent != said.system:
             about = self.fleet.agent(line.agent, PHM_COMPONENT, at.mono)
             if about is not None:

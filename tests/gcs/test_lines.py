@@ -56,6 +56,19 @@ def test_what_the_speaker_says_is_read() -> None:
     assert (swarm.kind, swarm.agent, swarm.word, swarm.text) == (Kind.SWARM, 0, "FAIL", "A03:ROS")
     relay = read(digest.relay(3, [1, 2], 0x40025D55))
     assert (relay.kind, relay.agent) == (Kind.RELAY, 3)
+    assert read("A03 no GCS radio: comes and goes").kind is Kind.RELAY
+
+
+def test_a_swarm_line_names_who_is_not_well() -> None:
+    """Unless it had no room for all."""
+    many = dict.fromkeys(range(1, 20), (Level.ERROR, "lost"))
+    assert lines.named(read(digest.line(many))) is None
+    assert lines.named(read(digest.line({1: (Level.OK, ""), 103: (Level.WARN, "deaf"), 4: (Level.ERROR, "lost")}))) == {
+        4,
+        103,
+    }
+    assert lines.named(read(digest.line({1: (Level.OK, "")}))) == frozenset()
+    assert lines.named(read("SWARM 90/100 FAIL +7")) is None
 
 
 @pytest.mark.parametrize(

@@ -281,6 +281,16 @@ def test_a_relay_speaks_for_an_agent_without_a_radio(ground: Ground) -> None:
     assert (agent["line"]["via"], agent["hears_ground"], agent["how"]) == (1, False, "UNKNOWN")
 
 
+def test_a_relay_is_over_when_the_swarm_is_well(ground: Ground) -> None:
+    """By the swarm's line that does not name the agent, or by the agent's own; one without room for all says nothing."""
+    for line in (said(1, "SWARM 3/3 OK", 6), said(3, "A03 OK 1 cleared itself: GCS: no heartbeat 10 s", 5)):
+        ground.hear(beat(1), beat(3), said(1, "A03 no GCS radio, heard by A01 A02: 2 ERROR"))
+        ground.hear(said(1, "SWARM 1/9 FAIL A04:lost +3", 6), said(1, "SWARM 2/3 WARN A03:deaf", 6))
+        assert ground.agent(3)["hop"]["name"] == "radio"
+        ground.hear(line)
+        assert ground.agent(3)["hop"] is None
+
+
 def test_details_are_joined_from_their_parts(ground: Ground) -> None:
     """In any order, with characters that were cut between two parts."""
     ground.hear(beat(7))

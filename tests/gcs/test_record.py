@@ -1,0 +1,65 @@
+"""The record survives what disks do, and says what is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from phm.clock import SystemClock
+from phm.gcs import record
+from phm.gcs.record import Record
+from phm.wire import journal
+from tests.fakes.mavlink import until
+from tests.gcs.test_serve import Source
+
+
+def made(path: Path, source: Source, **limits: int) -> Record:
+    book = Record(str(path), source, SystemClock(), **limits)  # type: ignore[arg-type]
+    book.start()
+    return book
+
+
+def numbers(path: Path) -> list[int]:
+    return [event["seq"] for event in journal.read(path) if event["event"] == "said"]
+
+
+def test_it_is_rotated_and_capped(tmp_path: Path) -> None:
+    """A week on the ground fills no disk: the oldest lines go, the newest are all there."""
+    source, path = Source(), tmp_path / "flight.jsonl"
+    book = made(path, source, max_size=20_000, files=2)
+    for number in range(1, 1001):
+        source.say("x" * 50)
+        if number % 100 == 0:
+            until(lambda number=number: numbers(path)[-1:] == [number], "the lines")
+    book.close()
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["flight.jsonl", "flight.jsonl.1", "flight.jsonl.2"]
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 60_000
+    found = numbers(path)
+    assert found == list(range(found[0], 1001))
+
+
+def test_a_disk_that_fails_is_told_and_what_is_lost_is_counted(tmp_path: Path) -> None:
+    """The newest lines wait in memory; when it works again, an event stands in the place of the others."""
+    source, folder = Source(), tmp_path / "sd"
+    folder.write_text("no folder")
+    book = made(folder / "flight.jsonl", source)
+    for _ in range(1500):
+        source.say()
+    until(lambda: "500 lost" in book.about(), "the loss")
+    assert book.about().startswith("record: cannot write ")
+    folder.unlink()
+    until(lambda: book.about() == "", "the disk working again")
+    book.close()
+    events = list(journal.read(folder / "flight.jsonl"))
+    assert (events[0]["event"], events[0]["lines"], events[0]["seq"]) == ("lost", 500, 500)
+    assert numbers(folder / "flight.jsonl") == list(range(501, 1501))
+
+
+def test_a_snapshot_comes_again_and_again(tmp_path: Path) -> None:
+    """So that what was rotated away is not needed to know how all were."""
+    source, path = Source(), tmp_path / "flight.jsonl"
+    book = made(path, source)
+    book._snapshot_at = 0.0
+    until(lambda: [event for event in journal.read(path) if event["event"] == "snapshot"], "a snapshot")
+    assert record.SNAPSHOT_S == 60.0
+    book.close()
+    assert [event["event"] for event in journal.read(path)] == ["snapshot", "snapshot"]
