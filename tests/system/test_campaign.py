@@ -1,0 +1,61 @@
+"""A quick campaign for real: two agents, one fault of each layer, begun and gone on with."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from sitl.campaign.judge import judge
+from sitl.campaign.main import DONE, SHORT, main
+from sitl.campaign.trial import NOMINAL, OFF, TRIAL, load
+from sitl.swarm.options import Options
+from sitl.swarm.swarm import Swarm
+
+FAULTS = ("phm_killed", "container_killed", "node_killed", "router_killed")
+
+
+@pytest.fixture
+def name() -> Iterator[str]:
+    """Of a swarm of this test's own, removed after."""
+    name = f"phm-test-{uuid.uuid4().hex[:6]}"
+    yield name
+    Swarm(Options(agents=2, name=name)).down()
+
+
+def test_one_fault_of_each_layer(name: str, tmp_path: Path) -> None:
+    """Nothing told with nothing injected, nothing done with recovery off; each fault is told once, at its cause, and what can be is
+    healed. Asked for more trials, a campaign goes on from its record, on the swarm that is still up."""
+    record, page, data = tmp_path / "trials.jsonl", tmp_path / "out.html", tmp_path / "out.json"
+    words = ["--agents", "2", "--nominal", "10", "--interval", "5", "--name", name, "--only", *FAULTS]
+    words += ["--record", str(record), "--html", str(page), "--json", str(data)]
+    in_time = (DONE, SHORT)  # times fall short of the aims where other tests run beside this one
+    assert main([*words, "--keep", "--trials", "1"]) in in_time
+    begun = record.read_bytes()
+    assert main([*words, "--trials", "3"]) in in_time
+    assert record.read_bytes().startswith(begun)
+    trials = load(record)
+    assert [(trial.kind, trial.number) for trial in trials] == [
+        (NOMINAL, 0),
+        (OFF, 0),
+        (TRIAL, 1),
+        (TRIAL, 2),
+        (TRIAL, 3),
+    ]
+    assert len(record.read_bytes().splitlines()) == len(trials), "a trial was made twice"
+    assert sorted(fault.fault for trial in trials[2:] for fault in trial.injections) == sorted(FAULTS)
+    short = json.loads(data.read_text("utf-8"))["short"]
+    for trial in trials:
+        judged = judge(trial)
+        assert (judged.false, trial.changed) == ([], []), short
+        assert trial.well_after is not None, short
+        for verdict in judged.verdicts:
+            fault = verdict.injection
+            assert (verdict.missed, verdict.wrong, verdict.count) == (False, "", verdict.expected), short
+            assert verdict.response_s is not None, short
+            if trial.kind == TRIAL and (fault.healable or fault.passes):
+                assert verdict.healed_s is not None, short
+    assert "Table 2" in page.read_text("utf-8")
