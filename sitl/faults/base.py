@@ -38,7 +38,7 @@ class Air(Protocol):
         """``hang``, ``resume`` or ``reboot``."""
 
     def state(self) -> dict[str, Any]:
-        """``agents``: what is so now, by the agent's number as text."""
+        """``agents``: what is so now, by the agent's number."""
 
 
 @dataclass

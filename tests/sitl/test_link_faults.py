@@ -1,0 +1,73 @@
+"""Faults of the link layer against the real air process: they break what they say, in one agent, and give it back."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+from unittest import mock
+
+import pytest
+
+from sitl.air import AirProcess
+from sitl.faults import all_faults
+from sitl.faults.base import Agent
+from sitl.swarm.control import Air
+from sitl.swarm.ports import Ports
+
+LINKED = sorted(name for name, fault in all_faults().items() if "air" in fault.needs)
+TOUCHED = {
+    "autopilot_silent": ("autopilot",), "gcs_radio_cut": ("ground",), "radio_lossy": ("ground",), "peer_lost": ("peers",),
+    "radio_saturated": ("ground",), "router_killed": ("router",), "autopilot_reboot": (), "peer_split": (),
+}  # fmt: skip
+"""What of the agent's links is other than before; a reboot passes, and a split is not the agent's own."""
+AGENTS = 5
+
+
+@pytest.fixture(scope="module")
+def air() -> Iterator[Air]:
+    process = AirProcess(AGENTS, host="127.0.0.1", ports=Ports())
+    thread = threading.Thread(target=process.run, name="air", daemon=True)
+    thread.start()
+    yield Air(("127.0.0.1", process.control_port))
+    process.stop()
+    thread.join(5.0)
+
+
+def links(air: Air) -> dict[int, dict[str, Any]]:
+    agents: dict[int, dict[str, Any]] = air.state()["agents"]
+    return agents
+
+
+@pytest.mark.parametrize("name", LINKED)
+def test_it_breaks_its_own_link_of_one_agent_and_gives_it_back(name: str, air: Air) -> None:
+    """Injected: exactly the named links of agent 2 differ. Cleared, twice: nothing does."""
+    fault, agent = all_faults()[name], Agent("phm-test", "agent_2", mock.Mock(), number=2, air=air)
+    before = links(air)
+    fault.inject(agent)
+    after = links(air)
+    changed = [link for link in before[2] if before[2][link] != after[2][link]]
+    assert changed == sorted(TOUCHED[name], key=list(before[2]).index)
+    assert all(before[number] == after[number] for number in before if number != 2)
+    assert bool(air.state()["groups"]) is (name == "peer_split")
+    fault.clear(agent)
+    fault.clear(agent)
+    assert links(air) == before
+    assert not air.state()["groups"]
+
+
+def test_a_split_leaves_two_groups(air: Air) -> None:
+    """Each agent is in one group, and a group has at least two."""
+    fault, agent = all_faults()["peer_split"], Agent("phm-test", "agent_4", mock.Mock(), number=4, air=air)
+    fault.inject(agent)
+    here, there = air.state()["groups"]
+    fault.clear(agent)
+    assert 4 in here
+    assert sorted(here + there) == list(range(1, AGENTS + 1))
+    assert min(len(here), len(there)) == AGENTS // 2
+
+
+def test_without_emulated_links_it_says_what_is_needed() -> None:
+    """An agent on its own has none."""
+    with pytest.raises(LookupError, match="python -m sitl up"):
+        all_faults()["gcs_radio_cut"].inject(Agent("phm-test", "agent_1", mock.Mock()))
