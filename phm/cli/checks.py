@@ -67,6 +67,7 @@ def _graph_json(plan: Plan) -> list[dict[str, Any]]:
             "target": entry.unit.target,
             "settle_s": entry.unit.settle_s,
             "grace_s": entry.unit.grace_s,
+            "memory_s": entry.unit.memory_s,
             "failures": entry.failures,
             "suspect": entry.unit.suspect,
         }

@@ -190,6 +190,19 @@ def diagnostics_are_known(root: View) -> None:
             node.complain(unknown("node", node.text, nodes.values()) + " (or add it to 'ros.nodes')")
 
 
+def own_topics_have_no_rate(root: View) -> None:
+    """PHM's own array once a second would be counted with the application's. With any topic configured it is published."""
+    if root.get("ros", "diagnostics", "publish").value is False:
+        return
+    for topic in root.get("ros", "topics").records():
+        rate = topic.get("rate")
+        if bare(topic.get("name").text) == "diagnostics" and rate.given and rate.value is not None:
+            rate.complain(
+                "cannot be measured while PHM publishes on /diagnostics itself: leave it out, or set ros.diagnostics.publish to "
+                "false; what the application says there is judged by ros.diagnostics.watch"
+            )
+
+
 def endpoints_are_told_apart(root: View) -> None:
     endpoints = list(root.get("mavlink", "endpoints").records())
     no_twins("endpoint", ((entry.get("url").text, entry.get("url")) for entry in endpoints))
@@ -316,7 +329,7 @@ def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
 RULES: tuple[Callable[[View], None], ...] = (
     containers_have_one_identity, containers_are_told_apart, container_parts_stand_once, containers_start_in_order,
     absent_files_have_no_copy, repairs_are_opted_in, ros_names_stand_once, ros_containers_exist, relaunch_has_a_container,
-    topic_nodes_exist, diagnostics_are_known, endpoints_are_told_apart,
+    topic_nodes_exist, diagnostics_are_known, own_topics_have_no_rate, endpoints_are_told_apart,
     link_ids_are_told_apart, limits_are_in_order, disks_stand_once,
     fleet_rules.fleet_can_be_told, fleet_rules.fleet_modes_fit, fleet_rules.fleet_certificates_are_of_use,
 )  # fmt: skip

@@ -222,6 +222,9 @@ def test_the_graph_of_needs_is_a_tree() -> None:
     assert "host/disk (possible cause of anything, blocks nobody)" in lines
     [network] = [row for row in rows if row["unit"] == "network/ros_app"]
     assert network["needs"] == ["container/ros_app"]
+    memory_s = {row["unit"]: row["memory_s"] for row in rows}
+    assert memory_s["network/ros_app"] == 0.0
+    assert memory_s["rates/agent_1/topic_1"] > 3.0  # a topic is silent only after a while
     assert {unit.partition("/")[0] for unit in network["blocks"]} == {"nodes", "consensus", "topics", "rates"}
 
 

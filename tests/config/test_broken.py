@@ -219,6 +219,8 @@ BROKEN = [
     ),
     Broken("autopilot's number", "mavlink:\n  component_id: 1\n", 2, "mavlink.component_id", ("allowed is 2 to 250",)),
     # pairs
+    Broken("own diagnostics", "ros:\n  topics:\n  - {name: diagnostics, rate: 1Hz}\n", 3, "ros.topics[0].rate",
+           ("cannot be measured while PHM publishes on /diagnostics", "ros.diagnostics.publish to false")),
     Broken("topic limits", "ros:\n  topics:\n  - {name: /t, rate: 1, error_tolerance: 5%}\n", 3,
            "ros.topics[0].error_tolerance", ("is 5", "10 or more")),
     Broken("limits", "host:\n  cpu:\n    warn: 99%\n    error: 98\n", 3, "host.cpu.warn", ("98 or less",)),
