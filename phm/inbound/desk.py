@@ -99,7 +99,8 @@ class Desk:
         self._waiting: deque[tuple[Asked, bytes, Do | Refuse]] = deque()
         self._dropped = self._dropped_told = 0
         self._told_at = float("-inf")
-        self._repeats: dict[tuple[str, int], tuple[float, float]] = {}
+        self._repeats: dict[tuple[str, int], tuple[float, float, Asked]] = {}
+        """By link and message: seconds between, when it is due, and who asked."""
         self._looked = self._beat = float("-inf")
         self._lock = threading.Lock()
         self._wake, self._stop = threading.Event(), threading.Event()
@@ -201,7 +202,7 @@ class Desk:
         if isinstance(wish, Tell):
             return self._details(wish.fault, asked)
         if isinstance(wish, Repeat):
-            return self._keep_sending(wish, asked.link)
+            return self._keep_sending(wish, asked)
         if isinstance(wish, Look):
             return self._look()
         if isinstance(wish, Approve):
@@ -256,23 +257,27 @@ class Desk:
         self._port.send(built, Class.REQUEST, key=f"asked {message}", urgency=1, link=link)
         return Result.ACCEPTED, f"message {message} is sent"
 
-    def _keep_sending(self, wish: Repeat, link: str) -> tuple[Result, str]:
-        key = (link, wish.message)
+    def _keep_sending(self, wish: Repeat, asked: Asked) -> tuple[Result, str]:
+        key = (asked.link, wish.message)
         self._repeats.pop(key, None)
         if wish.every_s == 0:
             return Result.ACCEPTED, f"message {wish.message} is no longer sent"
         if len(self._repeats) >= MAX_REPEATS:
             return Result.TEMPORARILY_REJECTED, "too many messages are sent again and again"
-        self._repeats[key] = (wish.every_s, self._clock.mono())
+        self._repeats[key] = (wish.every_s, self._clock.mono(), asked)
         return Result.ACCEPTED, f"message {wish.message} is sent every {wish.every_s:g} s"
 
     def _repeat(self) -> float:
         now = self._clock.mono()
-        for (link, message), (every_s, due) in list(self._repeats.items()):
-            if now >= due:
-                self._repeats[link, message] = (every_s, now + every_s)
+        for (link, message), (every_s, due, asked) in list(self._repeats.items()):
+            if now < due:
+                continue
+            self._repeats[link, message] = (every_s, now + every_s, asked)
+            if message == command.TUNNEL:
+                self._details(0, asked)
+            else:
                 self._send(message, link)
-        return max(0.0, min([IDLE_S, *(due - now for _every_s, due in self._repeats.values())]))
+        return max(0.0, min([IDLE_S, *(due - now for _every_s, due, _asked in self._repeats.values())]))
 
     def _tell_drops(self) -> None:
         now, dropped = self._clock.mono(), self._dropped

@@ -7,7 +7,7 @@ The contract, for whoever writes a ground station (`docs/mavlink.md`, Commands):
         253  STATUSTEXT: the status line, which has the array
         390  ONBOARD_COMPUTER_STATUS
         385  TUNNEL: the text about the fault with number param2; 0 or none: the newest open fault
-    MAV_CMD_SET_MESSAGE_INTERVAL (511)   param1 253 or 390, param2 microseconds; -1 and 0: off
+    MAV_CMD_SET_MESSAGE_INTERVAL (511)   param1 253, 390 or 385 (the newest open fault), param2 microseconds; -1 and 0: off
     MAV_CMD_USER_1 (31010)               param1 the operation
         1    run all checks now
         2    approve what is advised for the fault with number param2
@@ -26,7 +26,7 @@ COMMAND_INT, COMMAND_LONG, COMMAND_ACK = 75, 76, 77
 HEARTBEAT, STATUSTEXT, TUNNEL, ONBOARD_COMPUTER_STATUS = 0, 253, 385, 390
 SET_MESSAGE_INTERVAL, REQUEST_MESSAGE, USER_1 = 511, 512, 31010
 CHECK, APPROVE, RESTART = 1, 2, 3
-SHORTEST_S = {STATUSTEXT: 2.0, ONBOARD_COMPUTER_STATUS: 5.0}
+SHORTEST_S = {STATUSTEXT: 2.0, ONBOARD_COMPUTER_STATUS: 5.0, TUNNEL: 10.0}
 """Messages that may be asked for again and again, and how often at most."""
 LARGEST = 2**24
 """Up to here a float of 32 bits holds every whole number."""
@@ -139,7 +139,7 @@ def understand(command: int, params: tuple[float, float]) -> Wish:
 def word(wish: Wish) -> Word:
     """What must be allowed for it."""
     if isinstance(wish, (Send, Repeat)):
-        return Word.STATUS
+        return Word.DETAILS if wish.message == TUNNEL else Word.STATUS
     words: dict[type, Word] = {
         Tell: Word.DETAILS, Look: Word.CHECK, Approve: Word.APPROVE, Restart: Word.RESTART
     }  # fmt: skip

@@ -299,6 +299,28 @@ def test_a_message_is_sent_again_and_again_until_it_is_not_wanted() -> None:
     assert lines(20) == 0
 
 
+def test_the_newest_faults_details_may_come_again_and_again() -> None:
+    """To who asked, while a fault is open; it is `details` that must be allowed for it."""
+    scene = Scene("details")
+    assert scene.result(long(511, 385, 1e7)) is Result.ACCEPTED
+    assert Scene("status").result(long(511, 385, 1e7)) is Result.DENIED
+
+    def details(seconds: int) -> list[str]:
+        scene.sent.clear()
+        for _ in range(seconds):
+            scene.clock.advance(1.0)
+            scene.desk.turn()
+        sent = [m for m, link in scene.sent if m.get_type() == "TUNNEL" and link == "radio"]
+        assert {(m.target_system, m.target_component) for m in sent} <= {(255, 190)}
+        return [tunnel.decode(bytes(m.payload[: m.payload_length])).fault for m in sent]  # type: ignore[union-attr]
+
+    assert details(30) == []
+    scene.faults = (fault(3, 5.0),)
+    assert details(30) == ["ab12-3"] * 3
+    scene.faults = (fault(3, 5.0), fault(17, 9.0))
+    assert details(10) == ["ab12-17"]
+
+
 def test_a_flood_is_bounded_and_told_once() -> None:
     """What is too much is dropped unread."""
     scene = Scene("status")
