@@ -13,12 +13,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from phm.api import error, stale
 from phm.model import FaultClosed, FaultOpened, Level, Outcome
 from tests.fakes.agent_world import CAUSES, NODES, TARGET, Sim, shipped
 from tests.fakes.healer import Healer
+
+pytestmark = pytest.mark.long
 
 SEEDS = st.integers(0, 2**32)
 KINDS = st.sampled_from(sorted(CAUSES))

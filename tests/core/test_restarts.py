@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import pytest
 from hypothesis import given, strategies as st
 
 from phm import api, testing
@@ -16,6 +17,8 @@ from phm.model import Result
 from phm_checks.container import Container
 from tests.core.test_interleavings import SEEDS, assert_over, examples
 from tests.fakes.agent_world import NODES, TARGET, Bad, Sim, World
+
+pytestmark = pytest.mark.long
 
 UNIT = f"container/{TARGET}"
 BACKOFF_S, BACKOFF_MAX_S, UP_S = 0.1, 60.0, 10.0
