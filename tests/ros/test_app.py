@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from phm.facts import RosFact
 from sitl.app import node_argv
 from sitl.graph import ring
 from sitl.node import topic_rate
@@ -53,3 +54,48 @@ def test_the_application_runs_and_stops_as_a_container_would(bench: Bench, tmp_p
     finally:
         app.kill()
         app.wait()
+
+
+def test_a_node_gives_its_ends_up_and_takes_them_back(bench: Bench) -> None:
+    """SIGHUP: no subscription; SIGRTMIN+1: a publisher that offers less; a second one of each: as before. Its name stays."""
+    node = bench.node("node_1", "--publish", "out:10", "--subscribe", "into")
+    probe = bench.probe([{"name": f"/agent_1/{topic}"} for topic in ("out", "into")])
+
+    def listens(fact: RosFact) -> bool:
+        return [end.node for end in fact.topics["/agent_1/into"].subscribers] == ["/agent_1/node_1"]
+
+    def offers(fact: RosFact) -> list[str]:
+        return [end.reliability for end in fact.topics["/agent_1/out"].publishers]
+
+    seen(probe, lambda fact: listens(fact) and offers(fact) == ["reliable"], "both ends")
+    node.send_signal(signal.SIGHUP)
+    seen(probe, lambda fact: not listens(fact), "the subscription's end")
+    node.send_signal(signal.SIGRTMIN + 1)
+    seen(probe, lambda fact: offers(fact) == ["best_effort"], "the lesser offer")
+    node.send_signal(signal.SIGHUP)
+    node.send_signal(signal.SIGRTMIN + 1)
+    seen(probe, lambda fact: listens(fact) and offers(fact) == ["reliable"], "both ends again")
+    assert probe.look().nodes["/agent_1/node_1"] == 1
+    assert node.poll() is None
+
+
+def test_a_node_is_left_out_once(bench: Bench, tmp_path: Path) -> None:
+    """The file names it; the start after that has all nodes again."""
+    left_out, pids = tmp_path / "left_out", tmp_path / "nodes"
+    left_out.write_text("node_1\n")
+    command = [sys.executable, "-m", "sitl.app", "--nodes", "2", "--pids", str(pids), "--left-out", str(left_out)]
+    for expected in (["node_2.pid"], ["node_1.pid", "node_2.pid"]):
+        app = subprocess.Popen(command, env=bench.environ, stdout=subprocess.PIPE)
+        try:
+            assert app.stdout is not None
+            started = [app.stdout.readline() for _ in expected]
+            assert [b"started" in line for line in started] == [True] * len(expected)
+            assert sorted(file.name for file in pids.iterdir()) == expected
+            assert not left_out.exists()
+            app.terminate()
+            assert app.wait(10) == 0
+        finally:
+            app.kill()
+            app.wait()
+            assert app.stdout is not None
+            app.stdout.close()
