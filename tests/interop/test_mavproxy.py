@@ -204,6 +204,25 @@ def test_a_ground_station_behind_it_is_heard_and_answered(vehicle: Vehicle, behi
     assert (answer.target_system, answer.target_component) == (OTHER, 190)
 
 
+def test_two_ground_stations_behind_it_do_not_hear_each_other(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
+    """Each is heard by PHM and reads the vehicle; a swarm's agents need another way to each other than `--out`."""
+    ports = [free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_DGRAM)]
+    grounds = [Ground(f"udpin:127.0.0.1:{port}", system=OTHER + place) for place, port in enumerate(ports)]
+    for ground in grounds:
+        ground.start()
+    try:
+        proxy("--non-interactive", *(f"--out=127.0.0.1:{port}" for port in ports))
+        both = {(OTHER, 190), (OTHER + 1, 190)}
+        until(lambda: both <= vehicle.senders(), "both heartbeats at PHM", lambda: vehicle.senders())
+        for ground in grounds:
+            before = len(ground.lines)
+            until(lambda: len(ground.lines) > before, "the refresh")  # noqa: B023 - called at once
+            assert not both & set(ground.heartbeats)
+    finally:
+        for ground in grounds:
+            ground.stop()
+
+
 def test_phm_gcs_behind_it_shows_the_vehicle(
     vehicle: Vehicle, proxy: Callable[..., Mavproxy], ends: Callable[[Program], Program], tmp_path: Path
 ) -> None:
