@@ -22,6 +22,14 @@ HIDE = (
     "from phm.probes.ros.child import main; raise SystemExit(main())"
 )
 """What Humble's rclpy is like: samples without sequence numbers."""
+SET = (
+    "import os; from pathlib import Path; import phm.probes.ros.reader as r; plain = r._sample\n"
+    "off = lambda: int(float(Path(os.environ['CLOCK_OFF']).read_text()) * 1e9)\n"
+    "later = lambda taken: (taken[0], {**taken[1], 'source_timestamp': taken[1]['source_timestamp'] + off()})\n"
+    "r._sample = lambda taken, now: plain(later(taken), now)\n"
+    "from phm.probes.ros.child import main; raise SystemExit(main())"
+)
+"""A publisher whose clock is off by as many seconds as the file CLOCK_OFF says: no process can set the clock for itself alone."""
 NUMBERED: Sequence[str] = (sys.executable, "-m", "phm.probes.ros.child")
 HIDDEN: Sequence[str] = (sys.executable, "-c", HIDE)
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
@@ -154,6 +162,24 @@ def test_simulated_time_does_not_matter(bench: Bench, tmp_path: Path) -> None:
     probe = bench.probe([{"name": TOPIC, "rate": 20}])
     fact = seen(probe, lambda fact: right(fact, tmp_path / "sent") and fact, "a rate within 2 %")
     assert rate_of(fact).age_s == pytest.approx(0.0, abs=1.0)
+
+
+def test_a_publishers_clock_that_is_set_bends_nothing(bench: Bench, tmp_path: Path) -> None:
+    """An hour ahead, and then a minute back: the rate is right again after a window, and nothing else is made of it."""
+    path, off = tmp_path / "sent", tmp_path / "off"
+    off.write_text("0", encoding="ascii")
+    flows(bench, "source", path, "topic_1:20")
+    command = (sys.executable, "-c", SET)
+    probe = bench.probe([{"name": TOPIC, "rate": 20}], command=command, environ={"CLOCK_OFF": str(off)})
+    seen(probe, lambda fact: right(fact, path), "a rate within 2 %")
+    rates: list[RateFact] = []
+    for seconds in (3600, -60):
+        off.write_text(str(seconds), encoding="ascii")
+        taken = rate_of(probe.look()).samples
+        seen(probe, lambda fact: rates.append(rate_of(fact)) or rate_of(fact).samples > taken + 16, "four seconds")  # noqa: B023
+        seen(probe, lambda fact: right(fact, path), "a rate within 2 % again")
+    assert {(rate.restarts, rate.problem) for rate in rates} == {(0, "")}
+    assert all(rate.hz is None or 15.0 < rate.hz < 25.0 for rate in rates)
 
 
 def test_a_latched_sample_that_was_published_before_is_seen(bench: Bench, tmp_path: Path) -> None:
