@@ -186,6 +186,7 @@ class Daemon:
         return ReporterContext(
             self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink,
             restored=self.pipeline.open_faults(), ros=self.parts.ros, swarm=self.parts.world.swarm, pilot=self._pilot_heard,
+            radio=self._radio_heard,
         )  # fmt: skip
 
     def _start_recovery(self) -> None:
@@ -234,6 +235,11 @@ class Daemon:
         if pilot is None or pilot.age_s > self.settings.mavlink.gcs_timeout:
             return self.settings.mavlink.autopilot
         return pilot.armed
+
+    def _radio_heard(self) -> bool:
+        """As the radio's check, a radio counts as silent after two and a half of its own pauses."""
+        least_s = self.settings.mavlink.radio_timeout
+        return any(radio.age_s <= max(least_s, 2.5 * radio.due_s) for radio in self.parts.world.links.radios())
 
     def _pilot_heard(self) -> bool:
         pilot = self.parts.world.links.autopilot()

@@ -79,6 +79,7 @@ class Agent:
         self.port = Port(number, clock, budget)
         self.settings = settings(agent={"id": number}, swarm={"agents": fleet})
         self.gcs_heard: float | None = None
+        self.radio = False
         self.units = {state.unit: state for state in units} or {
             name: UnitState(name, name, slot, Layer.ROS, Level.OK, Result(Level.OK, ""), clock.stamp())
             for slot, name in ((Slot.CONTAINER, "container/app"), (Slot.NODES, "nodes/a"))
@@ -86,7 +87,7 @@ class Agent:
         self.probe = Probe(self.port, self.settings, clock, self._gcs_age, lambda: None)  # type: ignore[arg-type]
         self.context = context = ReporterContext(
             self.settings, clock, "boot", lambda: tuple(self.units.values()), lambda: True, dict, self.port,
-            swarm=self.probe, pilot=lambda: True,
+            swarm=self.probe, pilot=lambda: True, radio=lambda: self.radio,
         )  # fmt: skip
         told, speaker = Mavlink.build(context), Speaker.build(context)
         assert told is not None

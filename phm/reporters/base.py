@@ -71,6 +71,7 @@ class ReporterContext:
     ros: DiagnosticsPort | None = None
     swarm: SwarmProbe | None = None
     pilot: Callable[[], bool] | None = None
+    radio: Callable[[], bool] | None = None
 
 
 class Reporter(ABC):

@@ -98,6 +98,23 @@ def test_an_agent_at_the_edge_of_its_radio_is_not_told_each_time() -> None:
     assert len(fleet.lines(5)) <= 1
 
 
+def test_views_say_whom_an_agent_hears() -> None:
+    """The ground, the autopilot and the radio; a change goes out at once."""
+    fleet = Fleet(2)
+    fleet.run(30)
+
+    def view() -> tuple[bool, bool, bool]:
+        peer = fleet.agents[1].probe._peers.peer(2)
+        assert peer is not None
+        assert peer.view is not None
+        return peer.view.gcs, peer.view.autopilot, peer.view.radio
+
+    assert view() == (True, True, False)
+    fleet.agents[2].radio = True
+    fleet.run(3)
+    assert view() == (True, True, True)
+
+
 def test_a_radio_that_comes_back_takes_the_word_back() -> None:
     fleet = Fleet(4)
     fleet.deaf = {3}
