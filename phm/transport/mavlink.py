@@ -17,6 +17,7 @@ from phm.settings import MavlinkSettings
 from phm.transport.mavlink_budget import Class, Count
 from phm.transport.mavlink_codec import Codec, Counters
 from phm.transport.mavlink_endpoint import RADIO_STATUS, Endpoint
+from phm.transport.mavlink_outbox import HEARTBEAT
 from phm.transport.mavlink_signing import Signer, Signing, read_key, unsigned_of
 from phm.transport.mavlink_traffic import Traffic
 
@@ -79,13 +80,15 @@ class MavlinkHub:
     def send(
         self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
     ) -> None:
-        """Queue one unpacked message for every endpoint, or for the one named `link`; never blocks.
+        """Queue one unpacked message for every endpoint, or for the one named `link`; never blocks. What leads to other agents
+        alone gets without its name only HEARTBEATs: they read nothing else that is for all.
 
         kind, urgency: what leaves first where the link's budget makes others wait. key: a newer message with the same
         key replaces this one while it waits. HEARTBEATs leave at once. The caller must not change the message after.
         """
         for endpoint in self._endpoints:
-            if link in ("", endpoint.name):
+            for_all = not link and (not endpoint.to_peers or message.get_msgId() == HEARTBEAT)
+            if for_all or link == endpoint.name:
                 endpoint.send(message, kind, key, urgency)
 
     @property

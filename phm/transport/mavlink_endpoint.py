@@ -49,6 +49,7 @@ class Endpoint:
         changed: Callable[[], None],
     ) -> None:
         self.name = settings.key
+        self.to_peers = settings.leads_to == "peers"
         self.codec = codec
         self._clock, self._deliver, self._changed = clock, deliver, changed
         self._outbox = Outbox(clock, settings.budget or None)

@@ -466,3 +466,41 @@ def test_a_radio_that_fills_slows_its_own_link_down(make_hub: MakeHub) -> None:
     assert hub.budgets()[other][1] == 1.0
     for peer in peers:
         peer.close()
+
+
+def test_other_agents_are_sent_no_text() -> None:
+    """What leads to peers alone carries heartbeats, and what is meant for that link; the ground gets all of it."""
+    ends = {}
+    for name in ("ground", "peers"):
+        ends[name] = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        ends[name].bind(("127.0.0.1", 0))
+    endpoints = [
+        {"url": f"udpout:127.0.0.1:{end.getsockname()[1]}", "name": name, "leads_to": name, "budget": 0}
+        for name, end in ends.items()
+    ]
+    hub = MavlinkHub(MavlinkSettings.model_validate({"endpoints": endpoints}), 7, SystemClock())
+    view = mavlink.MAVLink_tunnel_message(0, 0, 46193, 1, [1] * 128)
+    hub.start()
+    try:
+        hub.send(text("A07 OK 11111111"))
+        hub.send(heartbeat(WORD))
+        hub.send(view, link="peers")
+        read: dict[str, set[str]] = {name: set() for name in ends}
+        decoder = mavlink.MAVLink(None)
+        for name, end in ends.items():
+            end.settimeout(15.0)
+            while len(read[name]) < 2:
+                read[name] |= {message.get_type() for message in decoder.parse_buffer(end.recv(4096)) or []}
+    finally:
+        hub.close()
+        rest = {name: _left(end) for name, end in ends.items()}
+    assert read == {"ground": {"HEARTBEAT", "STATUSTEXT"}, "peers": {"HEARTBEAT", "TUNNEL"}}
+    assert rest == {"ground": b"", "peers": b""}
+
+
+def _left(end: socket.socket) -> bytes:
+    """What nobody has read yet; closes the socket."""
+    with contextlib.closing(end), contextlib.suppress(BlockingIOError):
+        end.setblocking(False)
+        return end.recv(4096)
+    return b""
