@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable
+from functools import partial
 
 from sitl.record import Event
 from tests.system.conftest import Aboard, Phm, config_for, poll
@@ -12,6 +13,10 @@ from tests.system.conftest import Aboard, Phm, config_for, poll
 
 def unit_report(event: Event, unit: str, level: str) -> bool:
     return event["event"] in ("unit", "transition") and event["unit"] == unit and event["level"] == level
+
+
+def told(condition: str, event: Event) -> bool:
+    return event["event"] == "transition" and event["unit"] == "companion" and event["condition"] == condition
 
 
 def test_the_ros_child_is_replaced_while_the_rest_goes_on(app: Aboard, start_phm: Callable[..., Phm]) -> None:
@@ -43,9 +48,23 @@ def test_killed_and_started_again_it_goes_on(app: Aboard, start_phm: Callable[..
     mark = phm.mark()
     assert mark > 0
     phm.start()
+    phm.wait(partial(told, "phm_restarted"), "the word that it had ended badly", since=mark)
     phm.wait_all_well(mark)
     assert phm.cli("status", "--healthy").returncode == 0
     assert len({event["boot_id"] for event in phm.record.events}) == 2
+
+
+def test_stopped_as_a_whole_it_is_let_go_on_and_says_so(app: Aboard, start_phm: Callable[..., Phm]) -> None:
+    """SIGSTOP to the daemon: its guard notices; the same process goes on, with no fault of the vehicle."""
+    phm = start_phm(config_for(app), app.domain)
+    phm.wait_all_well()
+    mark = phm.mark()
+    assert phm.process is not None
+    phm.process.send_signal(signal.SIGSTOP)
+    phm.wait(partial(told, "phm_stood_still"), "the word that it stood still", since=mark)
+    assert phm.process.poll() is None
+    phm.wait_all_well(phm.mark())
+    assert phm.opened(mark) == []
 
 
 def test_sigterm_ends_it_in_order(app: Aboard, start_phm: Callable[..., Phm]) -> None:
