@@ -182,6 +182,53 @@ def test_the_decisive_evidence_is_named_first() -> None:
     assert fuse([SILENT, RUNS, UNLISTED], Past(alive=False, seen=False)).words.startswith("name gone; process alive")
 
 
+@pytest.mark.parametrize(
+    ("evidence", "past", "decisive"),
+    [
+        ([LISTED, BEATS, piece(Kind.CONTAINER, Says.GONE)], WELL, "container gone"),
+        ([LISTED, STOPPED, SILENT], WELL, "process stopped"),
+        ([LISTED, ENDED, SILENT], WELL, "process gone"),
+        ([ENDED, piece(Kind.NAME, Says.GONE, GOODBYE_S / 2)], WELL, "name gone"),
+        ([LISTED, RUNS, piece(Kind.BEACON, Says.SILENT, 60.0), FLOWS], WELL, "topics alive"),
+        ([LISTED, COMPUTES, piece(Kind.BEACON, Says.SILENT, 60.0), SILENT], WELL, "process busy"),
+        ([LISTED, RUNS, piece(Kind.BEACON, Says.SILENT, 60.0), SILENT], WELL, "beacon silent"),
+        ([LISTED, piece(Kind.BEACON, Says.SILENT, 60.0), SILENT], WELL, "beacon silent"),
+        ([LISTED, COMPUTES, piece(Kind.BEACON, Says.LATE, 60.0)], WELL, "process busy"),
+        ([LISTED, RUNS, piece(Kind.BEACON, Says.LATE, 60.0), FLOWS], WELL, "topics alive"),
+        ([LISTED, RUNS, piece(Kind.BEACON, Says.LATE, 60.0)], WELL, "beacon late"),
+        ([LISTED, RUNS, BEATS, FLOWS], WELL, "beacon alive"),
+        ([LISTED, RUNS, BEATS], Past(twice=True), "name alive"),
+        ([UNLISTED, COMPUTES], WELL, "name gone"),
+        ([LISTED, SILENT, piece(Kind.ENDPOINTS, Says.GONE, BARE_S)], WELL, "endpoints gone"),
+        ([LISTED, SILENT], WELL, "name alive"),
+    ],
+)
+def test_what_decided_is_told_first(evidence: list[Evidence], past: Past, decisive: str) -> None:
+    """An operator reads the first words, whatever else is known."""
+    for order in (evidence, evidence[::-1]):
+        assert fuse(order, past).words.partition("; ")[0] == decisive
+
+
+def test_a_beacon_that_falls_silent_with_a_good_bye_is_not_told_before_it() -> None:
+    """The node left the graph properly a moment ago: it may go with its container."""
+    left = piece(Kind.NAME, Says.GONE, lasted_s=GOODBYE_S / 2)
+    assert state(left, piece(Kind.BEACON, Says.SILENT, 0.7)) is State.ALIVE
+    assert state(UNLISTED, RUNS, piece(Kind.BEACON, Says.SILENT, HANG_S)) is State.UNKNOWN
+
+
+def test_how_long_a_busy_node_has_not_answered_is_told() -> None:
+    """Also by a beacon that beats while the executor does not turn; never of a node that does not compute."""
+    late = piece(Kind.BEACON, Says.LATE, 12.0)
+    assert fuse([late, COMPUTES, LISTED], Past()).busy_s == 12.0
+    assert fuse([late, RUNS, FLOWS, LISTED], Past()).busy_s == 0.0
+    assert fuse([BEATS, COMPUTES, LISTED], Past()).busy_s == 0.0
+
+
+def test_a_bare_name_of_a_node_that_computes_is_no_death() -> None:
+    """It may be making its endpoints anew."""
+    assert state(piece(Kind.ENDPOINTS, Says.GONE, BARE_S * 5), LISTED, COMPUTES) is State.ALIVE
+
+
 def test_no_order_of_evidence_changes_the_verdict() -> None:
     """Drawn sets of evidence, in every order."""
     random = Random(4)
