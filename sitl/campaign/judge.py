@@ -89,7 +89,7 @@ def counted(alarms: Sequence[Alarm]) -> int:
 
 def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
     """The fault that an alarm belongs to: at its unit; about its agent as a peer; aboard its agent, of its group first."""
-    begun = [verdict for verdict in verdicts if alarm.mono >= (verdict.injection.moment or 0.0)]
+    begun = [verdict for verdict in verdicts if alarm.mono >= _asked(verdict.injection)]
     for verdict in begun:
         if _expected(alarm, verdict.injection):
             return verdict
@@ -100,6 +100,12 @@ def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
     aboard = [verdict for verdict in begun if verdict.injection.agent == alarm.agent]
     check = alarm.unit.partition("/")[0]
     return next((verdict for verdict in aboard if verdict.injection.group == check), aboard[0] if aboard else None)
+
+
+def _asked(fault: Injection) -> float:
+    """From when on it may be seen: what it takes to cause it, a restart for one, comes before it is there."""
+    times = [each for each in (fault.asked, fault.moment) if each is not None]
+    return min(times, default=0.0)
 
 
 def _about(alarm: Alarm, fault: Injection) -> bool:
@@ -141,7 +147,7 @@ def _times(verdict: Verdict, trial: Trial) -> None:
     first: Sequence[Alarm | Warned] = named or [each for each in warned if each.unit == fault.unit]
     verdict.wrong = _wrong(verdict, named, {each.condition for each in warned if each.unit == fault.unit})
     if first:
-        verdict.detected_s = first[0].mono - begun
+        verdict.detected_s = max(0.0, first[0].mono - begun)
         told = [line.mono for line in trial.lines if line.mono >= begun and tells(line, fault, first[0].slot)]
         verdict.response_s = min(told) - begun if told else None
     if trial.kind != OFF:

@@ -173,6 +173,7 @@ class Runner:
 
     def _inject_all(self, mine: Sequence[Injection]) -> None:
         for each in mine:
+            each.asked = time.monotonic()
             try:
                 each.moment = self.faults[each.fault].inject(self.agents[each.agent])
             except Exception as error:  # one that cannot be injected is told, and does not end the campaign

@@ -41,6 +41,8 @@ class Injection:
     passes: bool = False
     """It ends without anybody's doing."""
     also: list[str] = field(default_factory=list)
+    asked: float | None = None
+    """When the injector began; what it takes to cause a fault may be seen before the fault is there."""
     moment: float | None = None
     """From when on it was there; None: it could not be injected."""
     cleared: float | None = None

@@ -35,6 +35,14 @@ def test_an_alarm_before_the_injection_is_false() -> None:
     assert [each.mono for each in judged.false] == [T0 - 0.5]
 
 
+def test_what_the_injector_does_on_the_way_belongs_to_its_fault() -> None:
+    """A restart that is needed to cause a fault may be told before the fault is there: that is no false alarm, but a wrong cause."""
+    late = injection(asked=T0 - 2)
+    judged = judge(trial(injections=[late], alarms=[alarm(-0.5, "container/ros_app"), alarm(0.4)]))
+    assert (judged.false, judged.verdicts[0].count) == ([], 2)
+    assert judged.verdicts[0].wrong == f"told at container/ros_app first, then at {NODE}"
+
+
 def test_an_alarm_aboard_another_agent_is_false() -> None:
     """Where nothing was injected there is nothing to tell."""
     judged = judge(trial(alarms=[alarm(0.4), alarm(0.5, "rates/agent_4/topic_1", 4)]))
