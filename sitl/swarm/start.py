@@ -29,6 +29,7 @@ APP_LIMIT_S = 90.0
 PHM_LIMIT_S = 90.0
 WELL_LIMIT_S = 180.0
 POLL_S = 0.1
+LAST_LINES = 5
 UP = b" is up\n"
 """What a node of the application prints when it is in the graph."""
 
@@ -75,7 +76,11 @@ def _air(swarm: Swarm, lock: int) -> None:
         "PHM_PILOTS": pilots.urls(options),
     }
     engine.compose(f"{swarm.name}-air", engine.AIR_FILES, ["up", "--detach", "--no-build"], variables, [lock])
-    _until(lambda: _connected(swarm), AIR_LIMIT_S, f"the air process: docker logs {swarm.name}-air-air-1")
+    _until(lambda: _connected(swarm), AIR_LIMIT_S, _air_container(swarm), Event())
+
+
+def _air_container(swarm: Swarm) -> Container:
+    return swarm.docker.containers.get(f"{swarm.name}-air-air-1")
 
 
 def _connected(swarm: Swarm) -> bool:
@@ -124,15 +129,13 @@ def _application(swarm: Swarm, agent: SwarmAgent, nodes: int, stop: Event) -> No
         _started(agent.container(pilots.SERVICE))
     app = agent.app
     _started(app)
-    what = f"the nodes of {agent.name}: docker logs {app.name}"
-    _until(lambda: app.logs().count(UP) >= nodes, APP_LIMIT_S, what, stop)
+    _until(lambda: app.logs().count(UP) >= nodes, APP_LIMIT_S, app, stop)
 
 
 def _sidecar(agent: SwarmAgent, stop: Event) -> None:
     watch, sidecar = Watch(agent.record), agent.sidecar
     _started(sidecar)
-    what = f"PHM of {agent.name}: docker logs {sidecar.name}"
-    _until(lambda: watch.update().array is not None, PHM_LIMIT_S, what, stop)
+    _until(lambda: watch.update().array is not None, PHM_LIMIT_S, sidecar, stop)
 
 
 def _started(container: Container) -> None:
@@ -156,11 +159,15 @@ def _staggered(agents: Iterable[SwarmAgent], at_once: int, work: Callable[[Swarm
                 one.cancel()
 
 
-def _until(done: Callable[[], bool], limit_s: float, what: str, stop: Event | None = None) -> None:
-    stop = stop or Event()
+def _until(done: Callable[[], bool], limit_s: float, container: Container, stop: Event) -> None:
+    """Ask again and again. RuntimeError, with the container's last words, when it has ended or the time is over."""
     end = time.monotonic() + limit_s
     while not done():
-        if time.monotonic() > end:
-            raise RuntimeError(f"not ready after {limit_s:g} s: {what}")
+        container.reload()
+        gone = container.status in ("exited", "restarting", "dead")
+        if gone or time.monotonic() > end:
+            what = f"is {container.status}" if gone else f"is not ready after {limit_s:g} s"
+            words = container.logs(tail=LAST_LINES).decode(errors="replace").strip()
+            raise RuntimeError(f"{container.name} {what}; its last words: {words or 'none'}")
         if stop.wait(POLL_S):
             return

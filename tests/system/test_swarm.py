@@ -1,0 +1,83 @@
+"""A swarm's end on the real engine: nothing of it is left, whoever ended its beginning, and nothing else is touched."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from docker import DockerClient
+from docker.models.containers import Container
+
+from sitl.swarm import engine
+from sitl.swarm.cli import main
+from sitl.swarm.swarm import Options, Swarm
+from tests.fakes.swarm import until
+from tests.system.conftest import APP_IMAGE, ROOT
+
+STARTED_LIMIT_S = 120.0
+
+
+@pytest.fixture
+def name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    monkeypatch.setenv("PHM_SITL_DIR", str(tmp_path))
+    made = f"phm-t{uuid.uuid4().hex[:6]}"
+    yield made
+    Swarm(Options(agents=1, name=made)).down()
+
+
+@pytest.fixture
+def stranger(docker_client: DockerClient, name: str) -> Iterator[Container]:
+    """A container that looks like one of the swarm's to everybody who goes by names and by Compose's labels."""
+    made = docker_client.containers.run(
+        APP_IMAGE,
+        ["sleep", "600"],
+        entrypoint=[],
+        name=f"{name}-1-mine-1",
+        labels={"com.docker.compose.project": f"{name}-1", engine.LABEL: f"{name}x"},
+        detach=True,
+        init=True,
+    )
+    yield made
+    made.remove(force=True)
+
+
+def left(client: DockerClient, name: str) -> list[str]:
+    """Everything of the swarm that the engine and this machine still have."""
+    named = [thing.name for thing in engine.belongings(client, name)]
+    networks = [str(one.name) for one in client.networks.list() if str(one.name).startswith(f"{name}-")]
+    volumes = [str(one.name) for one in client.volumes.list() if str(one.name).startswith(f"{name}-")]
+    return [*named, *networks, *volumes, *map(str, engine.devices(name))]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["interrupted", "killed"])
+def test_nothing_is_left_of_a_swarm_whose_start_was_ended(
+    docker_client: DockerClient, name: str, stranger: Container, tmp_path: Path, number: signal.Signals
+) -> None:
+    """An interrupted `up` cleans up by itself; after a killed one `down` does, twice without harm. Others stay as they were."""
+    argv = [sys.executable, "-m", "sitl", "up", "--agents", "2", "--name", name, "--no-build"]
+    process = subprocess.Popen(argv, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL)
+    try:
+        assert until(
+            lambda: any("ros_app" in thing.name for thing in engine.belongings(docker_client, name)), STARTED_LIMIT_S
+        )
+        process.send_signal(number)
+        code = process.wait(STARTED_LIMIT_S)
+    finally:
+        process.kill()
+        process.wait()
+    if number is signal.SIGINT:
+        assert code == 130
+    else:
+        assert left(docker_client, name)
+        assert main(["down", "--name", name]) == 0
+    assert left(docker_client, name) == []
+    assert [path.name for path in tmp_path.iterdir()] == [f"{name}.lock"]
+    assert main(["down", "--name", name]) == 0
+    stranger.reload()
+    assert stranger.status == "running"
