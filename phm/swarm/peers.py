@@ -82,14 +82,16 @@ class Peer:
 class Peers:
     """All other agents. Not thread-safe.
 
-    expected: agent ids of the fleet, each of which counts as a member before it was ever heard; without them
-    the members are those that were heard. period_s: our own heartbeat's, the first guess for everyone's.
+    expected: agent ids of the fleet, each of which counts as a member before it was ever heard, and others only while they
+    are heard: of another fleet that passes by nobody is missed. Without them the members are those that were heard.
+    period_s: our own heartbeat's, the first guess for everyone's.
     """
 
     def __init__(self, own: int, period_s: float, expected: Iterable[int] = ()) -> None:
         self.own = own
         self._period_s = period_s
-        self._peers = {agent: Peer(agent, period_s) for agent in expected if agent != own}
+        self._expected = frozenset(expected) - {own}
+        self._peers = {agent: Peer(agent, period_s) for agent in sorted(self._expected)}
 
     def heartbeat(
         self, agent: int, word: int, now: float, *, leaving: bool = False, frame: int | None = None, link: str = ""
@@ -127,6 +129,9 @@ class Peers:
 
     def seen(self, now: float) -> dict[int, Seen]:
         """How each member but ourselves is seen, by agent id."""
+        for agent in [agent for agent in self._peers if self._expected and agent not in self._expected]:
+            if self._peers[agent].seen(now) is Seen.LOST:
+                del self._peers[agent]
         return {agent: peer.seen(now) for agent, peer in sorted(self._peers.items())}
 
     def peer(self, agent: int) -> Peer | None:

@@ -148,6 +148,18 @@ def test_who_was_stopped_on_purpose_has_left() -> None:
     assert swarm.agreed(1).members == 2
 
 
+def test_an_agent_that_is_not_listed_is_not_missed() -> None:
+    """It counts while it is heard, and where no agent is listed it counts for good."""
+    listed, open_ = Peers(1, PERIOD_S, [1, 2, 3]), Peers(1, PERIOD_S)
+    for peers in (listed, open_):
+        for at in range(0, 20, 2):
+            peers.heartbeat(2, WELL, float(at))
+            peers.heartbeat(77, WELL, float(at))
+        assert peers.seen(20.0)[77] is Seen.ALIVE
+    assert listed.seen(60.0) == {2: Seen.LOST, 3: Seen.NEVER}
+    assert open_.seen(60.0) == {2: Seen.LOST, 77: Seen.LOST}
+
+
 def test_a_member_that_never_came_is_never_seen() -> None:
     swarm = Swarm(range(1, 5))
     swarm.down = {4}
