@@ -9,6 +9,8 @@ from sitl.record import Event
 
 SHARED = "host/"
 """Units about the machine that all agents of a swarm share: how they are says nothing about one agent."""
+MEMORY = ("companion", "WARN")
+"""PHM says for a while that it had ended or stood still; by then it is well again."""
 
 
 def note(trial: Trial, agent: int, event: Event) -> None:
@@ -32,18 +34,21 @@ def _closed(trial: Trial, agent: int, event: Event) -> None:
 
 
 def _changed(trial: Trial, agent: int, event: Event) -> None:
-    if event["level"] == "OK":
-        for warned in trial.warned:
-            if (warned.agent, warned.unit, warned.ended) == (agent, event["unit"], None):
-                warned.ended = event["mono"]
+    unit, condition = event["unit"], event["condition"]
+    lasting = [each for each in trial.warned if (each.agent, each.unit, each.ended) == (agent, unit, None)]
     if event["level"] == "ERROR":
-        for alarm in _alarms(trial, agent, event):
-            if event["condition"] not in alarm.conditions:
-                alarm.conditions.append(event["condition"])
-    elif event["level"] == "WARN" and event["old"] != "WARN":
-        trial.warned.append(
-            Warned(agent, event["unit"], event["slot"], event["mono"], event["condition"], event["summary"])
-        )
+        known = [alarm.conditions for alarm in _alarms(trial, agent, event)]
+    elif event["level"] == "WARN":
+        known = [each.conditions for each in lasting]
+        if event["old"] != "WARN":
+            trial.warned.append(Warned(agent, unit, event["slot"], event["mono"], [condition], event["summary"]))
+    else:
+        known = []
+        for each in lasting if event["level"] == "OK" else ():
+            each.ended = event["mono"]
+    for conditions in known:
+        if condition not in conditions:
+            conditions.append(condition)
 
 
 def _acted(trial: Trial, agent: int, event: Event) -> None:
@@ -103,7 +108,7 @@ class Levels:
         found += [
             f"{unit} is {level}"
             for unit, level in self.units.items()
-            if level not in ("OK", usual.get(unit, "OK")) and not unit.startswith(SHARED)
+            if level not in ("OK", usual.get(unit, "OK")) and not unit.startswith(SHARED) and (unit, level) != MEMORY
         ]
         return found + [f"{unit} is not judged" for unit in usual if unit not in self.units]
 

@@ -145,7 +145,9 @@ def _times(verdict: Verdict, trial: Trial) -> None:
         each for each in trial.warned if each.agent == fault.agent and each.unit in places(fault) and each.mono >= begun
     ]
     first: Sequence[Alarm | Warned] = named or [each for each in warned if each.unit == fault.unit]
-    verdict.wrong = _wrong(verdict, named, {each.condition for each in warned if each.unit == fault.unit})
+    verdict.wrong = _wrong(
+        verdict, named, {condition for each in warned if each.unit == fault.unit for condition in each.conditions}
+    )
     if first:
         verdict.detected_s = max(0.0, first[0].mono - begun)
         told = [line.mono for line in trial.lines if line.mono >= begun and tells(line, fault, first[0].slot)]
@@ -177,6 +179,9 @@ def _healing(verdict: Verdict, trial: Trial, warned: Sequence[Warned], begun: fl
     back = [each for each in trial.starts if each.agent == fault.agent and each.mono >= begun and each.report]
     if fault.phm and back:
         _rebirth_healed(verdict, back[0], begun, until)
+        return
+    if fault.phm and verdict.detected_s is not None:
+        verdict.healed_s, verdict.by = verdict.detected_s, "its own guard"
         return
     for unit in places(fault):
         proofs = [

@@ -68,13 +68,13 @@ class Alarm:
 
 @dataclass
 class Warned:
-    """A unit became WARN; `ended`: when it was OK again."""
+    """A unit became WARN; `conditions`: as what, in order; `ended`: when it was OK again."""
 
     agent: int
     unit: str
     slot: int
     mono: float
-    condition: str
+    conditions: list[str]
     summary: str
     ended: float | None = None
 

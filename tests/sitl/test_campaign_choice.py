@@ -96,9 +96,17 @@ def test_a_fault_is_followed_to_its_end() -> None:
 def test_a_warning_is_followed_to_its_end() -> None:
     """From the transition to WARN to OK; a change of its wording is no second one."""
     made = trial(alarms=[], acts=[], lines=[])
-    for mono, level, old in ((1.0, "WARN", "OK"), (2.0, "WARN", "WARN"), (3.0, "OK", "WARN"), (9.0, "OK", "OK")):
-        note(made, 3, event("transition", mono, level=level, old=old, condition="rate_low", summary="slow"))
-    assert [(each.mono, each.ended) for each in made.warned] == [(1.0, 3.0)]
+    changes = (
+        (1.0, "WARN", "OK", "radio_errors"),
+        (2.0, "WARN", "WARN", "radio_weak"),
+        (3.0, "OK", "WARN", ""),
+        (9.0, "OK", "OK", ""),
+    )
+    for mono, level, old, condition in changes:
+        note(made, 3, event("transition", mono, level=level, old=old, condition=condition, summary="it loses much"))
+    assert [(each.mono, each.ended, each.conditions) for each in made.warned] == [
+        (1.0, 3.0, ["radio_errors", "radio_weak"])
+    ]
 
 
 def test_a_new_life_of_phm_is_whole_with_its_first_report() -> None:
@@ -124,6 +132,8 @@ def test_well_is_as_it_was() -> None:
     levels.take(event("fault_closed", 3.0, fault="f1"))
     levels.take(event("transition", 3.0, level="OK"))
     assert levels.unwell(usual) == []
+    levels.take(event("transition", 3.5, unit="companion", level="WARN"))
+    assert levels.unwell(usual) == [], "PHM says for a while that it had ended"
     levels.take(event("start", 4.0))
     assert levels.unwell(usual) == ["no report yet"]
     assert levels.since == 4.0

@@ -162,7 +162,7 @@ def test_phm_itself_is_back_when_it_says_so() -> None:
 def test_a_warning_is_a_detection_where_a_warning_is_due() -> None:
     """Faults that are WARN open no fault; the transition counts."""
     slow = injection(unit="radio/ground", condition="radio_lossy", layer="link", group="link", level="WARN")
-    warned = [Warned(3, "radio/ground", 11, T0 + 2.0, "radio_lossy", "it loses 40 %")]
+    warned = [Warned(3, "radio/ground", 11, T0 + 2.0, ["radio_lossy"], "it loses 40 %")]
     verdict = only(
         trial(injections=[slow], alarms=[], acts=[], warned=warned, lines=[line(2.5, "A03 WARN 11 radio loss")])
     )
@@ -172,12 +172,22 @@ def test_a_warning_is_a_detection_where_a_warning_is_due() -> None:
     assert only(trial(injections=[slow], alarms=[], acts=[], warned=warned)).healed_s == pytest.approx(5.0)
 
 
+def test_a_stopped_phm_is_healed_when_it_can_say_so() -> None:
+    """What it tells is that it had stood still: by then its guard has let it go on."""
+    stopped = injection(
+        unit="companion", condition="phm_stood_still", layer="companion", group="phm", phm=True, level="WARN"
+    )
+    warned = [Warned(3, "companion", 1, T0 + 3.0, ["phm_stood_still"], "it had stood still for 3 s")]
+    verdict = only(trial(injections=[stopped], warned=warned, alarms=[], acts=[]))
+    assert (verdict.healed_s, verdict.by) == (3.0, "its own guard")
+
+
 def test_a_killed_phm_is_healed_when_it_reports_again() -> None:
     """Its next life warns of the death of the one before; healed is the first complete report, not the end of the warning."""
     gone = injection(
         unit="companion", condition="phm_restarted", layer="companion", group="phm", phm=True, level="WARN"
     )
-    warned = [Warned(3, "companion", 1, T0 + 2.0, "phm_restarted", "it had ended without a word")]
+    warned = [Warned(3, "companion", 1, T0 + 2.0, ["phm_restarted"], "it had ended without a word")]
     verdict = only(trial(injections=[gone], warned=warned, starts=[Start(3, T0 + 1.5, T0 + 3.0)], alarms=[], acts=[]))
     assert (verdict.detected_s, verdict.healed_s, verdict.by, verdict.right) == (2.0, 3.0, "its own restart", True)
 
