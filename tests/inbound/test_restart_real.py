@@ -1,4 +1,4 @@
-"""The ground has a real container restarted: the command over UDP, the engine's restart, the proof, and the line about its end."""
+"""The ground has real containers restarted and started: the command over UDP, the engine's doing, the proof, the line about its end."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from phm.transport.dialect import mavlink
 from tests.fakes.mavlink import free_port, heartbeat
 
 LIMIT_S = 60.0
+APPROVE, RESTART = 2, 3
 RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
 # With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
 mavutil.set_dialect("common")
@@ -24,14 +25,14 @@ mavutil.set_dialect("common")
 class Agent:
     """PHM as agent 7 on the real engine, with the container `app` that has opted in and `other` that has not."""
 
-    def __init__(self, folder: Path, names: dict[str, str]) -> None:
+    def __init__(self, folder: Path, names: dict[str, str], mode: str = "act") -> None:
         port = free_port()
         made = settings(
             agent={"id": 7}, interval=2, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
             log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}, "peers": {"enabled": False}},
             containers=[{"name": name, "alias": key, "recover": key == "app"} for key, name in names.items()],
-            recovery={"verify": "3s", "stop_timeout": "2s"},
-            mavlink={"endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0}], "commands": ["restart"]},
+            recovery={"mode": mode, "verify": "3s", "stop_timeout": "2s", "ladders": {"exited": ["start"]}},
+            mavlink={"endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0}], "commands": ["restart", "approve"]},
         )  # fmt: skip
         self.events: list[Event] = []
         self.lines: list[tuple[int, str]] = []
@@ -58,10 +59,10 @@ class Agent:
             elif message is not None and message.get_type() == "COMMAND_ACK":
                 self.answer = message.result
 
-    def ask(self, place: int) -> int:
-        """The result with which a restart of this container is acknowledged."""
+    def ask(self, operation: int, number: int) -> int:
+        """The result with which this is acknowledged."""
         self.answer: int | None = None
-        self.ground.mav.command_long_send(7, 193, 31010, 0, 3, place, 0, 0, 0, 0, 0)
+        self.ground.mav.command_long_send(7, 193, 31010, 0, operation, number, 0, 0, 0, 0, 0)
         self.until(lambda: self.answer is not None, "the acknowledgement")
         assert self.answer is not None
         return self.answer
@@ -83,8 +84,8 @@ def test_a_restart_that_the_ground_asks_for_is_done_proven_and_told(real: Any, t
     before = {key: started(container) for key, container in containers.items()}
     try:
         agent.until(agent.well, "all to be well")
-        assert agent.ask(2) == mavlink.MAV_RESULT_FAILED, "it has not opted in"
-        assert agent.ask(1) == mavlink.MAV_RESULT_ACCEPTED
+        assert agent.ask(RESTART, 2) == mavlink.MAV_RESULT_FAILED, "it has not opted in"
+        assert agent.ask(RESTART, 1) == mavlink.MAV_RESULT_ACCEPTED
         agent.until(lambda: (5, "A07 OK 2 restart done: app") in agent.lines, "the line about its end")
     finally:
         agent.close()
@@ -93,3 +94,27 @@ def test_a_restart_that_the_ground_asks_for_is_done_proven_and_told(real: Any, t
     assert [event.fault.unit for event in agent.events if isinstance(event, FaultOpened)] == []
     phases = [event.phase.value for event in agent.events if isinstance(event, ActionEvent)]
     assert phases == ["started", "done", "verified"]
+
+
+def test_what_is_advised_is_approved_by_the_number_in_its_line(real: Any, tmp_path: Path) -> None:
+    """All that the operator needs stands in the line: the container is started at his word, and not before."""
+    container = real.container(RUN)
+    agent = Agent(tmp_path, {"app": container.name}, mode="advise")
+    try:
+        agent.until(agent.well, "all to be well")
+        container.kill()
+        agent.until(lambda: any("ADVISE" in text for _, text in agent.lines), "the advice")
+        line = next(text for _, text in agent.lines if "ADVISE" in text)
+        words, _, number = line.partition(" #")
+        assert words == "A07 ADVISE 2 start app"
+        assert agent.ask(APPROVE, int(number) + 1) == mavlink.MAV_RESULT_FAILED, "there is no such fault"
+        container.reload()
+        assert container.status == "exited"
+        assert agent.ask(APPROVE, int(number)) == mavlink.MAV_RESULT_ACCEPTED
+        agent.until(
+            lambda: any(text.startswith("A07 OK 2 start fixed:") for _, text in agent.lines), "the end of the fault"
+        )
+    finally:
+        agent.close()
+    container.reload()
+    assert container.status == "running"
