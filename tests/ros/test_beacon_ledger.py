@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import struct
 from typing import Any
 
 import pytest
 
 from phm.beacon import BEACON_FORMAT, HELLO_FORMAT, MAX_NEIGHBOURS, MAX_NODES, _Neighbours
-from phm.probes.ros.beacons import FORGET_S, MAX_STRANGERS, Ledger, beacons_in
+from phm.probes.ros.beacons import FORGET_S, MAX_STRANGERS, Ledger, beacons_in, log_texts
 from phm.probes.ros.hearsay import Hearsay
 from phm.probes.ros.protocol import Heard
 from phm.ros_facts import BeaconFact, NeighbourFact
@@ -204,3 +205,36 @@ def test_neighbours_are_no_more_than_a_message_can_tell() -> None:
         neighbours.hear(HELLO_FORMAT, hello(f"w{number}", f"/n{number}"), 1.0)
     assert len(neighbours.views(1.0)) == MAX_NEIGHBOURS == neighbours.processes
     assert "/n0" in neighbours.views(1.0)
+
+
+# ---------------------------------------------------------------- bytes
+
+
+@pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # of lark, which rclpy brings
+@pytest.mark.parametrize(
+    ("name", "said"), [("phm.beacon/1", "{}"), ("", ""), ("abc", "x" * 1001), ("ä", "\u20ac \U0001f681 end")]
+)
+def test_texts_are_read_from_bytes_as_rclpy_reads_them(name: str, said: str) -> None:
+    """Of whatever length, and so wherever they begin."""
+    from rcl_interfaces.msg import Log
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    data = serialize_message(Log(level=20, name=name, msg=said, file="f.py", function="g", line=7))
+    read = deserialize_message(data, Log)
+    assert log_texts(data) == (read.name, read.msg) == (name, said)
+
+
+WHOLE = b"\0\1\0\0" + b"\0" * 8 + b"\x14\0\0\0" + b"\3\0\0\0ab\0\0" + b"\2\0\0\0c\0"
+
+
+def test_what_is_cut_or_strange_is_no_message() -> None:
+    """Whoever publishes on this topic may send anything."""
+    assert log_texts(WHOLE) == ("ab", "c")
+    swapped = b"\0\0\0\0" + b"\0" * 8 + b"\x14\0\0\0" + b"\0\0\0\3ab\0\0" + b"\0\0\0\2c\0"
+    assert log_texts(swapped) == ("ab", "c")
+    strange = [WHOLE[:end] for end in range(len(WHOLE))]
+    strange += [b"\0\7" + WHOLE[2:], WHOLE.replace(b"ab\0", b"abc"), WHOLE.replace(b"ab", b"\xff\xfe")]
+    strange += [WHOLE.replace(b"\3\0\0\0", length) for length in (b"\xff\xff\xff\xff", b"\0\0\0\0", b"\0\0\0\x80")]
+    for data in strange:
+        with pytest.raises((ValueError, struct.error)):
+            log_texts(data)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import struct
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -25,6 +26,8 @@ MAX_STRANGERS = 200
 FORGET_S = 60.0
 """A stranger that has been silent for longer is forgotten."""
 MAX_WORD = 60
+_ENDIAN = {b"\0\0": ">", b"\0\1": "<"}
+_BEHIND_LEVEL = 13
 MAX_AGE_S = 1e6
 SILENT_MISSES = 3.0
 """A node that has missed this many beats may be another one from now on."""
@@ -130,17 +133,15 @@ class Beacons:
         """Called once a tick."""
         now_s, wall_ns = time.monotonic(), time.time_ns()
         longest_s, self._looked_s = now_s - self._looked_s, now_s
-        for message, received_ns in self._taken():
+        for name, text, received_ns in self._taken():
             # The middleware's stamp is of a clock that may be set: it counts within what is possible.
             age_s = min(max((wall_ns - received_ns) / 1e9, 0.0), longest_s)
-            self._ledger.add(message.name, message.msg, now_s - age_s)
+            self._ledger.add(name, text, now_s - age_s)
         news = self._ledger.news(now_s)
         return [news] if news is not None else []
 
-    def _taken(self) -> Iterator[tuple[Any, int]]:
+    def _taken(self) -> Iterator[tuple[str, str, int]]:
         """What has come since the last look, oldest first. Taken as bytes: what is too long is never decoded."""
-        from rclpy.serialization import deserialize_message
-
         handle = self._reader.handle
         with handle:
             for _ in range(MAX_TAKES):
@@ -151,11 +152,32 @@ class Beacons:
                 try:
                     if len(data) > MAX_BYTES:
                         raise ValueError("too long")
-                    message = deserialize_message(data, self._kind)
-                except Exception:  # rclpy's own and pybind's kinds: whatever was sent is no message of this type
+                    name, text = log_texts(data)
+                except (ValueError, struct.error):
                     self._ledger.refused += 1
                 else:
-                    yield message, int(info["received_timestamp"])
+                    yield name, text, int(info["received_timestamp"])
+
+
+def log_texts(data: bytes) -> tuple[str, str]:
+    """`name` and `msg` of a serialized rcl_interfaces/msg/Log; a message object for each beat cost the child a tenth of its time.
+
+    CDR: 4 bytes of header, the stamp in 8, the level in 1; then each text from a multiple of 4 on, with its length and
+    a final zero. Raises ValueError or struct.error for anything else.
+    """
+    if data[:2] not in _ENDIAN:
+        raise ValueError("no plain CDR")
+    length = struct.Struct(f"{_ENDIAN[data[:2]]}I")
+    texts, at = [], _BEHIND_LEVEL
+    for _ in range(2):
+        at += -at % 4
+        (size,) = length.unpack_from(data, at)
+        end = at + length.size + size
+        if not size or end > len(data) or data[end - 1]:
+            raise ValueError("a text that is cut")
+        texts.append(data[at + length.size : end - 1].decode("utf-8"))
+        at = end
+    return texts[0], texts[1]
 
 
 def beacons_in(text: str) -> Iterator[tuple[str, BeaconFact, bool]]:
