@@ -48,12 +48,14 @@ class Verdict:
 
 @dataclass
 class Judged:
-    """A trial: its faults, the alarms that belong to none of them, and those about the machine that all share."""
+    """A trial: its faults, the alarms that belong to none of them, those about the machine that all share, and those that
+    clearing has caused: a fault that was not healed is mostly cleared by a restart."""
 
     trial: Trial
     verdicts: list[Verdict]
     false: list[Alarm]
     beside: list[Alarm]
+    clearing: list[Alarm]
 
 
 def judge(trial: Trial) -> Judged:
@@ -63,18 +65,21 @@ def judge(trial: Trial) -> Judged:
         for each in trial.injections
         if each.moment is not None
     ]
-    false, beside = [], []
+    false: list[Alarm] = []
+    beside: list[Alarm] = []
+    clearing: list[Alarm] = []
     for alarm in sorted(trial.alarms, key=lambda each: each.mono):
         owner = _owner(alarm, verdicts)
         if owner is not None:
-            owner.alarms.append(alarm)
+            cleared = owner.injection.cleared
+            (clearing if cleared is not None and alarm.mono > cleared else owner.alarms).append(alarm)
         elif alarm.unit.startswith(BESIDE):
             beside.append(alarm)
         else:
             false.append(alarm)
     for verdict in verdicts:
         _times(verdict, trial)
-    return Judged(trial, verdicts, false, beside)
+    return Judged(trial, verdicts, false, beside, clearing)
 
 
 def counted(alarms: Sequence[Alarm]) -> int:
@@ -232,8 +237,8 @@ def _units(alarms: Sequence[Alarm]) -> str:
 def tells(line: Line, fault: Injection, slot: int) -> bool:
     """Whether a line tells of a bad state of this agent in that slot: a change, or the refresh; its own, or another's."""
     who = f"A{fault.agent:02d}"
-    own = re.match(rf"{who} (FAIL|WARN|GAVE UP|STALE) (?:[01-]{{8}} )?{slot}\b", line.text)
-    if own is not None:
+    words = "FAIL|GAVE UP|WARN" if fault.level == "WARN" else "FAIL|GAVE UP"
+    if re.match(rf"{who} ({words}) (?:[01-]{{8}} )?{slot}\b", line.text):
         return True
     if re.match(rf"{who} no GCS radio", line.text):
         return fault.layer == "link"

@@ -91,6 +91,10 @@ class Figures:
     def beside(self) -> list[Alarm]:
         return [alarm for each in self.judged for alarm in each.beside]
 
+    @property
+    def clearing(self) -> list[Alarm]:
+        return [alarm for each in self.judged for alarm in each.clearing]
+
 
 def figures(trials: Sequence[Trial]) -> Figures:
     """All of them; trials may be any part of a campaign."""

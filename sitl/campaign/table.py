@@ -37,6 +37,7 @@ def beyond(found: Figures) -> list[tuple[str, str]]:
         ("Nothing injected", f"{found.nominal_s:.0f} s, {found.nominal_alarms} alarms"),
         ("Could not be injected", str(found.not_injected)),
         ("Alarms about the machine that all agents share", str(len(found.beside))),
+        ("Alarms that clearing has caused", str(len(found.clearing))),
         ("PHM heard at the ground, cut radios counted as silence", heard),
         ("Bytes per agent and second at the ground, nothing injected", number(found.bytes_nominal, "{:.1f}")),
         ("Bytes per agent and second at the ground, all trials", number(found.bytes_all, "{:.1f}")),

@@ -19,6 +19,7 @@ from docker.models.containers import Container
 
 NULL, ZERO = "/dev/null", "/dev/zero"
 STOP_S = 3
+TRIES = 3
 LAYERS = ("companion", "container", "ros", "link")
 
 
@@ -110,7 +111,9 @@ class Agent:
 
     def signal_node(self, node: str, signal_name: str) -> float:
         """Send a signal (``KILL``, or a number) to one node of the application; the moment before it was sent."""
-        pid = self.run_in_app("cat", f"/tmp/nodes/{node}.pid")
+        pid = ""
+        for _ in range(TRIES):  # a busy engine now and then loses what a command has printed (seen once in 60)
+            pid = pid or self.run_in_app("cat", f"/tmp/nodes/{node}.pid")
         moment = time.monotonic()
         self.run_in_app("kill", f"-{signal_name}", str(int(pid)))
         return moment

@@ -43,6 +43,16 @@ def test_what_the_injector_does_on_the_way_belongs_to_its_fault() -> None:
     assert judged.verdicts[0].wrong == f"told at container/ros_app first, then at {NODE}"
 
 
+def test_what_clearing_breaks_is_not_the_faults() -> None:
+    """A restart by which a fault is cleared may be told: listed, and counted for neither the fault nor as false."""
+    judged = judge(trial(alarms=[alarm(0.4), alarm(20.5, "container/ros_app")]))
+    assert (judged.verdicts[0].count, judged.false, [each.unit for each in judged.clearing]) == (
+        1,
+        [],
+        ["container/ros_app"],
+    )
+
+
 def test_an_alarm_aboard_another_agent_is_false() -> None:
     """Where nothing was injected there is nothing to tell."""
     judged = judge(trial(alarms=[alarm(0.4), alarm(0.5, "rates/agent_4/topic_1", 4)]))
@@ -140,7 +150,7 @@ def test_a_lost_peer_is_one_alarm_though_all_tell_it() -> None:
     verdict = only(made)
     assert (verdict.expected, verdict.count, verdict.right, judge(made).false) == (2, 2, True, [])
     assert (verdict.detected_s, verdict.response_s) == (pytest.approx(10.0), pytest.approx(11.0))
-    made.alarms.append(alarm(20.0, "peers/A03", 1))
+    made.alarms.append(alarm(19.0, "peers/A03", 1))
     assert only(made).count == 3
 
 
@@ -203,7 +213,7 @@ def test_what_could_not_be_injected_is_not_judged() -> None:
         ("A03 FAIL 6 node_1 dead", 3, True),
         ("A03 FAIL 11111011 6 node_1 dead +2", 3, True),
         ("A03 GAVE UP 6 node_1 dead", 3, True),
-        ("A03 WARN 6 flapping: node_1 dead", 3, True),
+        ("A03 WARN 6 node_1 late", 3, False),
         ("A03 FAIL 2 ros_app exited", 3, False),
         ("A03 OK 6 restart fixed: node_1 dead", 3, False),
         ("A03 OK 11111111", 3, False),
@@ -212,7 +222,7 @@ def test_what_could_not_be_injected_is_not_judged() -> None:
     ],
 )
 def test_which_lines_tell_of_a_fault(text: str, system: int, told: bool) -> None:
-    """Its agent, a bad word, its slot: as a change or in the refresh."""
+    """Its agent, a bad word, its slot: as a change or in the refresh. A warning tells of no fault that is an error."""
     assert tells(line(1.0, text, system), injection(), 6) is told
 
 
