@@ -70,13 +70,13 @@ class Life:
     def read(self, timeout_s: float, wake_fd: int) -> list[bytes]:
         """Lines that arrive within `timeout_s`; returns early when `wake_fd` is readable. Writes what was handed over."""
         assert self._process.stdin is not None
-        self._selector.register(wake_fd, selectors.EVENT_READ)
+        if wake_fd not in self._selector.get_map():
+            self._selector.register(wake_fd, selectors.EVENT_READ)
         if self._outgoing:
             self._selector.register(self._process.stdin, selectors.EVENT_WRITE)
         try:
             ready = self._selector.select(timeout_s)
         finally:
-            self._selector.unregister(wake_fd)
             if self._outgoing:
                 self._selector.unregister(self._process.stdin)
         lines: list[bytes] = []
