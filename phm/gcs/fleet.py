@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from phm.gcs.agent import PHM_COMPONENT, Agent
+from phm.gcs.frames import Radio
 from phm.gcs.hops import Around, Hop, first_broken
 from phm.gcs.presence import Presence, State
 from phm.model import Stamp
@@ -19,10 +20,10 @@ from phm.swarm.peers import LOST_PERIODS, VIEW_LATE_PERIODS
 from phm.transport.mavlink_budget import periods
 from phm.wire.tunnel import Digest, Seen, View
 
-MAX_AGENTS, MAX_PILOTS, MAX_STATIONS = 256, 256, 16
+MAX_AGENTS, MAX_PILOTS, MAX_STATIONS, MAX_RADIOS = 256, 256, 16, 16
 PILOT_GUESS_S = 1.0
 """Autopilots and ground stations send a heartbeat a second."""
-STATION_S = 10.0
+STATION_S = RADIO_S = 10.0
 FULL_S = 1.0
 """When all agents are there, it is not looked at once more before: a flood of new ones must cost little."""
 _THERE = (Seen.ALIVE, Seen.LATE)
@@ -68,6 +69,8 @@ class Fleet:
         self.swarm = Swarm()
         self.links: Mapping[str, tuple[bool, str]] = {}
         """The ground's own, by name: whether open, and if not why."""
+        self.radios: OrderedDict[str, tuple[float, Radio]] = OrderedDict()
+        """What the radio on each of the ground's links said last, and when."""
         self.began: float | None = None
         """Since when the ground listens."""
         self.refused = 0
@@ -108,6 +111,12 @@ class Fleet:
         self.stations[system, component] = now
         while len(self.stations) > MAX_STATIONS:
             self.stations.popitem(last=False)
+
+    def radio(self, link: str, said: Radio, now: float) -> None:
+        self.radios.pop(link, None)
+        self.radios[link] = (now, said)
+        while len(self.radios) > MAX_RADIOS:
+            self.radios.popitem(last=False)
 
     def look(self, now: float) -> Look:
         return Look(self, now)
@@ -159,6 +168,7 @@ class Look:
             self._all_silent,
             pilot is not None and pilot.seen(self._now).there,
             self.heard_by(agent)[0],
+            any(self._now - heard <= RADIO_S for heard, _ in self._fleet.radios.values()),
         )
         return first_broken(agent, state, agent.presence.silent_s(self._now), around)
 

@@ -8,7 +8,8 @@ from typing import Any
 from phm.wire.command import HEARTBEAT, STATUSTEXT, TUNNEL
 from phm.wire.text import one_line
 
-IDS = (HEARTBEAT, STATUSTEXT, TUNNEL)
+RADIO_STATUS = 109
+IDS = (HEARTBEAT, STATUSTEXT, TUNNEL, RADIO_STATUS)
 GCS, ONBOARD_CONTROLLER = 6, 18
 """MAV_TYPE."""
 NO_AUTOPILOT = 8
@@ -18,6 +19,8 @@ ARMED = 128
 STATES = ("UNINIT", "BOOT", "CALIBRATING", "STANDBY", "ACTIVE", "CRITICAL", "EMERGENCY", "POWEROFF", "TERMINATION")
 """MAV_STATE by number."""
 BOOT, POWEROFF = 1, 7
+_UNKNOWN = 255
+"""In RADIO_STATUS."""
 MAX_TEXT = 200
 """Characters that are kept of a text: escapes make 50 longer."""
 
@@ -55,7 +58,21 @@ class Payload:
     data: bytes
 
 
-Frame = Beat | Said | Payload
+@dataclass(frozen=True, slots=True)
+class Radio:
+    """A RADIO_STATUS, by which a radio tells of itself and of its other end (`rem...`). Signal and noise in its own units, None
+    where it does not know; txbuf: percent of its transmit buffer that is free."""
+
+    system: int
+    component: int
+    rssi: int | None
+    remrssi: int | None
+    noise: int | None
+    remnoise: int | None
+    txbuf: int
+
+
+Frame = Beat | Said | Payload | Radio
 
 
 def read(message: Any) -> Frame | None:
@@ -70,6 +87,10 @@ def read(message: Any) -> Frame | None:
         return Said(system, component, message.severity, one_line(_text(message.text))[:MAX_TEXT])
     if number == TUNNEL:
         return Payload(system, component, message.payload_type, bytes(message.payload[: message.payload_length]))
+    if number == RADIO_STATUS:
+        levels = (message.rssi, message.remrssi, message.noise, message.remnoise)
+        rssi, remrssi, noise, remnoise = (None if level == _UNKNOWN else level for level in levels)
+        return Radio(system, component, rssi, remrssi, noise, remnoise, message.txbuf)
     return None
 
 

@@ -32,13 +32,14 @@ class Around:
     """What else is known on the ground while one agent is judged.
 
     closed: why no link of the ground is open, else empty. all_silent: nobody at all is heard any more. pilot: the
-    vehicle's autopilot is heard. heard_by: other agents that hear it.
+    vehicle's autopilot is heard. heard_by: other agents that hear it. radio: a radio on the ground's own link answers.
     """
 
     closed: str = ""
     all_silent: bool = False
     pilot: bool = False
     heard_by: Sequence[int] = ()
+    radio: bool = False
 
 
 def first_broken(agent: Agent, state: State, silent_s: float | None, around: Around) -> Hop | None:
@@ -56,6 +57,8 @@ def _unheard(silent_s: float | None, around: Around) -> Hop | None:
         return Hop("companion", f"PHM {since}, autopilot heard")
     if around.heard_by:
         return Hop("radio", f"{since} here, heard by {' '.join(map(agent_name, around.heard_by))}")
+    if around.all_silent and around.radio:
+        return Hop("radio", "everybody is silent, the ground's radio answers", certain=False)
     if around.all_silent:
         return Hop("ground link", "everybody is silent", certain=False)
     return Hop("radio or vehicle", since, certain=False)

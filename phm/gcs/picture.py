@@ -20,6 +20,7 @@ from phm.wire.report import iso
 from phm.wire.tunnel import Digest, View
 
 UNKNOWN = "UNKNOWN"
+_RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
 
 
 def who(agent: Agent) -> dict[str, Any]:
@@ -87,6 +88,10 @@ def whole(fleet: Fleet, at: Stamp) -> dict[str, Any]:
         "agents": [_agent(fleet, look, agent, at.mono) for agent in agents],
         "pilots": {str(system): pilot(found, at.mono) for system, found in sorted(fleet.pilots.items())},
         "stations": [{"system": system, "component": component} for system, component in look.stations()],
+        "radios": [
+            {"link": link, "age_s": seconds(at.mono - heard), **{key: getattr(said, key) for key in _RADIO}}
+            for link, (heard, said) in fleet.radios.items()
+        ],
         "swarm": _swarm(fleet.swarm, at.mono),
         "links": [{"link": name, "open": is_open, "error": error} for name, (is_open, error) in fleet.links.items()],
         "refused": fleet.refused,

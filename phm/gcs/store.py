@@ -12,7 +12,7 @@ from typing import Any
 from phm.gcs import lines, picture
 from phm.gcs.agent import PHM_COMPONENT, Agent, Told
 from phm.gcs.fleet import Fleet
-from phm.gcs.frames import ARMED, GCS, NO_AUTOPILOT, ONBOARD_CONTROLLER, POWEROFF, Beat, Frame, Payload, Said
+from phm.gcs.frames import ARMED, GCS, NO_AUTOPILOT, ONBOARD_CONTROLLER, POWEROFF, Beat, Frame, Payload, Radio, Said
 from phm.gcs.lines import Kind, Line
 from phm.gcs.news import News
 from phm.gcs.presence import State
@@ -40,6 +40,9 @@ class Store:
             return list(self._beat(frame, link, at))
         if isinstance(frame, Said):
             return list(self._said(frame, link, at))
+        if isinstance(frame, Radio):
+            self.fleet.radio(link, frame, at.mono)
+            return []
         return list(self._payload(frame, at))
 
     def links(self, found: Mapping[str, tuple[bool, str]], at: Stamp) -> list[News]:

@@ -151,9 +151,19 @@ def _below(snapshot: Json, notes: Sequence[str]) -> list[RenderableType]:
     closed = bool(snapshot["links"]) and not all(one["open"] for one in snapshot["links"])
     words = f"links: {', '.join(links) or 'opening'}; other ground stations: {', '.join(others) or 'none heard'}"
     parts.append(_plain(words, "yellow" if closed else "dim", crop=True))
+    parts += [_plain(_radio(radio), "dim", crop=True) for radio in snapshot["radios"]]
     parts += [_plain(note, "dim", crop=True) for note in notes]
     parts += [_plain(f"problem: {text}", "yellow") for text in snapshot["problems"]]
     return parts
+
+
+def _radio(radio: Json) -> str:
+    """Here and at the other end: signal over noise."""
+    here, there = (
+        f"{'?' if radio[rssi] is None else radio[rssi]}/{'?' if radio[noise] is None else radio[noise]}"
+        for rssi, noise in (("rssi", "noise"), ("remrssi", "remnoise"))
+    )
+    return f"radio of {radio['link']}: signal/noise {here}, other end {there}, {age(radio['age_s'])} ago"
 
 
 def _plain(text: object, style: str = "", *, crop: bool = False) -> Text:

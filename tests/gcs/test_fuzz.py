@@ -38,6 +38,7 @@ TUNNELS = st.builds(
     lambda data: mavlink.MAVLink_tunnel_message(0, 0, tunnel.PAYLOAD_TYPE, len(data), list(data.ljust(128, b"\0"))),
     st.binary(max_size=128) | st.builds(lambda kind, rest: bytes((0x10 | kind,)) + rest, st.integers(1, 5), st.binary(max_size=40)),
 )  # fmt: skip
+RADIOS = st.builds(lambda *levels: mavlink.MAVLink_radio_status_message(*levels, 1, 1), BYTE, BYTE, BYTE, BYTE, BYTE)
 SENDERS = st.tuples(st.sampled_from([0, 7, 8, 51, 250, 251, 255]), st.sampled_from([0, 1, 190, 193, 255]))
 
 
@@ -67,7 +68,7 @@ class Air:
 
 
 @HARD
-@given(st.lists(st.tuples(SENDERS, BEATS | TEXTS | TUNNELS), max_size=30))
+@given(st.lists(st.tuples(SENDERS, BEATS | TEXTS | TUNNELS | RADIOS), max_size=30))
 def test_whatever_is_rightly_framed_is_taken(sent: list[tuple[tuple[int, int], object]]) -> None:
     """Any fields, from anybody."""
     air = Air()

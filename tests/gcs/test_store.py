@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from phm.gcs.frames import Beat, Payload, Said
+from phm.gcs.frames import Beat, Payload, Radio, Said
 from phm.gcs.news import encode, timed
 from phm.model import Level, Slot
 from phm.wire import tunnel
@@ -351,6 +351,11 @@ def test_silence_is_told_by_what_else_is_heard(ground: Ground) -> None:
     assert ground.agent(7)["hop"] == {"name": "radio or vehicle", "evidence": "silent 40 s", "certain": False}
     ground.wait(20)
     assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "everybody is silent", "certain": False}
+    ground.hear(Radio(51, 68, 190, 180, 60, None, 99))
+    assert ground.agent(7)["hop"]["name"] == "radio"
+    assert ground.whole()["radios"] == [
+        {"link": "gcs", "age_s": 0.0, "rssi": 190, "remrssi": 180, "noise": 60, "remnoise": None, "txbuf": 99}
+    ]
     ground.store.links({"gcs": (False, "Connection refused")}, ground.clock.stamp())
     assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "gcs: Connection refused", "certain": True}
 

@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from phm.gcs import table
+from phm.gcs.frames import Radio
 from phm.model import Level, Slot
 from phm.wire import status_word
 from phm.wire.tunnel import Digest, Seen, View
@@ -56,6 +57,8 @@ def test_each_agent_has_its_row(ground: Ground) -> None:
     assert row(lines, "A100").startswith("A100  ++++++++ ++-- +-- OK      0s   ?")
     assert "SWARM 1/5 FAIL A07:lost A02:ROS  (A01, 0s ago)" in lines
     assert "links: gcs open; other ground stations: none heard" in lines
+    ground.hear(Radio(51, 68, 190, 180, 60, None, 99))
+    assert "radio of gcs: signal/noise 190/60, other end 180/?, 0s ago" in drawn(ground)
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 200])

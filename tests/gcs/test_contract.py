@@ -1,0 +1,80 @@
+"""The keys of the JSON lines are a contract: `docs/gcs.md` names each of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import phm
+from phm.gcs.news import encode, timed
+from phm.model import Level, Slot
+from phm.wire import tunnel
+from phm.wire.tunnel import Digest, Seen, View, Words
+from tests.gcs.bench import Ground, beat, pilot, said, told
+
+PAGE = (Path(phm.__file__).parents[1] / "docs" / "gcs.md").read_text()
+
+
+def flight() -> Ground:
+    """A flight in which everything happens that is news."""
+    ground = Ground(expected=(7,))
+    ground.store.links({"gcs": (False, "refused")}, ground.clock.stamp())
+    ground.news += ground.store.links({"gcs": (True, "")}, ground.clock.stamp())
+    ground.wait(20)
+    ground.hear(
+        beat(7), beat(8), pilot(7, armed=True), said(7, "A07 FAIL 6 node_1 dead"), said(7, "hello", component=1)
+    )
+    ground.hear(said(7, "SWARM 1/2 FAIL A08:lost", 6), told(7, Digest(2, 1, {7: Level.OK, 8: Level.ERROR})))
+    ground.hear(told(7, View(1, True, True, False, {8: Seen.LOST})), told(7, Words({8: 0x40025D55})))
+    ground.hear(told(7, tunnel.details("ab12-1", "node_1 is dead")[0]))
+    ground.hear(beat(7, {Slot.NODES: Level.ERROR}), beat(7, {}, state=1))
+    ground.wait(30, beat(7))
+    return ground
+
+
+def keys(value: Any) -> set[str]:
+    """Keys at any depth, but for those that are numbers of slots or agents."""
+    if isinstance(value, dict):
+        own = {key for key in value if not key.isdigit()}
+        return own.union(*(keys(entry) for entry in value.values()))
+    return set().union(*(keys(entry) for entry in value)) if isinstance(value, list) else set()
+
+
+def test_every_event_and_key_is_named() -> None:
+    """And every event that the page names is one that happens here, but for those of the program itself."""
+    ground = flight()
+    lines = [json.loads(encode(news, "run", number)) for number, news in enumerate(ground.news, 1)]
+    events = {line["event"] for line in lines}
+    expected = {
+        "link",
+        "agent",
+        "slots",
+        "presence",
+        "restart",
+        "text",
+        "hop",
+        "view",
+        "digest",
+        "words",
+        "detail",
+        "pilot",
+    }
+    assert events == expected
+    found = keys(lines) | keys(ground.whole()) | events
+    assert sorted(key for key in found if f"`{key}`" not in PAGE) == []
+
+
+def test_all_news_have_words_for_people() -> None:
+    """But for what machines alone need: views, other agents' words, and what repeats itself."""
+    silent = {news.event for news in flight().news if not timed(news)}
+    assert silent == {"view", "words"}
+
+
+def test_numbers_are_json() -> None:
+    """Every line is one line of ASCII that any reader takes."""
+    for news in flight().news:
+        line = encode(news, "run", 1)
+        assert b"\n" not in line
+        assert line.isascii()
+        assert b"NaN" not in line
