@@ -17,7 +17,7 @@ def fleet_can_be_told(root: View) -> None:
         return
     if find_spec("zenoh") is None:
         enabled.complain(
-            "is true, but eclipse-zenoh is not installed: pip install 'phm-sidecar[fleet]', or set it to false"
+            "is true, but eclipse-zenoh is not installed: pip install 'phm-sidecar[fleet]', or build the image with EXTRAS=fleet"
         )
     if not fleet.get("connect").texts and not fleet.get("listen").texts:
         enabled.complain(

@@ -30,6 +30,9 @@ def options(settings: FleetSettings) -> dict[str, Any]:
         # router told them of each other, which would be half a million connections in a fleet of 1000.
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
+        # Of no use between machines, and each session of a router locks memory for it: with the usual limit of 8 MB for that,
+        # a router took 350 sessions and refused the next.
+        "transport/shared_memory/enabled": False,
         "transport/unicast/open_timeout": int(settings.deadline * 1000),
         "transport/link/tx/lease": int(settings.lease * 1000),
     }
