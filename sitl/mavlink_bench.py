@@ -136,7 +136,7 @@ def table(rows: Sequence[Row]) -> Table:
         made.add_row(
             str(row.agents), str(row.failing), f"{row.heartbeats:.1f}", f"{row.texts:.1f}", f"{row.tunnels:.1f}",
             f"{row.mavlink:.1f}", f"{100 * row.mavlink / RADIO_BYTES_S:.1f} %",
-            *("not known" if value is None else f"{value:.0f}" for value in others), end_section=bool(row.failing),
+            *("no ROS" if value is None else f"{value:.0f}" for value in others), end_section=bool(row.failing),
         )  # fmt: skip
     return made
 
