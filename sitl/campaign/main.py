@@ -157,6 +157,9 @@ def _play(
             return _all(runner, asked, trials, file, console, began)
         finally:
             runner.stop()
+    except KeyboardInterrupt:
+        console.print("interrupted; call again to go on from here", highlight=False)
+        return False
     except (LookupError, RuntimeError) as error:
         console.print(f"[red]the campaign has stopped:[/] {error}", highlight=False)
         if isinstance(error, Unwell):

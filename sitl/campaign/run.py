@@ -17,6 +17,7 @@ from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Injection, Trial
 from sitl.campaign.watch import Ear, Meter, Watch
 from sitl.evidence import world
 from sitl.faults.base import Fault
+from sitl.swarm import config
 from sitl.swarm.swarm import Swarm, SwarmAgent
 
 Tell = Callable[[str], None]
@@ -55,6 +56,9 @@ class Runner:
     def start(self) -> None:
         """Listen, and wait until all is well and the ground hears everybody. Whatever a killed campaign left is undone."""
         self.watch.ear.start()
+        for agent in self.agents.values():
+            if agent.config.read_text("utf-8") != config.text(self.swarm.options, agent.number):
+                self._configure(agent, {})
         if not self._wait(lambda: self.watch.ear.heard() >= self.agents.keys(), WELL_LIMIT_S):
             self.tell(
                 f"the ground does not hear {sorted(self.agents.keys() - self.watch.ear.heard())}; undoing what is left"
