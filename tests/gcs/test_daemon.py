@@ -13,6 +13,7 @@ import subprocess
 import sys
 import termios
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from phm.settings import MavlinkSettings
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.wire import journal
+from sitl.autopilot import Autopilot
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
 
 ROOT = Path(phm.__file__).parents[1]
@@ -280,6 +282,46 @@ def test_a_flood_crowds_out_nobody_else(wired: Callable[..., tuple[Station, Wire
             wire.send(os.urandom(64) + calm.frame(heartbeat(1 << 30 | number)))
     until(lambda: station.snapshot()[1].body["frames_refused"], "refused frames")
     until(lambda: any(one["agent"] == 7 for one in station.snapshot()[1].body["agents"]), "the calm agent")
+
+
+@pytest.mark.parametrize("silent", [False, True], ids=["speaks", "silent"])
+def test_an_autopilot_passes_on_to_those_that_speak(silent: bool) -> None:
+    """By ArduPilot's rule, which the simulated one has. When its port closes, the hop is the ground's own link."""
+    companion, ground = free_port(), free_port()
+    aboard = Autopilot(7, f"tcpin:127.0.0.1:{companion}", f"tcpin:127.0.0.1:{ground}", armed=True)
+    thread = threading.Thread(target=aboard.run, daemon=True)
+    thread.start()
+    station = Station(endpoints(f"tcp:127.0.0.1:{ground}"), 254, SystemClock(), silent=silent)
+    station.start()
+    sender = Sender(7, 193)
+
+    def body() -> Any:
+        return station.snapshot()[1].body
+
+    try:
+        with socket.create_connection(("127.0.0.1", companion), 5) as phm_aboard:
+
+            def speak(times: int) -> bool:
+                for _ in range(times):
+                    phm_aboard.sendall(sender.frame(heartbeat(0x40025D55)))
+                    time.sleep(0.15)  # its period, which is learned
+                return bool(body()["pilots"])
+
+            until(lambda: speak(1), "the autopilot itself")
+            if not silent:
+                until(lambda: speak(1) and body()["agents"], "what is passed on")
+            speak(8)
+            aboard.armed = False
+            # Sent behind all that was passed on, by the same stream.
+            until(lambda: not body()["pilots"]["7"]["armed"], "its next heartbeat")
+            assert [one["name"] for one in body()["agents"]] == ([] if silent else ["A07"])
+    finally:
+        aboard.stop()
+        thread.join(5.0)
+    until(lambda: body()["links"] and not body()["links"][0]["open"], "the loss of the link")
+    if not silent:
+        until(lambda: (hop := body()["agents"][0]["hop"]) and hop["name"] == "ground link", "the hop")
+    station.close()
 
 
 # ---------------------------------------------------------------- the command line, in a process of its own
