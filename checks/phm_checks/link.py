@@ -36,6 +36,8 @@ class Link(api.Check):
         self._label = named(kind(entry), entry, ways(settings))
         self._loss, self._silence = Steady(share=0.5), Steady(share=1.0)
         self._was: frozenset[str] = frozenset()
+        self._open_since: float | None = float("-inf")
+        """None while it is closed."""
         self._opened = False
         self._told_by = _devices_of(entry, settings)
 
@@ -61,8 +63,10 @@ class Link(api.Check):
         if link is None:
             return api.stale(f"the MAVLink endpoint {self.entry.key} has not been tried yet")
         if not link.open:
+            self._open_since = None
             return self._closed(world, link) if self._opened or not starting(world) else _not_yet(link)
         self._opened = True
+        self._open_since = world.clock.mono() if self._open_since is None else self._open_since
         findings = [*self._silent(world, link), *self._garbled(link), *self._line(link), *self._lossy(world, link)]
         self._was = frozenset(finding.condition for finding in findings)
         values = _values(link)
@@ -159,7 +163,7 @@ class Link(api.Check):
     def _silent(self, world: api.World, link: api.LinkFact) -> list[api.Result]:
         """Several senders behind a router cannot all stop at once; the router can."""
         silent_s = link.rx_age_s
-        if silent_s is None or silent_s < SILENT_S or not self._routed(world):
+        if silent_s is None or silent_s < SILENT_S or not self._routed(world) or self._just_opened(world):
             return []
         together = [sender for sender in link.senders if sender.age_s <= silent_s + TOGETHER_S]
         if len(together) < 2:
@@ -174,6 +178,10 @@ class Link(api.Check):
                 target=target_of(self.entry.key),
             )
         ]
+
+    def _just_opened(self, world: api.World) -> bool:
+        """What was silent while it was closed has had no time to be heard: opening it once more would only take longer."""
+        return self._open_since is not None and world.clock.mono() - self._open_since < SILENT_S
 
     def _garbled(self, link: api.LinkFact) -> list[api.Result]:
         if link.rx_s is None or link.rx_s < GARBLED_S or link.frames_s:

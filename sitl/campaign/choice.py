@@ -45,8 +45,8 @@ def useless(fault: Fault, agents: int, *, air: bool) -> str:
         return "it is two faults, and a campaign makes compound faults itself"
     if "air" in fault.needs and not air:
         return "it needs emulated links"
-    if "peers" in fault.needs and agents < 3:
-        return "it needs three agents"
+    if agents < fault.least:
+        return f"it needs {fault.least} agents"
     return ""
 
 

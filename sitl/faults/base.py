@@ -150,8 +150,9 @@ class Fault(ABC):
     others: unit at which all other agents of its swarm must see it, too, and others_condition as what; empty: nowhere.
     also: units of further faults that it causes, independent of the first, each with an alarm of its own.
     healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
-    needs: what it takes: ``air``, emulated links; ``peers``, at least two further agents; ``configuration``, changes to the
+    needs: what it takes: ``air``, emulated links; ``peers``, other agents; ``configuration``, changes to the
     shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it.
+    least: how many agents its swarm must have for it to be what it says.
     """
 
     name: ClassVar[str]
@@ -167,6 +168,7 @@ class Fault(ABC):
     healable: ClassVar[bool] = True
     passes: ClassVar[bool] = False
     needs: ClassVar[frozenset[str]] = frozenset()
+    least: ClassVar[int] = 1
 
     def places(self, agent: Agent) -> tuple[str, ...]:
         """Units at which an alarm is due, exactly one at each; none where a fault is not told as one."""

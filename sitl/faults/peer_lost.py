@@ -17,6 +17,7 @@ class Injection(Fault):
     healable = False
     others, others_condition = "peers/{id}", "peer_lost"
     needs = frozenset({"air", "peers"})
+    least = 3
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

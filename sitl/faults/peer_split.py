@@ -17,11 +17,12 @@ class Injection(Fault):
     others, others_condition = "peers/swarm", "split"
     healable = False
     needs = frozenset({"air", "peers"})
+    least = 4
 
     def inject(self, agent: Agent) -> float:
         agents = sorted(int(number) for number in agent.links.state()["agents"])
         agents.remove(agent.number)
-        here = [agent.number, *agents[: (len(agents) + 1) // 2 - 1 + len(agents) % 2]]
+        here = [agent.number, *agents[: (len(agents) + 1) // 2 - 1]]
         moment = time.monotonic()
         agent.links.split([here, [number for number in agents if number not in here]])
         return moment

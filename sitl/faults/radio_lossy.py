@@ -1,4 +1,4 @@
-"""The radio to the ground is at the edge of its range."""
+"""Something disturbs the radio to the ground."""
 
 from __future__ import annotations
 
@@ -6,26 +6,24 @@ import time
 
 from sitl.faults.base import Agent, Fault
 
-LOSS, BURST = 0.4, 3.0
+LOSS, BURST = 0.5, 3.0
 """Share of frames that get lost, and how many together on average."""
-RSSI, NOISE = 52, 45
-"""A margin of 7, 3.7 dB; PHM's limit is 15."""
 
 
 class Injection(Fault):
-    """Loses frames in bursts, and RADIO_STATUS says why: the signal is hardly above the noise."""
+    """Half of the frames are damaged, in bursts; RADIO_STATUS counts them. The signal itself is as strong as before."""
 
     name, title, unit = "radio_lossy", "radio lossy", "radio/router"
-    condition = "radio_weak"
+    condition = "radio_errors"
     layer = "link"
-    cause = "the vehicle is at the edge of its radio's range, or something disturbs it"
+    cause = "another transmitter is on the frequency of the radio to the ground"
     healable = False
     level = "WARN"
     needs = frozenset({"air"})
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
-        agent.links.set(agent.number, "ground", loss=LOSS, burst=BURST, rssi=RSSI, noise=NOISE)
+        agent.links.set(agent.number, "ground", loss=LOSS, burst=BURST)
         return moment
 
     def clear(self, agent: Agent) -> None:

@@ -18,8 +18,8 @@ def inject(swarm: Swarm, number: int, name: str) -> Fault:
     if not 1 <= number <= len(swarm.agents):
         raise LookupError(f"there is no agent {number}: allowed are 1 to {len(swarm.agents)}")
     agent, fault = swarm.agents[number - 1], faults[name]
-    if "peers" in fault.needs and len(swarm.agents) < 3:
-        raise LookupError(f"{name} needs at least 3 agents, the swarm has {len(swarm.agents)}")
+    if len(swarm.agents) < fault.least:
+        raise LookupError(f"{name} needs at least {fault.least} agents, the swarm has {len(swarm.agents)}")
     fault.prepare(agent)
     if changes := fault.configuration(agent):
         swarm.configure(agent, changes)

@@ -159,3 +159,23 @@ def test_behind_a_radio_the_neighbour_is_the_ground_station() -> None:
     judge = check(SERIAL, leads_to="ground")
     assert run(judge, lossy(60.0, 255, 190)).brief == "port: 60% frames lost"
     assert run(judge, lossy(60.0, 255, 190), testing.FakeLinks(gcs_age_s=None)).level is api.Level.OK
+
+
+def test_a_router_that_is_back_is_given_time_to_be_heard() -> None:
+    """What was silent while the link was closed is no silence of the open one: opening it once more would cut off what comes."""
+    clock, judge = testing.FakeClock(), check(leads_to="router")
+    senders = tuple(api.SenderFact(system, 1, 20.0, 350, 0.0) for system in (1, 255))
+    links = testing.FakeLinks()
+
+    def look(link: api.LinkFact) -> str:
+        links.endpoints = (link,)
+        result = judge.run(testing.world(links=links, clock=clock))
+        assert isinstance(result, api.Result)
+        return result.condition
+
+    silent = changed(rx_age_s=20.0, senders=senders)
+    assert look(WELL) == ""
+    assert look(CLOSED) == "link_closed"
+    assert look(silent) == ""
+    clock.advance(4.0)
+    assert look(silent) == "link_silent"
