@@ -49,7 +49,7 @@ def test_what_was_asked_for_and_cannot_be_had_is_refused() -> None:
     """A fault that does not exist, or needs more agents, is told by name."""
     with pytest.raises(ValueError, match="no such fault: nonsense"):
         chosen(all_faults(), ["nonsense"], 8, air=True)
-    with pytest.raises(ValueError, match="peer_lost: it needs three agents"):
+    with pytest.raises(ValueError, match="peer_lost: it needs 3 agents"):
         chosen(all_faults(), ["peer_lost"], 2, air=True)
 
 
