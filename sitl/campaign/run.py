@@ -56,9 +56,13 @@ class Runner:
     def start(self) -> None:
         """Listen, and wait until all is well and the ground hears everybody. Whatever a killed campaign left is undone."""
         self.watch.ear.start()
-        for agent in self.agents.values():
-            if agent.config.read_text("utf-8") != config.text(self.swarm.options, agent.number):
-                self._configure(agent, {})
+        left = [
+            agent
+            for agent in self.agents.values()
+            if agent.config.read_text("utf-8") != config.text(self.swarm.options, agent.number)
+        ]
+        if left:
+            self._configure(left, {})
         if not self._wait(lambda: self.watch.ear.heard() >= self.agents.keys(), WELL_LIMIT_S):
             self.tell(
                 f"the ground does not hear {sorted(self.agents.keys() - self.watch.ear.heard())}; undoing what is left"
@@ -86,8 +90,7 @@ class Runner:
             sorted(self.agents), min(len(LEFT_ALONE), len(self.agents))
         )
         draws = [Draw(name, agent) for name, agent in zip(LEFT_ALONE, victims, strict=False)]
-        for agent in victims:
-            self._configure(self.agents[agent], RECOVERY_OFF)
+        self._configure([self.agents[agent] for agent in victims], RECOVERY_OFF)
         self._well(WELL_LIMIT_S)
         trial = self._begin(OFF, 0)
         try:
@@ -108,8 +111,7 @@ class Runner:
         finally:
             self._clear(trial, draws)
         trial = self._end(trial, well=self._recover(victims))
-        for agent in victims:
-            self._configure(self.agents[agent], {})
+        self._configure([self.agents[agent] for agent in victims], {})
         self._well(WELL_LIMIT_S)
         return trial
 
@@ -124,7 +126,7 @@ class Runner:
         self._rest(plan.draws)
         for fault, agent in special:
             fault.prepare(agent)
-            self._configure(agent, fault.configuration(agent))
+            self._configure([agent], fault.configuration(agent))
         if special:
             self._well(WELL_LIMIT_S)
         trial = self._begin(TRIAL, plan.number)
@@ -138,7 +140,7 @@ class Runner:
         trial = self._end(trial, well=well)
         for fault, agent in special:
             fault.dismantle(agent)
-            self._configure(agent, {})
+            self._configure([agent], {})
         if special or not well:
             self._well(WELL_LIMIT_S)
         return trial
@@ -239,13 +241,16 @@ class Runner:
             words = [f"A{agent:02d}: {', '.join(why[:4])}" for agent, why in self.watch.unwell().items()]
             raise Unwell(f"not well after {limit_s:g} s: {'; '.join(words)}")
 
-    def _configure(self, agent: SwarmAgent, changes: Mapping[str, str]) -> None:
-        """Start an agent's PHM with its configuration and these changes to it."""
+    def _configure(self, agents: Sequence[SwarmAgent], changes: Mapping[str, str]) -> None:
+        """Start the PHM of these agents with their configuration and the changes to it, all at once."""
         mark = time.monotonic()
-        self.swarm.configure(agent, changes)
-        started = partial(self._started, agent.number, mark)
-        if not self._wait(started, WELL_LIMIT_S):
-            raise Unwell(f"A{agent.number:02d}: PHM did not start again; see {agent.logs}")
+        with ThreadPoolExecutor(len(agents)) as pool:
+            at_work = [pool.submit(self.swarm.configure, agent, changes) for agent in agents]
+        for future in at_work:
+            future.result()
+        if not self._wait(lambda: all(self._started(agent.number, mark) for agent in agents), WELL_LIMIT_S):
+            late = [agent.name for agent in agents if not self._started(agent.number, mark)]
+            raise Unwell(f"PHM did not start again on {', '.join(late)}; see {agents[0].logs}")
 
     def _started(self, agent: int, mark: float) -> bool:
         return self.watch.levels[agent].since > mark and self.watch.levels[agent].reported
