@@ -13,7 +13,9 @@ library alone, so that it runs in any ROS image.
 from __future__ import annotations
 
 import argparse
+import os
 import signal
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -124,7 +126,8 @@ def main(argv: list[str] | None = None) -> int:
         # Not `spin`: a SIGTERM that comes just before it waits is lost on a node without timers, which then never ends.
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        print(f"node: {options.name} is up", flush=True)
+        # In one write: others write to the same pipe, and `print` would put its newline after theirs.
+        os.write(sys.stdout.fileno(), f"node: {options.name} is up\n".encode())
         while rclpy.ok():
             executor.spin_once(timeout_sec=LOOK_S)
             ends.follow()

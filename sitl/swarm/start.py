@@ -30,7 +30,7 @@ PHM_LIMIT_S = 90.0
 WELL_LIMIT_S = 180.0
 POLL_S = 0.1
 LAST_LINES = 5
-UP = b" is up\n"
+UP = b" is up"
 """What a node of the application prints when it is in the graph."""
 
 
