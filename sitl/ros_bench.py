@@ -1,7 +1,7 @@
 """What it costs to know the rates of topics, and how well they are known then: PHM's sampler, a callback, `ros2 topic hz`.
 
 ``scripts/bench ros`` publishes each load once and lets the three ways measure it one after the other, so that none
-disturbs another. All are separate processes over UDP, as between containers that share no memory.
+disturbs another. All are separate processes; kept to this machine, the middleware takes shared memory between them.
 """
 
 from __future__ import annotations
