@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
+import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING, Protocol
 
@@ -23,6 +25,7 @@ IDS = (251, 254)
 """Above all agents' ids (250) and below 255, which is the pilot's own ground station."""
 TRY_S = 2.0
 ONCE_S = 5.0
+LOOK_S = 0.2
 
 
 def _agents(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[int, ...]:
@@ -120,20 +123,34 @@ def command(
     def notes() -> list[str]:
         return [part.about() for part in (server, book) if part is not None and part.about()]
 
-    show, console = Show(station, clock, click.echo, notes), render.console()
-    with _ending() as stop, _running(station, book, server):
-        _tried(station)
-        limit_s = seconds if seconds is not None else ONCE_S if once else None
-        end = None if limit_s is None else clock.mono() + limit_s
-        if once:
-            clock.wait(stop, limit_s)
-            ctx.exit(0 if show.once(console, as_json=as_json) else 1)
-        elif as_json or not console.is_terminal:
-            show.lines(stop, end, as_json=as_json)
-        else:
-            show.live(stop, end, console)
-    if as_json:
-        show.rest(0.0, as_json=True)
+    with _ending() as stop:
+        show, console = Show(station, clock, _patient(stop), notes), render.console()
+        with _running(station, book, server):
+            _tried(station)
+            limit_s = seconds if seconds is not None else ONCE_S if once else None
+            end = None if limit_s is None else clock.mono() + limit_s
+            if once:
+                clock.wait(stop, limit_s)
+                ctx.exit(0 if show.once(console, as_json=as_json) else 1)
+            elif as_json or not console.is_terminal:
+                show.lines(stop, end, as_json=as_json)
+            else:
+                show.live(stop, end, console)
+        if as_json:
+            show.rest(0.0, as_json=True)
+
+
+def _patient(stop: threading.Event) -> Callable[[str], None]:
+    """Prints a line, and gives up when the program is to end while nobody reads its output."""
+
+    def echo(text: str) -> None:
+        with suppress(OSError, ValueError):  # no file behind it: tests of the command line
+            while not select.select([], [sys.stdout], [], 0.0 if stop.is_set() else LOOK_S)[1]:
+                if stop.is_set():
+                    return
+        click.echo(text)
+
+    return echo
 
 
 class _Part(Protocol):

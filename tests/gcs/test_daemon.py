@@ -327,12 +327,28 @@ def test_an_autopilot_passes_on_to_those_that_speak(silent: bool) -> None:
 # ---------------------------------------------------------------- the command line, in a process of its own
 
 
-def run(*arguments: str, **more: Any) -> subprocess.Popen[str]:
+_STARTED: list[subprocess.Popen[str]] = []
+
+
+def run(*arguments: str) -> subprocess.Popen[str]:
     places = os.pathsep.join((str(ROOT), str(ROOT / "checks")))
-    return subprocess.Popen(
+    started = subprocess.Popen(
         [sys.executable, "-m", "phm.cli", "gcs", *arguments], env={**os.environ, "PYTHONPATH": places}, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, **more,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
+    _STARTED.append(started)
+    return started
+
+
+@pytest.fixture(autouse=True)
+def _none_is_left() -> Iterator[None]:
+    """A test that fails leaves no program behind."""
+    yield
+    while _STARTED:
+        started = _STARTED.pop()
+        if started.poll() is None:
+            started.kill()
+        started.communicate()
 
 
 @pytest.fixture
@@ -429,6 +445,28 @@ def test_once_says_by_its_exit_code_whether_all_are_well(voices: tuple[int, Call
     nobody = run(f"udpin:127.0.0.1:{port}", "--once", "--for", "0.3")
     output, _ = nobody.communicate(timeout=60)
     assert (nobody.returncode, "no agent heard yet" in output) == (1, True)
+
+
+def test_output_that_nobody_reads_holds_up_nothing(tmp_path: Path) -> None:
+    """The record goes on, and one SIGTERM ends the program."""
+    port, path = free_port(socket.SOCK_DGRAM), tmp_path / "r.jsonl"
+    done = run(f"udpin:127.0.0.1:{port}", "--json", "--record", str(path))
+    wire, senders = Wire(port), [Sender(number, 193) for number in range(1, 11)]
+    until(path.exists, "the start")
+    number = 0
+
+    def speak() -> bool:
+        nonlocal number
+        number += 1
+        for sender in senders:
+            wire.send(sender.frame(text(f"{'x' * 40} {number}")))
+        return path.stat().st_size > 300_000  # four times what a pipe takes
+
+    until(speak, "the record")
+    done.send_signal(signal.SIGTERM)
+    assert done.wait(30) == 0
+    done.communicate()
+    wire.sock.close()
 
 
 def test_a_taken_port_is_one_sentence(tmp_path: Path) -> None:
