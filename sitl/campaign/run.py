@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
+from phm.transport.mavlink_budget import SIZES
 from sitl.campaign.choice import LEFT_ALONE, OFF as RECOVERY_OFF, injection
 from sitl.campaign.judge import judge
 from sitl.campaign.plan import Draw, TrialPlan
@@ -34,12 +35,15 @@ STEADY_S = 3.0
 """All must have been well for so long before the next injection."""
 LASTING_S = 31.0
 """Longer than `recovery.verify`, 30 s: before that, the same unit's next failure counts as a repair that did not last."""
-HEARTBEAT_S = 2.0
-"""PHM's own, by default, in a swarm of up to 8; of more agents it is 5 s."""
 
 
 class Unwell(RuntimeError):
     """The swarm could not be brought back to health: the campaign cannot go on."""
+
+
+def heartbeat_s(agents: int) -> float:
+    """PHM's own period in a swarm of so many."""
+    return next(period_s for most, period_s, _ in SIZES if agents <= most)
 
 
 class Runner:
@@ -146,7 +150,9 @@ class Runner:
         return trial
 
     def _begin(self, kind: str, number: int) -> Trial:
-        trial = Trial(kind, number, len(self.agents), time.monotonic(), time.time(), heartbeat_s=HEARTBEAT_S)
+        trial = Trial(
+            kind, number, len(self.agents), time.monotonic(), time.time(), heartbeat_s=heartbeat_s(len(self.agents))
+        )
         trial.setting = dict(self.setting)
         self.meter.begin()
         trial.began = time.monotonic()
