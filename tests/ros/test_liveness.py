@@ -18,7 +18,6 @@ from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Transition,
 from phm.pipeline import Pipeline
 from phm.probes.docker_processes import FORMS, processes
 from phm.tracker import SURE_S, Tracker
-from phm_checks import _signs
 from phm_checks.nodes import Nodes
 from phm_checks.rates import Rates
 from phm_checks.topics import Topics
@@ -233,15 +232,14 @@ def test_a_node_that_never_started(bench: Bench) -> None:
     agent.close()
 
 
-def test_a_node_that_runs_twice(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both alive: a warning, and nothing worse, when it lasts longer than a lease (shortened here)."""
-    monkeypatch.setattr(_signs, "TWICE_S", 2.0)
+def test_a_node_that_runs_twice(agent: Agent) -> None:
+    """Both alive, each with a process of its own: one fault, at the node, and none of its rate that doubles."""
     agent.start()
     agent.well()
     agent.start()
-    agent.until(lambda: agent.state(NODE).level is Level.WARN, "the warning")
+    agent.until(lambda: agent.state(NODE).level is Level.ERROR, "the error")
     assert agent.state(NODE).result.condition == "node_twice"
-    assert agent.faults == []
+    assert [fault.unit for fault in agent.faults] == [NODE]
 
 
 @pytest.mark.long
