@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     up = _verb(verbs, "up", _up, "start a swarm and wait until all is well")
     up.add_argument("--agents", type=int, default=8, metavar="N", help=f"how many, 1 to {MOST_AGENTS} (8)")
     up.add_argument("--nodes", type=int, default=3, help="ROS nodes of each agent, in a ring (3)")
-    up.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="rate of each topic (10)")
+    up.add_argument("--rate", type=float, default=5.0, metavar="HZ", help="rate of each topic (5)")
     up.add_argument("--graph", default="", metavar="FILE", help="another node graph, in YAML")
     up.add_argument("--interval", type=float, default=20.0, metavar="SECONDS", help="between full reports of PHM (20)")
     up.add_argument("--mode", choices=("act", "advise", "off"), default="act", help="recovery.mode (act)")

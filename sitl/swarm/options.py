@@ -25,7 +25,7 @@ class Options:
     name: str = DEFAULT_NAME
     interval_s: float = 20.0
     nodes: int = 3
-    rate_hz: float = 10.0
+    rate_hz: float = 5.0
     graph: str = ""
     mode: str = "act"
     autopilot: Autopilot = "sim"
