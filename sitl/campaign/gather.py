@@ -100,6 +100,10 @@ class Levels:
         elif kind == "report":
             self.reported = True
 
+    def bad(self, unit: str) -> bool:
+        """Whether the unit is told already: then nothing more would be told of it."""
+        return unit in self.open.values()
+
     def unwell(self, usual: Mapping[str, str]) -> list[str]:
         """What is worse than `usual`, a unit's level by its name, in words; empty when all is well."""
         if not self.reported:

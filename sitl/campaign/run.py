@@ -176,7 +176,10 @@ class Runner:
         trial.injections = [injection(self.faults[draw.fault], self.agents[draw.agent]) for draw in draws]
         by_agent: dict[int, list[Injection]] = {}
         for each in trial.injections:
-            by_agent.setdefault(each.agent, []).append(each)
+            if self.watch.levels[each.agent].bad(each.unit):
+                each.error = f"{each.unit} is not well already, whatever is done to it"
+            else:
+                by_agent.setdefault(each.agent, []).append(each)
         with ThreadPoolExecutor(len(by_agent) or 1) as pool:
             at_work = [pool.submit(self._inject_all, mine) for mine in by_agent.values()]
             self._wait(lambda: all(each.done() for each in at_work), HEALED_LIMIT_S)
@@ -193,6 +196,8 @@ class Runner:
 
     def _clear(self, trial: Trial, draws: Sequence[Draw]) -> None:
         for draw, each in reversed(list(zip(draws, trial.injections, strict=True))):
+            if each.asked is None:
+                continue
             each.cleared = time.monotonic()
             try:
                 self.faults[draw.fault].clear(self.agents[draw.agent])

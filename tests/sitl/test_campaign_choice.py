@@ -129,6 +129,7 @@ def test_well_is_as_it_was() -> None:
     levels.take(event("fault_opened", 2.0, fault="f1"))
     levels.take(event("transition", 2.0, level="ERROR"))
     assert levels.unwell(usual) == ["nodes/a is faulty", "nodes/a is ERROR"]
+    assert (levels.bad("nodes/a"), levels.bad("gcs")) == (True, False)
     levels.take(event("fault_closed", 3.0, fault="f1"))
     levels.take(event("transition", 3.0, level="OK"))
     assert levels.unwell(usual) == []
