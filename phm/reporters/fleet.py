@@ -16,6 +16,8 @@ from phm.wire import fleet_status, status_word
 ALONG_S = 0.1
 """Changes within this time of the last status wait for the next tick, so that a burst costs one."""
 TICK_S = 0.25
+AGAIN_S = 1.0
+"""A change is published once more after this time: in a burst of many agents a router drops what a reader cannot take."""
 _OPEN_FAULTS = 256
 _ATTEMPTS = 2
 """A fleet that is not reached for so many deadlines is a problem of PHM: a lost packet or a roaming radio is not."""
@@ -43,7 +45,7 @@ class Fleet(Reporter):
         self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
         self._sequence = 0
         self._complete = self._changed = False
-        self._told_at = float("-inf")
+        self._told_at, self._again_at = float("-inf"), float("inf")
         link.start()
 
     @classmethod
@@ -77,7 +79,8 @@ class Fleet(Reporter):
         alive = self._context.alive()
         self._link.present(alive)
         now = self._context.clock.mono()
-        if alive and (self._changed or now - self._told_at >= self._settings.refresh):
+        if alive and (self._changed or now >= min(self._again_at, self._told_at + self._settings.refresh)):
+            self._again_at = now + AGAIN_S if self._changed else float("inf")
             self._told_at, self._changed = now, False
             self._link.put(self._status())
 

@@ -64,6 +64,7 @@ class ZenohLink:
         self._newest = b""
         self._due = self._present = False
         self._queries: deque[Any] = deque(maxlen=MAX_QUERIES)
+        self._links: set[str] = set()
         self._namesakes: dict[str, float] = {}
         self._connected, self._error = False, "not tried yet"
         self._since = self._turned = clock.mono()
@@ -147,14 +148,18 @@ class ZenohLink:
         finally:
             self._tell(connected=False, error="closed")
             self._namesakes.clear()
+            self._links = set()
             session.close()
 
     def _turn(self, session: Any, declared: Declared) -> None:
         self._turned = self._clock.mono()
-        connected = bool(session.info.routers_zid() or session.info.peers_zid())
-        if connected and not self._connected:
+        # Zenoh may lose a connection and have a new one between two looks: that one comes from another port.
+        links = {f"{link.zid} {link.src} {link.dst}" for link in session.info.links()}
+        connected = bool(links)
+        if links - self._links:
             self._connects += 1
             self._due = bool(self._newest)  # whoever was not reached before has missed what was said meanwhile
+        self._links = links
         if connected != self._connected or not connected:
             self._tell(connected=connected, error="" if connected else self._nobody())
         declared.present(self._present)

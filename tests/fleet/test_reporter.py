@@ -10,7 +10,7 @@ from typing import Any
 
 from phm.cli import render
 from phm.model import Level, Outcome, Report, Slot, UnitState
-from phm.reporters.fleet import ALONG_S, Fleet
+from phm.reporters.fleet import AGAIN_S, ALONG_S, Fleet
 from phm.settings import Settings
 from phm.testing import FakeClock
 from phm.transport.zenoh_link import FleetFact
@@ -89,6 +89,8 @@ def test_before_the_first_report_is_complete_it_says_boot() -> None:
     bench.clock.advance(1)
     bench.fleet.handle(Report(at(), 1, at(), (WELL,)))
     assert bench.last["state"] == "ACTIVE"
+    bench.clock.advance(AGAIN_S)
+    bench.fleet.tick()
     count = len(bench.link.put_)
     bench.clock.advance(1)
     bench.fleet.handle(Report(at(), 2, at(), (WELL,)))
@@ -111,6 +113,18 @@ def test_a_change_is_told_at_once_and_a_burst_as_one() -> None:
     bench.fleet.tick()
     assert len(bench.link.put_) == 3
     assert (bench.last["open_faults"], bench.last["faults"][0]["brief"]) == (1, "one dead")
+
+
+def test_a_change_is_told_once_more() -> None:
+    """A second later, and then not before the refresh is due."""
+    bench = Bench()
+    bench.fleet.tick()
+    bench.clock.advance(5)
+    bench.fleet.handle(transition(DEAD))
+    for _ in range(30):
+        bench.clock.advance(0.25)
+        bench.fleet.tick()
+    assert [entry["mono"] - bench.link.put_[0]["mono"] for entry in bench.link.put_] == [0.0, 5.0, 5.0 + AGAIN_S]
 
 
 def test_a_fault_that_is_over_is_not_listed() -> None:

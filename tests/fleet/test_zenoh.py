@@ -178,7 +178,7 @@ def test_a_killed_process_is_missed(bench: Bench) -> None:
 def test_a_process_that_hangs_is_missed_after_its_lease(bench: Bench) -> None:
     """Its connection stays open and silent; when it goes on, it is there again, with its state."""
     bench.router()
-    ground, crowd = bench.ground(), bench.crowd(1, lease=1)
+    ground, crowd = bench.ground(), bench.crowd(1, lease=1, refresh="1h")
     ground.wait(lambda g: len(g.tokens) == 1)
     os.kill(crowd.process.pid, signal.SIGSTOP)
     ground.wait(lambda g: not g.tokens)
