@@ -163,12 +163,12 @@ class Runner:
         self.watch.end()
         trial.well_after = trial.ended - trial.began if well else None
         trial.cost = self.meter.costs()
-        for verdict in judge(trial).verdicts:
-            fault = verdict.injection
-            until = fault.cleared if fault.cleared is not None else trial.ended
-            if fault.blinds and fault.moment is not None:
-                over = fault.moment + verdict.healed_s if verdict.healed_s is not None else until
-                trial.blind.append((fault.agent, fault.moment, over))
+        # Until all is well again: a link that is back has to be opened anew, and a radio's buffer to run empty.
+        trial.blind = [
+            (fault.agent, fault.moment, trial.ended)
+            for fault in trial.injections
+            if fault.blinds and fault.moment is not None
+        ]
         return trial
 
     def _inject(self, trial: Trial, draws: Sequence[Draw]) -> None:
