@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -275,30 +275,63 @@ def openssl(*words: str, folder: Path) -> None:
     subprocess.run(("openssl", *words), cwd=folder, check=True, capture_output=True, timeout=30)
 
 
+ASKED = ("declare_subscriber", "query")
+SAID = (
+    "put",
+    "delete",
+    "declare_queryable",
+    "reply",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+
+
+def rule(name: str, keys: str, messages: Sequence[str], *flows: str) -> dict[str, Any]:
+    return {"id": name, "permission": "allow", "flows": flows, "messages": messages, "key_exprs": [keys]}
+
+
 def test_a_fleet_by_tls(bench: Bench, tmp_path: Path) -> None:
-    """Both ends prove who they are: an agent without a certificate, or that trusts another authority, is not let in."""
+    """Who has no certificate, or trusts another authority, is not let in; who has one may write below its own key alone."""
     certificates(tmp_path)
     place = "transport__link__tls__"
     files = {"root_ca_certificate": "ca.pem", "listen_certificate": "router.pem", "listen_private_key": "router.key"}
     options = {f"{place}{name}": str(tmp_path / file) for name, file in files.items()}
+    access = {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [
+            rule("own", f"phm/{FLEET}/good/**", SAID, "ingress", "egress"),
+            rule("asked", f"phm/{FLEET}/**", ASKED, "egress"),
+            rule("all", "phm/**", SAID + ASKED, "ingress", "egress"),
+        ],
+        "subjects": [{"id": "agent", "cert_common_names": ["agent"]}, {"id": "ground", "link_protocols": ["tcp"]}],
+        "policies": [{"rules": ["own", "asked"], "subjects": ["agent"]}, {"rules": ["all"], "subjects": ["ground"]}],
+    }
     secret = f"tls/127.0.0.1:{free_port()}"
-    clear = bench.endpoint
-    bench.router(listen__endpoints=[secret, clear], **options, **{f"{place}enable_mtls": True})
+    listen = [secret, bench.endpoint]
+    bench.router(listen__endpoints=listen, access_control=access, **options, **{f"{place}enable_mtls": True})
 
     def tls(name: str, **files: str) -> Agent:
         chosen = {key: str(tmp_path / file) for key, file in files.items()}
         return bench.agent(name, endpoint=secret, tls=chosen)
 
     good = tls("good", ca="ca.pem", certificate="agent.pem", key="agent.key")
+    impostor = tls("impostor", ca="ca.pem", certificate="agent.pem", key="agent.key")
     anonymous = tls("anonymous", ca="ca.pem")
     misled = tls("misled", ca="other.pem", certificate="agent.pem", key="agent.key")
     missing = tls("missing", ca="none.pem")
     ground = bench.ground()
-    ground.wait(lambda g: "good" in g.statuses)
+    ground.wait(lambda g: "good" in g.statuses and bool(g.tokens))
     for agent in (anonymous, misled, missing):
         until(agent.reporter.problem)
-    assert set(ground.statuses) == {name for name, _ in ground.tokens} == {"good"}
-    assert good.reporter.report()["connected"]
+    until(lambda: impostor.reporter.report()["published"])
+    good.turn()
+    ground.wait(lambda g: g.statuses["good"].open_faults == 1)
+    late = bench.ground()
+    late.wait(lambda g: "good" in g.statuses and bool(g.tokens))
+    for reader in (ground, late):
+        assert set(reader.statuses) == {name for name, _ in reader.tokens} == {"good"}
 
 
 def test_a_stranger_cannot_crash_a_reader_or_an_agent(bench: Bench) -> None:
