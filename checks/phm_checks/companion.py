@@ -8,8 +8,8 @@ from phm import api
 from phm.api import Layer, Slot
 from phm_checks._words import brief, clean, joined, listed, span
 
-TOLD_S = 30.0
-"""What is over when it is noticed is told for so long, so that a ground station that is away for a moment hears of it, too."""
+TOLD_S = 12.0
+"""What is over when it is noticed is told for so long: once in a refresh of the status line, 10 s apart."""
 
 
 class Companion(api.Check):

@@ -19,6 +19,7 @@ from docker.models.containers import Container
 
 NULL, ZERO = "/dev/null", "/dev/zero"
 STOP_S = 3
+PID_LIMIT_S = 5.0
 TRIES = 3
 LAYERS = ("companion", "container", "ros", "link")
 
@@ -118,16 +119,18 @@ class Agent:
         self.run_in_app("kill", f"-{signal_name}", str(int(pid)))
         return moment
 
+    def _pid_of(self, node: str) -> int:
+        """Read again when nothing came: on a starved machine the engine sometimes ends an exec before it has handed on its output."""
+        until_s = time.monotonic() + PID_LIMIT_S
+        while not (pid := self.run_in_app("cat", f"/tmp/nodes/{node}.pid")):
+            if time.monotonic() > until_s:
+                raise RuntimeError(f"{self.app.name} does not tell the process of {node}")
+            time.sleep(0.1)
+        return int(pid)
+
     def write_in_app(self, path: str, content: bytes, mode: int = 0o644) -> None:
         """Put a file into the application container, whether it runs or not."""
-        folder, _, name = path.rpartition("/")
-        packed = io.BytesIO()
-        with tarfile.open(fileobj=packed, mode="w") as archive:
-            entry = tarfile.TarInfo(name)
-            entry.size, entry.mode, entry.mtime = len(content), mode, int(time.time())
-            archive.addfile(entry, io.BytesIO(content))
-        if not self.app.put_archive(folder, packed.getvalue()):
-            raise RuntimeError(f"the engine did not take {path} for {self.app.name}")
+        put(self.app, path, content, mode)
 
     def run_in_app(self, *argv: str) -> str:
         """Run a command inside the application container and return what it printed."""
@@ -137,6 +140,18 @@ class Agent:
         if code != 0:
             raise RuntimeError(f"{' '.join(argv)} in {self.app.name} ended with {code}: {text}")
         return text
+
+
+def put(container: Container, path: str, content: bytes, mode: int = 0o644) -> None:
+    """Put a file into a container, whether it runs or not."""
+    folder, _, name = path.rpartition("/")
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w") as archive:
+        entry = tarfile.TarInfo(name)
+        entry.size, entry.mode, entry.mtime = len(content), mode, int(time.time())
+        archive.addfile(entry, io.BytesIO(content))
+    if not container.put_archive(folder, packed.getvalue()):
+        raise RuntimeError(f"the engine did not take {path} for {container.name}")
 
 
 class Fault(ABC):

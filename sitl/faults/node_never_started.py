@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from sitl.faults.base import STOP_S, Agent, Fault, mono_of
+import time
+
+from sitl.faults.base import Agent, Fault, put
+from sitl.faults.container_created import copied
 
 LEFT_OUT = "/tmp/left_out"
 """Names of nodes that the application's launcher leaves out at its next start, and at that one alone."""
 
 
 class Injection(Fault):
-    """Restarts the application so that it comes up without node_1. The fault is there when the container has started."""
+    """Puts a running copy in the place of the application's container, as `docker compose up` does after an update; it has come
+    up without node_1. The old one goes once the copy has its name, so that there is nothing to see but the node."""
 
     name, title, unit = "node_never_started", "node never started", "nodes/{agent}/node_1"
     condition = "node_missing"
@@ -19,11 +23,22 @@ class Injection(Fault):
     _life = ""
 
     def inject(self, agent: Agent) -> float:
-        agent.write_in_app(LEFT_OUT, b"node_1\n")
-        agent.app.restart(timeout=STOP_S)
+        old = agent.app
+        service, copy = str(old.name), copied(agent, old)
+        put(copy, LEFT_OUT, b"node_1\n")
+        moment = time.monotonic()
+        copy.start()
+        # Two names cannot be changed at once. PHM looks within milliseconds, and would rightly tell a container that is missing.
+        sidecar = agent.sidecar
+        sidecar.pause()
+        try:
+            old.rename(f"{service}-old")
+            copy.rename(service)
+        finally:
+            sidecar.unpause()
+        old.remove(force=True)
         self._life = agent.life
-        return mono_of(agent.app.attrs["State"]["StartedAt"])
+        return moment
 
     def clear(self, agent: Agent) -> None:
-        agent.write_in_app(LEFT_OUT, b"")
         agent.renew_app(self._life)
