@@ -116,13 +116,26 @@ def main(argv: list[str] | None = None) -> int:
     options = _options(argv)
     # rclpy's own handlers end `spin` on SIGTERM, so that the node says good-bye to the graph.
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.ALL)
-    node = rclpy.create_node(options.name, namespace=options.namespace)
-    if options.beacon:
-        Beacon(node)
-    mood = Mood()
-    mood.listen()
-    ends = Ends(node, options.publish, options.subscribe, mood)
     try:
+        _work(options)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except Exception:  # rclpy's own kinds: a SIGTERM that comes while node and executor are made leaves them no context
+        if rclpy.ok():
+            raise
+    rclpy.try_shutdown()
+    return 0
+
+
+def _work(options: argparse.Namespace) -> None:
+    """Until rclpy shuts down."""
+    node = rclpy.create_node(options.name, namespace=options.namespace)
+    try:
+        if options.beacon:
+            Beacon(node)
+        mood = Mood()
+        mood.listen()
+        ends = Ends(node, options.publish, options.subscribe, mood)
         # Not `spin`: a SIGTERM that comes just before it waits is lost on a node without timers, which then never ends.
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -131,12 +144,8 @@ def main(argv: list[str] | None = None) -> int:
         while rclpy.ok():
             executor.spin_once(timeout_sec=LOOK_S)
             ends.follow()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
     finally:
         node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
 
 
 def _options(argv: list[str] | None) -> argparse.Namespace:

@@ -42,7 +42,7 @@ def test_a_node_that_leaves_properly_says_so(bench: Bench) -> None:
     probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}])
     seen(probe, lambda fact: "/agent_1/node_1" in fact.nodes, "the node")
     node.terminate()
-    assert node.wait(10) == 0
+    assert node.wait(60) == 0
     seen(probe, lambda fact: not fact.nodes, "its absence")
 
 
