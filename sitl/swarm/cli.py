@@ -17,7 +17,7 @@ from rich.table import Table
 
 from sitl.faults import all_faults
 from sitl.screen import screen
-from sitl.swarm import injected
+from sitl.swarm import cost, injected
 from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
 from sitl.swarm.swarm import Swarm
 
@@ -60,6 +60,8 @@ def _parser() -> argparse.ArgumentParser:
     down.add_argument("--keep-logs", action="store_true", help="leave the folder with PHM's logs")
     status = _verb(verbs, "status", _status, "how each agent is; exit code 0 when all are well")
     status.add_argument("--json", action="store_true", help="for programs")
+    spent = _verb(verbs, "cost", _cost, "processor time and memory of each container")
+    spent.add_argument("--for", dest="seconds", type=float, default=20.0, metavar="SECONDS", help="watch so long (20)")
     logs = _verb(verbs, "logs", _logs, "PHM's log, or the output of a container")
     logs.add_argument("agent", type=int, nargs="?", help="number of the agent (all, one after the other)")
     logs.add_argument("--service", choices=("phm", "ros_app", "air"), help="the output of this container instead")
@@ -143,6 +145,31 @@ def _status(chosen: argparse.Namespace) -> int:
             table.add_row(row["name"], row["app"], row["sidecar"], array or "none yet", row["why"] or "-")
         screen(json=False).print(table)
     return 0 if all(row["well"] for row in rows) else 1
+
+
+def _cost(chosen: argparse.Namespace) -> int:
+    swarm = Swarm.load(chosen.name)
+    rows = cost.measure(swarm.name, chosen.seconds)
+    table = Table(title=f"{swarm.name}, {chosen.seconds:g} s; up took {swarm.took}", box=box.SIMPLE_HEAD)
+    for heading in (
+        "containers",
+        "CPU, % of a core, mean",
+        "max",
+        "sum",
+        "CPU s since start, mean",
+        "MB, mean",
+        "max",
+        "sum",
+    ):
+        table.add_column(heading, justify="left" if heading == "containers" else "right")
+    for service in (*sorted({row.service for row in rows}), "all"):
+        some = [row for row in rows if service in (row.service, "all")]
+        cpu, memory = [row.cpu_percent for row in some], [row.memory_mb for row in some]
+        since = sum(row.cpu_s for row in some) / len(some)
+        figures = (sum(cpu) / len(cpu), max(cpu), sum(cpu), since, sum(memory) / len(memory), max(memory), sum(memory))
+        table.add_row(f"{len(some)} {service}", *(f"{figure:.1f}" for figure in figures))
+    screen(json=False).print(table)
+    return 0 if rows else 1
 
 
 def _logs(chosen: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ import yaml
 
 from phm.config import loads
 from sitl import graph
-from sitl.swarm import config, place
+from sitl.swarm import config, cost, place
 from sitl.swarm.cli import main
 from sitl.swarm.options import Options
 from sitl.swarm.standing import MACHINE, Standing
@@ -256,3 +256,18 @@ def test_faults_are_listed_without_a_swarm(capsys: pytest.CaptureFixture[str]) -
     """By layer and name."""
     assert main(["inject"]) == 0
     assert "ros        node_killed" in capsys.readouterr().out
+
+
+# ---------------------------------------------------------------- cost
+
+
+@pytest.mark.parametrize("idle", ["total_inactive_file", "inactive_file"])
+def test_cost_is_what_the_engine_counted_between_two_looks(idle: str) -> None:
+    """Processor time by the time between the answers, and memory without what the kernel could drop."""
+
+    def stats(used_s: float) -> dict[str, Any]:
+        memory = {"usage": 90e6, "stats": {idle: 20e6}}
+        return {"cpu_stats": {"cpu_usage": {"total_usage": used_s * 1e9}}, "memory_stats": memory}
+
+    found = cost.between("a", "phm", (100.0, stats(7.0)), (110.0, stats(7.5)))
+    assert (found.cpu_percent, found.cpu_s, found.memory_mb) == (pytest.approx(5.0), 7.5, 70.0)
