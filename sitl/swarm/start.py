@@ -28,7 +28,7 @@ AIR_LIMIT_S = 30.0
 APP_LIMIT_S = 90.0
 PHM_LIMIT_S = 90.0
 WELL_LIMIT_S = 180.0
-POLL_S = 0.1
+POLL_S = 0.4
 LAST_LINES = 5
 UP = b" is up"
 """What a node of the application prints when it is in the graph."""
