@@ -15,7 +15,7 @@ from sitl.campaign.trial import NOMINAL, OFF, TRIAL, load
 from sitl.swarm.options import Options
 from sitl.swarm.swarm import Swarm
 
-FAULTS = ("phm_killed", "container_killed", "node_killed", "router_killed")
+FAULTS = ("phm_killed", "container_killed", "node_killed", "autopilot_silent")
 
 
 @pytest.fixture
