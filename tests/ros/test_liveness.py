@@ -77,7 +77,7 @@ class Agent:
     def state(self, unit: str) -> UnitState:
         return next(state for state in self.pipeline.states() if state.unit == unit)
 
-    def until(self, condition: Callable[[], Any], what: str, limit_s: float = 30.0) -> Any:
+    def until(self, condition: Callable[[], Any], what: str, limit_s: float = 120.0) -> Any:
         """Let time pass, as the daemon's heart does, until something is so."""
 
         def ticked() -> Any:
@@ -109,7 +109,7 @@ class Agent:
     def rests(self, seconds: float) -> None:
         """Let time pass: what must not happen has had the time to."""
         end = self.clock.mono() + seconds
-        self.until(lambda: self.clock.mono() >= end, "the end", seconds + 10)
+        self.until(lambda: self.clock.mono() >= end, "the end")
 
     @property
     def faults(self) -> list[Fault]:
@@ -188,7 +188,9 @@ def test_a_busy_node_is_not_called_dead(agent: Agent, more: tuple[str, ...]) -> 
     agent.until(lambda: agent.state(RATE).level is Level.ERROR, "the silence of its topic")
     assert agent.state(NODE).level is Level.OK
     agent.until(lambda: agent.state(RATE).level is Level.OK, "the end of its work")
-    assert [fault.unit for fault in agent.faults] == [RATE]
+    units = [fault.unit for fault in agent.faults]
+    # On a starved machine it may lose its lease meanwhile, and the topic its publisher with it.
+    assert units[0] == RATE and NODE not in units
 
 
 def test_an_executor_that_waits_for_ever_hangs(agent: Agent) -> None:
@@ -237,9 +239,10 @@ def test_a_node_that_runs_twice(agent: Agent) -> None:
     agent.start()
     agent.well()
     agent.start()
-    agent.until(lambda: agent.state(NODE).level is Level.ERROR, "the error")
-    assert agent.state(NODE).result.condition == "node_twice"
-    assert [fault.unit for fault in agent.faults] == [NODE]
+    fault = agent.told()
+    assert (fault.unit, fault.result.condition) == (NODE, "node_twice")
+    agent.rests(2.0)
+    assert len(agent.faults) == 1
 
 
 @pytest.mark.long
