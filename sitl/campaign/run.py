@@ -33,6 +33,8 @@ STILL_S = 10.0
 WELL_LIMIT_S = 120.0
 STEADY_S = 3.0
 """All must have been well for so long before the next injection."""
+OWN = ("join", "reopen")
+"""What PHM does to its own container and its own end of a link, in every mode: nothing of the vehicle is touched."""
 LASTING_S = 31.0
 """Longer than `recovery.verify`, 30 s: before that, the same unit's next failure counts as a repair that did not last."""
 
@@ -110,7 +112,7 @@ class Runner:
             trial.changed += [
                 f"A{act.agent:02d}: {act.action} at {act.unit} {act.phase}"
                 for act in trial.acts
-                if act.phase == "started"
+                if act.phase == "started" and act.action not in OWN
             ]
         finally:
             self._clear(trial, draws)
