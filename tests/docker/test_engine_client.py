@@ -114,7 +114,7 @@ def test_each_failure_of_the_engine_has_a_kind_and_a_sentence(
     ask.ping()
     fake.fault = fault
     with pytest.raises(kind, match=words):
-        ask.inspect("app")
+        ask.inspect("app", deadline_s=20.0)
 
 
 def test_a_refusal_is_not_permitted_and_everything_is_cannot_tell() -> None:
