@@ -76,6 +76,7 @@ def test_a_stopped_node_is_silent_and_goes_on_as_the_same(bench: Bench) -> None:
     node.send_signal(signal.SIGCONT)
     after = seen(probe, lambda fact: beats(fact, A) and fact.beacons[A], "its return")
     assert after.birth == before.birth
+    until(lambda: lateness, "a wake-up for its return")
     assert max([beacon(probe, A).late_s, *lateness]) < 1.0
 
 

@@ -188,9 +188,7 @@ def test_a_busy_node_is_not_called_dead(agent: Agent, more: tuple[str, ...]) -> 
     agent.until(lambda: agent.state(RATE).level is Level.ERROR, "the silence of its topic")
     assert agent.state(NODE).level is Level.OK
     agent.until(lambda: agent.state(RATE).level is Level.OK, "the end of its work")
-    units = [fault.unit for fault in agent.faults]
-    # On a starved machine it may lose its lease meanwhile, and the topic its publisher with it.
-    assert units[0] == RATE and NODE not in units
+    assert [fault.unit for fault in agent.faults] == [RATE]
 
 
 def test_an_executor_that_waits_for_ever_hangs(agent: Agent) -> None:
