@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from phm.model import Fault
@@ -50,9 +50,13 @@ class Cases:
         with self._lock:
             return self._of.pop(unit, None)
 
-    def only(self, faults: Collection[str]) -> list[Case]:
-        """Forget all but these, by fault id; what is left, most upstream first."""
+    def only(self, open_faults: Callable[[], Iterable[Fault]]) -> list[Case]:
+        """Forget all but these; what is left, most upstream first.
+
+        They are asked for while no case can come: one that opens meanwhile would be forgotten for ever.
+        """
         with self._lock:
+            faults = {fault.id for fault in open_faults()}
             self._of = {unit: case for unit, case in self._of.items() if case.fault.id in faults}
             return sorted(self._of.values(), key=lambda case: case.fault.slot)
 

@@ -163,7 +163,7 @@ class TargetWorker:
     def _next(self) -> float | None:
         """Do the most upstream thing there is to do; seconds to wait (0: look again now, None: until woken)."""
         # The tracker knows first what is over; its event may still be on its way through the bus.
-        cases = self._cases.only({fault.id for fault in self._shop.pipeline.open_faults()})
+        cases = self._cases.only(self._shop.pipeline.open_faults)
         waits = [LIFE_S] if self._around.take_note(cases) else []
         if self._asked is not None:
             return self._as_asked(self._asked)
