@@ -14,6 +14,8 @@ Value = str | int | float | bool | None
 """What a result's `values` may hold: exactly what JSON can carry without loss."""
 LIFE = "life"
 """The value by which a unit with a target says which life of that container it saw (`ContainerFact.life`)."""
+NEVER_WELL = "never_well"
+"""The value True says that what is wrong was wrong since the container was started, or since PHM was, as far as anybody knows."""
 
 
 class Level(IntEnum):
@@ -152,7 +154,8 @@ class Fault:
     STALE because of it, in the order in which they were found; `consequences` names the checks that
     cannot be well while it lasts, by the graph of needs (known at once, when the alarm is raised);
     `suspects` names units that were ERROR then and can be behind anything, a full disk: a hint, not a verdict;
-    `well_s` is for how many seconds the unit had been told as OK, without a break, when it broke.
+    `well_s` is for how many seconds the unit had been told as OK, without a break, when it broke;
+    `well_in_life_s` the same in all since its target's container was last seen to be started, breaks or not.
     """
 
     id: str
@@ -168,6 +171,7 @@ class Fault:
     consequences: tuple[str, ...] = ()
     suspects: tuple[str, ...] = ()
     well_s: float = 0.0
+    well_in_life_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,9 +33,37 @@ class Deaf:
         self._wanted = [Wanted(name, key, words[name]) for name in own]
         self._ends = {name: Ends.of(name, settings.ros.topics) for name in own}
         self._life, self._met_at = "", 0.0
+        self._deaf_life = ""
+        """In which it was blocked last, until something was heard in another."""
+        self.never_heard = False
+        """Of the last answer that said why: whether nothing was ever heard in this life."""
 
     def why(self, world: api.World, life: str) -> str:
         """The evidence in words; empty while anything is heard, or when it cannot be told. life: of the container, now."""
+        why = self._why(world, life)
+        if why:
+            self._deaf_life = life
+        return why
+
+    def waiting(self, world: api.World, life: str) -> bool:
+        """It was blocked in the life before, and whether data come in this one is not known yet. After `why`."""
+        if self._deaf_life in ("", life):
+            return False
+        now = world.clock.mono()
+        if now - self._met_at > 2 * self._grace_s or self._heard(world, now):
+            self._deaf_life = ""
+        return bool(self._deaf_life)
+
+    def _heard(self, world: api.World, now: float) -> bool:
+        """Whether any node has given a sign in this life."""
+        try:
+            fact = world.ros.look()
+        except api.CannotTell:
+            return False
+        ages = (self._silent_s(node, fact) for node in self._wanted)
+        return any(age is not None and now - age > self._met_at for age in ages)
+
+    def _why(self, world: api.World, life: str) -> str:
         if len(self._wanted) < WITNESSES:
             return ""
         now = world.clock.mono()
@@ -50,11 +78,13 @@ class Deaf:
         silent = [found for node in self._wanted if (found := self._silent_s(node, fact)) is not None]
         # What was heard before this life was heard of other processes, whose names may be listed until their lease ends.
         if len(silent) >= WITNESSES and _together(silent) and now - max(silent) > self._met_at and self._run(world):
+            self.never_heard = False
             return (
                 f"nothing has come of any of its {len(silent)} nodes for {span(min(silent))}, though discovery lists them and "
                 "their processes run"
             )
         if not silent and now - self._met_at > self._grace_s and self._nameless(fact) and self._run(world):
+            self.never_heard = True
             return (
                 f"publishers are found, and neither names of their nodes nor a sample has come for {span(fact.up_s)}, though "
                 f"the processes of {listed([node.short for node in self._wanted], 3)} run"

@@ -62,15 +62,25 @@ class Network(PerContainer):
 
     def _blocked(self, world: api.World, fact: api.ContainerFact) -> api.Result | None:
         """The network is as it must be, and what the nodes say still does not come."""
-        why = self._deaf.why(world, fact.life)
+        why, never = self._deaf.why(world, fact.life), self._deaf.never_heard
+        if not why and self._deaf.waiting(world, fact.life):
+            return api.stale(
+                f"{self.key} is connected; its transport was blocked before it was started, and nothing has come of its nodes since"
+            )
         if not why:
             return None
+        cause = (
+            "Look for a firewall, or for shared memory without a shared /dev/shm (set FASTDDS_BUILTIN_TRANSPORTS=UDPv4): nothing "
+            "was ever heard since it was started, so a restart of the application does not help as a rule"
+            if never
+            else "Data came before, since it was started: look for a firewall that was set up meanwhile; rules in its own network "
+            "namespace go with a restart of the application, others do not"
+        )
         return self._bad(
-            f"{self.key} is connected and answers, but discovery passes and no data: {why}. Look for a firewall, or for shared "
-            "memory without a shared /dev/shm (set FASTDDS_BUILTIN_TRANSPORTS=UDPv4); a restart of the application does not "
-            "help as a rule",
+            f"{self.key} is connected and answers, but discovery passes and no data: {why}. {cause}",
             "transport blocked",
             "transport_blocked",
+            never_well=never,
         )
 
     def _mode(self, fact: api.ContainerFact) -> api.Result | None:
@@ -142,6 +152,8 @@ class Network(PerContainer):
             "address_silent",
         )
 
-    def _bad(self, words: str, short: str, condition: str, subject: str | None = None) -> api.Result:
+    def _bad(
+        self, words: str, short: str, condition: str, subject: str | None = None, **values: api.Value
+    ) -> api.Result:
         told = self.key if subject is None else subject
-        return api.error(words, brief=brief(told, short), condition=condition, target=self.key)
+        return api.error(words, brief=brief(told, short), condition=condition, target=self.key, **values)

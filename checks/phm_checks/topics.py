@@ -225,7 +225,14 @@ class Topics(api.Check):
             topic, seen, Level.ERROR if asked_for else Level.WARN, "qos_mismatch", "QoS mismatch",
             f"topic {full(topic.name)} does not connect all its ends. {joined(words[:SHOWN])}"
             + (f" And {len(words) - SHOWN} more." if len(words) > SHOWN else ""),
+            self._home(topic, [pair for pair, _ in asked_for]),
         )  # fmt: skip
+
+    def _home(self, topic: api.TopicSettings, pairs: Iterable[Pair]) -> str:
+        """The topic's container, if all ends of the pairs are its own; empty: it may be another's, so none is at fault for sure."""
+        default = self._targets[_unit(topic)]
+        homes = {self._homes.get(end.node, default) for pair in pairs for end in pair}
+        return default if homes <= {default} else ""
 
     def _unfed(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float) -> list[api.Result]:
         """WARN for a subscription without any publisher on a name that is almost this one: it was most likely meant."""

@@ -1,6 +1,7 @@
 """Decides what to do about a fault. Pure: fault, history and armed state in, a decision out.
 
-Rules, first match wins: no ladder for the condition -> nothing; mode off -> nothing; not opted in ->
+Rules, first match wins: no ladder for the condition -> nothing; never well in this life of its container, where
+only that gives hope -> nothing; mode off -> nothing; not opted in ->
 nothing; the same failure `same_failure` times -> give up and say so; flight-critical while armed -> advise; mode
 advise -> advise; budget used up -> wait, and say so; back-off not over -> wait; else the rung of the ladder that
 follows the number of failed attempts. Actions on PHM's own container and links are bound by budget and back-off alone.
@@ -11,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from phm.model import Fault
+from phm.model import NEVER_WELL, Fault
 from phm.recovery.history import Attempt, History
 from phm.settings import ContainerSettings, RecoverySettings
 
@@ -33,6 +34,9 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "rate_low": ("relaunch", "restart"),
     "publisher_lost": ("restart",),
     "subscriber_lost": ("restart",),
+    "qos_mismatch": ("restart",),
+    "node_twice": ("restart",),
+    "transport_blocked": ("restart",),
     "file_missing": ("restore",),
     "file_not_executable": ("restore",),
     "file_altered": ("restore",),
@@ -43,10 +47,16 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
 }
 """Built-in ladders by condition. Conditions that are not here are told and left alone: `restarting` because the engine's
 own restart policy is at work and is not fought, `dead` because the engine refuses to restart what it could not remove,
-`not_received` because a blocked transport outlives every restart."""
-PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost"})
+`not_received` because a transport that was never open outlives every restart."""
+PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_twice"})
 """Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs, and a node may make
-its ends anew by itself."""
+its ends anew by itself, or be relieved by a copy that starts before it ends."""
+ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_twice"})
+"""Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
+namespace, a publisher that was made anew, a second node started by hand. Where it was well in this life, a restart brings
+back what the start had, and is tried once; where it never was, nothing is done. A ladder of the user's own holds as it is."""
+ONCE_WELL_S = 7.0
+"""Beyond the grace of a start: what is wrong from the start is told after that, by checks that run every 5 s at least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +109,7 @@ def decide(
     free_actions: frozenset[str] = frozenset(),
     approved: bool = False,
     usable: frozenset[str] | None = None,
+    start_s: float = 8.0,
 ) -> Decision:
     """What to do about `fault` at `now` (monotonic seconds).
 
@@ -106,11 +117,13 @@ def decide(
     approved: an operator has said yes to this fault: mode advise and the armed state no longer hold it back.
     free_actions: actions on PHM's own container and links; they endanger nobody, so mode, opt-in and arming do not bind them.
     usable: the actions that apply to this fault; other rungs are left out. None: all.
+    start_s: how long the parts of a container may take to come up (`ros.grace`).
     """
     condition = fault.result.condition
     ladder = tuple(rung for rung in ladder_of(condition, settings) if usable is None or rung in usable)
-    if not ladder:
-        return Leave(f"no action is known for {condition or 'this'}")
+    hopeless = _hopeless(fault, ladder, settings, start_s)
+    if hopeless:
+        return Leave(hopeless)
     same = _same_failures(history, fault, now, settings.verify)
     action = ladder[min(len(same), len(ladder) - 1)]
     if action not in free_actions:
@@ -120,8 +133,8 @@ def decide(
             return Leave("no container to act on")
         if not container.recover:
             return Leave(f"{container.key} has not opted in (recover: true)")
-    if len(same) >= settings.same_failure:
-        return GiveUp(action, f"{len(same)} attempts did not help")
+    if len(same) >= (1 if _once(condition, settings) else settings.same_failure):
+        return GiveUp(action, _in_vain(len(same)))
     if condition in PATIENT and now < fault.opened.mono + settings.patience:
         return Wait(fault.opened.mono + settings.patience, "it may come back by itself")
     bound = action not in free_actions and not approved
@@ -141,6 +154,25 @@ def decide(
 def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:
     """The user's ladder for the condition, else the built-in one, else none."""
     return tuple(settings.ladders.get(condition, LADDERS.get(condition, ())))
+
+
+def _once(condition: str, settings: RecoverySettings) -> bool:
+    return condition in ONCE_WELL and condition not in settings.ladders
+
+
+def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings, start_s: float) -> str:
+    """Why nothing that PHM knows can help; empty: something may."""
+    condition = fault.result.condition
+    if not ladder:
+        return f"no action is known for {condition or 'this'}"
+    was_well = fault.well_in_life_s >= start_s + ONCE_WELL_S and not fault.result.values.get(NEVER_WELL)
+    if _once(condition, settings) and not was_well:
+        return "it was not well before in this life of its container, so a restart would bring it back"
+    return ""
+
+
+def _in_vain(attempts: int) -> str:
+    return "one attempt did not help" if attempts == 1 else f"{attempts} attempts did not help"
 
 
 def critical_now(container: ContainerSettings, armed: bool) -> bool:

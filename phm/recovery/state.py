@@ -200,6 +200,7 @@ def _fault(fault: Fault) -> dict[str, Any]:
         "blocks": list(fault.blocks[:MAX_FAULTS]),
         "consequences": list(fault.consequences[:MAX_FAULTS]),
         "well_s": fault.well_s,
+        "well_in_life_s": fault.well_in_life_s,
         "result": {
             "summary": result.summary[:MAX_TEXT],
             "brief": result.brief[:MAX_TEXT],
@@ -216,6 +217,7 @@ def _read_fault(body: Any, opened: Stamp) -> Fault:
         blocks=tuple(str(unit) for unit in body["blocks"]),
         consequences=tuple(str(name) for name in body["consequences"]),
         well_s=float(body.get("well_s", 0.0)),
+        well_in_life_s=float(body.get("well_in_life_s", 0.0)),
     )  # fmt: skip
 
 

@@ -201,6 +201,7 @@ class TargetWorker:
             settings=shop.context.settings.recovery,
             free_actions=shop.free_actions,
             usable=shop.usable(self._container, fault),
+            start_s=shop.context.settings.ros.grace,
             approved=approved,
         )
 

@@ -54,6 +54,7 @@ class Episodes:
             consequences=self._consequences(entry),
             suspects=self._suspects(entry),
             well_s=now.mono - entry.told.since.mono if entry.told.level is Level.OK else 0.0,
+            well_in_life_s=entry.well_in_life_s(now.mono),
         )
         step.events.append(FaultOpened(now, entry.fault))
 

@@ -252,6 +252,8 @@ class Tracker:
 
     def _begin_anew(self, target: str, now: Stamp, step: Step) -> None:
         own = [entry.id for entry in self._units.values() if entry.target == target]
+        for name in own:
+            self._units[name].begin_life(now.mono)
         below = dict.fromkeys(name for unit in own for name in self.needs.downstream(unit))
         self._give_grace(below, now, step)
 
@@ -274,6 +276,8 @@ class Tracker:
             self._episodes.open(entry, result, now, step)
         if reworded and entry.fault is not None:
             entry.fault = replace(entry.fault, result=result)
+        if changed:
+            entry.was_well_s = entry.well_in_life_s(now.mono)
         fault = entry.fault.id if entry.fault is not None else ""
         entry.told = replace(old, level=level, result=result, since=since, blocked_by=blocked_by, fault=fault)
         if changed or reworded:

@@ -70,6 +70,10 @@ class Entry:
     quiet_until: float = 0.0
     """Grace: until then a bad result is `not known yet`."""
     well_since: float | None = None
+    born: float = NEVER
+    """When the container of its target was last seen to be started; nothing is known before."""
+    was_well_s: float = 0.0
+    """Told as OK for so long in this life of it, but for the present spell."""
     unproven_until: float = NEVER
     """Its repair did not bring back what needs it; until then it is not believed to be well."""
     fault: Fault | None = None
@@ -90,6 +94,15 @@ class Entry:
         self.pending = self.well_since = None
         self.bad_in_a_row, self.counts_from = 0, now
         self.quiet_until = max(self.quiet_until, until)
+
+    def begin_life(self, now: float) -> None:
+        """Its container has been started: what was well before says nothing about this life."""
+        self.born, self.was_well_s = now, 0.0
+
+    def well_in_life_s(self, now: float) -> float:
+        """Told as OK for so long, in all, in this life of its container."""
+        spell_s = now - max(self.told.since.mono, self.born) if self.told.level is Level.OK else 0.0
+        return self.was_well_s + spell_s
 
     @property
     def told_given_up(self) -> bool:

@@ -59,6 +59,33 @@ def test_nodes_that_fall_silent_at_once_are_a_blocked_transport(aboard: Aboard) 
     assert "2 nodes" in result.summary
 
 
+def test_a_life_in_which_data_came_before_is_told_from_one_in_which_none_did(aboard: Aboard) -> None:
+    """A restart may help the first, and not the second; the words say so."""
+    result = aboard.later(10.0, 4.0, 4.4)
+    assert result.values["never_well"] is False
+    assert "Data came before" in result.summary
+
+
+def test_after_a_restart_it_is_well_when_something_is_heard(aboard: Aboard) -> None:
+    """Connected is not healed: what was blocked may be blocked again, which nobody knows before a node speaks."""
+    aboard.later(10.0, 4.0, 4.4)
+    aboard.docker.change("ros_app", started_at="later")
+    assert aboard.later(1.0, 5.0, 5.4).level is api.Level.STALE
+    assert aboard.later(2.0, 7.0, 7.4).level is api.Level.STALE
+    assert aboard.later(2.0, 0.2).level is api.Level.OK
+    assert aboard.later(5.0, 5.0).level is api.Level.OK, "one node that falls silent is its own fault"
+
+
+def test_after_a_restart_nobody_waits_for_ever(aboard: Aboard) -> None:
+    """Nodes that never come are told as such."""
+    aboard.later(10.0, 4.0, 4.4)
+    aboard.docker.change("ros_app", started_at="later")
+    aboard.ros.change(nodes={}, beacons={})
+    assert aboard.look().level is api.Level.STALE
+    aboard.clock.advance(17.0)
+    assert aboard.look().level is api.Level.OK
+
+
 @pytest.mark.parametrize("ages_s", [(0.1, 5.0), (2.0, 2.1), (4.0, 8.0), (5.0,)])
 def test_one_silent_node_is_its_own_fault(aboard: Aboard, ages_s: tuple[float, ...]) -> None:
     """Somebody is heard, the silence is short, they fell silent one after the other, or there is one witness alone."""
@@ -94,7 +121,9 @@ def test_publishers_without_names_are_a_blocked_transport_from_the_start(aboard:
     aboard.ros.change(nodes={}, beacons={}, topics=topics)
     assert aboard.look().level is api.Level.OK
     aboard.clock.advance(20.0)
-    assert aboard.look().condition == "transport_blocked"
+    result = aboard.look()
+    assert (result.condition, result.values["never_well"]) == ("transport_blocked", True)
+    assert "nothing was ever heard" in result.summary
 
 
 def test_without_a_picture_nothing_is_said(aboard: Aboard) -> None:

@@ -70,6 +70,49 @@ def test_a_topic_that_pauses_is_given_time(condition: str) -> None:
     assert say(fault=fault("node_missing"), now=1000.0) == Act("relaunch", 1)
 
 
+ONCE = ("transport_blocked", "qos_mismatch", "node_twice")
+
+
+def was_well(condition: str, seconds: float) -> Fault:
+    """Opened long ago, so that patience is over."""
+    return replace(fault(condition, opened=900.0), well_in_life_s=seconds)
+
+
+@pytest.mark.parametrize("condition", ONCE)
+def test_what_broke_in_this_life_of_its_container_is_tried_once(condition: str) -> None:
+    """A restart brings back what the start had; when that did not help, it is not the answer."""
+    before = was_well(condition, 60.0)
+    assert say(fault=before) == Act("restart", 1)
+    assert isinstance(say(attempts(950.0, condition=condition), fault=before), GiveUp)
+
+
+@pytest.mark.parametrize("condition", ONCE)
+def test_what_was_never_well_in_this_life_is_left_alone(condition: str) -> None:
+    """Its cause is in the start itself: code, a launch file, no shared memory. Well for a moment may be what was there before."""
+    for seconds in (0.0, 14.0):
+        assert isinstance(say(fault=was_well(condition, seconds)), Leave)
+    assert isinstance(say(fault=was_well(condition, 14.0), start_s=6.0), Act)
+    known = was_well(condition, 60.0)
+    known = replace(known, result=replace(known.result, values={"never_well": True}))
+    assert isinstance(say(fault=known), Leave), "the check knows better than what was told"
+
+
+def test_a_ladder_of_the_users_own_does_not_ask_whether_it_was_well() -> None:
+    """Who names the condition has decided, and gets all attempts."""
+    rules = RecoverySettings(ladders={"qos_mismatch": ["restart"]})
+    assert say(attempts(950.0, condition="qos_mismatch"), fault=was_well("qos_mismatch", 0.0), settings=rules) == Act(
+        "restart", 2
+    )
+
+
+@pytest.mark.parametrize("condition", ["qos_mismatch", "node_twice"])
+def test_ends_and_copies_that_may_go_by_themselves_are_given_time(condition: str) -> None:
+    """A node that is relieved by another overlaps with it for a moment."""
+    new = replace(fault(condition), well_in_life_s=60.0)
+    assert say(fault=new, now=1009.0) == Wait(1010.0, "it may come back by itself")
+    assert say(fault=new, now=1010.0) == Act("restart", 1)
+
+
 def test_the_configuration_may_replace_a_ladder() -> None:
     """Per condition, the user's ladder counts alone; an empty one switches healing off."""
     assert say(settings=RecoverySettings(ladders={"unhealthy": ["start"]})) == Act("start", 1)

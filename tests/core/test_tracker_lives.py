@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from phm.api import Level, Result, error, ok
-from phm.model import Outcome
+from phm.api import Level, Result, error, ok, stale
+from phm.model import FaultOpened, Outcome
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
 
@@ -164,3 +164,36 @@ def test_a_memory_of_what_was_there_does_not_end_grace() -> None:
         bench.see("rates", result)
         bench.see("container", lived(2))
     assert bench.opened == []
+
+
+def well_in_life_s(bench: Bench) -> list[float]:
+    return [round(event.fault.well_in_life_s, 3) for event in bench.events if isinstance(event, FaultOpened)]
+
+
+def test_a_fault_knows_how_long_its_unit_was_well_in_this_life() -> None:
+    """In all, breaks or not; what was well before the container was started does not count."""
+    bench = living()
+    bench.later(30)
+    bench.see("container", lived(2))
+    bench.see("nodes", OK)
+    bench.later(4)
+    bench.see("nodes", stale("no picture"))
+    bench.later(3)
+    bench.see("nodes", OK)
+    bench.later(6)
+    for _ in range(4):
+        bench.see("nodes", BAD)
+        bench.see("container", lived(2))
+        bench.later(0.2)
+    assert bench.opened == ["nodes"]
+    (seconds,) = well_in_life_s(bench)
+    assert 10.0 <= seconds <= 11.0
+
+
+def test_what_was_never_told_well_in_this_life_counts_nothing() -> None:
+    """Broken from the start."""
+    bench = living()
+    bench.later(30)
+    bench.see("nodes", BAD)
+    all_missing(bench, 10.0, life=2)
+    assert well_in_life_s(bench) == [0.0]

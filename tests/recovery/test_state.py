@@ -25,7 +25,17 @@ WINDOW_S = 600.0
 def fault(name: str = "ab12-1", opened: Stamp | None = None) -> Fault:
     result = Result(Level.ERROR, "app has exited", "app exited", "exited", "app")
     when = opened or Stamp(1000.0, 90.0)
-    return Fault(name, "container/app", Slot.CONTAINER, Layer.DOCKER, result, when, blocks=("files/app",), well_s=61.5)
+    return Fault(
+        name,
+        "container/app",
+        Slot.CONTAINER,
+        Layer.DOCKER,
+        result,
+        when,
+        blocks=("files/app",),
+        well_s=61.5,
+        well_in_life_s=90.5,
+    )
 
 
 def attempt(at: float = 95.0) -> Attempt:
