@@ -15,7 +15,7 @@ Value = str | int | float | bool | None
 LIFE = "life"
 """The value by which a unit with a target says which life of that container it saw (`ContainerFact.life`)."""
 NEVER_WELL = "never_well"
-"""The value True says that what is wrong was wrong since the container was started, or since PHM was, as far as anybody knows."""
+"""The value by which a check that can tell says whether what is wrong was ever well in this life of its container."""
 
 
 class Level(IntEnum):
@@ -88,6 +88,8 @@ class Result:
     target:    name of the container (as in the configuration) that a recovery may act on, or empty.
     values:    numbers behind the judgement, for the JSON log; units in the key names.
     bypass:    the check had nothing to judge and counts as OK (logged as BYPASS).
+    settle_s:  how long a bad result must last before it is told, where the check knows better than `Unit.settle_s`:
+               shorter with evidence that nothing above it is the cause, longer for what was seen to mend itself.
     """
 
     level: Level
@@ -97,6 +99,7 @@ class Result:
     target: str = ""
     values: Mapping[str, Value] = field(default_factory=dict)
     bypass: bool = False
+    settle_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,6 +67,10 @@ class Action(ABC):
     """The unit and all that needs it must be found well by runs that began this long after the action: for actions after
     which all looks well for a moment (a container that starts and ends again, a node that is listed but cut off)."""
 
+    shows_s: ClassVar[float | None] = None
+    """A run of the unit's check that began this long after the action and is still ERROR says that it has not helped: for
+    actions that work at once or never. None: the unit's grace and two seconds."""
+
     @classmethod
     def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
         """Whether the configuration has what this step needs; a rung that does not apply is left out of the ladder."""

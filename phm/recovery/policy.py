@@ -55,8 +55,9 @@ ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_twice"})
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
 namespace, a publisher that was made anew, a second node started by hand. Where it was well in this life, a restart brings
 back what the start had, and is tried once; where it never was, nothing is done. A ladder of the user's own holds as it is."""
-ONCE_WELL_S = 7.0
-"""Beyond the grace of a start: what is wrong from the start is told after that, by checks that run every 5 s at least."""
+ONCE_WELL_S = 2.0
+"""Beyond the grace of a start: what has been told well for longer was not wrong from the start. A check that knows better says so
+(`phm.model.NEVER_WELL`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +166,8 @@ def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings,
     condition = fault.result.condition
     if not ladder:
         return f"no action is known for {condition or 'this'}"
-    was_well = fault.well_in_life_s >= start_s + ONCE_WELL_S and not fault.result.values.get(NEVER_WELL)
-    if _once(condition, settings) and not was_well:
+    never_well = fault.result.values.get(NEVER_WELL, fault.well_in_life_s < start_s + ONCE_WELL_S)
+    if _once(condition, settings) and never_well:
         return "it was not well before in this life of its container, so a restart would bring it back"
     return ""
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from phm.model import Fault
+from phm.recovery.base import Action
 from phm.recovery.lives import ENGINE, Life, by_phm
 from phm.recovery.shop import Shop
 
@@ -46,7 +47,7 @@ class Proving:
     """The proof of one action that was over at `done` (monotonic seconds). Pure.
 
     The unit itself gets `verify_s`, less when it is surely still bad; what needs it gets its grace. Runs count that began
-    `proof_s` after the action, which is the action's own (`phm.recovery.base.Action`).
+    `proof_s` after the action, which is the action's own, as is `shows_s` (`phm.recovery.base.Action`).
     """
 
     unit: str
@@ -54,6 +55,7 @@ class Proving:
     proof_s: float
     verify_s: float
     grace_s: Callable[[str], float]
+    shows_s: float | None = None
     waiting: tuple[str, ...] = ()
     """Units that have not come back."""
 
@@ -61,7 +63,7 @@ class Proving:
         """None: to be seen."""
         self.waiting = (self.unit,)
         if not seen.well_since(self.unit, self.done):
-            late = self.done + self.grace_s(self.unit) + STILL_BAD_S
+            late = self.done + (self.grace_s(self.unit) + STILL_BAD_S if self.shows_s is None else self.shows_s)
             over = now - self.done > self.verify_s or seen.bad_since(self.unit, late)
             return Proof(missing=self.unit) if over else None
         suffering = seen.suffering(self.unit, self.done + self.proof_s)
@@ -72,10 +74,11 @@ class Proving:
         return Proof(missing=self.waiting[0]) if now - self.done > longest_s else None
 
 
-def prove(shop: Shop, fault: Fault, target: str, proof_s: float, stopping: Callable[[], bool]) -> Proof:
+def prove(shop: Shop, fault: Fault, target: str, kind: type[Action], stopping: Callable[[], bool]) -> Proof:
     """Wait for the verdict. A life of the container that is not this action's doing ends the wait."""
     clock, pipeline = shop.clock, shop.pipeline
-    proving = Proving(fault.unit, clock.mono(), proof_s, shop.context.settings.recovery.verify, shop.grace_s)
+    verify_s = shop.context.settings.recovery.verify
+    proving = Proving(fault.unit, clock.mono(), kind.proof_s, verify_s, shop.grace_s, kind.shows_s)
     mine = shop.lives.look(target)
     asked = float("-inf")
     while not stopping():

@@ -61,7 +61,7 @@ class Repair:
         if not done.ok:
             return Verdict(False, done.detail, refused=done.refused)
         tell(Phase.DONE, done.detail)
-        proof = prove(self._shop, self._fault, self._target, self._kind.proof_s, stopping)
+        proof = prove(self._shop, self._fault, self._target, self._kind, stopping)
         if proof.overtaken:
             words = f"{self._target} was started again by {proof.overtaken} before {name} was proven"
             return Verdict(False, words, overtaken=True, excused=proof.excused)

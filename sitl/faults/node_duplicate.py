@@ -16,9 +16,11 @@ class Injection(Fault):
     condition = "node_twice"
     layer = "ros"
     cause = "somebody started a node by hand, or two launch files have it"
-    healable = False
+
+    _life = ""
 
     def inject(self, agent: Agent) -> float:
+        self._life = agent.life
         node = (
             f"echo $$ > {PID}; exec ros-entrypoint python -m sitl.node --name node_1 --namespace /{agent.name} "
             "--publish topic_1:10 --subscribe topic_3"
@@ -28,4 +30,6 @@ class Injection(Fault):
         return moment
 
     def clear(self, agent: Agent) -> None:
-        agent.run_in_app("sh", "-c", f"if [ -e {PID} ]; then kill $(cat {PID}) || true; rm {PID}; fi")
+        """After a restart it is gone, and its number may be another's."""
+        kill = f"kill $(cat {PID}) || true; " if agent.life == self._life else ""
+        agent.run_in_app("sh", "-c", f"if [ -e {PID} ]; then {kill}rm {PID}; fi")

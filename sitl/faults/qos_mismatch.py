@@ -9,13 +9,13 @@ CARELESS = "35"
 
 
 class Injection(Fault):
-    """Tells node_1 to make its publisher anew as best effort; node_2 asks for reliable, and DDS keeps the two apart."""
+    """Tells node_1 to make its publisher anew as best effort; node_2 asks for reliable, and DDS keeps the two apart. A restart brings
+    back what the start has."""
 
     name, title, unit = "qos_mismatch", "quality of service does not fit", "topics/{agent}/topic_1"
     condition = "qos_mismatch"
     layer = "ros"
     cause = "a node was updated and offers less than its subscriber asks for"
-    healable = False
 
     _life = ""
 

@@ -15,14 +15,14 @@ PARTICIPANTS = 15
 class Injection(Fault):
     """Drops what the application sends to the ports on which DDS takes data, and leaves those of discovery open.
 
-    That is how shared memory without a shared /dev/shm looks from outside, too. The nodes reach each other by loopback.
+    That is how shared memory without a shared /dev/shm looks from outside, too, but from the start. The nodes reach each other
+    by loopback. The rules are the namespace's, and go with a restart.
     """
 
     name, title, unit = "transport_blocked", "transport blocked, discovery passes", "network/ros_app"
     condition = "transport_blocked"
     layer = "ros"
     cause = "a firewall lets discovery through and no data, or shared memory is not shared"
-    healable = False
 
     def inject(self, agent: Agent) -> float:
         domain = next(

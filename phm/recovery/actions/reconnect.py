@@ -19,6 +19,8 @@ class Reconnect(Action):
     name = "reconnect"
     # A node that has lost its network for good stays listed until its lease ends (1 s with config/fastdds.xml).
     proof_s = 2.0
+    # The kernel of an attached interface answers at once; one whose address is silent now stays so.
+    shows_s = 1.0
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)

@@ -1,0 +1,40 @@
+"""How long the proof of an action waits before it says that the action has not helped. Pure."""
+
+from __future__ import annotations
+
+from phm.recovery.proof import Proof, Proving
+
+GRACE_S = 3.0
+
+
+class Silent:
+    """A unit that every run finds bad; the newest run began at `started`."""
+
+    def __init__(self, started: float) -> None:
+        self.started = started
+
+    def well_since(self, unit: str, mono: float) -> bool:
+        return False
+
+    def bad_since(self, unit: str, mono: float) -> bool:
+        return self.started >= mono
+
+    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+        return ()
+
+
+def verdict(started: float, shows_s: float | None) -> Proof | None:
+    """0 is when the action was over."""
+    return Proving("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, shows_s).verdict(Silent(started), started + 2.0)
+
+
+def test_what_works_at_once_or_never_is_not_waited_for() -> None:
+    """A reconnected address that is silent after a second has failed, whatever grace the unit has."""
+    assert verdict(0.5, shows_s=1.0) is None
+    assert verdict(1.0, shows_s=1.0) == Proof(missing="network/app")
+
+
+def test_other_actions_are_given_the_grace_of_the_unit() -> None:
+    """A container that was started needs its time."""
+    assert verdict(4.5, shows_s=None) is None
+    assert verdict(5.0, shows_s=None) == Proof(missing="network/app")
