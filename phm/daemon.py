@@ -39,7 +39,7 @@ logger = logging.getLogger(__name__)
 
 STALLED_BEAT_S = 3.0
 STOOD_STILL_S = 2.5
-"""A pause of the heart, which beats ten times a second, that is told. The guard ends one within 4 s."""
+"""A pause of the heart, which beats ten times a second, that is told. Of one that its guard has ended it is told however short."""
 DEADLY = ("signal 2", "signal 3", "signal 9", "signal 15")
 STOPPING_S = 11.0
 """The engine's own time between SIGTERM and SIGKILL is 10 s."""
@@ -62,7 +62,7 @@ class Daemon:
         self._guard = guard
         self._last_end = LastEnd(settings.state_dir)
         self._ended_badly = False
-        self._stood_still: tuple[float, float] | None = None
+        self._stood_still: tuple[float, float, bool] | None = None
         self.clock = clock or SystemClock()
         self.boot_id = uuid.uuid4().hex[:12]
         self.plan: Plan = make(settings, registry.checks())
@@ -179,7 +179,7 @@ class Daemon:
         return SelfFact(
             now - self._started.mono, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems()),
             ended_badly=self._ended_badly, stood_still_s=still[1] if still else None,
-            stood_still_ago_s=now - still[0] if still else None,
+            stood_still_ago_s=now - still[0] if still else None, was_stopped=still is not None and still[2],
         )  # fmt: skip
 
     def _reporter_context(self) -> ReporterContext:
@@ -272,15 +272,15 @@ class Daemon:
     # ------------------------------------------------------------ the beat
 
     def _beat_on(self) -> None:
-        next_pass = self.clock.mono()
+        next_pass = self._beat = self.clock.mono()  # how long the start took is no pause
         while not self._stop.is_set():
             try:
                 now = self.clock.mono()
-                if now - self._beat > STOOD_STILL_S:
-                    self._stood_still = (now, now - self._beat)
-                self._beat = now
-                if self._guard is not None:
-                    self._guard.beat()
+                was_stopped = self._guard is not None and self._guard.beat()
+                paused_s, self._beat = now - self._beat, now
+                if was_stopped or paused_s > STOOD_STILL_S:
+                    self._stood_still = (now, paused_s, was_stopped)
+                    self._wake("myself")
                 if now >= next_pass:
                     self.pipeline.begin_pass()
                     next_pass = max(next_pass + self.settings.interval, now)

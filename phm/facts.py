@@ -132,6 +132,8 @@ class ProcessFact:
     """Processor time used so far, in whole seconds; None when not told."""
     command: str = ""
     """Program and arguments, with a space between, at most 4096 characters."""
+    age_s: float | None = None
+    """Since it was started, in whole seconds, rounded down; None when not told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,6 +274,8 @@ class SelfFact:
     stood_still_s: float | None = None
     """For how long PHM as a whole last did nothing, without having ended; None: never."""
     stood_still_ago_s: float | None = None
+    was_stopped: bool = False
+    """It stood still because a signal had stopped it, and went on because its guard let it."""
 
 
 class SelfProbe(Protocol):

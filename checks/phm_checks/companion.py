@@ -20,7 +20,7 @@ class Companion(api.Check):
 
     @property
     def wakes(self) -> frozenset[str]:
-        return frozenset({"link"})
+        return frozenset({"link", "myself"})
 
     def run(self, world: api.World) -> api.Result:
         """Everything wrong in one summary."""
@@ -71,9 +71,13 @@ class Companion(api.Check):
             )
         ago_s, lasted_s = facts.stood_still_ago_s, facts.stood_still_s
         if ago_s is not None and lasted_s is not None and ago_s < TOLD_S:
+            why = (
+                "a signal had stopped it (SIGSTOP), and its guard let it go on; `PHM_GUARD=off` if that was meant"
+                if facts.was_stopped
+                else "was it stopped or paused, or is the processor used up?"
+            )
             yield api.warn(
-                f"PHM as a whole stood still for {span(lasted_s)} and goes on; nobody watched this agent meanwhile: was it "
-                "stopped or paused, or is the processor used up?",
-                brief=brief("PHM", f"stood still {lasted_s:.0f} s"),
+                f"PHM as a whole stood still for {span(lasted_s)} and goes on; nobody watched this agent meanwhile: {why}",
+                brief=brief("PHM", f"stood still {lasted_s:.{0 if lasted_s >= 1 else 1}f} s"),
                 condition="phm_stood_still",
             )

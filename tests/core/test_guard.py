@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from phm.guard import SILENT_LOOKS, STOPPED_LOOKS, Guard, state_of, watch
+from phm import guard as guard_module
+from phm.guard import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, Guard, state_of, watch
 from phm.last_end import LastEnd
 
 LOOK_S = 0.02
@@ -82,6 +83,87 @@ def test_a_daemon_that_beats_is_left_alone() -> None:
         assert watched.kills == []
     finally:
         watched.close()
+
+
+def played(
+    monkeypatch: pytest.MonkeyPatch, states: str, *, beats: int = 0, left_alone: str = "t"
+) -> list[tuple[int, str]]:
+    """What a guard does, and at which glance, that finds the daemon in one of `states` at each; a beat every `beats` glances."""
+    far, pipe = os.pipe()
+    seen: list[str] = []
+    done: list[tuple[int, str]] = []
+
+    def look(stat: int) -> str:
+        if len(seen) == len(states):
+            os.close(pipe)
+            return ""
+        seen.append(states[len(seen)])
+        if beats and len(seen) % beats == 0:
+            os.write(pipe, b".")
+        return seen[-1]
+
+    monkeypatch.setattr(guard_module, "state_in", look)
+    watch(
+        far, os.getpid(), lambda pid, number: done.append((len(seen), signal.Signals(number).name)), 0.0,
+        tell=lambda: done.append((len(seen), "told")), left_alone=left_alone,
+    )  # fmt: skip
+    os.close(far)
+    return done
+
+
+def test_a_stop_is_seen_in_a_fraction_of_a_second_and_told_before_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within one look at the beat, so that no heartbeat of 2 s is missed; told first, so that the first beat after it knows."""
+    assert STOPPED_LOOKS < GLANCES
+    assert played(monkeypatch, "SS" + "T" * STOPPED_LOOKS + "SS", beats=GLANCES) == [(4, "told"), (4, "SIGCONT")]
+
+
+def test_who_stops_it_and_lets_it_go_on_at_once_is_let_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Single glances that find it stopped, however many."""
+    assert played(monkeypatch, "TS" * 5 * GLANCES, beats=GLANCES) == []
+
+
+@pytest.mark.parametrize(("states", "left_alone"), [("t", "t"), ("T", "tT")], ids=["debugger", "terminal"])
+def test_a_daemon_that_somebody_else_has_is_let_alone(
+    monkeypatch: pytest.MonkeyPatch, states: str, left_alone: str
+) -> None:
+    """A debugger, or in a terminal the shell: neither let go on nor ended, however long."""
+    assert played(monkeypatch, states * 3 * SILENT_LOOKS * GLANCES, left_alone=left_alone) == []
+
+
+def test_a_starved_daemon_is_let_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One beat in almost as long as silence is borne; with no beat at all it is ended, and not a glance earlier."""
+    most = SILENT_LOOKS * GLANCES
+    assert played(monkeypatch, "R" * 5 * most, beats=most - GLANCES) == []
+    assert played(monkeypatch, "D" * 5 * most) == [(most, "SIGKILL")]
+
+
+BEATING = """
+import time
+from phm.guard import Guard
+guard = Guard()
+guard.start()
+print("beats", flush=True)
+while not guard.beat():
+    time.sleep(0.02)
+print("was let go on", flush=True)
+guard.close()
+"""
+
+
+def test_a_daemon_that_was_let_go_on_knows_it() -> None:
+    """With the guard as it runs: stopped, continued by it, and told so."""
+    with subprocess.Popen([sys.executable, "-c", BEATING], stdout=subprocess.PIPE, stdin=subprocess.DEVNULL) as daemon:
+        limit = threading.Timer(LIMIT_S, daemon.kill)
+        limit.start()
+        try:
+            assert daemon.stdout is not None
+            assert daemon.stdout.readline() == b"beats\n"
+            daemon.send_signal(signal.SIGSTOP)
+            assert daemon.stdout.readline() == b"was let go on\n"
+            assert daemon.wait() == 0
+        finally:
+            limit.cancel()
+            daemon.kill()
 
 
 def test_the_guard_goes_with_the_daemon() -> None:
