@@ -137,7 +137,8 @@ class Unit:
     target: name of the container that a recovery for this unit acts on, or empty. While any action on a
             target runs, all units with that target are held: they raise no fault.
     settle_s: how long a bad result must last before it is told, for evidence that arrives before that of
-            its cause (a topic falls silent before discovery notices that its node is dead).
+            its cause (a topic falls silent before discovery notices that its node is dead). A result that knows
+            better has a `settle_s` of its own.
     grace_s: how long, after PHM's start, after a need recovered, after the target was started again by anybody and
             after an action on it, a bad result counts as `not known yet` (discovery needs seconds to fill the graph).
     memory_s: how long its check may still find it OK after it has gone (a topic counts as silent only after a while).

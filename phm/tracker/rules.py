@@ -117,9 +117,10 @@ def grace(look: Look) -> Verdict | None:
 def settled(look: Look) -> Verdict:
     """6. Otherwise everything that the unit needs is run again.
 
-    A bad result is told only when it was bad `failures` times in a row, has lasted `settle_s`, and each need, and
-    with `settle_s` the unit too, has answered in a run that began after that. Needs that are STALE may be the cause:
-    they get UNKNOWN_S to be known, not for ever. What was seen before a need changed says nothing about now.
+    A bad result is told only when it was bad `failures` times in a row, has lasted `settle_s` (the result's own, or else
+    its unit's), and each need, and with `settle_s` the unit too, has answered in a run that began after that. Needs that
+    are STALE may be the cause: they get UNKNOWN_S to be known, not for ever. What was seen before a need changed says
+    nothing about now.
     """
     entry, unit = look.entry, look.entry.spec.unit
     if entry.told.level is look.result.level and not entry.told.blocked_by:
@@ -128,10 +129,11 @@ def settled(look: Look) -> Verdict:
     pending, ask = entry.pending, frozenset[str]()
     if pending is None:
         pending, ask = Pending(look.now), frozenset(other.id for other in upstream)
-    lasted = pending.since + unit.settle_s
+    settle_s = unit.settle_s if look.result.settle_s is None else look.result.settle_s
+    lasted = pending.since + settle_s
     if look.now < lasted:
         return Verdict(pending=pending, ask=ask)
-    witnesses = (entry, *upstream) if unit.settle_s > 0 else upstream
+    witnesses = (entry, *upstream) if settle_s > 0 else upstream
     silent = frozenset(other.id for other in witnesses if other.started < lasted)
     if not pending.asked:
         pending, ask = replace(pending, asked=True), ask | silent

@@ -15,6 +15,8 @@ from phm.tracker.units import NEVER, Entry, Hold, Scene, Step, Tracked
 ITSELF = "itself"
 ASK_AGAIN_S = 1.0
 """While a bad result waits to be confirmed, it and its needs are run again this often."""
+LOOK_AGAIN_S = 0.25
+"""A unit that settles, even this often: evidence may end the waiting early (`Result.settle_s`)."""
 UNPROVEN_S = 30.0
 """How long a unit that is OK again stays ERROR because what needs it has not come back: time for the next action."""
 
@@ -129,6 +131,8 @@ class Tracker:
             if entry.pending is not None:
                 waiting = (entry, *self._scene.upstream(entry.id))
                 step.rerun.update(other.id for other in waiting if now.mono - other.started >= ASK_AGAIN_S)
+                if entry.spec.unit.settle_s > 0 and now.mono - entry.started >= LOOK_AGAIN_S:
+                    step.rerun.add(entry.id)
         return step
 
     # ------------------------------------------------------------ what recovery and the world do

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from phm.api import Layer, Level, Slot, Unit, error, stale, warn
 from phm.model import FaultClosed, FaultOpened, Outcome, Transition
 from phm.tracker import Tracked
@@ -95,6 +97,57 @@ def test_settling_keeps_early_evidence_back() -> None:
     bench.see("nodes", BAD)
     bench.see("container", OK)
     assert bench.opened == ["nodes"]
+
+
+def test_a_result_may_settle_sooner_than_its_unit() -> None:
+    """With evidence against a cause above it, it is told as soon as all above have been run again."""
+    bench = chain(settle_s=2.0)
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    bench.later(0.1)
+    assert bench.opened == []
+    bench.see("nodes", replace(BAD, settle_s=0.0))
+    assert bench.opened == ["nodes"]
+
+
+def test_a_result_that_settles_at_once_still_asks_what_it_needs() -> None:
+    """The cause alone is told, even when its event was lost."""
+    bench = chain(settle_s=2.0)
+    bench.all_well()
+    bench.now += 1
+    assert bench.see("nodes", replace(BAD, settle_s=0.0)) == {"container"}
+    assert bench.opened == []
+    bench.see("container", BAD)
+    assert bench.opened == ["container"]
+
+
+def test_a_result_may_settle_later_than_its_unit() -> None:
+    """For what was seen to mend itself before."""
+    bench = chain(settle_s=0.3)
+    bench.all_well()
+    slow = replace(BAD, settle_s=3.0)
+    for _ in range(3):
+        bench.later(0.9)
+        bench.see("container", OK)
+        bench.see("nodes", slow)
+    assert bench.opened == []
+    bench.later(1.3)
+    bench.see("container", OK)
+    bench.see("nodes", slow)
+    assert bench.opened == ["nodes"]
+
+
+def test_what_settles_is_looked_at_often() -> None:
+    """The evidence that ends the waiting early must not wait for the check's own period; what it needs is asked once a second."""
+    bench = chain(settle_s=2.0)
+    bench.all_well()
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    assert bench.later(0.2) == set()
+    assert bench.later(0.1) == {"nodes"}
 
 
 def test_when_settled_all_are_asked_once_more() -> None:
