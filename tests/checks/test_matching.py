@@ -120,3 +120,35 @@ def test_the_users_words_must_all_stand_in_it() -> None:
     assert found(Wanted("/agent_1/node_1", process=("component_", "__node:=nav")), processes) == 1
     assert found(Wanted("/agent_1/node_1", process=("component_",)), processes) == 0
     assert found(Wanted("/agent_1/node_1", process=("no such",)), processes) == 0
+
+
+GRAPH = 'python -m sitl.app --graph [{"name": "node_1"}, {"name": "node_2"}]'
+
+
+def test_a_launcher_that_names_its_nodes_is_none_of_them() -> None:
+    """One node was never started; the process that started the other one has both names among its words."""
+    nodes = [NODE, Wanted("/agent_1/node_2")]
+    processes = ps(f"/sbin/docker-init -- {GRAPH}", GRAPH, "x --name node_2", parents={2: 1, 3: 2})
+    matches, counts = match(nodes, processes, {})
+    assert {name: one.process.pid for name, one in matches.items()} == {"/agent_1/node_2": 3}
+    assert counts == {NODE.name: 0}
+
+
+def test_a_node_that_starts_another_is_a_node() -> None:
+    """It does not name the other: it is known by its own name, as any."""
+    nodes = [NODE, Wanted("/agent_1/camera")]
+    matches, _ = match(nodes, ps("python3 node_1.py", "python3 camera.py", parents={2: 1}), {})
+    assert {name: one.process.pid for name, one in matches.items()} == {NODE.name: 1, "/agent_1/camera": 2}
+
+
+def test_a_launcher_is_remembered_though_it_says_less() -> None:
+    """The node was known by an option, what started it by a word alone; both are remembered together."""
+    matches, _ = match([NODE], ps(GRAPH, "x --name node_1", parents={2: 1}), {})
+    assert (matches[NODE.name].process.pid, matches[NODE.name].wrappers, matches[NODE.name].way) == (2, {1}, 1)
+    assert match([NODE], ps(GRAPH), {NODE.name: {1}}) == ({}, {NODE.name: 0})
+
+
+def test_what_fits_less_surely_than_before_is_not_the_node() -> None:
+    """In the next life of its container all numbers are others; that it had an option is known."""
+    assert found(NODE, ps(GRAPH)) == 1
+    assert match([NODE], ps(GRAPH), {}, {NODE.name: 1}) == ({}, {NODE.name: 0})
