@@ -14,6 +14,8 @@ Value = str | int | float | bool | None
 """What a result's `values` may hold: exactly what JSON can carry without loss."""
 LIFE = "life"
 """The value by which a unit with a target says which life of that container it saw (`ContainerFact.life`)."""
+CERTAIN = "certain"
+"""The value True says that time would not change what is wrong: grace, which is for incomplete pictures, need not end first."""
 NEVER_WELL = "never_well"
 """The value by which a check that can tell says whether what is wrong was ever well in this life of its container."""
 

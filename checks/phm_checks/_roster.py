@@ -24,6 +24,11 @@ AGAIN_S = 1.0
 not answer, QUIET_S: it may take its whole deadline each time."""
 OLD_S = 3 * QUIET_S
 """A list older than this proves nothing."""
+ABSENT_S, LATER = 2.0, 3.0
+"""A node that has no process while all others of its container have theirs was left out of the start: this long after the first
+of them, or so many times as long as it took in earlier lives, and a second, since ages come in whole seconds."""
+SLOWER = 2.0
+"""The same in times of what the slowest of the others took, should this start be a slow one."""
 WINDOW_S, BUSY_SHARE = 3.0, 0.5
 """A process that used this share of a processor over at least this time computes. `ps` gives whole seconds."""
 _KEPT = 12
@@ -35,8 +40,13 @@ class Known:
     """The process of one node. used: when it was looked at, with the processor time until then."""
 
     match: Match
+    first: bool = True
+    """It came with the container, or before PHM: no other process of the node was seen in this life."""
+    began_at: float = float("inf")
+    """When it was started, or a little later: the earliest that looks at it have shown."""
     used: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_KEPT))
     state: str = ""
+    command: str = ""
     ended_at: float = float("inf")
     """When it was first missing."""
 
@@ -52,7 +62,8 @@ class Known:
         if process is None:
             self.ended_at = min(self.ended_at, now)
             return
-        self.state = process.state
+        self.state, self.command = process.state, process.command
+        self.began_at = min(self.began_at, now - (process.age_s or 0.0))
         if process.cpu_s is not None:
             self.used.append((now, process.cpu_s))
             while len(self.used) > 2 and now - self.used[1][0] >= WINDOW_S:
@@ -77,8 +88,12 @@ class Roster:
         self._nodes = tuple(nodes)
         self._known: dict[str, Known] = {}
         self._unclear: Mapping[str, int] = {}
-        self._matched: set[str] = set()
-        """Nodes whose process was found once, in any life: where there is none now, there is none."""
+        self._ways: dict[str, int] = {}
+        """How surely each node's process was found once, in any life: where there is none now, there is none."""
+        self._commands: dict[str, str] = {}
+        """By which command line, in the life before."""
+        self._late_s: dict[str, float] = {}
+        """How long after the first of the container's nodes each was started, at most, in all lives before."""
         self._status = ""
         self._life = ""
         self._born_at = NEVER
@@ -135,30 +150,45 @@ class Roster:
             if self._life:
                 self._born_at = now
             self._life = life
+            self._learn()
             self._known.clear()
 
     def _take(self, processes: Sequence[api.ProcessFact], now: float) -> None:
         self._listed_at = now
         by_pid = {one.pid: one for one in processes}
         wrappers = {name: known.match.wrappers for name, known in self._known.items()}
-        found, self._unclear = match(self._nodes, processes, wrappers)
+        found, self._unclear = match(self._nodes, processes, wrappers, self._ways)
         for node in self._nodes:
             known, matched = self._known.get(node.name), found.get(node.name)
             if known is None or (known.pid not in by_pid and matched is not None):
                 if matched is None:
                     continue
+                first = known is None and not self.left_out(node.name)
                 if known is not None:
                     self._began_at[node.name] = now
-                known = self._known[node.name] = Known(matched)
-                self._matched.add(node.name)
+                known = self._known[node.name] = Known(matched, first)
+                self._ways[node.name] = min(matched.way, self._ways.get(node.name, matched.way))
             known.look(now, by_pid.get(known.pid))
+
+    def _learn(self) -> None:
+        """What the life that has ended shows of how its nodes come. One that came much later was started anew."""
+        for name, known in self._known.items():
+            self._commands[name] = known.command
+            late_s = known.began_at - self._first_at()
+            if known.first and late_s < self._grace_s:
+                self._late_s[name] = max(late_s, self._late_s.get(name, 0.0))
+
+    def _first_at(self) -> float:
+        """When the first process of a node was started in this life; infinite: none was seen."""
+        return min((known.began_at for known in self._known.values()), default=float("inf"))
 
     def forget(self, name: str, since: float) -> None:
         """The node came into the graph at `since`: if its process had ended before, it runs as another now."""
         known = self._known.get(name)
         if known is not None and known.ended_at < since:
             del self._known[name]
-            self._matched.discard(name)
+            for kept in (self._ways, self._commands, self._late_s):
+                kept.pop(name, None)
 
     # ------------------------------------------------------------ telling
 
@@ -166,6 +196,10 @@ class Roster:
     def life(self) -> str:
         """Which life of the container was seen last; empty before the first look."""
         return self._life
+
+    def lived(self, name: str) -> bool:
+        """Whether a process of the node was seen in this life."""
+        return name in self._known
 
     def began_at(self, name: str) -> float:
         """When the node or its container was last seen to have begun, on the monotonic clock; -inf: not seen."""
@@ -214,5 +248,25 @@ class Roster:
 
     def _vanished(self, name: str, now: float) -> bool:
         """The node's process was found in an earlier life of the container, and in this one there is none."""
-        starting = now - self.began_at(name) < self._grace_s
-        return name in self._matched and not starting and not self._unclear.get(name)
+        if name not in self._ways or self._unclear.get(name):
+            return False
+        return now - self.began_at(name) >= self._grace_s or self.left_out(name)
+
+    def left_out(self, name: str) -> bool:
+        """The others came up as they did before, and this node did not, long after it should have: no need to wait for it.
+
+        Only where it and they are known from before: the same commands start the same nodes.
+        """
+        others = [node.name for node in self._nodes if node.name != name]
+        if self._listed_at is None or not others or name not in self._late_s or name in self._known:
+            return False
+        if not all(self._as_before(other) for other in others):
+            return False
+        slowest_s = max(self._known[other].began_at for other in others) - self._first_at()
+        limit_s = max(ABSENT_S, LATER * self._late_s[name] + 1.0, SLOWER * slowest_s)
+        return self._listed_at - self._first_at() >= limit_s
+
+    def _as_before(self, name: str) -> bool:
+        """Whether the node runs, by the command by which it ran in the life before."""
+        known = self._known.get(name)
+        return known is not None and known.there and known.command == self._commands.get(name)

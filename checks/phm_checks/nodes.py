@@ -19,18 +19,21 @@ WITNESSES = 2
 """One node that is not heard may have lost its own way; when none of a container is, this many at least, it is the container's."""
 BOTH_S = 2.0
 """A node that is started anew may overlap with the old one for a moment: two processes for longer are two nodes."""
+OVERLAP_S = 1.0
+"""A container that takes another's place, as after an update, may overlap with it for so long."""
 _Words = tuple[Level, str, str, str]
 BUSY_S = 10.0
 """A node that computes and has not answered for this long is told as busy: a WARN, for nobody knows that it is wrong."""
 
 
 class _Node:
-    """What is remembered of one node. state: as judged last. seen: whether it was alive in this life of its container."""
+    """What is remembered of one node. state: as judged last. seen: whether it was alive in this life of its container. known:
+    in any life that PHM has seen."""
 
     def __init__(self, wanted: Wanted, signs: Signs) -> None:
         self.wanted, self.signs = wanted, signs
         self.state: State | None = None
-        self.seen = False
+        self.seen = self.known = False
         self.copies = 0
         """Processes of its own, where more than one lasts: then it is known to run twice, whatever leases say."""
         self._both_since: float | None = None
@@ -52,14 +55,23 @@ class _Node:
         self.state = judgement.state
         return judgement
 
-    def live(self, life: str, began_at: float, now: float) -> None:
-        """Note whether it was alive in this life of its container. A name alone may be a dead node's, until its lease ends."""
+    def live(self, roster: Roster | None, evidence: Iterable[Evidence], now: float) -> None:
+        """Note whether it was alive in this life of its container. A name alone may be a dead node's, until its lease ends; and
+        who is heard in the first moment may be a node of the life before, which ends while this one begins."""
+        life, began_at = ("", NEVER) if roster is None else (roster.life, roster.began_at(self.wanted.name))
         if life != self._life:
             self._life, self.seen = life, self.seen and not self._life
-        if self.state in (State.ALIVE, State.DUPLICATE) and (
-            not self.signs.blind or self.signs.appeared_at > began_at or now - began_at > TWICE_S
+        heard = any(
+            piece.kind in (Kind.BEACON, Kind.TOPICS)
+            and piece.says is Says.ALIVE
+            and now - piece.age_s > began_at + OVERLAP_S
+            for piece in evidence
+        )
+        if (roster is not None and roster.lived(self.wanted.name)) or (
+            self.state in (State.ALIVE, State.DUPLICATE)
+            and (heard or self.signs.appeared_at > began_at or now - began_at > TWICE_S)
         ):
-            self.seen = True
+            self.seen = self.known = True
 
 
 class Nodes(api.Check):
@@ -153,9 +165,11 @@ class Nodes(api.Check):
         if roster is not None:
             began_at, told, fit = roster.began_at(name), roster.told(name), roster.fit(name, now)
         judgement = node.judge(evidence, began_at, now, self._grace_s, fit)
-        node.live(roster.life if roster is not None else "", began_at, now)
+        node.live(roster, evidence, now)
         level, words, short, condition = self._words(node, judgement, fact, why)
         values: dict[str, api.Value] = {"listed": node.signs.count, "process": told}
+        if judgement.state is State.NEVER_STARTED and roster is not None and roster.left_out(name):
+            values["certain"] = True
         if condition == "node_missing" and node.wanted.container in cut_off:
             return _unreached(node, judgement, values)
         target = node.wanted.container if level is Level.ERROR else ""
@@ -196,8 +210,7 @@ class Nodes(api.Check):
             words = f"Node {subject} hangs{where}: {evidence}. It was expected to answer: see its log, restart it"
             return Level.ERROR, words, "hung", "node_hung"
         dead = state is State.DEAD
-        what = "is no longer running" if dead else "has not been seen since PHM or its container started"
-        step = "restart it and see its log" if dead else "check its launch file, name, namespace and ROS_DOMAIN_ID"
+        what, step = _missing(node, dead=dead)
         words = (
             f"Not all required nodes are running. Missing node: {subject}; it {what}{where}: {evidence}. It was expected "
             f"to run: {step}.{did_you_mean(name, self._strangers(fact))}"
@@ -208,6 +221,19 @@ class Nodes(api.Check):
         """Listed nodes that are not configured: only one of these can be the missing one under another name."""
         configured = {node.wanted.name for node in self._nodes}
         return [name for name in fact.nodes if name not in configured] if fact is not None else []
+
+
+def _missing(node: _Node, *, dead: bool) -> tuple[str, str]:
+    """What is said of a node that is not there, and what to do. A node that came with earlier lives of its container is
+    configured well, and one that nobody knows may have another name."""
+    if dead:
+        return "is no longer running", "restart it and see its log"
+    if node.known:
+        return "was not started with its container", "restart it and see the log of what starts it"
+    return (
+        "has not been seen since PHM or its container started",
+        "check its launch file, name, namespace and ROS_DOMAIN_ID",
+    )
 
 
 def _unheard(evidence: Iterable[Evidence]) -> bool:

@@ -14,9 +14,9 @@ from phm.transport.docker import Engine, EngineBroken
 
 LIMIT_S = 1.0
 """A container that hangs in the kernel can hang questions about its processes."""
-FORMS = ("-ww -o pid,ppid,stat,times,args", "-o pid,ppid,stat,args")
+FORMS = ("-ww -o pid,ppid,stat,times,etimes,args", "-o pid,ppid,stat,args")
 """Arguments for `ps`, the best first: not cut to the width of a terminal, for one. The second is for hosts with BusyBox,
-whose `ps` knows no processor time."""
+whose `ps` knows neither processor time nor age in seconds."""
 MOST = 1000
 _COMMAND_CHARS = 4096
 _ENDED = ("Z", "X")
@@ -59,6 +59,7 @@ def _process(row: Mapping[str, Any], command: str) -> ProcessFact:
         parent=_whole(row.get("PPID")) or 0,
         state=str(row.get("STAT") or "")[:1],
         cpu_s=_whole(row.get("TIME")),
+        age_s=_whole(row.get("ELAPSED")),
         command=command[:_COMMAND_CHARS],
     )
 

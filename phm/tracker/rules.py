@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from phm.model import Level, Result
+from phm.model import CERTAIN, Level, Result
 from phm.tracker.units import Entry, Pending, Scene
 
 UNKNOWN_S = 10.0
@@ -100,7 +100,7 @@ def not_known(look: Look) -> Verdict | None:
 
 
 def grace(look: Look) -> Verdict | None:
-    """5. A bad result during grace is `not known yet`.
+    """5. A bad result during grace is `not known yet`, unless its check is certain of it.
 
     Grace ends early when the unit has been OK for SURE_S, or its `memory_s` where that is longer.
     What was seen before the grace began never counts again: the unit is run anew. It begins with PHM itself; after a
@@ -151,7 +151,8 @@ RULES: tuple[Callable[[Look], Verdict | None], ...] = (well, repair_at_work, con
 def too_early(entry: Entry, now: float) -> bool:
     """Whether the unit has grace. An open or given-up fault goes on meanwhile."""
     known = entry.fault is not None or entry.told_given_up
-    return not known and (now < entry.quiet_until or entry.started < entry.counts_from)
+    certain = entry.raw is not None and entry.raw.values.get(CERTAIN) is True
+    return not known and ((now < entry.quiet_until and not certain) or entry.started < entry.counts_from)
 
 
 def _unproven(entry: Entry, look: Look) -> bool:

@@ -580,7 +580,7 @@ def test_a_container_that_does_not_run_is_named(status: str, condition: str) -> 
     assert bench.after(1.25).level is api.Level.OK
 
 
-# ---------------------------------------------------------------- the way to a container
+# ---------------------------------------------------------------- left out of a start
 
 
 def pair(**more: Any) -> Bench:
@@ -589,6 +589,133 @@ def pair(**more: Any) -> Bench:
     bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1})
     bench.processes(MAIN, ONE, TWO)
     return bench
+
+
+def born(bench: Bench, process: api.ProcessFact, ago_s: float) -> api.ProcessFact:
+    """The process as `ps` shows it that was started so long before now: its age in whole seconds."""
+    return replace(process, age_s=float(int(ago_s)))
+
+
+def restarted(
+    bench: Bench, late_s: float = 0.0, sibling_s: float = 0.0, command: str = TWO.command
+) -> Callable[[float], None]:
+    """Both nodes have lived, node_1 started `late_s` after node_2; now the container starts again, and node_2 comes after `sibling_s`.
+
+    Returns what is so at each moment of the new life.
+    """
+    for passed in range(40):
+        bench.processes(MAIN, born(bench, ONE, 100 - late_s + passed / 4), born(bench, TWO, 100 + passed / 4))
+        bench.result()
+        bench.clock.advance(0.25)
+    bench.restart_container(MAIN)
+    bench.ros.change(nodes={})
+
+    def later(passed: float) -> None:
+        came = api.ProcessFact(92, 1, "S", 0.0, command)
+        bench.processes(MAIN, *([born(bench, came, passed - sibling_s)] if passed >= sibling_s else []))
+
+    return later
+
+
+def first_bad(bench: Bench, each: Callable[[float], None], within_s: float = 30.0) -> tuple[float, api.Result]:
+    """When node_1 is told as bad, in seconds of the new life, and how."""
+    for number in range(1, int(within_s * 4)):
+        bench.clock.advance(0.25)
+        each(number * 0.25)
+        result = bench.result()
+        if result.level.bad:
+            return number * 0.25, result
+    raise AssertionError("it was never told")
+
+
+def test_a_node_left_out_of_a_start_is_told_before_grace_ends() -> None:
+    """Its sibling came as ever and it did not, long after it used to: certain, and told as what it is."""
+    bench = pair()
+    after_s, result = first_bad(bench, restarted(bench))
+    assert 2.0 <= after_s <= 3.5
+    assert (result.condition, result.brief, result.values["certain"]) == ("node_missing", "node_1 never started", True)
+    assert "it was not started with its container in ros_app: none of the processes" in result.summary
+
+
+def test_a_node_that_comes_late_as_ever_gets_its_time() -> None:
+    """Three times what it took before, and a second."""
+    bench = pair()
+    after_s, _ = first_bad(bench, restarted(bench, late_s=1.5))
+    assert 5.5 <= after_s <= 7.0
+
+
+def test_the_clock_runs_from_the_first_node() -> None:
+    """What a container does before it starts any node takes as long as it takes."""
+    bench = pair()
+    after_s, _ = first_bad(bench, restarted(bench, sibling_s=3.0))
+    assert 5.0 <= after_s <= 6.5
+
+
+def test_a_slow_start_gives_all_of_them_time() -> None:
+    """The loaded machine shows in the others: one comes 2 s after the first, so the third has 4 s, but for half a second
+    between two looks."""
+    names = ("agent_1/node_1", "agent_1/node_2", "agent_1/node_3")
+    three = api.ProcessFact(73, 1, "S", 5.0, ONE.command.replace("node_1", "node_3"))
+    bench = Bench(nodes=[{"name": name} for name in names])
+    bench.processes(MAIN, ONE, TWO, three)
+    bench.after(5.0)
+    bench.restart_container(MAIN)
+    bench.ros.change(nodes={})
+
+    def later(passed: float) -> None:
+        third = [replace(three, pid=93)] if passed >= 2.0 else []
+        bench.processes(MAIN, replace(TWO, pid=92), *third)
+
+    after_s, _ = first_bad(bench, later)
+    assert 3.5 <= after_s <= 5.5
+
+
+@pytest.mark.parametrize("why", ["the sibling is missing, too", "other commands start other nodes", "nothing is known"])
+def test_a_start_that_is_not_as_before_has_its_whole_grace(why: str) -> None:
+    """It may be a slow machine, a new version, or a node that was never there."""
+    bench = pair()
+    if why == "nothing is known":
+        bench.processes(MAIN)
+        bench.ros.change(nodes={})
+        bench.result()
+        later = restarted(bench, late_s=90.0)
+    elif why == "the sibling is missing, too":
+        later = restarted(bench, sibling_s=99.0)
+    else:
+        later = restarted(bench, command=f"{TWO.command} --other")
+    after_s, result = first_bad(bench, later)
+    assert after_s >= GRACE_S
+    assert "certain" not in result.values
+
+
+def test_a_node_alone_in_its_container_has_its_whole_grace() -> None:
+    """Nobody shows how quick this start is."""
+    bench = Bench()
+    bench.after(3.0)
+    bench.restart_container(MAIN)
+    bench.ros.change(nodes={})
+    after_s, _ = first_bad(bench, lambda _: None)
+    assert after_s >= GRACE_S
+
+
+def test_a_node_of_the_life_before_that_is_still_heard_was_not_started_in_this_one() -> None:
+    """A container takes another's place while that one still runs: its beacon and its topic are of the past."""
+    bench = rated(nodes=[{"name": "agent_1/node_1"}, {"name": "agent_1/node_2"}])
+    bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1}, beacons=beating())
+    bench.processes(MAIN, ONE, TWO)
+    later = restarted(bench)
+    bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1})
+
+    def overlapping(passed: float) -> None:
+        later(passed)
+        silent_s = max(0.0, passed - 0.5)
+        bench.ros.change(topics=flowing(silent_s), beacons=beating(0.1 + silent_s))
+
+    _, result = first_bad(bench, overlapping)
+    assert result.brief == "node_1 never started"
+
+
+# ---------------------------------------------------------------- the way to a container
 
 
 def test_when_no_node_of_a_container_is_heard_though_all_run_nothing_is_restarted() -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from phm.api import Level
+from phm.model import CERTAIN
 from tests.fakes.tracker_bench import BAD, OK, Bench, chain, unit
 
 
@@ -48,6 +51,26 @@ def test_grace_after_start() -> None:
     assert bench.opened == []
     bench.later(0.2)
     assert bench.opened == ["nodes"]
+
+
+def test_what_is_certain_needs_no_grace() -> None:
+    """Time would not change it. What was seen before a need recovered is old all the same, and must be seen anew."""
+    certain = replace(BAD, values={CERTAIN: True})
+    bench = Bench([unit("nodes", grace_s=5.0)])
+    bench.see("nodes", certain)
+    assert bench.opened == ["nodes"]
+    bench = chain(grace_s=5.0)
+    bench.later(6)
+    bench.all_well()
+    bench.see("container", BAD)
+    bench.see("nodes", certain)
+    bench.now += 1
+    bench.see("container", OK)
+    assert bench.opened == ["container"]
+    bench.now += 1
+    bench.see("nodes", certain)
+    bench.see("container", OK)
+    assert bench.opened == ["container", "nodes"]
 
 
 def test_grace_after_a_need_recovered() -> None:

@@ -16,7 +16,7 @@ from phm.testing import settings
 from phm.transport.docker import Engine, EngineBroken
 from tests.fakes.engine import FakeEngine, Hang, Status, container
 
-TITLES = ["PID", "PPID", "STAT", "TIME", "COMMAND"]
+TITLES = ["PID", "PPID", "STAT", "TIME", "ELAPSED", "COMMAND"]
 Until = Callable[[Callable[[], object], str], None]
 
 
@@ -25,17 +25,17 @@ def probe(engine: Engine, name: str) -> Docker:
 
 
 def test_a_row_is_a_process() -> None:
-    """Numbers, the state's first letter, whole seconds of processor time, and the command as it is."""
-    rows = [["7", "1", "Sl+", "12", "python -m sitl.node --name node_1"], ["8", "7", "R", "0", "sh"]]
+    """Numbers, the state's first letter, whole seconds of processor time and age, and the command as it is."""
+    rows = [["7", "1", "Sl+", "12", "300", "python -m sitl.node --name node_1"], ["8", "7", "R", "0", "0", "sh"]]
     assert processes({"Titles": TITLES, "Processes": rows}) == (
-        ProcessFact(7, 1, "S", 12.0, "python -m sitl.node --name node_1"),
-        ProcessFact(8, 7, "R", 0.0, "sh"),
+        ProcessFact(7, 1, "S", 12.0, "python -m sitl.node --name node_1", 300.0),
+        ProcessFact(8, 7, "R", 0.0, "sh", 0.0),
     )
 
 
 def test_a_zombie_has_ended() -> None:
     """A child that nobody has reaped is no process any more."""
-    rows = [["7", "1", "Z", "0", "[python3] <defunct>"], ["8", "1", "S", "0", "sh"]]
+    rows = [["7", "1", "Z", "0", "9", "[python3] <defunct>"], ["8", "1", "S", "0", "9", "sh"]]
     assert [fact.pid for fact in processes({"Titles": TITLES, "Processes": rows})] == [8]
 
 
@@ -49,7 +49,7 @@ def test_a_table_without_numbers_cannot_be_told(answer: dict[str, Any]) -> None:
         processes(answer)
 
 
-@pytest.mark.parametrize("rows", [None, [None], [["x", "1", "S", "0", "sh"]], [["1", "sh"]], [[]]])
+@pytest.mark.parametrize("rows", [None, [None], [["x", "1", "S", "0", "9", "sh"]], [["1", "sh"]], [[]]])
 def test_rows_that_make_no_sense_are_left_out(rows: Any) -> None:
     """A torn row is not a process, and breaks nothing."""
     assert processes({"Titles": TITLES, "Processes": rows}) == ()
@@ -129,6 +129,7 @@ def test_real_processes_with_their_state(real: Any, engine: Engine, until: Until
     assert busy.command.endswith(long)
     parent = find("602")
     assert parent is not None
+    assert None not in (parent.age_s, busy.age_s)
     assert busy.parent == parent.pid
     until(lambda: (getattr(find("busy"), "cpu_s", None) or 0) >= 1, "its processor time to advance")
     for number, letter in ((signal.SIGSTOP, "T"), (signal.SIGCONT, "R"), (signal.SIGKILL, "gone")):
