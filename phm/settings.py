@@ -400,6 +400,17 @@ class Limit(Section):
     """ERROR from here."""
 
 
+class RoomSettings(Section):
+    """Files that PHM may remove when their disk is full."""
+
+    path: AbsolutePath
+    """Folder, as PHM sees it; it must be mounted writable, and its files be PHM's to remove."""
+    files: Annotated[list[Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^/]+$")]], Field(min_length=1)]
+    """Names, or patterns with `*` and `?`, of the files that may go, in the folder and below."""
+    older_than: Annotated[Seconds, Field(ge=10)] = 600.0
+    """Seconds since a file was changed last before it may go."""
+
+
 class HostSettings(Section):
     """Limits for the companion computer."""
 
@@ -413,6 +424,8 @@ class HostSettings(Section):
     """Share of each disk in use."""
     disks: list[AbsolutePath] = Field(default_factory=lambda: ["/"])
     """Paths whose disks are watched, as PHM sees them."""
+    make_room: Annotated[list[RoomSettings], Field(max_length=16)] = Field(default_factory=list)
+    """What may be removed when one of them is full, the oldest first."""
     temperature_warn: Celsius = 75.0
     """Degrees Celsius of the hottest sensor of the processor for WARN (a Pi throttles at 80)."""
     temperature_error: Celsius = 85.0

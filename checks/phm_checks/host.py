@@ -124,7 +124,7 @@ class Host(api.Check):
         if first.level is Level.OK:
             return api.ok(joined([finding.summary for finding in findings]), **values)
         summary = joined([finding.summary for finding in findings if finding.level is not Level.OK])
-        return api.Result(first.level, summary, first.brief, first.condition, values=values)
+        return api.Result(first.level, summary, first.brief, first.condition, first.target, values)
 
     def _judge_disk(self, disk: api.DiskFact) -> api.Result:
         path = clean(disk.path, 80)
@@ -147,9 +147,10 @@ class Host(api.Check):
             f"disk {path} at {most:.0f} % {what}, {disk.free_bytes / 1e6:.0f} MB free, expected below "
             f"{self._limits.disk.warn:g} %: remove old logs, bags and images (`docker system df`)"
         )
-        return self._bad(
-            level, words, brief(f"disk {path}", f"{self._steady.show(disk.path, most):.0f} %"), "disk_full", values
-        )
+        short = brief(f"disk {path}", f"{self._steady.show(disk.path, most):.0f} %")
+        # Recovery may make room, where it is told what may go.
+        target = f"disk:{disk.path}" if self._limits.make_room else ""
+        return api.Result(level, words, short, "disk_full", target, values)
 
     def _judge_temperature(self, fact: api.HostFact) -> api.Result:
         """Heat and throttling: what both come to is a processor that runs slower than it should."""

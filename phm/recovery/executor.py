@@ -6,9 +6,9 @@ import threading
 from collections.abc import Iterable
 
 from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Outcome, Transition
+from phm.recovery import disks, links
 from phm.recovery.asked import NotAllowed, NotNow
 from phm.recovery.history import History
-from phm.recovery.links import as_container
 from phm.recovery.shop import Shop
 from phm.recovery.state import Case, RecoveryState, State
 from phm.recovery.worker import NotApprovable, TargetWorker
@@ -74,7 +74,11 @@ class Executor:
         with self._lock:
             worker = self._workers.get(target)
             if worker is None:
-                container = self._shop.context.settings.container(target) or as_container(target)
+                container = (
+                    self._shop.context.settings.container(target)
+                    or links.as_container(target)
+                    or disks.as_container(target)
+                )
                 history = self._histories.setdefault(target, History())
                 worker = self._workers[target] = TargetWorker(target, container, self._shop, history)
             return worker

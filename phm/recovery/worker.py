@@ -14,10 +14,10 @@ from dataclasses import replace
 from functools import partial
 
 from phm.model import ActionEvent, Fault, Phase
+from phm.recovery import disks, links
 from phm.recovery.asked import NotAllowed, NotNow, permit, stand_in
 from phm.recovery.cases import Case, Cases
 from phm.recovery.history import Attempt, History
-from phm.recovery.links import by_hand
 from phm.recovery.policy import Act, Advise, Decision, GiveUp, Leave, Wait, decide
 from phm.recovery.proof import LOOK_AGAIN_S, POLL_S
 from phm.recovery.repair import Repair, Verdict
@@ -218,7 +218,7 @@ class TargetWorker:
             return decision.until
         if isinstance(decision, GiveUp):
             named = self._container.name if self._container is not None else None
-            step = by_hand(self._target, named)
+            step = disks.by_hand(self._target) if disks.path_of(self._target) else links.by_hand(self._target, named)
             self._once(case, decision.action, Phase.ESCALATED, f"gave up on {self._target}: {decision.why}; {step}")
             case.refused = True
             self._shop.pipeline.escalate(case.fault.id)

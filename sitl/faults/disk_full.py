@@ -7,35 +7,46 @@ from collections.abc import Mapping
 
 from sitl.faults.base import Agent, Fault
 
-FILLER = "/tmp/filler"
-FILL = (
-    "import os\nseen = os.statvfs('/tmp')\nwith open('{filler}', 'wb') as filler:\n"
-    "    filler.write(bytes(int(seen.f_bavail * seen.f_frsize - seen.f_blocks * seen.f_frsize * {left})))\n"
-)
-LEFT = 0.03
+BAGS, FILLER = "/tmp/bags", "/tmp/filler"
+FILL = """
+import os, sys, time
+bags, filler, share, left, count, age = sys.argv[1], sys.argv[2], *map(float, sys.argv[3:])
+whole = (seen := os.statvfs("/tmp")).f_blocks * seen.f_frsize
+os.makedirs(bags, exist_ok=True)
+for number in range(int(count)):
+    with open(f"{bags}/flight_{number}.mcap", "wb") as bag:
+        bag.write(bytes(int(whole * share / count)))
+    os.utime(bag.name, (time.time() - age,) * 2)
+with open(filler, "wb") as file:
+    file.write(bytes(int((seen := os.statvfs("/tmp")).f_bavail * seen.f_frsize - whole * left)))
+"""
+SHARE, COUNT, AGE_S = "0.5", "4", "3600"
+"""Of the disk, in recordings of earlier flights; how many they are, and how old."""
+LEFT = "0.03"
 """Share of the disk that is left free: below PHM's limit, 5 %."""
 
 
 class Injection(Fault):
-    """Fills PHM's own /tmp, a disk in memory of 32 MB that is nobody else's, down to 3 %."""
+    """Fills PHM's own /tmp, a disk in memory of 32 MB that is nobody else's, down to 3 %: half of it with recordings of an
+    hour ago, which PHM is told it may remove, the rest with a file of this moment, which it may not."""
 
     name, title, unit = "disk_full", "disk full", "host/disk"
     condition = "disk_full"
     layer = "companion"
     cause = "logs, bags or images have filled a disk"
-    healable = False
     needs = frozenset({"configuration"})
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
-        return {"\n  disks: [/]": "\n  disks: [/, /tmp]"}
+        room = f"\n  make_room:\n    - {{path: {BAGS}, files: ['*.mcap']}}"
+        return {"\n  disks: [/]": f"\n  disks: [/, /tmp]{room}"}
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
-        self._run(agent, "python", "-c", FILL.format(filler=FILLER, left=LEFT))
+        self._run(agent, "python", "-c", FILL, BAGS, FILLER, SHARE, LEFT, COUNT, AGE_S)
         return moment
 
     def clear(self, agent: Agent) -> None:
-        self._run(agent, "rm", "-f", FILLER)
+        self._run(agent, "rm", "-rf", FILLER, BAGS)
 
     @staticmethod
     def _run(agent: Agent, *argv: str) -> None:

@@ -228,6 +228,10 @@ BROKEN = [
     Broken("cold", "host:\n  temperature_error: 70\n", 2, "host.temperature_error", ("is 70", "75 or more")),
     Broken("back-off", "recovery:\n  backoff: 2min\n", 2, "recovery.backoff", ("is 120", "'backoff_max'")),
     Broken("same disk", "host:\n  disks: [/, /data, /data/]\n", 2, "host.disks[2]", ("disk '/data' stands twice",)),
+    Broken("room", "host:\n  make_room:\n  - {path: /bags, files: [run/*.mcap]}\n", 3, "host.make_room[0].files[0]",
+           ("is 'run/*.mcap'", "without '/'")),
+    Broken("all may go at once", "host:\n  make_room:\n  - {path: /bags, files: ['*'], older_than: 1s}\n", 3,
+           "host.make_room[0].older_than", ("is 1", "10 or more")),
     # names of parts
     Broken("check", "checks:\n  nods: {}\n", 2, "checks.nods", ("unknown check 'nods', did you mean 'nodes'?",)),
     Broken("need", "checks:\n  host:\n    needs: [hots]\n", 3, "checks.host.needs[0]", ("unknown need 'hots'", "'host'")),

@@ -1,0 +1,143 @@
+"""Remove old files from a disk that is full, where the configuration says that they may go."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from itertools import islice
+from pathlib import PurePosixPath
+
+from phm.model import Fault
+from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.disks import path_of
+from phm.settings import ContainerSettings, RoomSettings, Settings
+
+ENOUGH = 0.9
+"""Files go until the disk is at this share of `host.disk.warn`: at the limit itself it would be full again at once."""
+MOST = 10_000
+"""Files that are looked at; a folder with more is not made empty in one go."""
+DEPTH = 8
+MOST_PROBLEMS = 3
+"""So many files that cannot be removed say that none can."""
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+@dataclass(frozen=True, order=True)
+class Old:
+    """A file that may go: last changed at `changed` (seconds since 1970), at `path` below the folder of the configuration."""
+
+    changed: float
+    path: str
+    size: int
+
+
+class MakeRoom(Action):
+    """Remove files that `host.make_room` names, the oldest first, until the disk has room again.
+
+    Applications write there, too, and may put a link in the place of a folder: nothing is followed, neither links nor mounts.
+    """
+
+    name = "make_room"
+    deadline_s = 60.0
+
+    @classmethod
+    def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
+        return bool(path_of(target.key)) and bool(settings.host.make_room)
+
+    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        disk, host = path_of(target.key), context.settings.host
+        goal = ENOUGH * host.disk.warn
+        problems: list[str] = []
+        removed = [old for place in host.make_room for old in _clear(place, disk, goal, problems)]
+        used = used_percent(disk)
+        count, freed = len(removed), sum(old.size for old in removed)
+        did = f"removed {count} old file{'' if count == 1 else 's'}, {freed / 1e6:.1f} MB"
+        if used >= goal:
+            why = "; ".join(problems) or "nothing else that host.make_room names is old enough"
+            raise ActionFailed(f"{did}, and {disk} is at {used:.0f} % still, below {goal:.0f} % is the goal: {why}")
+        return f"{did}: {disk} is at {used:.0f} %"
+
+
+def used_percent(path: str) -> float:
+    """Share of the disk in use, as `df` and the host check reckon it, or of its inodes when that is more. Raises ActionFailed."""
+    try:
+        seen = os.statvfs(path)
+    except OSError as error:
+        raise ActionFailed(f"disk {path} cannot be read: {error.strerror or error}") from error
+    used = seen.f_blocks - seen.f_bfree
+    usable = used + seen.f_bavail
+    inodes = 100.0 * (seen.f_files - seen.f_ffree) / seen.f_files if seen.f_files else 0.0
+    return max(100.0 * used / usable if usable else 0.0, inodes)
+
+
+def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str]) -> Iterator[Old]:
+    """Remove files of one folder until the goal is reached; those that are gone. Sentences about others go to `problems`."""
+    if used_percent(disk) < goal:
+        return
+    try:
+        folder = os.open(place.path, _FOLDER)
+    except OSError as error:
+        problems.append(f"{place.path}: {error.strerror or error}")
+        return
+    try:
+        if os.fstat(folder).st_dev != os.stat(disk).st_dev:
+            return
+        for old in _old_files(folder, place):
+            if used_percent(disk) < goal or len(problems) >= MOST_PROBLEMS:
+                return
+            try:
+                _unlink(folder, old.path)
+            except OSError as error:
+                problems.append(f"{place.path}/{old.path}: {error.strerror or error}")
+            else:
+                yield old
+    finally:
+        os.close(folder)
+
+
+def _old_files(folder: int, place: RoomSettings) -> list[Old]:
+    """What may go, the oldest first. A file that is still written, or was a moment ago, is none of them."""
+    before = time.time() - place.older_than
+    home = os.fstat(folder).st_dev
+    return sorted(
+        Old(seen.st_mtime, path, seen.st_blocks * 512)
+        for path, seen in islice(_files(folder), MOST)
+        if seen.st_dev == home and seen.st_mtime <= before and _named(path, place.files)
+    )
+
+
+def _named(path: str, patterns: list[str]) -> bool:
+    return any(fnmatchcase(PurePosixPath(path).name, pattern) for pattern in patterns)
+
+
+def _files(folder: int) -> Iterator[tuple[str, os.stat_result]]:
+    """Regular files below the folder, with their paths from there."""
+    for here, folders, names, handle in os.fwalk(".", dir_fd=folder, follow_symlinks=False):
+        if here.count("/") >= DEPTH:
+            folders.clear()
+        for name in names:
+            with contextlib.suppress(OSError):  # removed meanwhile
+                seen = os.stat(name, dir_fd=handle, follow_symlinks=False)
+                if stat.S_ISREG(seen.st_mode):
+                    yield os.path.normpath(os.path.join(here, name)), seen
+
+
+def _unlink(folder: int, path: str) -> None:
+    """Remove one file below an open folder, following no link on the way. One that is gone already is no problem."""
+    *parents, name = PurePosixPath(path).parts
+    handle = os.dup(folder)
+    try:
+        for parent in parents:
+            inner = os.open(parent, _FOLDER, dir_fd=handle)
+            os.close(handle)
+            handle = inner
+        os.unlink(name, dir_fd=handle)
+    except FileNotFoundError:
+        pass
+    finally:
+        os.close(handle)

@@ -1,0 +1,125 @@
+"""Old files are removed from a disk that is full: only where, and what, the configuration names."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from phm.recovery.actions import make_room
+from phm.recovery.actions.make_room import MakeRoom
+from phm.recovery.base import ActionFailed
+from phm.recovery.disks import as_container, by_hand, path_of
+from phm.settings import RoomSettings, Settings
+
+DISK_BYTES = 100_000
+HOUR_S = 3600.0
+
+
+@pytest.fixture
+def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A disk of DISK_BYTES, by the sizes of the files in it."""
+
+    def used(path: str) -> float:
+        return 100.0 * sum(file.lstat().st_size for file in Path(path).rglob("*") if not file.is_dir()) / DISK_BYTES
+
+    monkeypatch.setattr(make_room, "used_percent", used)
+    return tmp_path
+
+
+def put(path: Path, size: int, age_s: float = HOUR_S) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(bytes(size))
+    then = time.time() - age_s
+    os.utime(path, (then, then))
+    return path
+
+
+def run(disk: Path, *rooms: dict[str, Any]) -> str:
+    """With the default limits: the goal is below 76.5 %."""
+    settings = Settings.model_validate(
+        {
+            "agent": {"name": "a", "id": 1},
+            "host": {"make_room": [{"path": str(disk / "bags"), **room} for room in rooms]},
+        }
+    )
+    target = as_container(f"disk:{disk}")
+    assert target is not None
+    return MakeRoom().run(target, None, SimpleNamespace(settings=settings))  # type: ignore[arg-type]
+
+
+def test_the_oldest_go_until_there_is_room(disk: Path) -> None:
+    oldest = put(disk / "bags/run_1/a.mcap", 20_000, 3 * HOUR_S)
+    older = put(disk / "bags/b.mcap", 20_000, 2 * HOUR_S)
+    newer = put(disk / "bags/c.mcap", 20_000, HOUR_S)
+    put(disk / "log.txt", 38_000)
+    said = run(disk, {"files": ["*.mcap"]})
+    assert not oldest.exists() and not older.exists() and newer.exists()
+    assert said == f"removed 2 old files, 0.0 MB: {disk} is at 58 %"
+
+
+def test_what_is_not_named_or_not_old_stays(disk: Path) -> None:
+    other, fresh = put(disk / "bags/map.db", 50_000), put(disk / "bags/now.mcap", 48_000, age_s=0.0)
+    with pytest.raises(
+        ActionFailed, match=r"removed 0 old files.*at 98 % still.*nothing else that host\.make_room names"
+    ):
+        run(disk, {"files": ["*.mcap"]})
+    assert other.exists() and fresh.exists()
+
+
+def test_links_are_not_followed(disk: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """An application that writes there must not make PHM remove what lies elsewhere."""
+    elsewhere = put(tmp_path_factory.mktemp("elsewhere") / "precious.mcap", 10)
+    put(disk / "bags/new.txt", 98_000)
+    (disk / "bags/linked").symlink_to(elsewhere.parent, target_is_directory=True)
+    (disk / "bags/one.mcap").symlink_to(elsewhere)
+    with pytest.raises(ActionFailed, match="removed 0 old files"):
+        run(disk, {"files": ["*.mcap"]})
+    assert elsewhere.exists()
+
+
+def test_a_folder_put_in_place_of_another_meanwhile_is_not_entered(
+    disk: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    elsewhere = put(tmp_path_factory.mktemp("elsewhere") / "a.mcap", 10)
+    (disk / "bags").mkdir()
+    (disk / "bags/run").symlink_to(elsewhere.parent, target_is_directory=True)
+    folder = os.open(disk / "bags", os.O_RDONLY)
+    try:
+        with pytest.raises(OSError):
+            make_room._unlink(folder, "run/a.mcap")
+    finally:
+        os.close(folder)
+    assert elsewhere.exists()
+
+
+def test_a_folder_that_is_not_there_is_told(disk: Path) -> None:
+    put(disk / "log.txt", 98_000)
+    with pytest.raises(ActionFailed, match=r"bags: No such file or directory"):
+        run(disk, {"files": ["*"]})
+
+
+def test_nothing_goes_while_there_is_room(disk: Path) -> None:
+    kept = put(disk / "bags/a.mcap", 10_000)
+    assert run(disk, {"files": ["*"]}).startswith("removed 0 old files")
+    assert kept.exists()
+
+
+def test_it_applies_to_disks_alone_and_only_where_something_may_go() -> None:
+    without = Settings.model_validate({"agent": {"name": "a", "id": 1}})
+    room = RoomSettings(path="/data", files=["*.log"])
+    allowed = without.model_copy(update={"host": without.host.model_copy(update={"make_room": [room]})})
+    full, other = as_container("disk:/data"), as_container("ros_app")
+    assert full is not None and full.recover and other is None and path_of("ros_app") == ""
+    assert MakeRoom.applies(full, None, allowed) and not MakeRoom.applies(full, None, without)  # type: ignore[arg-type]
+    assert "make room on /data by hand" in by_hand("disk:/data")
+
+
+def test_a_real_disk_has_a_share() -> None:
+    assert 0.0 <= make_room.used_percent("/") <= 100.0
+    with pytest.raises(ActionFailed, match="cannot be read"):
+        make_room.used_percent("/no/such/disk")
