@@ -97,6 +97,7 @@ class BeaconFact:
     birth: changes when the node is started anew. beats: how many it has sent in this life, as of a second ago at most.
     views: what it says about its neighbours, by full node name. turns: how often its executor turned in this life; 0:
     never yet, or it is not watched, and late_s means nothing. witness: the process that speaks; its nodes hear as one.
+    rivals: how many other processes beat under the same name, each and this one several times since it began.
     """
 
     age_s: float
@@ -107,6 +108,7 @@ class BeaconFact:
     views: Mapping[str, NeighbourFact] = field(default_factory=dict)
     turns: int = 0
     witness: str = ""
+    rivals: int = 0
 
     @property
     def missed(self) -> float:

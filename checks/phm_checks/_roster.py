@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from phm import api
 from phm_checks._liveness import Evidence, Kind, Says
-from phm_checks._matching import Match, Wanted, match
+from phm_checks._matching import BARE, Match, Wanted, match
 
 QUIET_S = 10.0
 """Between two lists while nothing is in doubt: a node that was started anew has another process."""
@@ -149,8 +149,11 @@ class Roster:
             # The first life that PHM meets may be old: nothing began then that it knows of.
             if self._life:
                 self._born_at = now
-            self._life = life
             self._learn()
+            if life.partition("@")[0] != self._life.partition("@")[0]:
+                # Another container may name its processes in another manner.
+                self._ways = dict.fromkeys(self._ways, BARE)
+            self._life = life
             self._known.clear()
 
     def _take(self, processes: Sequence[api.ProcessFact], now: float) -> None:

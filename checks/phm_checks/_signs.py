@@ -58,6 +58,11 @@ class Signs:
         self.appeared_at = float("-inf")
         """When its name came into the graph, or came once more, on the monotonic clock."""
         self.count = 0
+        self.rivals = 0
+        """Other processes that beat under its name."""
+        self.twofold = False
+        """It is listed more than once, and so is one of its ends: a name alone may stay behind for ever, seen after its
+        interface had been down for seconds."""
         self.doubts: set[str] = set()
         self.blind = True
         """Nothing but the graph tells of it: neither a beacon nor a topic with a rate."""
@@ -72,21 +77,25 @@ class Signs:
         self._up_s = fact.up_s
         self.doubts = set()
         name = self._name(fact, now)
+        self._count_ends(fact, now)
         beacon = self._beacon(fact, now, max(began_at, self.appeared_at))
         topics = self._topics(fact)
         self.blind = beacon is None and topics is None
         return [piece for piece in (beacon, topics, self._endpoints(fact, now), name) if piece is not None]
 
     def twice(self, now: float) -> bool:
-        """Whether it has been listed more than once for longer than any lease."""
-        return self._twice_since is not None and now - self._twice_since > TWICE_S
+        """Whether there are two of it: listed so for longer than any lease, or while another process beats under its name."""
+        return self._twice_since is not None and (now - self._twice_since > TWICE_S or self.rivals > 0)
 
     # ------------------------------------------------------------ one kind each
 
     def _beacon(self, fact: api.RosFact, now: float, began_at: float) -> Evidence | None:
         beacon = fact.beacons.get(self._node)
+        self.rivals = beacon.rivals if beacon is not None else 0
         if beacon is None or now - beacon.age_s < began_at:
             return None
+        if self.rivals:
+            self.doubts.add("rivals")
         # While PHM's own child is late nobody was heard: that is no silence.
         silent_s = max(0.0, beacon.age_s - fact.age_s)
         if silent_s > WAVER_PERIODS * beacon.period_s:
@@ -138,6 +147,14 @@ class Signs:
         lasted_s = now - self._bare_since
         return Evidence(Kind.ENDPOINTS, Says.GONE, "none of its endpoints is in the graph", fact.age_s, lasted_s)
 
+    def _count_ends(self, fact: api.RosFact, now: float) -> None:
+        seen = [fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics]
+        ends = [
+            [end.node for end in side].count(self._node) for one in seen for side in (one.publishers, one.subscribers)
+        ]
+        self.twofold = self.count > 1 and max(ends, default=0) != 1
+        self._twice_since = (self._twice_since or now) if self.twofold else None
+
     def _name(self, fact: api.RosFact, now: float) -> Evidence | None:
         """A picture that never had the node proves its absence only when it is old enough."""
         count = fact.nodes.get(self._node, 0)
@@ -149,10 +166,8 @@ class Signs:
             self.doubts.add("listed twice")
         if count:
             self._listed_by_this_child, self._gone_since = True, None
-            self._twice_since = (self._twice_since or now) if count > 1 else None
             return Evidence(Kind.NAME, Says.ALIVE, "it is listed in the graph", fact.age_s)
         self.doubts.add("not listed")
-        self._twice_since = None
         if fact.up_s < self._grace_s and not self._listed_by_this_child:
             self._gone_since = None
             return None

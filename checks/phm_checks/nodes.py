@@ -18,7 +18,8 @@ SLOW_S = 1.0
 WITNESSES = 2
 """One node that is not heard may have lost its own way; when none of a container is, this many at least, it is the container's."""
 BOTH_S = 2.0
-"""A node that is started anew may overlap with the old one for a moment: two processes for longer are two nodes."""
+"""A node that is started anew may overlap with the old one for a moment: two processes for longer are two nodes, or at once
+where both are heard to beat."""
 OVERLAP_S = 1.0
 """A container that takes another's place, as after an update, may overlap with it for so long."""
 _Words = tuple[Level, str, str, str]
@@ -47,8 +48,9 @@ class _Node:
 
     def judge(self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float, fit: int) -> Judgement:
         """fit: how many processes may be the node's own."""
-        self._both_since = (self._both_since or now) if min(fit, self.signs.count) > 1 else None
-        self.copies = fit if self._both_since is not None and now - self._both_since >= BOTH_S else 0
+        self._both_since = (self._both_since or now) if fit > 1 and self.signs.twofold else None
+        lasts = self._both_since is not None and (self.signs.rivals > 0 or now - self._both_since >= BOTH_S)
+        self.copies = fit if lasts else 0
         starting = now - began_at < grace_s
         past = Past(self.state is State.ALIVE, self.seen, starting, self.copies > 0 or self.signs.twice(now))
         judgement = fuse(evidence, past)
@@ -197,9 +199,10 @@ class Nodes(api.Check):
             )
             return Level.ERROR, words, "runs twice", "node_twice"
         if state is State.DUPLICATE:
+            lasted = "and two processes beat under its name" if node.signs.rivals else f"for more than {TWICE_S:.0f} s"
             words = (
-                f"node {name} is listed {node.signs.count} times for more than {TWICE_S:.0f} s, expected once: two nodes of "
-                "one name disturb each other; stop one, or give each its own namespace"
+                f"node {name} is listed {node.signs.count} times {lasted}, expected once: two nodes of one name disturb each "
+                "other; stop one, or give each its own namespace"
             )
             return Level.WARN, words, "runs twice", "node_twice"
         if state is State.UNKNOWN:

@@ -241,6 +241,38 @@ def test_a_node_with_two_processes_runs_twice_whatever_its_lease() -> None:
     assert bench.after(1.0).level is api.Level.OK
 
 
+def test_two_processes_that_both_beat_are_two_nodes_at_once() -> None:
+    """The graph, the list of processes and the beacons agree: no overlap of an old node with a new one looks so."""
+    bench = Bench()
+    bench.ros.change(beacons=beating())
+    bench.after(12.0)
+    bench.ros.change(nodes={NAME: 2})
+    bench.processes(MAIN, ONE, replace(ONE, pid=99))
+    assert bench.after(1.0).level is api.Level.OK
+    bench.ros.change(beacons={NAME: replace(beating()[NAME], rivals=1)})
+    result = bench.after(0.25)
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_twice", "ros_app")
+
+
+def test_a_second_beacon_elsewhere_is_told_without_waiting_for_a_lease() -> None:
+    """The other one runs in no container of this agent, so nothing here is restarted for it."""
+    bench = Bench()
+    bench.ros.change(nodes={NAME: 2}, beacons={NAME: replace(beating()[NAME], rivals=1)})
+    result = bench.after(0.25)
+    assert (result.level, result.condition, result.target) == (api.Level.WARN, "node_twice", "")
+    assert "two processes beat under its name" in result.summary
+
+
+def test_a_name_that_stays_behind_alone_is_no_second_node() -> None:
+    """The middleware never forgets some names; the ends of its topics are there once, and a second node would have them, too."""
+    bench = rated()
+    bench.ros.change(nodes={NAME: 2})
+    assert bench.after(2 * TWICE_S).level is api.Level.OK
+    ends = (api.EndpointFact(NAME, "std_msgs/msg/String"),) * 2
+    bench.ros.change(topics={TOPIC: replace(flowing()[TOPIC], publishers=ends)})
+    assert bench.after(TWICE_S + 0.5).condition == "node_twice"
+
+
 @pytest.mark.parametrize(("listed", "pids"), [(2, (71,)), (1, (71, 99))])
 def test_one_sign_of_a_second_node_is_not_enough(listed: int, pids: tuple[int, ...]) -> None:
     """A lease that has not ended, or a process that only looks like the node's."""

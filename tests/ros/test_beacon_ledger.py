@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from phm.beacon import BEACON_FORMAT, HELLO_FORMAT, MAX_NEIGHBOURS, MAX_NODES, _Neighbours
-from phm.probes.ros.beacons import FORGET_S, MAX_STRANGERS, Ledger, beacons_in, log_texts
+from phm.probes.ros.beacons import FORGET_S, MAX_RIVALS, MAX_STRANGERS, Ledger, beacons_in, log_texts
 from phm.probes.ros.hearsay import Hearsay
 from phm.probes.ros.protocol import Heard
 from phm.ros_facts import BeaconFact, NeighbourFact
@@ -238,3 +238,48 @@ def test_what_is_cut_or_strange_is_no_message() -> None:
     for data in strange:
         with pytest.raises((ValueError, struct.error)):
             log_texts(data)
+
+
+def test_two_processes_of_one_name_that_both_go_on_are_told() -> None:
+    """Each beats several times after the second came; then the second ends."""
+    book = ledger(A)
+    book.add(BEACON_FORMAT, text(), 1.0)
+    told = []
+    for number in range(1, 20):
+        at_s = 1.0 + 0.2 * number
+        book.add(BEACON_FORMAT, text(), at_s)
+        if 5 <= number < 12:
+            book.add(BEACON_FORMAT, text(witness="v"), at_s + 0.1)
+        news = book.news(at_s + 0.1)
+        told += [(number, news.beacons[A].rivals)] if news is not None and A in news.beacons else []
+    assert told == [(1, 0), (7, 1), (15, 0)]
+
+
+def test_a_node_that_relieves_another_is_no_rival() -> None:
+    """The first one falls silent as the second begins to beat: from then on it is the node."""
+    book = ledger(A)
+    book.add(BEACON_FORMAT, text(), 1.0)
+    for number in range(1, 10):
+        at_s = 1.0 + 0.2 * number
+        if number == 1:
+            book.add(BEACON_FORMAT, text(), at_s)
+        book.add(BEACON_FORMAT, text(witness="v"), at_s)
+        news = book.news(at_s)
+        assert news is None or all(fact.rivals == 0 for fact in news.beacons.values())
+    assert news is not None
+
+
+def test_rivals_without_end_are_capped() -> None:
+    """Anyone may beat under any name."""
+    book = ledger(A)
+    for number in range(100):
+        book.add(BEACON_FORMAT, text(), 1.0)
+        book.add(BEACON_FORMAT, text(witness=f"v{number}"), 1.0)
+    assert len(book._heard[A].rivals) == MAX_RIVALS
+
+
+def test_a_rival_is_news_worth_a_look() -> None:
+    """Checks are to look at once."""
+    known = Hearsay().with_news(Heard(beacons={A: BeaconFact(0.0, 0.2)}), 1.0)
+    assert known.differs(Heard(beacons={A: BeaconFact(0.0, 0.2, rivals=1)}))
+    assert not known.differs(Heard(beacons={A: BeaconFact(0.1, 0.2)}))

@@ -11,7 +11,7 @@ import math
 import struct
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from phm.beacon import BEACON, BEACON_FORMAT, MAX_LATE_S, MAX_NAME, MAX_NEIGHBOURS, MAX_NODES, MAX_TEXT, NAME, PERIODS_S
@@ -35,16 +35,54 @@ DOUBT = (2.0, SILENT_MISSES)
 """Missed beats at which the daemon is told at once, so that checks look."""
 
 
+RIVAL_BEATS = 3
+"""So often must another process of the same name have beaten before it counts, and the first one have gone on for a period."""
+MAX_RIVALS = 4
+
+
+@dataclass(slots=True)
+class _Rival:
+    """Another process that beats under the name of one that has not fallen silent: how often it did, first and last."""
+
+    since_s: float
+    at_s: float
+    beats: int = 1
+
+
 @dataclass(slots=True)
 class _Heard:
-    """The newest beacon of one node, when it came (monotonic), and how much of its silence has been told."""
+    """The newest beacon of one node, when it came (monotonic), and how much of its silence has been told.
+
+    rivals: by witness.
+    """
 
     fact: BeaconFact
     at_s: float
     doubt: int = 0
+    rivals: dict[str, _Rival] = field(default_factory=dict)
 
     def now(self, now_s: float) -> BeaconFact:
-        return replace(self.fact, age_s=round(max(0.0, now_s - self.at_s), 3))
+        return replace(self.fact, age_s=round(max(0.0, now_s - self.at_s), 3), rivals=self._rivals(now_s))
+
+    def meet(self, witness: str, at_s: float) -> None:
+        """A rival has beaten."""
+        rival, silent_s = self.rivals.get(witness), SILENT_MISSES * self.fact.period_s
+        if rival is not None and at_s - rival.at_s <= silent_s:
+            rival.at_s, rival.beats = at_s, rival.beats + 1
+            return
+        self.rivals = {name: one for name, one in self.rivals.items() if at_s - one.at_s <= silent_s}
+        if len(self.rivals) < MAX_RIVALS:
+            self.rivals[witness] = _Rival(at_s, at_s)
+
+    def _rivals(self, now_s: float) -> int:
+        """Those that beat now, and did while this one went on: a node that relieves another overlaps with it for a beat."""
+        period_s = self.fact.period_s
+        return sum(
+            rival.beats >= RIVAL_BEATS
+            and self.at_s - rival.since_s >= period_s
+            and now_s - rival.at_s <= SILENT_MISSES * period_s
+            for rival in self.rivals.values()
+        )
 
 
 class Ledger:
@@ -74,11 +112,11 @@ class Ledger:
     def news(self, now_s: float) -> Heard | None:
         """What there is to tell: all about whoever said something new, the age alone of whoever beats on."""
         for name, heard in list(self._heard.items()):
-            missed = heard.now(now_s).missed
-            doubt = sum(missed > limit for limit in DOUBT)
-            if doubt > heard.doubt:
+            seen = heard.now(now_s)
+            doubt = sum(seen.missed > limit for limit in DOUBT)
+            if doubt > heard.doubt or seen.rivals != heard.fact.rivals:
                 self._news.add(name)
-            heard.doubt = doubt
+            heard.doubt, heard.fact = doubt, seen
             if name not in self._nodes and now_s - heard.at_s > FORGET_S:
                 del self._heard[name]
         told = {name: self._heard[name].now(now_s) for name in self._news if name in self._heard}
@@ -97,14 +135,15 @@ class Ledger:
                 return
         elif known.fact.witness != fact.witness:
             if known.now(at_s).missed <= SILENT_MISSES:
+                known.meet(fact.witness, at_s)
                 return  # two of one name: the one that was there first goes on to count
             known = None
-        elif not has_views:
-            fact = replace(fact, views=known.fact.views)
+        else:
+            fact = replace(fact, rivals=known.fact.rivals, views=fact.views if has_views else known.fact.views)
         if known is None or has_views or known.doubt or _differs(known.fact, fact):
             self._news.add(name)
         self._beats.add(name)
-        self._heard[name] = _Heard(fact, at_s)
+        self._heard[name] = _Heard(fact, at_s, rivals=known.rivals if known is not None else {})
 
 
 def _differs(old: BeaconFact, new: BeaconFact) -> bool:

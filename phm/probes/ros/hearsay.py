@@ -58,9 +58,10 @@ class Hearsay:
         )
 
 
-def _state(fact: BeaconFact) -> tuple[str, bool, bool, int]:
-    """What must not change unnoticed: the life, whether two or three beats are missing, how late the executor is, roughly."""
-    return fact.birth, fact.missed > 2.0, fact.missed > 3.0, int(fact.late_s).bit_length()
+def _state(fact: BeaconFact) -> tuple[object, ...]:
+    """What must not change unnoticed: the life, who else has its name, whether two or three beats are missing, how late the
+    executor is, roughly."""
+    return fact.birth, fact.rivals, fact.missed > 2.0, fact.missed > 3.0, int(fact.late_s).bit_length()
 
 
 def _newest(told: dict[str, tuple[float, _Fact]]) -> dict[str, tuple[float, _Fact]]:
