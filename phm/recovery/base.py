@@ -70,6 +70,9 @@ class Action(ABC):
     shows_s: ClassVar[float | None] = None
     """A run of the unit's check that began this long after the action and is still ERROR says that it has not helped: for
     actions that work at once or never. None: the unit's grace and two seconds."""
+    follow_s: ClassVar[float | None] = None
+    """What needs the unit must be back so long after the action: for actions after which nothing has to start. None: its grace
+    and two seconds, and `proof_s`."""
 
     @classmethod
     def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:

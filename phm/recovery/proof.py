@@ -47,7 +47,7 @@ class Proving:
     """The proof of one action that was over at `done` (monotonic seconds). Pure.
 
     The unit itself gets `verify_s`, less when it is surely still bad; what needs it gets its grace. Runs count that began
-    `proof_s` after the action, which is the action's own, as is `shows_s` (`phm.recovery.base.Action`).
+    `proof_s` after the action, which is the action's own, as are `shows_s` and `follow_s` (`phm.recovery.base.Action`).
     """
 
     unit: str
@@ -56,6 +56,7 @@ class Proving:
     verify_s: float
     grace_s: Callable[[str], float]
     shows_s: float | None = None
+    follow_s: float | None = None
     waiting: tuple[str, ...] = ()
     """Units that have not come back."""
 
@@ -70,7 +71,9 @@ class Proving:
         if not suffering and seen.well_since(self.unit, self.done + self.proof_s):
             return Proof()
         self.waiting = suffering or self.waiting
-        longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.proof_s
+        longest_s = self.follow_s
+        if longest_s is None:
+            longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.proof_s
         return Proof(missing=self.waiting[0]) if now - self.done > longest_s else None
 
 
@@ -78,7 +81,7 @@ def prove(shop: Shop, fault: Fault, target: str, kind: type[Action], stopping: C
     """Wait for the verdict. A life of the container that is not this action's doing ends the wait."""
     clock, pipeline = shop.clock, shop.pipeline
     verify_s = shop.context.settings.recovery.verify
-    proving = Proving(fault.unit, clock.mono(), kind.proof_s, verify_s, shop.grace_s, kind.shows_s)
+    proving = Proving(fault.unit, clock.mono(), kind.proof_s, verify_s, shop.grace_s, kind.shows_s, kind.follow_s)
     mine = shop.lives.look(target)
     asked = float("-inf")
     while not stopping():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from phm.recovery.proof import Proof, Proving
 
 GRACE_S = 3.0
@@ -23,6 +25,16 @@ class Silent:
         return ()
 
 
+class Alone(Silent):
+    """The unit is well, and what needs it stays away."""
+
+    def well_since(self, unit: str, mono: float) -> bool:
+        return True
+
+    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+        return ("nodes/one",)
+
+
 def verdict(started: float, shows_s: float | None) -> Proof | None:
     """0 is when the action was over."""
     return Proving("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, shows_s).verdict(Silent(started), started + 2.0)
@@ -38,3 +50,11 @@ def test_other_actions_are_given_the_grace_of_the_unit() -> None:
     """A container that was started needs its time."""
     assert verdict(4.5, shows_s=None) is None
     assert verdict(5.0, shows_s=None) == Proof(missing="network/app")
+
+
+@pytest.mark.parametrize(("follow_s", "longest_s"), [(6.0, 6.0), (None, GRACE_S + 4.0)])
+def test_what_needs_the_unit_is_waited_for_as_long_as_the_action_says(follow_s: float | None, longest_s: float) -> None:
+    """After a reconnection nothing has to start: the nodes find each other soon, or not before they are restarted."""
+    proving = Proving("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, follow_s=follow_s)
+    assert proving.verdict(Alone(0.0), longest_s) is None
+    assert proving.verdict(Alone(0.0), longest_s + 0.1) == Proof(missing="nodes/one")

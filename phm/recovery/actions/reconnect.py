@@ -21,6 +21,9 @@ class Reconnect(Action):
     proof_s = 2.0
     # The kernel of an attached interface answers at once; one whose address is silent now stays so.
     shows_s = 1.0
+    # Its processes go on and find each other by the next announcement, 3 s apart by Fast DDS's default, or not at all: a socket
+    # keeps its multicast membership on the interface that is gone.
+    follow_s = 6.0
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
