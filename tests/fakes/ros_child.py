@@ -4,7 +4,8 @@
 
 Behaviours: `good`; `garbage` (good, between lines that are no messages); `long` (good, after a line of
 several megabytes); `exit` (a picture, then code 3); `mute` (a picture, then nothing); `never` (nothing at all);
-`crash` (SIGSEGV after a picture); `stubborn` (good, and ignores its closed input); `deaf` (good, and never reads).
+`crash` (SIGSEGV after a picture); `twice` (good, and lists its node twice); `ghost` (the same, in the first child alone);
+`stubborn` (good, and ignores its closed input); `deaf` (good, and never reads).
 FOLDER gets a file per start.
 """
 
@@ -23,13 +24,15 @@ def main(behaviour: str, folder: str = "") -> int:
     wanted = json.loads(sys.stdin.buffer.readline())
     if folder:
         Path(folder, str(os.getpid())).touch()
+    first = not folder or len(list(Path(folder).iterdir())) == 1
+    times = 2 if behaviour == "twice" or (behaviour == "ghost" and first) else 1
     if behaviour == "never":
         return _wait_for_end()
     if behaviour == "long":
         _write(b"x" * 3_000_000 + b"\n")
     began_s = time.monotonic()
     while True:
-        _picture(wanted, time.monotonic() - began_s)
+        _picture(wanted, time.monotonic() - began_s, times)
         if behaviour == "garbage":
             _write(b'[WARN] stray library output\n\xff\xfe\n["picture"]\n[1,2]\n["tick",[NaN,{}]]\n\n')
         elif behaviour == "exit":
@@ -47,11 +50,11 @@ def main(behaviour: str, folder: str = "") -> int:
             return 0
 
 
-def _picture(wanted: dict[str, object], up_s: float) -> None:
+def _picture(wanted: dict[str, object], up_s: float, times: int) -> None:
     topics = wanted["topics"]
     assert isinstance(topics, list)
     empty: list[object] = [[], [], None]
-    picture = ["picture", [up_s, {"/a/n": 1}, {t["name"]: empty for t in topics}]]
+    picture = ["picture", [up_s, {"/a/n": times}, {t["name"]: empty for t in topics}]]
     _write(json.dumps(picture).encode() + b"\n")
 
 

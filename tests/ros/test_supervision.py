@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,28 @@ def test_a_stopped_child_is_replaced(bench: Bench) -> None:
     seen(probe, lambda fact: probe.pid not in (0, first), "a picture of another child")
     assert gone(first)
     assert probe.restarts == 1
+
+
+def test_a_ghost_in_the_graph_is_gone_with_the_child_that_saw_it(bench: Bench, tmp_path: Path) -> None:
+    """A node that one participant lists twice for longer than any lease is looked at by another, which is no fault of the child."""
+    limits = replace(FAST, doubt_s=0.3)
+    probe = bench.probe(command=fake("ghost", tmp_path), limits=limits)
+    seen(probe, lambda fact: fact.nodes == {"/a/n": 2}, "the ghost")
+    seen(probe, lambda fact: fact.nodes == {"/a/n": 1}, "one node")
+    assert bench.notes == ["the ROS child is renewed: /a/n has been listed more than once for 0.3 s"]
+    assert probe.restarts == 0
+
+
+def test_a_node_that_does_run_twice_is_looked_at_anew_once(bench: Bench, tmp_path: Path) -> None:
+    """Two nodes of one name are no reason to start child after child."""
+    probe = bench.probe(command=fake("twice", tmp_path), limits=replace(FAST, doubt_s=0.2))
+    until(lambda: len(list(tmp_path.iterdir())) == 2, "a second child")
+    seen(
+        probe,
+        lambda fact: fact.nodes == {"/a/n": 2} and fact.up_s > 1.0,
+        "a second child that has looked for long enough",
+    )
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_a_killed_child_is_replaced(bench: Bench) -> None:

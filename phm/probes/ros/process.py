@@ -18,6 +18,7 @@ from pathlib import Path
 import phm
 from phm.clock import Clock
 from phm.facts import CannotTell, RosFact
+from phm.probes.ros.ghosts import DOUBT_S, Ghosts
 from phm.probes.ros.life import Life
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
@@ -65,6 +66,7 @@ class Limits:
     silent_s: float = 3.0
     """Longest time between two messages; the child sends four a second."""
     weigh_s: float = 1.0
+    doubt_s: float = DOUBT_S
     backoff_s: float = 0.5
     backoff_max_s: float = 30.0
     steady_s: float = 60.0
@@ -104,6 +106,7 @@ class RosProcess:
         self._max_memory = settings.ros.max_memory
         self._command = tuple(command)
         self._limits = limits
+        self._ghosts = Ghosts(limits.doubt_s)
         self._lock = threading.Lock()
         self._view = View()
         self._post = b""
@@ -248,11 +251,19 @@ class RosProcess:
                 return f"said nothing for {limit_s:g} s and was killed"
             if now_s - weighed_s >= self._limits.weigh_s:
                 weighed_s = now_s
+                self._doubt(now_s)
                 if (rss := life.rss_bytes()) > self._max_memory:
                     return f"used {rss / 1e6:.0f} MB, allowed are {self._max_memory / 1e6:.0f} MB, and was killed"
         if self._closing:
             self._say_goodbye(life)
         return ""
+
+    def _doubt(self, now_s: float) -> None:
+        """A node that is listed twice for too long may be a ghost of this participant: another one shows."""
+        picture = self._view.picture
+        ghosts = self._ghosts.look(picture.nodes, now_s) if picture is not None else ()
+        if ghosts:
+            self.renew(f"{', '.join(ghosts)} has been listed more than once for {self._limits.doubt_s:g} s")
 
     def _say_goodbye(self, life: Life) -> None:
         """What waits to be published may be the last word of PHM: the child reads it before the end of its input."""

@@ -1,0 +1,40 @@
+"""Nodes that PHM's own graph alone still lists. Pure; the caller brings time.
+
+A participant learns of a node's end only when nothing of it is on its way any more. Where a network was cut under a node, its last
+announcement may come after its end was noted: it is then listed for ever, by this one participant and nobody else (seen once, with
+Jazzy's rmw_fastrtps, for four minutes). A participant that is made anew does not know it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+DOUBT_S = 22.0
+"""Listed twice for longer than any lease (Fast DDS: 20 s by default): either two nodes of one name live, or one is a ghost."""
+
+
+class Ghosts:
+    """Says for which nodes a look with new eyes is due: for each once, until it was listed once for as long."""
+
+    def __init__(self, doubt_s: float = DOUBT_S) -> None:
+        self._doubt_s = doubt_s
+        self._twice_at: dict[str, float] = {}
+        self._looked: dict[str, float] = {}
+        """Nodes for which that was done, with when they were listed more than once last."""
+
+    def look(self, nodes: Mapping[str, int], now: float) -> tuple[str, ...]:
+        """nodes: how often each is listed. now: monotonic seconds."""
+        twice = {name for name, count in nodes.items() if count > 1}
+        self._twice_at = {name: self._twice_at.get(name, now) for name in twice}
+        self._looked = {
+            name: now if name in twice else at
+            for name, at in self._looked.items()
+            if name in twice or now - at < self._doubt_s
+        }
+        due = tuple(
+            sorted(
+                name for name, at in self._twice_at.items() if now - at >= self._doubt_s and name not in self._looked
+            )
+        )
+        self._looked.update(dict.fromkeys(due, now))
+        return due
