@@ -188,7 +188,7 @@ class Check(ABC):
 
     @property
     def wakes(self) -> frozenset[str]:
-        """Subjects whose events wake this check: ``container:NAME``, ``network``, ``ros``, ``device``, ``link``."""
+        """Subjects whose events wake this check: ``container:NAME``, ``network``, ``engine``, ``ros``, ``file``, ``device``, ``link``."""
         return frozenset()
 
     @abstractmethod

@@ -19,6 +19,8 @@ from phm.probes.docker_watch import DockerEvent, Watch
 from phm.probes.files import Files
 from phm.probes.host import Host
 from phm.probes.links import Links
+from phm.probes.notices import Notices
+from phm.probes.pulse import Pulse
 from phm.probes.ros.process import RosProcess
 from phm.probes.swarm import Swarm
 from phm.settings import Settings
@@ -57,6 +59,8 @@ class Parts:
     engine: Engine
     docker: RememberingDocker
     watch: Watch | None
+    pulse: Pulse | None
+    notices: Notices
     mavlink: MavlinkHub | None
     ros: RosProcess | None
     world: World
@@ -67,6 +71,8 @@ class Parts:
             self.mavlink.start()
         if self.watch is not None:
             self.watch.start()
+        if self.pulse is not None:
+            self.pulse.start()
 
     def start_ros(self) -> None:
         if self.ros is not None:
@@ -94,6 +100,9 @@ class Parts:
     def close(self) -> None:
         if self.watch is not None:
             self.watch.stop()
+        if self.pulse is not None:
+            self.pulse.stop()
+        self.notices.close()
         if self.ros is not None:
             self.ros.close()
         if self.mavlink is not None:
@@ -119,7 +128,9 @@ def assemble(
         asked.invalidate()  # what was read a moment ago is old before anybody is woken to read it
         docker_event(event)
 
-    watch = Watch(engine, settings, clock, happened) if settings.containers else None
+    watch = Watch(engine, settings, clock, happened, lambda: wake("engine")) if settings.containers else None
+    pulse = Pulse(clock, asked.answering, asked.knock, lambda: wake("network")) if _addressed(settings) else None
+    notices = Notices(clock)
     hub = MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir)
     links = Links(hub, settings, clock, lambda: wake("link"))
     swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"))
@@ -128,12 +139,17 @@ def assemble(
     world = World(
         clock=clock,
         docker=docker,
-        files=Files(docker, engine, settings, clock),
-        devices=Devices(settings, clock),
+        files=Files(docker, engine, settings, clock, notices, lambda: wake("file")),
+        devices=Devices(settings, clock, notices, lambda: wake("device")),
         host=Host(settings, clock),
         ros=probe,
         links=links,
         swarm=swarm,
         myself=Myself(self_look, ros, links),
     )
-    return Parts(engine, docker, watch, hub if settings.mavlink.endpoints else None, ros, world)
+    return Parts(engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, world)
+
+
+def _addressed(settings: Settings) -> bool:
+    """Whether some container's address must answer."""
+    return any(entry.networks and entry.address for entry in settings.containers)

@@ -237,7 +237,7 @@ class HostFact:
     """None stands for `this machine does not tell`."""
 
     cpu_percent: float
-    """Of all cores, since the last reading; 0 to 100."""
+    """Of all cores, since the last reading (at least 0.2 s); 0 to 100."""
     memory_percent: float
     memory_available_bytes: int
     disks: tuple[DiskFact, ...]
@@ -250,6 +250,8 @@ class HostFact:
     clock_step_s: float = 0.0
     """How far UTC has jumped against the monotonic clock since the last reading."""
     fans_rpm: tuple[int, ...] = ()
+    waiting_percent: float | None = None
+    """Share of that time in which some task was ready and had to wait for a core; None when the kernel does not tell."""
 
 
 class HostProbe(Protocol):

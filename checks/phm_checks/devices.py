@@ -13,6 +13,8 @@ from phm_checks._words import brief, clean, joined, last, listed
 
 _SERIAL_MAJORS = frozenset({166, 188, 204})
 """ttyACM, ttyUSB and the UARTs of ARM boards, from the kernel's devices.txt; ttyS is 4 from minor 64 on."""
+SETTLE_S = 0.1
+"""A device is looked at as soon as its folder changes; rules of udev may make its node and links anew within a moment."""
 _RULE = re.compile(r"^([acb])\s+(\d+|\*):(\d+|\*)(?:\s+[rwm]+)?$")
 
 
@@ -51,7 +53,7 @@ class Devices(PerContainer):
 
     @property
     def units(self) -> Sequence[api.Unit]:
-        return (api.Unit(self.unit_id, target=self.key),)
+        return (api.Unit(self.unit_id, target=self.key, settle_s=SETTLE_S),)
 
     @property
     def wakes(self) -> frozenset[str]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
 from phm_checks._words import clean
+
+SETTLE_S = 0.3
+"""A lost event stream wakes this check at once, so a refusal need not wait for the next period to be confirmed; a connection that
+is lost and found within a moment is no fault."""
 
 
 class Engine(api.Check):
@@ -21,6 +25,14 @@ class Engine(api.Check):
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
         """Nothing to judge when no container is configured."""
         return [cls()] if settings.containers else []
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        return (api.Unit(self.name, settle_s=SETTLE_S),)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return frozenset({"engine"})
 
     def run(self, world: api.World) -> api.Result:
         try:

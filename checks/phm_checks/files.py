@@ -9,6 +9,9 @@ from phm.api import Slot
 from phm_checks._per_container import PerContainer
 from phm_checks._words import brief, clean, joined, last, listed
 
+SETTLE_S = 0.2
+"""A file in a volume is looked at as soon as it changes, and whoever replaces one often removes the old one first."""
+
 
 class Files(PerContainer):
     """All configured files of one container.
@@ -27,7 +30,11 @@ class Files(PerContainer):
 
     @property
     def units(self) -> Sequence[api.Unit]:
-        return (api.Unit(self.unit_id, needs=("engine",), target=self.key),)
+        return (api.Unit(self.unit_id, needs=("engine",), target=self.key, settle_s=SETTLE_S),)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return super().wakes | {"file"}
 
     def run(self, world: api.World) -> api.Result:
         """All problems at once, the first in the brief; ERROR wins over what could not be seen."""

@@ -2,58 +2,40 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._words import Steady, brief, clean, joined, listed, span
+from phm_checks._cpu import Cpu
+from phm_checks._graded import Graded
+from phm_checks._words import Steady, brief, clean, joined, listed
 
-MARGIN = 0.05
-"""A level is left only when the value is this share of the limit below it, so that a value at the limit does not flap."""
+__all__ = ["STEP_TOLD_S", "Graded", "Host"]
+
 STEP_TOLD_S = 30.0
 """A jump of the clock lasts one reading; it is told for this long so that it is seen."""
 SUSPECTS = ("memory", "disk")
 """A full disk or used-up memory can be behind any fault; neither need be."""
-_MOST_READINGS = 1000
-
-
-class Graded:
-    """A level by two limits, with memory: up at the limit, down only below limit minus margin."""
-
-    def __init__(self, warn: float, error: float) -> None:
-        self._limits = ((Level.ERROR, error), (Level.WARN, warn))
-        self._level = Level.OK
-
-    def level(self, value: float) -> Level:
-        for level, limit in self._limits:
-            stays = self._level is Level.ERROR or self._level is level
-            if value >= limit * (1 - MARGIN if stays else 1.0):
-                self._level = level
-                return level
-        self._level = Level.OK
-        return Level.OK
 
 
 class Host(api.Check):
     """The machine: units host/cpu, host/memory, host/disk, host/temperature and host/clock."""
 
     name, slot, layer = "host", Slot.HOST, Layer.COMPANION
-    period_s = 2.0
+    period_s = 0.5
 
-    def __init__(self, limits: api.HostSettings) -> None:
-        self._limits = limits
-        self._cpu = Graded(limits.cpu.warn, limits.cpu.error)
+    def __init__(self, settings: api.Settings) -> None:
+        self._limits = limits = settings.host
+        self._cpu = Cpu(settings)
         self._memory = Graded(limits.memory.warn, limits.memory.error)
         self._disks: dict[str, Graded] = {}
         self._heat = Graded(limits.temperature_warn, limits.temperature_error)
-        self._readings: deque[tuple[float, float]] = deque(maxlen=_MOST_READINGS)
         self._step: tuple[float, float] | None = None
         self._steady = Steady(share=0.05)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
-        return [cls(settings.host)]
+        return [cls(settings)]
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -64,38 +46,12 @@ class Host(api.Check):
         fact = world.host.read()
         now = world.clock.mono()
         return {
-            "host/cpu": self._judge_cpu(fact, now),
+            "host/cpu": self._cpu.judge(fact, now, world),
             "host/memory": self._judge_memory(fact),
             "host/disk": self._judge_disks(fact),
             "host/temperature": self._judge_temperature(fact),
             "host/clock": self._judge_clock(fact, now),
         }
-
-    def _judge_cpu(self, fact: api.HostFact, now: float) -> api.Result:
-        """The mean of the readings within the window; high use is told only once the window is full."""
-        window_s = self._limits.cpu_window
-        self._readings.append((now, fact.cpu_percent))
-        # One reading from before the window stays: it is what shows that the window is full.
-        while len(self._readings) > 1 and self._readings[1][0] <= now - window_s:
-            self._readings.popleft()
-        inside = [share for at, share in self._readings if at > now - window_s]
-        mean = sum(inside) / len(inside)
-        values: dict[str, api.Value] = {
-            "cpu_percent": round(mean, 1),
-            "load_per_core": round(fact.load_per_core, 2),
-        }
-        full = now - self._readings[0][0] >= window_s
-        level = self._cpu.level(mean)
-        if level is Level.OK:
-            self._steady.forget("cpu")
-            return api.ok(f"CPU at {mean:.0f} %", **values)
-        if not full:
-            return api.stale(f"CPU at {mean:.0f} %, averaging over {span(window_s)} before judging", brief="", **values)
-        words = (
-            f"CPU at {mean:.0f} % over {span(window_s)}, expected below {self._limits.cpu.warn:g} %: find the process with "
-            "`top`, or give its container a CPU limit"
-        )
-        return self._bad(level, words, f"CPU {self._steady.show('cpu', mean):.0f} %", "cpu_high", values)
 
     def _judge_memory(self, fact: api.HostFact) -> api.Result:
         used = fact.memory_percent

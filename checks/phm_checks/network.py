@@ -146,8 +146,8 @@ class Network(PerContainer):
         if world.docker.reachable(attached.address) or world.docker.reachable(attached.address):
             return api.ok(f"{self.key} is connected to {name} and answers at {attached.address}")
         return self._bad(
-            f"{self.key} is connected to {name}, but {attached.address} did not answer twice, expected an answer within "
-            "1 s: its interface may be down or its processes frozen",
+            f"{self.key} is connected to {name}, but {attached.address} did not answer twice, expected an answer at "
+            "once: its interface may be down, or a firewall may swallow what it gets",
             f"silent on {name}",
             "address_silent",
         )

@@ -10,12 +10,14 @@ import errno
 import os
 import stat
 import threading
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
 from serial.tools.list_ports_linux import SysFS
 
 from phm.clock import Clock
 from phm.facts import CannotTell, DeviceFact
+from phm.probes.notices import Notices
 from phm.probes.worker import Worker
 from phm.settings import Settings
 
@@ -43,9 +45,20 @@ _ERRORS: dict[int, tuple[bool | None, str]] = {
 
 
 class Devices:
-    """A `phm.facts.DeviceProbe`. Thread-safe; one call at a time."""
+    """A `phm.facts.DeviceProbe`. Thread-safe; one call at a time.
 
-    def __init__(self, settings: Settings, clock: Clock) -> None:
+    changed: called when a device that was looked at, or a link on the way to it, may have come, gone or changed.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        clock: Clock,
+        notices: Notices | None = None,
+        changed: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._changed = changed
+        self._watch = notices.on(changed) if notices is not None else lambda directory, name: False
         self._root = Path(settings.host.dev_root)
         self._clock = clock
         self._worker = Worker("devices")
@@ -54,17 +67,26 @@ class Devices:
 
     def look(self, path: str, *, open_it: bool) -> DeviceFact | None:
         """The device at the host's `path`; the fact's path is the real one, with links followed."""
-        return self._worker.call(lambda: self._look(path, open_it), LOOK_S)
+        return self._worker.call(lambda: self._look_and_watch(path, open_it), LOOK_S)
 
     def serial_ports(self) -> tuple[DeviceFact, ...]:
         return self._worker.call(self._serial_ports, LOOK_S)
 
-    def _look(self, path: str, open_it: bool) -> DeviceFact | None:
+    def _look_and_watch(self, path: str, open_it: bool) -> DeviceFact | None:
+        steps: list[PurePosixPath] = []
+        fact = self._look(path, open_it, steps)
+        fresh = [self._watch(str(self._place(step.parent)), step.name) for step in steps]
+        if any(fresh):
+            self._changed()  # it may have changed between this look and the beginning of the watch
+        return fact
+
+    def _look(self, path: str, open_it: bool, steps: list[PurePosixPath] | None = None) -> DeviceFact | None:
+        """The device; what is looked up on the way to it is added to `steps`."""
         if not self._root.is_dir():
             raise CannotTell(
                 f"the host's /dev is not at {self._root}: mount it there, read-only, or correct host.dev_root"
             )
-        real = self._resolve(PurePosixPath(os.path.normpath(path)))
+        real = self._resolve(PurePosixPath(os.path.normpath(path)), [] if steps is None else steps)
         if real is None:
             return None
         place = self._place(real)
@@ -86,7 +108,7 @@ class Devices:
         """Where PHM finds a path of the host: below `dev_root` for /dev, else at the same place."""
         return self._root / path.relative_to(_DEV) if path.is_relative_to(_DEV) else Path(path)
 
-    def _resolve(self, path: PurePosixPath) -> PurePosixPath | None:
+    def _resolve(self, path: PurePosixPath, steps: list[PurePosixPath]) -> PurePosixPath | None:
         """The host's path with links followed as the host would; None for a dangling or endless chain."""
         parts, done, links = list(path.parts[1:]), PurePosixPath("/"), 0
         while parts:
@@ -94,6 +116,7 @@ class Devices:
             done = PurePosixPath(step)
             if done == _DEV or not done.is_relative_to(_DEV):
                 continue  # /dev itself is the mount, and nothing outside it is ours to follow
+            steps.append(done)
             try:
                 target = os.readlink(self._place(done))
             except FileNotFoundError:

@@ -78,6 +78,21 @@ class Docker:
         holder = next((fact for fact in facts if any(one.address == address for one in fact.networks)), None)
         return self._reach.answers(address, holder.life if holder is not None else "")
 
+    def answering(self) -> tuple[str, ...]:
+        """Addresses of configured containers that run and have answered in this life; see `phm.probes.pulse`."""
+        facts = [entry.fact for key, entry in self._entries.items() if key != _MYSELF and entry.fact is not None]
+        return tuple(
+            one.address
+            for fact in facts
+            if fact.running
+            for one in fact.networks
+            if one.address and self._reach.heard(one.address, fact.life)
+        )
+
+    def knock(self, address: str) -> bool:
+        """Whether the address answers by itself just now: one question, not a verdict."""
+        return self._reach.knock(address)
+
     def invalidate(self) -> None:
         """Something happened: what was read before now is old. Called with each Docker event."""
         self._generation += 1

@@ -74,15 +74,21 @@ class DockerEvent:
 
 
 class Watch:
-    """Two threads: one follows the stream, one compares. `on_event` is called from either, one at a time.
+    """Two threads: one follows the stream, one compares. `on_event` is called from either, one at a time; `on_turn` when the
+    stream broke, could not be opened, or is open again: mostly the engine itself has gone or come.
 
     Invariant: `_expected`, `_ids`, `_left` and `_touched` are read and written with `_lock` held.
     """
 
     def __init__(
-        self, engine: Engine, settings: Settings, clock: Clock, on_event: Callable[[DockerEvent], None]
+        self,
+        engine: Engine,
+        settings: Settings,
+        clock: Clock,
+        on_event: Callable[[DockerEvent], None],
+        on_turn: Callable[[], None] = lambda: None,
     ) -> None:
-        self._engine, self._clock, self._on_event = engine, clock, on_event
+        self._engine, self._clock, self._on_event, self._on_turn = engine, clock, on_event, on_turn
         self._containers = {entry.key: entry for entry in settings.containers}
         self._networks = {name for entry in settings.containers for name in entry.networks}
         self._compare_s = settings.docker.compare
@@ -139,6 +145,8 @@ class Watch:
                 silent = False
                 logger.exception("the event stream could not be read")
             self._connected = False
+            if not silent:
+                self._turned()
             # A stream that is dropped as soon as it is opened must not be reopened ten times a second.
             if silent or self._clock.mono() - opened_at > BACKOFF_MAX_S:
                 wait_s = BACKOFF_S
@@ -152,6 +160,7 @@ class Watch:
             if self._stopping.is_set():
                 return
             self._connected = True
+            self._turned()
             self._compare_now.set()
             for raw in stream:
                 event = self._understand(raw)
@@ -278,6 +287,14 @@ class Watch:
             logger.debug("comparison of %s: %s", key, error)
             return None
         return touched, Expected.of(fact)
+
+    def _turned(self) -> None:
+        if self._stopping.is_set():
+            return
+        try:
+            self._on_turn()
+        except Exception:  # the listener's defect must not end the watch
+            logger.exception("the listener of the event stream failed")
 
     def _tell(self, event: DockerEvent) -> None:
         with self._telling:

@@ -10,12 +10,13 @@ import os
 import stat
 import threading
 from collections import OrderedDict
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import Any, Final
 
 from phm.clock import Clock
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
 from phm.probes.docker_facts import Budget
+from phm.probes.notices import Notices
 from phm.probes.volume_path import MAX_LINKS, Outside, join, normal, resolve
 from phm.settings import Settings
 from phm.transport.docker import Engine, EngineMissing
@@ -31,10 +32,23 @@ _NOT_SEEN_BY_ENGINE: Final = ("/proc", "/sys", "/dev")
 
 
 class Files:
-    """Implements `phm.facts.FileProbe`. Thread-safe."""
+    """Implements `phm.facts.FileProbe`. Thread-safe.
 
-    def __init__(self, docker_probe: DockerProbe, engine: Engine, settings: Settings, clock: Clock) -> None:
+    changed: called when something may have changed in a volume on the way to a file that was looked for.
+    """
+
+    def __init__(
+        self,
+        docker_probe: DockerProbe,
+        engine: Engine,
+        settings: Settings,
+        clock: Clock,
+        notices: Notices | None = None,
+        changed: Callable[[], None] = lambda: None,
+    ) -> None:
         self._docker, self._engine, self._clock = docker_probe, engine, clock
+        self._changed = changed
+        self._watch = notices.on(changed, content=True) if notices is not None else lambda directory, name: False
         # Behind tcp:// the engine may be another machine's, whose paths mean nothing here.
         self._same_host = settings.docker.socket.startswith("unix:")
         self._last: dict[str, tuple[ContainerFact, ContainerFact | None]] = {}
@@ -73,7 +87,16 @@ class Files:
         self, fact: ContainerFact, me: ContainerFact | None, path: str, digest: bool
     ) -> FileFact | None:
         roots = self._roots(fact, me)
-        number = resolve(path, {mount.destination: roots.get(mount.destination, "") for mount in fact.mounts})
+        fresh: list[str] = []
+
+        def passing(directory: int, name: str) -> None:
+            if self._watch(f"/proc/self/fd/{directory}", name):
+                fresh.append(name)
+
+        mounts = {mount.destination: roots.get(mount.destination, "") for mount in fact.mounts}
+        number = resolve(path, mounts, passing)
+        if fresh:
+            self._changed()  # it may have changed between this look and the beginning of the watch
         if number is None:
             return None
         try:

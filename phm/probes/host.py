@@ -1,27 +1,31 @@
 """Reads the companion computer: processor, memory, disks, temperature, throttling, clock.
 
 /proc and /sys are not namespaced by Docker, so PHM's container sees the host's figures; disks are those
-that its own mounts lie on.
+that its own mounts lie on. What can turn bad within a second (processor, memory, disks) costs a twentieth of a millisecond
+and is read each time; what is slow by nature and dear (sensors) every few seconds.
 """
 
 from __future__ import annotations
 
 import ctypes
+import importlib
 import os
 import re
 import threading
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-
-import psutil
 
 from phm.clock import Clock
 from phm.facts import CannotTell, DiskFact, HostFact
+from phm.probes.processor import Processor, head
 from phm.probes.worker import Worker
 from phm.settings import Settings
 
 DISK_S = 1.0
 """Deadline of one look at one disk."""
+SLOW_S = 2.0
+"""How long a reading of the sensors is believed."""
 MOST_FANS = 4
 
 # Names by which drivers tell the processor's sensor. Others do not count: a Jetson's PMIC-Die always says
@@ -68,40 +72,79 @@ def clock_synchronized() -> bool | None:
     return True if os.path.exists("/run/systemd/timesync/synchronized") else None
 
 
-class Host:
-    """A `phm.facts.HostProbe`. `sysfs` is where the kernel's /sys is; tests bring their own."""
+@dataclass(frozen=True, slots=True)
+class _Slow:
+    """What is read every SLOW_S; fields as in `HostFact`."""
 
-    def __init__(self, settings: Settings, clock: Clock, sysfs: Path = Path("/sys")) -> None:
+    at: float
+    temperature_c: float | None
+    temperature_of: str
+    throttled: tuple[str, ...] | None
+    clock_synchronized: bool | None
+    fans_rpm: tuple[int, ...]
+
+
+class Host:
+    """A `phm.facts.HostProbe`. `sysfs` and `proc` are where the kernel's /sys and /proc are; tests bring their own."""
+
+    def __init__(
+        self, settings: Settings, clock: Clock, sysfs: Path = Path("/sys"), proc: Path = Path("/proc")
+    ) -> None:
         self._clock = clock
         self._sysfs = sysfs
+        self._meminfo = str(proc / "meminfo")
+        self._processor = Processor(clock, proc)
+        self._slow: _Slow | None = None
         self._disks = {path: Worker(f"disk-{path}") for path in settings.host.disks}
         self._lock = threading.Lock()
         self._offset: float | None = None
-        psutil.cpu_percent(interval=None)  # the first reading has nothing to compare with, so it is taken here
 
     def read(self) -> HostFact:
         """All figures at this moment; raises CannotTell when /proc cannot be read."""
         with self._lock:
             try:
-                memory = psutil.virtual_memory()
-                cpu = psutil.cpu_percent(interval=None)
+                total, available = self._memory()
+                use = self._processor.use()
                 load = os.getloadavg()[0]
-            except (OSError, RuntimeError) as error:
+            except (OSError, ValueError, IndexError) as error:
                 raise CannotTell(f"the kernel's figures cannot be read ({error}): is /proc mounted?") from error
-            temperature, sensor = self._temperature()
+            slow = self._slowly()
             return HostFact(
-                cpu_percent=cpu,
-                memory_percent=memory.percent,
-                memory_available_bytes=memory.available,
+                cpu_percent=use.busy_percent,
+                waiting_percent=use.waiting_percent,
+                memory_percent=100.0 * (total - available) / total,
+                memory_available_bytes=available,
                 disks=tuple(self._disk(path, worker) for path, worker in self._disks.items()),
                 load_per_core=load / (os.cpu_count() or 1),
-                temperature_c=temperature,
-                temperature_of=sensor,
-                throttled=self._throttled(),
-                clock_synchronized=clock_synchronized(),
+                temperature_c=slow.temperature_c,
+                temperature_of=slow.temperature_of,
+                throttled=slow.throttled,
+                clock_synchronized=slow.clock_synchronized,
                 clock_step_s=self._step(),
-                fans_rpm=self._fans(),
+                fans_rpm=slow.fans_rpm,
             )
+
+    def _memory(self) -> tuple[int, int]:
+        """Bytes in all, and bytes that can be had without swapping (MemAvailable)."""
+        found = {}
+        for line in head(self._meminfo).splitlines():
+            name, _, rest = line.partition(":")
+            if name in ("MemTotal", "MemAvailable") and rest.endswith("kB"):
+                found[name] = int(rest.split()[0]) * 1024
+        if len(found) == 2:
+            return found["MemTotal"], found["MemAvailable"]
+        # Kernels before 3.14 and some containers tell no MemAvailable; psutil then estimates it.
+        psutil = importlib.import_module("psutil")
+        memory = psutil.virtual_memory()
+        return int(memory.total), int(memory.available)
+
+    def _slowly(self) -> _Slow:
+        now = self._clock.mono()
+        if self._slow is None or now - self._slow.at >= SLOW_S:
+            temperature, sensor = self._temperature()
+            synchronized, fans = clock_synchronized(), self._fans()
+            self._slow = _Slow(now, temperature, sensor, self._throttled(), synchronized, fans)
+        return self._slow
 
     @staticmethod
     def _disk(path: str, worker: Worker) -> DiskFact:

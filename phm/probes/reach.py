@@ -1,4 +1,4 @@
-"""Whether an address answers from here, without privileges and within a second.
+"""Whether an address answers from here, without privileges and within a second at most.
 
 An ICMP echo through a datagram socket needs no capability where `net.ipv4.ping_group_range` allows it,
 as Docker does for containers by default. Beside it a TCP connection to a port that nobody uses: its
@@ -20,6 +20,13 @@ from pathlib import Path
 from phm.facts import CannotTell
 
 LIMIT_S = 1.0
+"""For an address of which little is known."""
+LEAST_S, TIMES = 0.25, 10
+"""One that has answered is given up after so many times the longest that it took of late, but not before LEAST_S: on a
+bridge of this machine an answer takes 0.1 ms, and what delays it is this machine's own load, which shows in each."""
+LEARNED = 5
+"""So many answers are needed to know how long they take."""
+_FADES = 0.98
 MOST_REMEMBERED = 256
 _DISCARD_PORT = 9
 _COMPLETE = 0x2  # ATF_COM in /proc/net/arp: the address has answered with its hardware address
@@ -32,18 +39,41 @@ class Reach:
     answered, behind a firewall. Thread-safe: each call writes one item at most.
     """
 
-    def __init__(self, knock: Callable[[str], bool] | None = None, known: Callable[[str], bool] | None = None) -> None:
+    def __init__(
+        self, knock: Callable[[str, float], bool] | None = None, known: Callable[[str], bool] | None = None
+    ) -> None:
         self._knock, self._known = knock or _knock, known or _neighbour
         self._answered: dict[str, str] = {}
+        self._took: dict[str, tuple[int, float]] = {}
 
     def answers(self, address: str, life: str = "") -> bool:
         """`life`: of the container that has the address. Raises CannotTell as `answers` does."""
-        if self._knock(address):
+        if self.knock(address):
             if len(self._answered) >= MOST_REMEMBERED:
                 self._answered.clear()
             self._answered[address] = life
             return True
         return self._answered.get(address) != life and self._known(address)
+
+    def knock(self, address: str) -> bool:
+        """Whether it answers by itself, within what it is given. Raises CannotTell as `answers` does."""
+        began = time.monotonic()
+        there = self._knock(address, self.limit_s(address))
+        if there:
+            if address not in self._took and len(self._took) >= MOST_REMEMBERED:
+                self._took.clear()
+            number, longest_s = self._took.get(address, (0, 0.0))
+            self._took[address] = (number + 1, max(time.monotonic() - began, longest_s * _FADES))
+        return there
+
+    def heard(self, address: str, life: str) -> bool:
+        """Whether it has answered in this life of its container."""
+        return self._answered.get(address) == life
+
+    def limit_s(self, address: str) -> float:
+        """How long the address is given to answer, in seconds."""
+        number, longest_s = self._took.get(address, (0, 0.0))
+        return min(LIMIT_S, max(LEAST_S, TIMES * longest_s)) if number >= LEARNED else LIMIT_S
 
 
 def answers(address: str) -> bool:
@@ -102,12 +132,16 @@ def _race(knock: socket.socket, echo: socket.socket | None, address: str, limit_
         open_ends[echo.fileno()] = echo
         poll.register(echo, select.POLLIN)
     until = time.monotonic() + limit_s
-    while open_ends and (left := until - time.monotonic()) > 0:
-        for number, _ in poll.poll(left * 1000):
+    while open_ends:
+        left = until - time.monotonic()
+        # Also after the time is over: on a busy machine it may be us who come late to an answer that is there.
+        for number, _ in poll.poll(max(0.0, left * 1000)):
             end = open_ends.pop(number)
             poll.unregister(number)
             if _proof(end, end is echo):
                 return True
+        if left <= 0:
+            break
     return False
 
 

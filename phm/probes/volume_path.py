@@ -11,7 +11,7 @@ import errno
 import os
 import stat
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 MAX_LINKS = 40  # as the kernel does
 _OPEN = os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -32,13 +32,17 @@ def join(directory: str, path: str) -> str:
     return os.path.normpath(os.path.join(directory, path))
 
 
-def resolve(path: str, roots: Mapping[str, str]) -> int | None:
+Passing = Callable[[int, str], None]
+"""Told of each step: the directory's open descriptor, and the name that is looked up in it."""
+
+
+def resolve(path: str, roots: Mapping[str, str], passing: Passing | None = None) -> int | None:
     """A descriptor (O_PATH, to be closed) of what `path` leads to, or None when it is not there.
 
     roots: destination of every mount of the container -> where PHM sees it, empty where it does not.
     Raises Outside when the way leads through anything but those.
     """
-    with _Walk(roots) as walk:
+    with _Walk(roots, passing) as walk:
         try:
             return walk.to(path)
         except OSError as error:
@@ -50,8 +54,9 @@ def resolve(path: str, roots: Mapping[str, str]) -> int | None:
 class _Walk:
     """Invariant: `number` is the open descriptor of `done`, which holds no links; or None between mounts."""
 
-    def __init__(self, roots: Mapping[str, str]) -> None:
+    def __init__(self, roots: Mapping[str, str], passing: Passing | None = None) -> None:
         self._roots = roots
+        self._passing = passing
         self._done: list[str] = []
         self._number: int | None = None
 
@@ -91,6 +96,8 @@ class _Walk:
             os.close(old)
 
     def _step(self, part: str) -> None:
+        if self._passing is not None and self._number is not None:
+            self._passing(self._number, part)
         self._move(os.open(part, _OPEN, dir_fd=self._number))
 
     def _enter(self, part: str) -> None:

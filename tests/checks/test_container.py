@@ -9,7 +9,7 @@ import pytest
 from phm import api, testing
 from phm_checks._lives import BY_HAND, STEADY_S, WAIT_S
 from phm_checks.container import Container, code_in_words
-from phm_checks.engine import Engine
+from phm_checks.engine import SETTLE_S, Engine
 from phm_checks.health import Health
 
 
@@ -57,6 +57,13 @@ def test_an_engine_that_does_not_answer_is_the_fault_itself(problem: Exception, 
     assert isinstance(result, api.Result)
     assert (result.level, result.condition) == (api.Level.ERROR, condition)
     assert ("group_add" in result.summary) is (condition == "engine_refused")
+
+
+def test_the_engine_is_looked_at_when_its_event_stream_breaks() -> None:
+    """And what is found must last for a moment: it is asked twice at least."""
+    (check,) = build(Engine)
+    assert check.wakes == {"engine"}
+    assert check.units == (api.Unit("engine", settle_s=SETTLE_S),) and check.failures == 2
 
 
 # ------------------------------------------------------------ container

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks.devices import Devices
+from phm_checks.devices import SETTLE_S, Devices
 
 PATH = "/dev/ttyACM0"
 MAPPED = (api.DeviceMapping(PATH, PATH),)
@@ -54,7 +54,7 @@ def test_a_missing_device_is_judged_without_a_container() -> None:
     result = check.run(testing.world())
     assert isinstance(result, api.Result)
     assert result.condition == "device_missing"
-    assert check.units == (api.Unit("devices/ros_app", target="ros_app"),)
+    assert check.units == (api.Unit("devices/ros_app", target="ros_app", settle_s=SETTLE_S),)
 
 
 def test_a_folder_in_place_of_a_device_is_the_wrong_type() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
 from phm.probes.files import Files
+from phm.probes.notices import Notices
 from phm.probes.volume_path import Outside, resolve
 from phm.testing import FakeClock, FakeDocker, container as fact, settings
 from phm.transport.docker import Engine
@@ -235,3 +237,26 @@ def test_a_hanging_engine_cannot_tell(place: Place) -> None:
     place.fake.fault = Hang()
     with pytest.raises(CannotTell):
         place.look("/opt/app")
+
+
+def test_a_change_in_a_volume_is_told(tmp_path: Path, fake: FakeEngine, ask: Engine) -> None:
+    """What the application does to its own files wakes the check; where a link leads counts as well."""
+    here = tmp_path / "volume"
+    here.mkdir()
+    app = fact("app", id="c1", mounts=(Mount(kind="bind", source=str(here), destination="/data"),))
+    told, notices = threading.Semaphore(0), Notices()
+    files = Files(FakeDocker(app), ask, settings(), FakeClock(), notices, told.release)
+    try:
+        (here / "models").mkdir()
+        (here / "current").symlink_to("models")
+        assert files.look("app", "/data/current/model.bin", digest=False) is None
+        assert told.acquire(timeout=5), "the watch has begun, and the file is looked at once more"
+        (here / "models/model.bin").write_bytes(b"weights")
+        assert told.acquire(timeout=5)
+        assert files.look("app", "/data/current/model.bin", digest=False) is not None
+        while told.acquire(timeout=0.2):
+            pass
+        (here / "models/model.bin").chmod(0o755)
+        assert told.acquire(timeout=5)
+    finally:
+        notices.close()

@@ -237,7 +237,7 @@ def test_this_machine_answers(ask: Engine, address: str) -> None:
 def test_who_has_answered_and_no_longer_does_is_silent() -> None:
     """ARP remembers a neighbour that is gone for up to a minute; it speaks only for who has never answered in this life."""
     there = True
-    reach = Reach(knock=lambda _: there, known=lambda _: True)
+    reach = Reach(knock=lambda _, limit_s: there, known=lambda _: True)
     assert reach.answers("10.0.0.2", "first life")
     there = False
     assert not reach.answers("10.0.0.2", "first life")

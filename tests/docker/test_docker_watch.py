@@ -331,3 +331,24 @@ def test_a_death_after_a_start_that_was_told_is_still_found() -> None:
     started = after(Expected("a", "exited", "t1", "none", 1), "start", "", "a")
     dead = Expected("a", "exited", "t2", "none", 2)
     assert differences(started, dead) == [("container", "die", "exit code 2")]
+
+
+def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine, until: Until) -> None:
+    """Mostly the engine itself has gone or come: its check looks at once, and again when it cannot be reached."""
+    turns: list[int] = []
+    engine = Engine(fake.url, timeout_s=2)
+    made = Watch(
+        engine, settings(containers=[{"name": "app"}]), SystemClock(), lambda event: None, lambda: turns.append(1)
+    )
+    made.start()
+    until(lambda: len(turns) == 1, "the opened stream")
+    fake.fault = DropStream()
+    assert fake.wait(lambda server: server.streams == 0)
+    fake.fault = Status(500)
+    until(lambda: len(turns) >= 3, "the broken stream and an attempt that failed")
+    fake.fault = None
+    before = len(turns)
+    assert fake.wait(lambda server: server.streams == 1)
+    until(lambda: len(turns) > before, "the stream that is open again")
+    made.stop()
+    engine.close()

@@ -1,0 +1,135 @@
+"""Whether the processor is used up: by its mean over a window, or sooner where the kernel says that tasks wait for it.
+
+Not a check: files of this folder that begin with an underscore are parts of checks.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from datetime import datetime
+
+from phm import api
+from phm.api import Level
+from phm_checks._graded import Graded
+from phm_checks._words import Steady, span
+
+WAITING_PERCENT = 40.0
+"""Tasks must have waited for a core for this share of the quick window: cores that are all busy while nobody waits are well used."""
+STAYS_S = 5.0
+"""What was told quickly stays until it was not so for this long: bursts with short pauses are one fault."""
+FEWEST = 4
+"""Readings in the quick window."""
+ASK_AGAIN_S = 10.0
+"""An engine that did not answer whether a container starts is left alone for so long."""
+_MOST_READINGS = 2000
+
+
+class Cpu:
+    """Judges the readings of one machine. Unit: shares in percent, times in seconds."""
+
+    def __init__(self, settings: api.Settings) -> None:
+        limits = self._limits = settings.host
+        self._mean = Graded(limits.cpu.warn, limits.cpu.error)
+        self._readings: deque[tuple[float, float]] = deque(maxlen=_MOST_READINGS)
+        self._quick: deque[tuple[float, float, float]] = deque(maxlen=_MOST_READINGS)
+        self._told: tuple[float, Level, str] | None = None
+        self._steady = Steady(share=0.05)
+        self._containers = [entry.key for entry in settings.containers]
+        self._start_s = settings.ros.grace
+        self._first: float | None = None
+        self._ask_from = float("-inf")
+
+    def judge(self, fact: api.HostFact, now: float, world: api.World) -> api.Result:
+        """The mean of the readings within the window; high use is told once the window is full, or the quick way."""
+        window_s = self._limits.cpu_window
+        self._readings.append((now, fact.cpu_percent))
+        # One reading from before the window stays: it is what shows that the window is full.
+        while len(self._readings) > 1 and self._readings[1][0] <= now - window_s:
+            self._readings.popleft()
+        inside = [share for at, share in self._readings if at > now - window_s]
+        mean = sum(inside) / len(inside)
+        values: dict[str, api.Value] = {
+            "cpu_percent": round(mean, 1),
+            "load_per_core": round(fact.load_per_core, 2),
+        }
+        if fact.waiting_percent is not None:
+            values["cpu_waiting_percent"] = round(fact.waiting_percent, 1)
+        full = now - self._readings[0][0] >= window_s
+        level = self._mean.level(mean)
+        quick = self._judge_quickly(fact, now, world)
+        if quick is not None and (not full or quick[0] is Level.ERROR or level is Level.OK):
+            return self._bad(quick[0], quick[1], 100.0, values)
+        if level is Level.OK:
+            self._steady.forget("cpu")
+            return api.ok(f"CPU at {mean:.0f} %", **values)
+        if not full:
+            return api.stale(f"CPU at {mean:.0f} %, averaging over {span(window_s)} before judging", brief="", **values)
+        words = f"CPU at {mean:.0f} % over {span(window_s)}, expected below {self._limits.cpu.warn:g} %"
+        return self._bad(level, words, mean, values)
+
+    def _bad(self, level: Level, words: str, share: float, values: dict[str, api.Value]) -> api.Result:
+        told = f"{words}: find the process with `top`, or give its container a CPU limit"
+        return api.Result(level, told, f"CPU {self._steady.show('cpu', share):.0f} %", "cpu_high", values=values)
+
+    # ------------------------------------------------------------ the quick way
+
+    def _judge_quickly(self, fact: api.HostFact, now: float, world: api.World) -> tuple[Level, str] | None:
+        """Level and words; None when the quick way has nothing to tell."""
+        self._first = now if self._first is None else self._first
+        seen = self._pressed(fact, now)
+        if seen is not None and (self._told is not None or not self._starting(now, world)):
+            level = max(seen[0], self._told[1], key=_rank) if self._told is not None else seen[0]
+            self._told = now, level, seen[1]
+        if self._told is not None and now - self._told[0] > STAYS_S:
+            self._told = None
+        return self._told[1:] if self._told is not None else None
+
+    def _pressed(self, fact: api.HostFact, now: float) -> tuple[Level, str] | None:
+        """What the readings of the quick window say: never below the limit, and tasks waited."""
+        window_s = self._limits.cpu_quick
+        if fact.waiting_percent is None or window_s == 0:
+            return None
+        self._quick.append((now, fact.cpu_percent, fact.waiting_percent))
+        while len(self._quick) > 1 and self._quick[1][0] <= now - window_s:
+            self._quick.popleft()
+        inside = [reading for reading in self._quick if reading[0] > now - window_s]
+        if now - self._quick[0][0] < window_s or len(inside) < FEWEST:
+            return None
+        least = min(share for _, share, _ in inside)
+        waiting = sum(share for _, _, share in inside) / len(inside)
+        limits = self._limits.cpu
+        if least < limits.warn or waiting < WAITING_PERCENT:
+            return None
+        words = (
+            f"CPU at {least:.0f} % or more for {span(window_s)}, expected below {limits.warn:g} %, and tasks waited for a core "
+            f"in {waiting:.0f} % of that time (/proc/pressure/cpu)"
+        )
+        return (Level.ERROR if least >= limits.error else Level.WARN), words
+
+    def _starting(self, now: float, world: api.World) -> bool:
+        """PHM or a container has just been started: that takes all of a small machine for a while, and ends by itself.
+
+        True as well when the engine cannot tell: then the mean decides.
+        """
+        if self._first is None or now - self._first < self._start_s or now < self._ask_from:
+            return True
+        try:
+            facts = [world.docker.container(name) for name in self._containers]
+        except api.CannotTell:
+            self._ask_from = now + ASK_AGAIN_S
+            return True
+        utc = world.clock.utc()
+        return any(fact is not None and fact.running and _age_s(fact, utc) < self._start_s for fact in facts)
+
+
+def _rank(level: Level) -> int:
+    return (Level.OK, Level.STALE, Level.WARN, Level.ERROR).index(level)
+
+
+def _age_s(fact: api.ContainerFact, utc: float) -> float:
+    """Seconds since the container was started; infinite when its engine's stamp cannot be read or lies ahead."""
+    try:
+        started = datetime.fromisoformat(fact.started_at[:19] + "+00:00").timestamp()
+    except ValueError:
+        return float("inf")
+    return utc - started if utc >= started else float("inf")

@@ -1,0 +1,174 @@
+"""Changes of directories are told by the kernel, on real directories of this machine."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.probes.devices import Devices
+from phm.probes.notices import Notices, Watch
+from phm.testing import settings
+
+LIMIT_S = 5.0
+
+
+class Ear:
+    """Counts how often it was told."""
+
+    def __init__(self) -> None:
+        self.times = 0
+        self._told = threading.Semaphore(0)
+
+    def __call__(self) -> None:
+        self.times += 1
+        self._told.release()
+
+    def heard(self) -> bool:
+        """Waits for the next telling."""
+        return self._told.acquire(timeout=LIMIT_S)
+
+    def silent(self) -> bool:
+        """Nothing more comes. Only bounds how long is listened: what would come, comes within milliseconds."""
+        return not self._told.acquire(timeout=0.2)
+
+
+@pytest.fixture
+def notices() -> Iterator[Notices]:
+    made = Notices(SystemClock())
+    yield made
+    made.close()
+
+
+def watching(notices: Notices, folder: Path, name: str, *, content: bool = False) -> tuple[Ear, Watch]:
+    ear = Ear()
+    watch = notices.on(ear, content=content)
+    assert watch(str(folder), name)
+    return ear, watch
+
+
+CHANGES: dict[str, Callable[[Path], object]] = {
+    "removed": lambda file: file.unlink(),
+    "chmod": lambda file: file.chmod(0o600),
+    "replaced": lambda file: (file.with_name("new").write_text("b"), file.with_name("new").rename(file)),
+    "moved away": lambda file: file.rename(file.with_name("other")),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_change_of_a_watched_entry_is_told(notices: Notices, tmp_path: Path, change: str) -> None:
+    """Coming, going and new rights of what is watched."""
+    (tmp_path / "file").write_text("a")
+    ear, _ = watching(notices, tmp_path, "file")
+    CHANGES[change](tmp_path / "file")
+    assert ear.heard()
+
+
+def test_an_entry_that_comes_is_told(notices: Notices, tmp_path: Path) -> None:
+    """What is not there yet can be watched."""
+    ear, _ = watching(notices, tmp_path, "file")
+    os.mkfifo(tmp_path / "file")
+    assert ear.heard()
+
+
+def test_another_entry_of_the_directory_is_not_told(notices: Notices, tmp_path: Path) -> None:
+    """Only what was asked for."""
+    ear, _ = watching(notices, tmp_path, "file")
+    (tmp_path / "log").write_text("a")
+    assert ear.silent()
+
+
+def test_new_content_is_told_to_whom_content_matters(notices: Notices, tmp_path: Path) -> None:
+    """A device that is opened and closed has not changed; a file that was written has."""
+    (tmp_path / "file").write_text("a")
+    device, _ = watching(notices, tmp_path, "file")
+    file, _ = watching(notices, tmp_path, "file", content=True)
+    (tmp_path / "file").write_text("b")
+    assert file.heard() and device.silent()
+
+
+def test_watching_again_is_nothing_new(notices: Notices, tmp_path: Path) -> None:
+    """True only when the watch began: then what was seen before may be old."""
+    _, watch = watching(notices, tmp_path, "file")
+    assert not watch(str(tmp_path), "file")
+    assert not watch(str(tmp_path / "none"), "file"), "a directory that is not there cannot be watched"
+
+
+def test_a_directory_that_was_made_anew_is_watched_anew(notices: Notices, tmp_path: Path) -> None:
+    """Its end is told, and whoever looks next watches the new one."""
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    ear, watch = watching(notices, folder, "file")
+    folder.rmdir()
+    assert ear.heard()
+    folder.mkdir()
+    assert watch(str(folder), "file")
+    (folder / "file").write_text("a")
+    assert ear.heard()
+
+
+def test_a_directory_that_was_moved_away_is_no_longer_watched(notices: Notices, tmp_path: Path) -> None:
+    """Another one may stand at its path."""
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    ear, watch = watching(notices, folder, "file")
+    folder.rename(tmp_path / "elsewhere")
+    assert ear.heard()
+    (tmp_path / "elsewhere" / "file").write_text("a")
+    assert ear.silent()
+    folder.mkdir()
+    assert watch(str(folder), "file")
+
+
+def test_an_entry_that_changes_all_the_time_is_told_now_and_then(notices: Notices, tmp_path: Path) -> None:
+    """A file that is written without end does not keep its check busy, and its last change is told."""
+    ear, _ = watching(notices, tmp_path, "file", content=True)
+    for number in range(200):
+        (tmp_path / "file").write_text(str(number))
+        threading.Event().wait(0.005)
+    assert ear.times < 10
+    before = ear.times
+    (tmp_path / "file").write_text("last")
+    while ear.times == before:
+        assert ear.heard()
+
+
+def test_a_listener_that_fails_does_not_end_the_watch(notices: Notices, tmp_path: Path) -> None:
+    """Its defect costs one telling."""
+    ear = Ear()
+
+    def fail() -> None:
+        ear()
+        raise ZeroDivisionError
+
+    watch = notices.on(fail)
+    assert watch(str(tmp_path), "file")
+    (tmp_path / "file").write_text("a")
+    assert ear.heard()
+    (tmp_path / "file").unlink()
+    assert ear.heard()
+
+
+def test_a_device_behind_a_link_is_followed_through_all_steps(notices: Notices, tmp_path: Path) -> None:
+    """Folder, link and device may each come and go; the folder may not be there at first."""
+    ear = Ear()
+    devices = Devices(settings(host={"dev_root": str(tmp_path)}), SystemClock(), notices, ear)
+    assert devices.look("/dev/serial/by-id/radio", open_it=False) is None
+    assert ear.heard(), "the watch has begun, and the device is looked at once more"
+    for change in (
+        lambda: (tmp_path / "serial").mkdir(),
+        lambda: (tmp_path / "serial/by-id").mkdir(),
+        lambda: (tmp_path / "serial/by-id/radio").symlink_to("../../ttyUSB0"),
+        lambda: (tmp_path / "ttyUSB0").write_text("a"),
+    ):
+        change()
+        assert ear.heard()
+        devices.look("/dev/serial/by-id/radio", open_it=False)
+        while not ear.silent():
+            pass
+    fact = devices.look("/dev/serial/by-id/radio", open_it=False)
+    assert fact is not None and fact.path == "/dev/ttyUSB0"
