@@ -163,15 +163,21 @@ class Roster:
         found, self._unclear = match(self._nodes, processes, wrappers, self._ways)
         for node in self._nodes:
             known, matched = self._known.get(node.name), found.get(node.name)
-            if known is None or (known.pid not in by_pid and matched is not None):
-                if matched is None:
-                    continue
-                first = known is None and not self.left_out(node.name)
-                if known is not None:
-                    self._began_at[node.name] = now
-                known = self._known[node.name] = Known(matched, first)
-                self._ways[node.name] = min(matched.way, self._ways.get(node.name, matched.way))
+            if matched is not None and (known is None or known.pid not in by_pid or matched.way < known.match.way):
+                known = self._renew(node.name, known, matched, now)
+            if known is None:
+                continue
             known.look(now, by_pid.get(known.pid))
+
+    def _renew(self, name: str, known: Known | None, matched: Match, now: float) -> Known:
+        """Another process is the node's: the first in this life, or the old one has ended; or it was taken for another's, since a
+        launcher that has not started its nodes yet is all there is with their names."""
+        first = not self.left_out(name) if known is None else known.first and known.match.way > matched.way
+        if known is not None and known.match.way <= matched.way:
+            self._began_at[name] = now
+        self._ways[name] = min(matched.way, self._ways.get(name, matched.way))
+        self._known[name] = Known(matched, first)
+        return self._known[name]
 
     def _learn(self) -> None:
         """What the life that has ended shows of how its nodes come. One that came much later was started anew."""

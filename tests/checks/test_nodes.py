@@ -612,6 +612,20 @@ def test_a_container_that_does_not_run_is_named(status: str, condition: str) -> 
     assert bench.after(1.25).level is api.Level.OK
 
 
+def test_a_launcher_seen_before_its_nodes_is_not_kept_as_one_of_them() -> None:
+    """All there is with the node's name in the first moment; then the node comes, is killed, and the launcher lives on."""
+    main = replace(MAIN, command='python -m sitl.app --graph [{"name": "node_1"}]')
+    bench = rated()
+    bench.processes(main)
+    bench.after(0.5)
+    bench.processes(main, replace(ONE, parent=main.pid))
+    assert bench.after(12.0).values["process"] == "71 S"
+    bench.processes(main)
+    bench.ros.change(topics=flowing(0.25))
+    bench.clock.advance(0.25)
+    assert bench.result().brief == "node_1 dead"
+
+
 # ---------------------------------------------------------------- left out of a start
 
 
