@@ -133,7 +133,7 @@ def assemble(
     notices = Notices(clock)
     hub = MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir)
     links = Links(hub, settings, clock, lambda: wake("link"))
-    swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"))
+    swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"), links.deaf)
     ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None
     probe: RosProbe = ros if ros is not None else NoRos()
     world = World(

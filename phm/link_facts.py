@@ -18,6 +18,10 @@ class GcsFact:
     system: int = 0
     component: int = 0
     link: str = ""
+    due_s: float | None = None
+    """It was never silent for nearly so long of late; None: it has not been heard steadily for long enough to tell."""
+    overdue: bool = False
+    """Silent for longer than that, while its link was open and read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,11 @@ class AutopilotFact:
     """Since the last of these was seen; None: never."""
     rebooted_armed: bool = False
     """It was armed when it was last heard before that."""
+    due_s: float | None = None
+    overdue: bool = False
+    """Both as in `GcsFact`; not overdue while other frames of it still come."""
+    quiet_s: float | None = None
+    """Since the last of its frames that PHM reads; None: not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +74,8 @@ class RadioFact:
     """Packets that came damaged, a second; None before the second report."""
     fixed_s: float | None = None
     """Packets that came damaged and could be mended, a second."""
+    alone: bool = False
+    """It says that it no longer hears the radio at the other end, which it did hear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +123,8 @@ class LinkFact:
     senders: tuple[SenderFact, ...] = ()
     line: LineFact | None = None
     """Serial ports only, and only where the driver counts."""
+    failed: int = 0
+    """How often in a row it could not be opened since it was open."""
 
 
 class LinkProbe(Protocol):

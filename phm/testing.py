@@ -331,6 +331,8 @@ class FakeLinks(_Fake):
         super().__init__()
         self.gcs_age = gcs_age_s
         self.gcs_link = ""
+        self.gcs_due_s: float | None = None
+        self.gcs_overdue = False
         self.pilot = autopilot
         self.endpoints = links
         self.radio_facts = radios
@@ -342,7 +344,9 @@ class FakeLinks(_Fake):
 
     def gcs(self) -> GcsFact | None:
         self._asked()
-        return None if self.gcs_age is None else GcsFact(self.gcs_age, 255, 190, self.gcs_link)
+        if self.gcs_age is None:
+            return None
+        return GcsFact(self.gcs_age, 255, 190, self.gcs_link, self.gcs_due_s, self.gcs_overdue)
 
     def autopilot(self) -> AutopilotFact | None:
         self._asked()

@@ -3,7 +3,8 @@
 ``python -m sitl.radio --near tcpin:0.0.0.0:5790 --far tcpin:0.0.0.0:5760``
 
 As the firmware of SiK radios has it: a radio answers each HEARTBEAT that its own side gives it with a RADIO_STATUS to that
-side, as system 51 component 68, whether or not the other radio is there. Everything else goes through unchanged.
+side, as system 51 component 68, whether or not the other radio is there; what it tells of that one is zero once nothing was
+heard of it for a while. Everything else goes through unchanged.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import select
 import signal
 import sys
 import threading
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +37,10 @@ class Air:
     """The radios do not hear each other."""
 
 
+FORGETS_S = 3.4
+"""As in `sitl.swarm.vehicle`."""
+
+
 class _End:
     """One of the two radios, with the port of its own side."""
 
@@ -42,12 +48,15 @@ class _End:
         self.port = port
         self.off = False
         self.free, self.rxerrors = 100, 0
+        self.partner_at = time.monotonic()
         self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
 
     def report(self, air: Air) -> None:
         """RADIO_STATUS to its own side."""
+        known = time.monotonic() - self.partner_at <= FORGETS_S
+        far_rssi, far_noise = (air.rssi, air.noise) if known else (0, 0)
         message = mavlink.MAVLink_radio_status_message(
-            air.rssi, air.rssi, self.free, air.noise, air.noise, min(self.rxerrors, 0xFFFF), 0
+            air.rssi, far_rssi, self.free, air.noise, far_noise, min(self.rxerrors, 0xFFFF), 0
         )
         self.port.send(message.pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256
@@ -77,6 +86,8 @@ class Radio:
     def _turn(self) -> None:
         ends = {sock: end for end in (self.near, self.far) for sock in end.port.sockets()}
         readable, _, _ = select.select(list(ends), [], [], 0.05)
+        if not (self.air.cut or self.near.off or self.far.off):
+            self.near.partner_at = self.far.partner_at = time.monotonic()
         for sock in readable:
             end = ends[sock]
             for _, message in end.port.receive(sock):

@@ -139,6 +139,13 @@ def silent(link: api.LinkFact | None) -> bool:
     return link is not None and link.open and (link.rx_age_s is None or link.rx_age_s >= QUIET_S)
 
 
+def routed(world: api.World, entry: api.EndpointSettings) -> bool:
+    """Whether a router is there: configured, or seen by a RADIO_STATUS, which no autopilot passes on."""
+    if entry.leads_to != "both" or entry.serial:
+        return entry.leads_to == "router"
+    return any(radio.link == entry.key for radio in world.links.radios())
+
+
 def starting(world: api.World) -> bool:
     """Whether PHM has begun a moment ago, and what belongs to the vehicle may still be on its way."""
     return world.myself.look().uptime_s < START_S

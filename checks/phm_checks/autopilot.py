@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import all_closed, link_id, link_of, silent, starting, target_of, to_autopilot
+from phm_checks._path import all_closed, link_id, link_of, routed, silent, starting, target_of, to_autopilot
 from phm_checks._words import Steady, brief, span
 
 TOLD_S = 30.0
 """A reboot is told for so long: a ground station that is away for a moment hears of it, too."""
 SETTLE_S = 1.5
-"""Whatever carries its heartbeats falls silent up to a second later, when the last of others has come by it."""
+"""Whatever carries its heartbeats falls silent up to a second later, when the last of others has come by it. Only where that
+may be what is wrong: not while frames of others still come, nor where nothing lies between it and PHM."""
+SAMPLED_S = 0.5
+"""How exactly it is known when others were heard."""
 GRACE_S = 5.0
 
 
@@ -51,24 +55,47 @@ class Autopilot(api.Check):
             return api.stale("the autopilot has not been heard yet")
         if fact is None or fact.age_s > limits.autopilot_timeout:
             return self._lost(world, fact)
+        if fact.overdue and self._certain(world, fact):
+            return self._lost(world, fact, early=True)
         self._age.forget("age")
         values = _values(fact)
         if fact.rebooted_s is not None and fact.rebooted_s <= TOLD_S:
-            return _rebooted(fact, fact.rebooted_s, values)
+            # It is the autopilot itself that tells this, so nothing else can be the cause.
+            return replace(_rebooted(fact, fact.rebooted_s, values), settle_s=0.0)
         flying = "armed" if fact.armed else "disarmed"
         return api.ok(f"autopilot heard {span(fact.age_s)} ago, {flying}, mode {fact.custom_mode}", **values)
 
-    def _lost(self, world: api.World, fact: api.AutopilotFact | None) -> api.Result:
+    def _certain(self, world: api.World, fact: api.AutopilotFact) -> bool:
+        """Whether nothing that carries its heartbeats can be the cause and still have to be told."""
+        entry = next((entry for entry in self._links if entry.key == fact.link), None)
+        link = link_of(world, fact.link)
+        if entry is None or link is None or not link.open:
+            return False
+        return not routed(world, entry) or self._others(world, fact)
+
+    def _others(self, world: api.World, fact: api.AutopilotFact) -> bool:
+        """Whether frames of others have come by its link since its own ended."""
+        link, quiet_s = link_of(world, fact.link), fact.age_s if fact.quiet_s is None else fact.quiet_s
+        own = (self._settings.agent.id, 1)
+        return link is not None and any(
+            one.age_s + SAMPLED_S < quiet_s for one in link.senders if (one.system, one.component) != own
+        )
+
+    def _lost(self, world: api.World, fact: api.AutopilotFact | None, *, early: bool = False) -> api.Result:
         limit_s = self._settings.mavlink.autopilot_timeout
+        if early and fact is not None and fact.due_s is not None:
+            limit_s = fact.due_s
         name = fact.link if fact is not None else self._links[0].key if len(self._links) == 1 else ""
         nothing = bool(name) and silent(link_of(world, name))
+        if early and fact is not None:
+            nothing = not self._others(world, fact)
         if fact is None:
             when, shown = "since PHM's start", ""
         else:
             when, shown = f"for {span(fact.age_s)}", f" {self._age.show('age', fact.age_s):.0f} s"
         armed = " It was armed when it was heard last." if fact is not None and fact.armed else ""
         more = f"nothing else comes by {name} either" if nothing else "other frames still come"
-        return api.error(
+        found = api.error(
             f"no heartbeat of the autopilot {when}, expected one within {span(limit_s)}, and {more}: check its power and the "
             f"cable to it.{armed}",
             brief=brief("autopilot:", f"no heartbeat{shown}"),
@@ -76,6 +103,7 @@ class Autopilot(api.Check):
             target=target_of(name) if nothing else "",
             **({} if fact is None else _values(fact)),
         )
+        return replace(found, settle_s=0.0) if fact is not None and self._certain(world, fact) else found
 
 
 def _rebooted(fact: api.AutopilotFact, ago_s: float, values: dict[str, api.Value]) -> api.Result:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import all_closed, link_id, radio_id, to_autopilot, to_ground, with_radio
+from phm_checks._path import QUIET_S, all_closed, link_id, radio_id, to_autopilot, to_ground, with_radio
 from phm_checks._words import Steady, brief, span
 
 GRACE_S = 5.0
@@ -50,23 +50,35 @@ class Gcs(api.Check):
             "gcs": f"{fact.system}/{fact.component}",
             "link": fact.link,
         }
-        if fact.age_s <= limit_s:
+        if fact.age_s <= limit_s and not self._early(world, fact):
             self._age.forget("gcs")
             return api.ok(f"ground station heard {span(fact.age_s)} ago", **values)
         if all_closed(world, to_ground(self._settings)):
             words = "whether a ground station is there is not known: every link to the ground is closed"
             return api.stale(words, brief="", **values)
-        if self._radio_due(world, fact):
+        if not _alone(world, fact) and self._radio_due(world, fact):
             words = f"no heartbeat of a ground station for {span(fact.age_s)}, and since then none of the radio aboard, which is due"
             return api.stale(words, brief="", **values)
+        expected_s = fact.due_s if fact.overdue and fact.due_s is not None else limit_s
         return api.error(
-            f"no heartbeat of a ground station for {span(fact.age_s)}, expected one within {span(limit_s)}: "
+            f"no heartbeat of a ground station for {span(fact.age_s)}, expected one within {span(expected_s)}: "
             f"{self._advice(world, fact)}",
             brief=brief("GCS:", f"no heartbeat {self._age.show('gcs', fact.age_s):.0f} s"),
             condition="gcs_lost",
             target="",
             **values,
         )
+
+    def _early(self, world: api.World, fact: api.GcsFact) -> bool:
+        """Whether it is surely lost before the timeout. A radio that tells of the other one decides: losses come in bursts on the
+        air, and an operator's program may stand still. By other links a pause that it never made is proof enough."""
+        if all_closed(world, to_ground(self._settings)):
+            return False
+        if any(
+            radio.link == fact.link and (radio.alone or radio.remrssi is not None) for radio in world.links.radios()
+        ):
+            return _alone(world, fact)
+        return fact.overdue and not self._radio_due(world, fact)
 
     def _radio_due(self, world: api.World, fact: api.GcsFact) -> bool:
         """Both fell silent together, so it may be the radio; how rarely that reports decides when it is known."""
@@ -76,6 +88,11 @@ class Gcs(api.Check):
     @staticmethod
     def _advice(world: api.World, fact: api.GcsFact) -> str:
         """What is well aboard need not be looked at."""
+        if _alone(world, fact):
+            return (
+                "the radio aboard answers and hears nothing of the radio on the ground, so check that one, the antennas and "
+                "the distance"
+            )
         heard = (radio for radio in world.links.radios() if radio.link == fact.link and radio.age_s < fact.age_s)
         radio = next(heard, None)
         if radio is None:
@@ -84,3 +101,10 @@ class Gcs(api.Check):
             f"the radio aboard answers ({span(radio.age_s)} ago), so check the radio on the ground, the distance, and the "
             "ground station"
         )
+
+
+def _alone(world: api.World, fact: api.GcsFact) -> bool:
+    """Whether the radio aboard has lost the one on the ground, by its own word: damaged frames alone are no such loss."""
+    if fact.age_s <= QUIET_S:
+        return False
+    return any(radio.alone and radio.link == fact.link and radio.age_s < fact.age_s for radio in world.links.radios())

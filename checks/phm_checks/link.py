@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import kind, link_id, link_of, named, starting, target_of, ways
+from phm_checks._path import kind, link_id, link_of, named, routed, starting, target_of, ways
 from phm_checks._words import Steady, brief, clean, joined, last, listed, span
 
 SETTLE_S = 2.0
 """A port or a connection that is opened anew at once is no news: an autopilot on USB is away for a moment when it reboots."""
+REFUSALS, STEADY_S = 2, 5.0
+"""So many attempts refused in a row, 0.3 s: nobody is there any more, which is news when it was open for STEADY_S before."""
 GRACE_S = 5.0
 SILENT_S = 3.0
 """A router behind which several were heard a moment ago sends at least their heartbeats, one a second each."""
@@ -38,7 +41,8 @@ class Link(api.Check):
         self._was: frozenset[str] = frozenset()
         self._open_since: float | None = float("-inf")
         """None while it is closed."""
-        self._opened = False
+        self._opened = self._steady = False
+        """Whether it ever was open, and whether it last was so for STEADY_S."""
         self._told_by = _devices_of(entry, settings)
 
     @classmethod
@@ -52,7 +56,8 @@ class Link(api.Check):
     @property
     def units(self) -> Sequence[api.Unit]:
         target = target_of(self.entry.key)
-        return (api.Unit(link_id(self.entry), target=target, settle_s=SETTLE_S, grace_s=GRACE_S),)
+        needs = (f"container/{self.entry.container}",) if self.entry.container else ()
+        return (api.Unit(link_id(self.entry), needs=needs, target=target, settle_s=SETTLE_S, grace_s=GRACE_S),)
 
     @property
     def wakes(self) -> frozenset[str]:
@@ -63,6 +68,8 @@ class Link(api.Check):
         if link is None:
             return api.stale(f"the MAVLink endpoint {self.entry.key} has not been tried yet")
         if not link.open:
+            if self._open_since is not None:
+                self._steady = self._opened and world.clock.mono() - self._open_since >= STEADY_S
             self._open_since = None
             return self._closed(world, link) if self._opened or not starting(world) else _not_yet(link)
         self._opened = True
@@ -94,11 +101,13 @@ class Link(api.Check):
         spare = self._spare(world)
         more = "; what it leads to is heard by another endpoint meanwhile" if spare else ""
         make = api.warn if spare else api.error
-        return make(
+        found = make(
             f"MAVLink endpoint {clean(link.name, 80)} is closed: {why}{more}. It is opened again as soon as it can be",
             brief=brief(f"{self._label}:", short),
             condition="link_closed",
         )
+        refused = link.code == errno.ECONNREFUSED and link.failed >= REFUSALS
+        return replace(found, settle_s=0.0) if refused and self._steady else found
 
     def _there(self, world: api.World, link: api.LinkFact) -> bool:
         try:
@@ -154,16 +163,10 @@ class Link(api.Check):
 
     # ------------------------------------------------------------ open
 
-    def _routed(self, world: api.World) -> bool:
-        """Whether a router is there: configured, or seen by a RADIO_STATUS, which no autopilot passes on."""
-        if self.entry.leads_to != "both" or self.entry.serial:
-            return self.entry.leads_to == "router"
-        return any(radio.link == self.entry.key for radio in world.links.radios())
-
     def _silent(self, world: api.World, link: api.LinkFact) -> list[api.Result]:
         """Several senders behind a router cannot all stop at once; the router can."""
         silent_s = link.rx_age_s
-        if silent_s is None or silent_s < SILENT_S or not self._routed(world) or self._just_opened(world):
+        if silent_s is None or silent_s < SILENT_S or not routed(world, self.entry) or self._just_opened(world):
             return []
         together = [sender for sender in link.senders if sender.age_s <= silent_s + TOGETHER_S]
         if len(together) < 2:

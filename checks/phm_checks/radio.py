@@ -84,7 +84,8 @@ class Radio(api.Check):
         values = _values(fact)
         if not findings:
             self._margin.forget("margin")
-            return api.ok(f"radio heard {span(fact.age_s)} ago{_margin_words(fact)}", **values)
+            alone = "; it hears nothing of the radio at the other end" if fact.alone else ""
+            return api.ok(f"radio heard {span(fact.age_s)} ago{_margin_words(fact)}{alone}", **values)
         first = findings[0]
         words = joined([finding.summary for finding in findings])
         return api.warn(words, brief=first.brief, condition=first.condition, target="", **values)

@@ -7,9 +7,11 @@ else carries it. It must not be missed, for an autopilot that reboots within sec
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from phm.link_facts import AutopilotFact
+from phm.probes.link_cadence import Cadence
 from phm.transport.dialect import mavlink
 
 BACK_S = 3.0
@@ -18,12 +20,16 @@ WRAP_S, WRAPS_AT_S = 60.0, 2**32 / 1000.0
 TWINS, TWINS_S = 4, 6.0
 """An autopilot that reboots again and again has run for BACK_S each time: faster than so, two of them speak."""
 KEPT = 16
+ALIVE_S = 1.0
+"""While other frames of it come, its heartbeats are late or lost, and it is not."""
 
 
 class Pilot:
-    """Not thread-safe."""
+    """Not thread-safe. timeout_s: after which it counts as lost in any case."""
 
-    def __init__(self) -> None:
+    def __init__(self, timeout_s: float = 3.5) -> None:
+        self._cadence = Cadence(timeout_s)
+        self._spoke = float("-inf")
         self._beat: tuple[float, Any, str] | None = None
         self._armed: deque[tuple[float, bool]] = deque(maxlen=KEPT)
         """Changes of the armed state, with when they were seen."""
@@ -33,19 +39,31 @@ class Pilot:
         self.reboots = 0
         self._rebooted_armed = False
 
+    @property
+    def link(self) -> str:
+        """By which it was heard last; empty: by none."""
+        return self._beat[2] if self._beat is not None else ""
+
+    def broke(self, now: float) -> None:
+        """Pauses until now say nothing about it: its link was closed, or PHM stood still."""
+        self._cadence.broke(now)
+
     def heartbeat(self, now: float, message: Any, link: str) -> None:
-        self._beat = (now, message, link)
+        self._beat, self._spoke = (now, message, link), now
+        self._cadence.beat(now)
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         if not self._armed or self._armed[-1][1] != armed:
             self._armed.append((now, armed))
 
     def booted(self, now: float, time_boot_ms: int) -> None:
         """It says that it has run for so long."""
+        self._spoke = now
         new_s = time_boot_ms / 1000.0
         old_s = self._boot[1] if self._boot is not None else 0.0
         wrapped = old_s > WRAPS_AT_S - WRAP_S and new_s < WRAP_S
         if new_s < old_s - BACK_S and not wrapped:
             self._seen.append(now)
+            self._cadence.broke(now)
             self.reboots += 1
             self._rebooted_armed = self._armed_at(now - new_s)
         self._boot = (now, new_s)
@@ -54,8 +72,8 @@ class Pilot:
         """Whether two autopilots speak with one identity."""
         return len(self._seen) == TWINS and self._seen[-1] - self._seen[0] < TWINS_S and now - self._seen[-1] < TWINS_S
 
-    def fact(self, now: float) -> AutopilotFact | None:
-        """None: never heard."""
+    def fact(self, now: float, read_at: Callable[[str], float | None] = lambda link: None) -> AutopilotFact | None:
+        """None: never heard. read_at: until when what came by a link of this name has been read; None: not known."""
         if self._beat is None:
             return None
         heard, message, link = self._beat
@@ -64,7 +82,11 @@ class Pilot:
             now - heard, self._armed[-1][1], message.custom_mode, message.system_status, link,
             self._boot[1] + now - self._boot[0] if self._boot is not None else None,
             self.reboots, now - self._seen[-1] if rebooted else None, rebooted and self._rebooted_armed,
+            self._cadence.due_s(), self._overdue(read_at(link)), now - self._spoke,
         )  # fmt: skip
+
+    def _overdue(self, read_at: float | None) -> bool:
+        return read_at is not None and read_at - self._spoke >= ALIVE_S and self._cadence.overdue(read_at)
 
     def _armed_at(self, moment: float) -> bool:
         """As last heard before `moment`: after a reboot the first heartbeat, disarmed, may come before the new time."""

@@ -30,6 +30,7 @@ class Radio:
         self._margins: deque[float] = deque(maxlen=MEAN_OF)
         self._remmargins: deque[float] = deque(maxlen=MEAN_OF)
         self._newest: Any = None
+        self._partnered = False
         self._asked_s = 0.0
 
     def hear(self, now: float, message: Any, asked_s: float) -> None:
@@ -45,17 +46,23 @@ class Radio:
         ):
             if UNKNOWN not in (signal, noise):
                 margins.append(float(signal - noise))
+        if _partnerless(message):
+            self._remmargins.clear()
+        elif UNKNOWN not in (message.remrssi, message.remnoise):
+            self._partnered = True
         self._newest = message
 
     def fact(self, now: float) -> RadioFact | None:
         """None: never heard."""
         if self._newest is None:
             return None
-        newest, rates = self._newest, self._rates()
+        newest, rates, without = self._newest, self._rates(), _partnerless(self._newest)
+        far = (None, None) if without else (_known(newest.remrssi), _known(newest.remnoise))
         return RadioFact(
             self._link, now - self._times[-1], self._due_s(),
-            _known(newest.rssi), _known(newest.remrssi), _known(newest.noise), _known(newest.remnoise), newest.txbuf,
+            _known(newest.rssi), far[0], _known(newest.noise), far[1], newest.txbuf,
             fmean(self._margins) if self._margins else None, fmean(self._remmargins) if self._remmargins else None, *rates,
+            without and self._partnered,
         )  # fmt: skip
 
     def _due_s(self) -> float:
@@ -72,6 +79,12 @@ class Radio:
             for values in ([count[1] for count in self._counts], [count[2] for count in self._counts])
         )
         return damaged / span_s, fixed / span_s
+
+
+def _partnerless(message: Any) -> bool:
+    """A SiK radio forgets what the other one told of itself, and reports zeros, once it has heard nothing at all of it for
+    3.2 to 3.7 s (`link_update` of its firmware: more than five looks of 0.52 s). A radio that never tells is one, too."""
+    return bool(message.remrssi == 0 and message.remnoise == 0)
 
 
 def _known(value: int) -> int | None:

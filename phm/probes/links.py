@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from typing import Any
 
 from phm.clock import Clock
 from phm.facts import AutopilotFact, GcsFact, LinkFact, RadioFact
+from phm.probes.link_cadence import UNEVEN_S, Cadence
 from phm.probes.link_flow import Flow
 from phm.probes.link_pilot import Pilot
 from phm.probes.link_radio import Radio
@@ -22,6 +24,10 @@ from phm.transport.mavlink_budget import periods
 DOUBLES = 2
 """So many heartbeats of another sender within DOUBLE_S make a duplicate: a late echo may come once."""
 DOUBLE_S = 30.0
+STALL_S = 1.2
+"""PHM reads each open endpoint twice a second. After such a break it was PHM that stood still, and not the sender."""
+GONE, GONE_REFUSED = 4, 2
+"""So many vain attempts to open an endpoint anew, or refusals, and nothing will come by it soon: 1.5 s, 0.3 s."""
 USERS_S = 1.0
 """Deadline of a look at who has a port open."""
 STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
@@ -40,7 +46,10 @@ class Links:
         self._hub, self._clock, self._on_wake = hub, clock, on_wake
         self._system, self._settings = settings.agent.id, settings.mavlink
         self._gcs: tuple[float, int, int, str] | None = None
-        self._pilot = Pilot()
+        # A ground station may stand still while its operator loads a map, and all agents would tell: half of the timeout.
+        self._gcs_beats = Cadence(self._settings.gcs_timeout, max(UNEVEN_S, self._settings.gcs_timeout / 2))
+        self._pilot = Pilot(self._settings.autopilot_timeout)
+        self._ground = frozenset(entry.key for entry in self._settings.endpoints if entry.to_ground)
         self._radios: dict[str, Radio] = {}
         self._flows: dict[str, Flow] = {}
         self._doubles: deque[float] = deque(maxlen=DOUBLES)
@@ -60,12 +69,28 @@ class Links:
         return None if gcs is None else self._clock.mono() - gcs[0]
 
     def gcs(self) -> GcsFact | None:
-        gcs = self._gcs
-        return None if gcs is None else GcsFact(self._clock.mono() - gcs[0], *gcs[1:])
+        with self._lock:
+            gcs = self._gcs
+            if gcs is None:
+                return None
+            read_at, due_s = self._hub.read_at(gcs[3]), self._gcs_beats.due_s()
+            overdue = read_at is not None and self._gcs_beats.overdue(read_at)
+            return GcsFact(self._clock.mono() - gcs[0], *gcs[1:], due_s, overdue)
+
+    def deaf(self) -> bool:
+        """Whether a ground station is surely out of reach of this agent, though `gcs_timeout` may not have passed: the radio
+        aboard has lost the other one, or all endpoints to the ground are gone. That the ground is silent is no such proof."""
+        gone = {link.name for link in self._hub.links() if not link.open and _gone(link)}
+        if self._ground and self._ground <= gone:
+            return True
+        gcs = self.gcs()
+        if gcs is None or gcs.age_s <= UNEVEN_S:
+            return False
+        return any(radio.alone and radio.link == gcs.link and radio.age_s < gcs.age_s for radio in self.radios())
 
     def autopilot(self) -> AutopilotFact | None:
         with self._lock:
-            return self._pilot.fact(self._clock.mono())
+            return self._pilot.fact(self._clock.mono(), self._hub.read_at)
 
     def radios(self) -> tuple[RadioFact, ...]:
         with self._lock:
@@ -113,34 +138,49 @@ class Links:
 
     def _sample(self) -> None:
         now, own = self._clock.mono(), (self._system, self._hub.component_id)
+        closed = {link.name for link in self._hub.links() if not link.open}
         with self._lock:
+            if self._gcs is not None and self._gcs[3] in closed:
+                self._gcs_beats.broke(now)
+            if self._pilot.link in closed:
+                self._pilot.broke(now)
             for name, traffic in self._hub.traffic().items():
                 self._flows.setdefault(name, Flow(own)).sample(now, traffic)
         self.look()
 
     def _picture(self) -> tuple[object, ...]:
         """What a check would judge differently; ages only as far as they matter."""
-        pilot, limits = self.autopilot(), self._settings
-        flying = None if pilot is None else (pilot.age_s <= limits.autopilot_timeout, pilot.armed, pilot.reboots)
-        gcs_age_s = self.gcs_age_s()
-        gcs = None if gcs_age_s is None else gcs_age_s <= limits.gcs_timeout
-        radios = tuple((radio.link, radio.age_s <= limits.radio_timeout) for radio in self.radios())
-        links = tuple((link.name, link.open) for link in self._hub.links())
-        return gcs, flying, len(self.problems()), radios, links
+        pilot, limits, gcs = self.autopilot(), self._settings, self.gcs()
+        flying = None
+        if pilot is not None:
+            lost = (pilot.age_s > limits.autopilot_timeout, pilot.overdue)
+            flying = (lost, pilot.armed, pilot.reboots)
+        ground = None if gcs is None else (gcs.age_s > limits.gcs_timeout, gcs.overdue)
+        radios = tuple((radio.age_s <= limits.radio_timeout, *_report(radio)) for radio in self.radios())
+        links = tuple((link.name, link.open, _gone(link)) for link in self._hub.links())
+        return ground, self.deaf(), flying, len(self.problems()), radios, links
 
     def _hear(self, message: Any, link: str) -> None:
         now = self._clock.mono()
         system, component = message.get_srcSystem(), message.get_srcComponent()
+        read_at = self._hub.read_at(link)
+        stalled = read_at is not None and now - read_at > STALL_S
         if (system, component) == (self._system, self._hub.component_id):
             if not self._hub.echo(bytes(message.get_msgbuf())):
                 self._doubles.append(now)
         elif self._is_pilot(message):
             if message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
                 with self._lock:
+                    if stalled:
+                        self._pilot.broke(now)
                     self._pilot.heartbeat(now, message, link)
         elif message.type == mavlink.MAV_TYPE_GCS and system != self._system:
             # With our own system id it is a program aboard that calls itself a ground station.
-            self._gcs = (now, system, component, link)
+            with self._lock:
+                if stalled:
+                    self._gcs_beats.broke(now)
+                self._gcs_beats.beat(now)
+                self._gcs = (now, system, component, link)
         self.look()
 
     def _hear_radio(self, message: Any, link: str) -> None:
@@ -161,3 +201,14 @@ class Links:
     def _is_pilot(self, message: Any) -> bool:
         own = message.get_srcSystem() == self._system
         return bool(own and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1)
+
+
+def _gone(link: LinkFact) -> bool:
+    return link.failed >= (GONE_REFUSED if link.code == errno.ECONNREFUSED else GONE)
+
+
+def _report(radio: RadioFact) -> tuple[object, ...]:
+    """What a radio says, as coarse as checks judge it: one that says the same again wakes nobody."""
+    margins = (None if margin is None else round(margin / 4) for margin in (radio.margin, radio.remmargin))
+    errors_s = None if radio.rxerrors_s is None else round(radio.rxerrors_s)
+    return radio.link, radio.alone, radio.txbuf // 10, errors_s, *margins

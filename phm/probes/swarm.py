@@ -25,7 +25,8 @@ LINK_S = 60.0
 class Swarm:
     """A `phm.facts.SwarmProbe`. `on_wake` is called when the picture changes, be it by silence; it must not wait.
 
-    gcs_age_s: seconds since a ground station was heard, None for never. Frames come in the endpoints' threads.
+    gcs_age_s: seconds since a ground station was heard, None for never.
+    deaf: it surely is out of reach, whatever that says. Frames come in the endpoints' threads.
     """
 
     def __init__(
@@ -35,8 +36,10 @@ class Swarm:
         clock: Clock,
         gcs_age_s: Callable[[], float | None],
         on_wake: Callable[[], None],
+        deaf: Callable[[], bool] = lambda: False,
     ) -> None:
         self._hub, self._clock, self._on_wake, self._gcs_age_s = hub, clock, on_wake, gcs_age_s
+        self._deaf = deaf
         self._own, self._component = settings.agent.id, settings.mavlink.component_id
         self._gcs_timeout_s = settings.mavlink.gcs_timeout
         expected = settings.swarm.agents
@@ -131,7 +134,7 @@ class Swarm:
 
     def _hears_ground(self) -> bool:
         age_s = self._gcs_age_s()
-        return age_s is not None and age_s <= self._gcs_timeout_s
+        return age_s is not None and age_s <= self._gcs_timeout_s and not self._deaf()
 
     def _peer(self, agent: int, agreed: Consensus, now: float) -> PeerFact:
         verdict, peer = agreed.verdicts[agent], self._peers.peer(agent)

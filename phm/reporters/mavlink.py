@@ -31,6 +31,8 @@ PEERS = "peers/"
 """Units about other agents."""
 FULL_EVERY_S = 5.0
 """Ground stations that come and go have the full state sent again at most this often."""
+AGAIN_S = (0.7, 2.0, 4.0)
+"""After a change while the radio is bad its line may be lost, and the refresh follows so much later: it is never spoken."""
 SPREAD_S = 0.02
 """Seconds by which agents' answers to the same ground station differ, times the agent's number: as long as a 64 kbit/s radio
 needs for a heartbeat and a refresh."""
@@ -52,6 +54,7 @@ class Mavlink(Reporter):
         self._teller.knows([state for state in context.states() if state.unit in open_before])
         self._heartbeat_at = now
         self._refresh_at: float | None = None
+        self._again: tuple[float, ...] = ()
         self._full_at: float | None = None
         self._last_full = float("-inf")
         self._stations = Stations(self._agent, self._settings.gcs_timeout)
@@ -89,6 +92,9 @@ class Mavlink(Reporter):
                 self._refresh_at = _next(self._refresh_at, self._settings.refresh or by_size_s[1], now)
                 states = self._context.states()
                 self._say([*self._teller.reconcile(states), self._teller.refresh(states)])
+            elif self._again and now >= self._again[0]:
+                self._again = self._again[1:]
+                self._say_again()
 
     def close(self) -> None:
         """A last heartbeat that says POWEROFF: a planned end is no failure."""
@@ -106,8 +112,15 @@ class Mavlink(Reporter):
 
     def _change(self, lines: list[Line], slot: Slot, brief: str) -> None:
         """Changes of one unit: told, unless it flaps."""
+        if lines and self._refresh_at is not None:
+            self._again = tuple(self._context.clock.mono() + after_s for after_s in AGAIN_S)
         flapping = status_line.flapping(self._agent, slot, brief)
         self._say(self._damper.through(lines, self._context.clock.mono(), flapping))
+
+    def _say_again(self) -> None:
+        states = self._context.states()
+        if any(state.slot is Slot.RADIO and state.level.bad for state in states):
+            self._say([self._teller.refresh(states)])
 
     def _speaks(self) -> bool:
         """Whether this agent speaks for the swarm: each agent notices that another is lost, and one tells the ground."""

@@ -118,6 +118,10 @@ class MavlinkHub:
         """Endpoints that were tried at least once."""
         return tuple(fact for endpoint in self._endpoints if (fact := endpoint.fact()) is not None)
 
+    def read_at(self, link: str) -> float | None:
+        """Until when what came by this endpoint has been read, in seconds of the clock; None: it is not open."""
+        return next((endpoint.read_at() for endpoint in self._endpoints if endpoint.name == link), None)
+
     def traffic(self) -> dict[str, Traffic]:
         """What went over each endpoint since the start."""
         return {endpoint.name: endpoint.traffic() for endpoint in self._endpoints}

@@ -24,7 +24,7 @@ from phm.transport.serial_line import LineCount
 logger = logging.getLogger(__name__)
 
 RADIO_STATUS = 109
-BACKOFF_S = 0.2
+BACKOFF_S = 0.1
 BACKOFF_MAX_S = 5.0
 STEADY_S = 5.0
 """An endpoint that was open for this long begins its back-off anew."""
@@ -61,6 +61,7 @@ class Endpoint:
         self._again = threading.Event()
         self._opened = 0
         self._heard = self._looked = 0.0
+        self._read_at: float | None = None
         self._thread = threading.Thread(target=self._loop, name=f"phm-mavlink-{self.name}"[:60], daemon=True)
 
     def start(self) -> None:
@@ -82,6 +83,10 @@ class Endpoint:
     def fact(self) -> LinkFact | None:
         """None until the first attempt to open has ended: nothing is known yet."""
         return self._fact
+
+    def read_at(self) -> float | None:
+        """When the thread last found that it had read what came; None: not open."""
+        return self._read_at
 
     def traffic(self) -> Traffic:
         counters = self.codec.counters
@@ -126,7 +131,6 @@ class Endpoint:
                 wait_s = BACKOFF_S
             self._clock.wait(self._stopping, wait_s)
             wait_s = min(2 * wait_s, BACKOFF_MAX_S)
-            self._look()
 
     def _live(self, channel: Channel) -> None:
         """Serve an open channel until PHM stops or wants it opened anew. Raises OSError when it is lost."""
@@ -149,6 +153,7 @@ class Endpoint:
             while (self._outbox or not channel.ready) and self._clock.mono() < end:
                 self._turn(channel, 0.02)
         finally:
+            self._read_at = None
             channel.close()
 
     def _turn(self, channel: Channel, timeout_s: float) -> None:
@@ -168,6 +173,7 @@ class Endpoint:
                 if message.get_msgId() == RADIO_STATUS:
                     self._outbox.txbuf(message.txbuf)
                 self._deliver(message, self.name)
+        self._read_at = self._clock.mono()
         self._write(channel)
         if self._clock.mono() - self._looked >= IDLE_S:
             self._line = channel.line()
@@ -192,11 +198,12 @@ class Endpoint:
                 self._tell(is_open=True)
 
     def _tell(self, *, is_open: bool, error: str = "", code: int = 0) -> None:
-        fact = LinkFact(self.name, is_open, error, code)
-        old, self._fact = self._fact, fact
-        if old is None or old.open != is_open:
-            if not is_open:
-                logger.info("MAVLink endpoint %s is closed: %s", self.name, error)
+        old = self._fact
+        failed = 0 if is_open or (old is not None and old.open) else 1 + (old.failed if old is not None else 0)
+        self._fact = LinkFact(self.name, is_open, error, code, failed=failed)
+        if (old is None or old.open) and not is_open:
+            logger.info("MAVLink endpoint %s is closed: %s", self.name, error)
+        if old is None or not (old.open and is_open):
             self._look()
 
     def _look(self) -> None:

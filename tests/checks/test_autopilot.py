@@ -94,3 +94,43 @@ def test_a_reboot_while_armed_is_an_error() -> None:
     """It may be in the air."""
     result = run(check(), changed(rebooted_s=2.0, reboots=1, rebooted_armed=True))
     assert (result.level, result.brief) == (api.Level.ERROR, "autopilot rebooted while armed")
+
+
+OVERDUE = changed(age_s=2.7, quiet_s=2.6, due_s=2.5, overdue=True)
+ROUTER = {"url": "tcp:10.0.0.1:5760", "name": "fc", "leads_to": "router"}
+
+
+def behind_a_router(pilot: api.AutopilotFact, *others: float) -> api.Result:
+    """others: how long ago each of the others behind it was heard."""
+    senders = (api.SenderFact(1, 1, 2.6, 50, 0.0), *(api.SenderFact(255, 190, age_s, 50, 0.0) for age_s in others))
+    link = dataclasses.replace(OPEN, rx_age_s=min([2.6, *others]), senders=senders)
+    (judge,) = Autopilot.build(testing.settings(agent={"id": 1}, mavlink={"endpoints": [ROUTER]}))
+    return run(judge, pilot, link)
+
+
+def test_a_steady_autopilot_is_lost_before_the_timeout() -> None:
+    """On its own port nothing else can be the cause: told at once, and its link is opened anew."""
+    result = run(check(), OVERDUE, dataclasses.replace(OPEN, rx_age_s=2.4))
+    assert (result.level, result.condition, result.settle_s) == (api.Level.ERROR, "autopilot_silent", 0.0)
+    assert "expected one within 2.5 s, and nothing else comes by fc either" in result.summary
+    assert result.target == "link:fc"
+
+
+def test_behind_a_router_others_prove_that_it_is_the_autopilot() -> None:
+    """Frames of others that came since its own ended; the router is well."""
+    result = behind_a_router(OVERDUE, 0.9)
+    assert (result.level, result.settle_s, result.target) == (api.Level.ERROR, 0.0, "")
+    assert "other frames still come" in result.summary
+
+
+def test_behind_a_router_that_may_be_silent_it_is_waited_for() -> None:
+    """The timeout holds and the evidence about the router is waited for, as those of others ended together with its own."""
+    assert behind_a_router(OVERDUE).level is api.Level.OK
+    assert behind_a_router(OVERDUE, 2.3).level is api.Level.OK
+    late = behind_a_router(changed(age_s=3.8, quiet_s=3.7), 3.4)
+    assert (late.level, late.settle_s) == (api.Level.ERROR, None)
+
+
+def test_a_reboot_is_told_at_once() -> None:
+    """The autopilot itself says so."""
+    assert run(check(), changed(rebooted_s=0.1, reboots=1)).settle_s == 0.0

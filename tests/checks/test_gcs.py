@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from phm import api, testing
 from phm_checks.gcs import Gcs
 
@@ -83,3 +85,49 @@ def test_a_radio_that_is_not_judged_is_not_waited_for() -> None:
     """With `radio: off` nobody would ever tell that it is the radio's fault."""
     links = heard(12.0, radios=(api.RadioFact("ground", 13.0, 10.0),))
     assert run(check({**GROUND, "radio": "off"}), links).level is api.Level.ERROR
+
+
+ALONE = api.RadioFact("ground", 0.4, 1.0, rssi=180, alone=True)
+
+
+def test_a_radio_that_lost_the_other_one_tells_early() -> None:
+    """By its own word nothing at all comes from the ground: the timeout need not pass, and the line says where to look."""
+    result = run(check(), heard(3.6, radios=(ALONE,)))
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "gcs_lost", "GCS: no heartbeat 4 s")
+    assert "hears nothing of the radio on the ground" in result.summary
+
+
+def test_a_radio_that_is_alone_says_nothing_about_a_ground_station_that_is_heard() -> None:
+    """Nor about one that came by another link, nor when it said so before the last heartbeat."""
+    assert run(check(), heard(1.0, radios=(ALONE,))).level is api.Level.OK
+    assert run(check(), heard(3.6, radios=(dataclasses.replace(ALONE, link="other"),))).level is api.Level.OK
+    assert run(check(), heard(3.6, radios=(dataclasses.replace(ALONE, age_s=3.8),))).level is api.Level.OK
+
+
+def overdue(age_s: float, **more: object) -> testing.FakeLinks:
+    links = heard(age_s, **more)
+    links.gcs_due_s, links.gcs_overdue = 5.0, True
+    return links
+
+
+def test_a_steady_ground_station_is_lost_before_the_timeout() -> None:
+    """It never paused for so long; what was expected is said."""
+    result = run(check(), overdue(5.3))
+    assert (result.level, result.condition) == (api.Level.ERROR, "gcs_lost")
+    assert "expected one within 5.0 s" in result.summary
+
+
+def test_a_radio_that_still_hears_the_other_one_leaves_it_to_the_timeout() -> None:
+    """Heartbeats get lost in bursts on the air, and the operator's program may stand still."""
+    well = api.RadioFact("ground", 0.4, 1.0, rssi=180, remrssi=170)
+    assert run(check(), overdue(5.3, radios=(well,))).level is api.Level.OK
+    assert run(check(), overdue(10.5, radios=(well,))).level is api.Level.ERROR
+
+
+def test_before_the_timeout_nothing_is_said_while_the_radio_may_be_the_cause() -> None:
+    """One that does not tell of the other radio and is due itself."""
+    together = overdue(5.3, radios=(api.RadioFact("ground", 5.5, 2.0),))
+    assert run(check(), together).level is api.Level.OK
+    closed = testing.FakeLinks(gcs_age_s=5.3, links=(api.LinkFact("ground", open=False),), radios=(ALONE,))
+    closed.gcs_link = "ground"
+    assert run(check(), closed).level is api.Level.OK

@@ -179,3 +179,40 @@ def test_a_router_that_is_back_is_given_time_to_be_heard() -> None:
     assert look(silent) == ""
     clock.advance(4.0)
     assert look(silent) == "link_silent"
+
+
+def refused(times: int) -> api.LinkFact:
+    return dataclasses.replace(CLOSED, failed=times)
+
+
+def test_a_router_that_is_gone_is_told_at_the_second_refusal() -> None:
+    """It was there for a while, and nobody listens any more; one refusal may be a restart."""
+    judge, world = check(), testing.world(links=testing.FakeLinks(links=(WELL,)))
+    judge.run(world)
+    assert run(judge, refused(1)).settle_s is None
+    assert (run(judge, refused(2)).level, run(judge, refused(2)).settle_s) == (api.Level.ERROR, 0.0)
+
+
+def test_a_router_that_comes_and_goes_is_waited_for() -> None:
+    """It was open for a moment only: whatever restarts it again and again is told no faster than before."""
+    clock, links = testing.FakeClock(), testing.FakeLinks(links=(CLOSED,))
+    judge, world = check(), testing.world(links=links, clock=clock)
+    for link, after_s, settle_s in (
+        (WELL, 6.0, None),
+        (refused(2), 1.0, 0.0),
+        (WELL, 1.0, None),
+        (refused(2), 1.0, None),
+    ):
+        links.endpoints = (link,)
+        result = judge.run(world)
+        assert isinstance(result, api.Result)
+        assert result.settle_s == settle_s
+        clock.advance(after_s)
+
+
+def test_another_error_than_a_refusal_is_waited_for() -> None:
+    """The network may be away for a moment."""
+    judge = check()
+    run(judge)
+    lost = dataclasses.replace(CLOSED, error="the other side closed the connection", code=0, failed=3)
+    assert run(judge, lost).settle_s is None

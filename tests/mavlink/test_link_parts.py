@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from phm.facts import LinkFact
+from phm.probes.link_cadence import LEARN_S
 from phm.probes.link_flow import LOSS_S, MIN_FRAMES, Flow
 from phm.probes.link_pilot import TWINS, Pilot
 from phm.probes.link_radio import Radio
@@ -201,6 +202,30 @@ def test_what_a_radio_does_not_know_is_none() -> None:
     assert (fact.rxerrors_s, fact.fixed_s) == (None, None)
 
 
+def test_a_radio_that_lost_the_other_one_is_alone() -> None:
+    """Zeros in place of what the other one told, as a SiK radio sends them; they are no weak signal, and end at once."""
+    radio = Radio("ground")
+    radio.hear(0.0, status(), 1.0)
+    radio.hear(1.0, status(remrssi=0, remnoise=0), 1.0)
+    fact = radio.fact(1.0)
+    assert fact is not None
+    assert (fact.alone, fact.remrssi, fact.remnoise, fact.remmargin, fact.margin) == (True, None, None, None, 140.0)
+    radio.hear(2.0, status(), 1.0)
+    back = radio.fact(2.0)
+    assert back is not None
+    assert (back.alone, back.remrssi, back.remmargin) == (False, 170, 120.0)
+
+
+def test_a_radio_that_never_tells_of_the_other_one_is_not_alone() -> None:
+    """Some report zeros always."""
+    radio = Radio("ground")
+    for second in range(5):
+        radio.hear(float(second), status(remrssi=0, remnoise=0), 1.0)
+    fact = radio.fact(4.0)
+    assert fact is not None
+    assert (fact.alone, fact.remmargin) == (False, None)
+
+
 def test_counters_of_a_radio_that_was_restarted() -> None:
     """They begin anew, and nothing is negative."""
     radio = Radio("ground")
@@ -313,6 +338,54 @@ def test_two_autopilots_with_one_identity_are_no_reboots() -> None:
         slow.booted(10.0 * number, 8_000)
         slow.booted(10.0 * number + 5.0, 500)
     assert not slow.twins(36.0)
+
+
+def known(pilot: Pilot, period_s: float = 1.0) -> float:
+    """Heard steadily for as long as it takes to know it; the moment of the last heartbeat."""
+    count = int(LEARN_S / period_s) + 5
+    for number in range(count):
+        beat(pilot, number * period_s)
+        pilot.booted(number * period_s + 0.1, 100_000 + int(number * period_s * 1000))
+    return (count - 1) * period_s
+
+
+def overdue(pilot: Pilot, now: float, read_at: float | None) -> bool:
+    fact = pilot.fact(now, lambda link: read_at)
+    assert fact is not None
+    return fact.overdue
+
+
+def test_a_steady_autopilot_is_overdue_early() -> None:
+    """After two and a half of its heartbeats, as far as its link was read; where that is not known, never."""
+    pilot = Pilot()
+    last = known(pilot)
+    assert not overdue(pilot, last + 2.1, last + 2.1)
+    assert overdue(pilot, last + 2.6, last + 2.6)
+    assert not overdue(pilot, last + 9.0, last + 2.1)
+    assert not overdue(pilot, last + 9.0, None)
+
+
+def test_an_autopilot_whose_other_frames_come_is_not_overdue() -> None:
+    """Its heartbeats are lost or late."""
+    pilot = Pilot()
+    last = known(pilot)
+    pilot.booted(last + 2.2, 500_000)
+    assert not overdue(pilot, last + 2.8, last + 2.8)
+    assert overdue(pilot, last + 3.4, last + 3.4)
+
+
+@pytest.mark.parametrize("beats_first", [True, False], ids=["heartbeat first", "time first"])
+def test_the_pause_of_a_reboot_is_no_habit(beats_first: bool) -> None:
+    """After it the autopilot is known as well as before."""
+    pilot = Pilot()
+    last = known(pilot)
+    at = last + 2.3
+    if beats_first:
+        beat(pilot, at)
+    pilot.booted(at + 0.1, 100)
+    for number in range(4):
+        beat(pilot, at + 0.2 + number)
+    assert fact_of(pilot, at + 3.5).due_s == pytest.approx(2.5)
 
 
 # ---------------------------------------------------------------- serial ports

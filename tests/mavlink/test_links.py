@@ -115,6 +115,87 @@ def test_a_silent_autopilot_ages() -> None:
     assert fact.age_s == pytest.approx(4.0)
 
 
+def steady(scene: Scene, beats: int = 130) -> None:
+    """A ground station and an autopilot, a heartbeat a second each, on a link that is read all the time."""
+    scene.hub.read_at = lambda link: scene.clock.mono()  # type: ignore[method-assign]
+    for _ in range(beats):
+        scene.hear(255, 190, GCS)
+        scene.hear(7, 1, pilot())
+        scene.clock.advance(1.0)
+    scene.hear(255, 190, GCS)
+    scene.hear(7, 1, pilot())
+
+
+def overdue(scene: Scene) -> tuple[bool, bool]:
+    gcs, flying = scene.links.gcs(), scene.links.autopilot()
+    assert gcs is not None
+    assert flying is not None
+    return gcs.overdue, flying.overdue
+
+
+def test_who_was_steady_is_overdue_before_the_timeout() -> None:
+    """The autopilot after 2.5 s, the ground station after half of its timeout; each wakes the checks once."""
+    scene = Scene()
+    steady(scene)
+    assert scene.pass_time(2.4) == 0
+    assert (scene.pass_time(0.2), overdue(scene)) == (1, (False, True))
+    assert scene.pass_time(2.3) == 1  # the autopilot's timeout
+    assert (scene.pass_time(0.2), overdue(scene)) == (1, (True, True))
+    scene.hear(255, 190, GCS)
+    scene.hear(7, 1, pilot())
+    assert overdue(scene) == (False, False)
+
+
+def test_a_phm_that_stood_still_blames_nobody() -> None:
+    """What came meanwhile is not read yet; and the pause is no habit of the sender after."""
+    scene = Scene()
+    steady(scene)
+    stopped_at = scene.clock.mono()
+    scene.hub.read_at = lambda link: stopped_at  # type: ignore[method-assign]
+    scene.clock.advance(3.0)
+    assert overdue(scene) == (False, False)
+    scene.hear(255, 190, GCS)
+    scene.hear(7, 1, pilot())
+    scene.hub.read_at = lambda link: scene.clock.mono()  # type: ignore[method-assign]
+    fact = scene.links.autopilot()
+    assert fact is not None
+    assert fact.due_s == 2.5
+
+
+def radio_status(**fields: int) -> Any:
+    usual = {"rssi": 180, "remrssi": 170, "txbuf": 98, "noise": 40, "remnoise": 50, "rxerrors": 0, "fixed": 0}
+    return mavlink.MAVLink_radio_status_message(**{**usual, **fields})
+
+
+def test_a_radio_that_lost_the_other_one_makes_the_agent_deaf() -> None:
+    """Before gcs_timeout, but not while a ground station is heard all the same; it wakes the check."""
+    scene = Scene()
+    scene.hear(255, 190, GCS)
+    scene.hear(51, 68, radio_status())
+    scene.clock.advance(2.0)
+    assert not scene.links.deaf()
+    assert scene.hear(51, 68, radio_status(remrssi=0, remnoise=0)) == 1
+    assert not scene.links.deaf()
+    assert scene.pass_time(1.0) == 1
+    assert scene.links.deaf()
+    assert scene.hear(255, 190, GCS) == 1
+    assert not scene.links.deaf()
+
+
+def test_a_report_of_the_radio_wakes_the_check_when_it_says_something_new() -> None:
+    """A full buffer or damaged packets are told when they are reported; the same again wakes nobody."""
+    scene = Scene()
+    scene.hear(51, 68, radio_status())
+    scene.clock.advance(1.0)
+    assert scene.hear(51, 68, radio_status()) == 1  # now errors a second are known
+    scene.clock.advance(1.0)
+    assert scene.hear(51, 68, radio_status()) == 0
+    scene.clock.advance(1.0)
+    assert scene.hear(51, 68, radio_status(txbuf=10)) == 1
+    scene.clock.advance(1.0)
+    assert scene.hear(51, 68, radio_status(txbuf=10, rxerrors=40)) == 1
+
+
 def test_somebody_with_our_identity_is_told() -> None:
     """Two heartbeats that we did not send make a problem, which ends when they do."""
     scene = Scene()
@@ -219,6 +300,34 @@ def test_the_traffic_of_an_endpoint_is_known() -> None:
             until(lambda: (links.links()[0].rx_age_s or 0.0) > 1.0, "its silence being seen")
         finally:
             hub.close()
+
+
+def test_a_router_that_refuses_twice_leaves_the_agent_deaf() -> None:
+    """It was there and is gone: nothing can come from the ground. When it is back, that is over."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    port = listener.getsockname()[1]
+    chosen: Settings = settings(
+        agent={"id": 7}, mavlink={"endpoints": [{"url": f"tcp:127.0.0.1:{port}", "name": "r", "leads_to": "router"}]}
+    )
+    hub, wakes = MavlinkHub(chosen.mavlink, 7, SystemClock()), []
+    links = Links(hub, chosen, SystemClock(), lambda: wakes.append(1))
+    hub.start()
+    try:
+        client, _ = listener.accept()
+        until(lambda: [link.open for link in links.links()] == [True], "the connection")
+        assert not links.deaf()
+        until(lambda: hub.read_at("r") is not None, "it being read")
+        listener.close()
+        client.close()
+        until(links.deaf, "two refusals")
+        (link,) = links.links()
+        assert (link.open, link.failed >= 2, hub.read_at("r")) == (False, True, None)
+        assert wakes
+        with socket.create_server(("127.0.0.1", port)):
+            until(lambda: not links.deaf(), "the router being back")
+            assert links.links()[0].failed == 0
+    finally:
+        hub.close()
 
 
 def test_our_own_echo_is_no_duplicate() -> None:

@@ -380,3 +380,20 @@ def test_without_endpoints_there_is_no_reporter() -> None:
     """An agent without MAVLink pays nothing for it."""
     context = ReporterContext(settings(), FakeClock(), "boot", tuple, lambda: True, dict, None)
     assert Mavlink.build(context) is None
+
+
+def test_behind_a_bad_radio_a_change_is_followed_by_refreshes() -> None:
+    """Its line may be lost on the air; the refresh is INFO and is not spoken. Where the radio is well it comes at its period."""
+    scene = Scene(refresh=60).running()
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    scene.pass_time(6.0)
+    assert scene.port.lines() == [(2, "A01 FAIL 6 a dead")]
+    radio = UnitState("radio", "radio", Slot.RADIO, Layer.LINK, Level.OK, Result(Level.OK, ""), scene.clock.stamp())
+    scene.units["radio"] = radio
+    scene.become("nodes/a", Level.OK)
+    scene.port.sent.clear()
+    scene.become("radio", Level.WARN, "radio: damaged packets")
+    scene.pass_time(30.0)
+    line = "A01 WARN 11 radio: damaged packets"
+    again = "A01 WARN -1---1-- 11 radio: damaged packets"
+    assert scene.port.lines() == [(4, line), (6, again), (6, again), (6, again)]

@@ -178,6 +178,23 @@ def test_a_radio_answers_each_heartbeat_of_its_own_side() -> None:
     assert kinds(one, "ground") == []
 
 
+def test_a_radio_forgets_the_other_one_that_it_no_longer_hears() -> None:
+    """As SiK firmware does some seconds after the last packet; its own signal is told as before."""
+    one = vehicle()
+
+    def told(now: float) -> tuple[int, int, int]:
+        one.out.clear()
+        one.take(now, "phm", beat(3, 193))
+        (report,) = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
+        return report.rssi, report.remrssi, report.remnoise
+
+    assert told(0.0) == (180, 180, 40)
+    one.change("ground", {"cut": True})
+    assert [told(now) for now in (3.0, 3.6, 5.0)] == [(180, 180, 40), (180, 0, 0), (180, 0, 0)]
+    one.change("ground", {"cut": False})
+    assert told(6.0) == (180, 180, 40)
+
+
 def test_the_radio_on_the_ground_answers_too() -> None:
     """The ground station's heartbeat gets a RADIO_STATUS at once and reaches PHM and the autopilot over the air."""
     one = vehicle()

@@ -1,0 +1,153 @@
+"""When a sender of heartbeats counts as lost before its timeout: on made-up traces of a second a beat."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from phm.probes.link_cadence import LEARN_S, STEP_S, STEPS, UNEVEN_S, Cadence
+
+BOUND_S = 10.0
+LOOK_S = 0.5
+
+
+def steady(chance: random.Random) -> Iterator[float]:
+    """Late by up to 50 ms."""
+    yield from (count + 0.05 * chance.random() for count in range(3600))
+
+
+def jittery(chance: random.Random) -> Iterator[float]:
+    """Each late by up to 0.9 s, as of a starved machine."""
+    yield from (count + 0.9 * chance.random() for count in range(3600))
+
+
+def late_by_a_second(chance: random.Random) -> Iterator[float]:
+    """Steady, and once in a while a beat comes a second late: the sender did not get the processor."""
+    yield from (count + 0.05 * chance.random() + (1.0 if chance.random() < 0.01 else 0.0) for count in range(3600))
+
+
+def lossy(share: float) -> Callable[[random.Random], Iterator[float]]:
+    """So many of the beats get lost, each for itself."""
+
+    def made(chance: random.Random) -> Iterator[float]:
+        yield from (at for at in steady(chance) if chance.random() >= share)
+
+    return made
+
+
+def bursts(share: float, length: float) -> Callable[[random.Random], Iterator[float]]:
+    """So many get lost, `length` of them in a row on average."""
+
+    def made(chance: random.Random) -> Iterator[float]:
+        bad = False
+        for at in steady(chance):
+            stays, begins = 1.0 - 1.0 / length, share / (1.0 - share) / length
+            bad = chance.random() < (stays if bad else begins)
+            if not bad:
+                yield at
+
+    return made
+
+
+def false_alarms(beats: Iterator[float]) -> int:
+    """How many pauses were taken for a loss although the sender was heard again within the configured timeout."""
+    cadence, last, found = Cadence(BOUND_S), None, 0
+    for at in beats:
+        if last is not None and at > last:
+            looks = (last + LOOK_S * count for count in range(1, int((min(at, last + BOUND_S) - last) / LOOK_S) + 1))
+            found += any(cadence.overdue(look) for look in looks)
+        cadence.beat(at)
+        last = at
+    return found
+
+
+@pytest.mark.parametrize(
+    "trace",
+    [steady, jittery, late_by_a_second, lossy(0.01), lossy(0.05), lossy(0.2), bursts(0.2, 3.0), bursts(0.1, 4.0)],
+    ids=["steady", "jittery", "late", "lossy 1 %", "lossy 5 %", "lossy 20 %", "bursts 20 %", "bursts 10 %"],
+)
+def test_an_hour_raises_no_false_alarm(trace: Callable[[random.Random], Iterator[float]]) -> None:
+    """Whatever the jitter and the losses are like from the beginning: eight hours, each of another chance."""
+    assert [false_alarms(trace(random.Random(seed))) for seed in range(8)] == [0] * 8
+
+
+def learned(cadence: Cadence, beats: int = int(LEARN_S) + 3, period_s: float = 1.0) -> float:
+    for count in range(beats):
+        cadence.beat(count * period_s)
+    return (beats - 1) * period_s
+
+
+def test_a_steady_sender_is_known_to_be_lost_early() -> None:
+    """Two and a half seconds after the last of its beats, one a second; one lost beat is no loss."""
+    cadence = Cadence(BOUND_S)
+    last = learned(cadence)
+    assert cadence.due_s() == UNEVEN_S
+    assert not cadence.overdue(last + 2.1)
+    assert cadence.overdue(last + 2.6)
+
+
+def test_no_limit_is_under_the_least() -> None:
+    """A ground station is given more time than an autopilot."""
+    cadence = Cadence(BOUND_S, 5.0)
+    last = learned(cadence)
+    assert not cadence.overdue(last + 4.9)
+    assert cadence.overdue(last + 5.1)
+
+
+def test_what_is_not_known_for_long_has_no_limit_of_its_own() -> None:
+    """The configured timeout alone holds."""
+    cadence = Cadence(BOUND_S)
+    last = learned(cadence, int(LEARN_S) - 5)
+    assert cadence.due_s() is None
+    assert not cadence.overdue(last + 9.9)
+
+
+def test_a_lost_beat_makes_the_limit_longer_for_a_while() -> None:
+    """And two lost in a row end it; after an hour that is forgotten."""
+    cadence = Cadence(BOUND_S)
+    last = learned(cadence)
+    cadence.beat(last + 2.0)
+    assert cadence.due_s() == pytest.approx(4.4)
+    cadence.beat(last + 5.0)
+    assert cadence.due_s() is None
+    for count in range(1, int(STEP_S * (STEPS + 2))):
+        cadence.beat(last + 5.0 + count)
+    assert cadence.due_s() == UNEVEN_S
+
+
+def test_a_slow_sender_is_left_to_the_configured_timeout() -> None:
+    """A beat every five seconds."""
+    cadence = Cadence(BOUND_S)
+    learned(cadence, 60, 5.0)
+    assert cadence.due_s() is None
+
+
+def test_a_limit_beyond_the_configured_one_is_none() -> None:
+    """The configured timeout is the upper bound."""
+    cadence = Cadence(3.5)
+    last = learned(cadence)
+    cadence.beat(last + 1.7)
+    assert cadence.due_s() is None
+
+
+def test_an_outage_is_no_habit() -> None:
+    """A silence beyond the configured timeout was told as a fault; the next is found as early."""
+    cadence = Cadence(BOUND_S)
+    last = learned(cadence)
+    cadence.beat(last + 30.0)
+    assert cadence.due_s() == UNEVEN_S
+
+
+def test_what_broke_is_no_pause_of_the_sender() -> None:
+    """The link was closed for a moment: silence counts from then on, and the pause before is forgotten, too."""
+    cadence = Cadence(BOUND_S)
+    last = learned(cadence)
+    cadence.beat(last + 2.4)
+    cadence.broke(last + 4.0)
+    assert cadence.due_s() == UNEVEN_S
+    assert not cadence.overdue(last + 6.0)
+    assert cadence.overdue(last + 6.6)
+    cadence.beat(last + 6.6)
+    assert cadence.due_s() == UNEVEN_S
