@@ -60,6 +60,9 @@ class RateFact:
     """Size of a sample, serialized, averaged over those looked at."""
     error_hz: float | None = None
     """Standard deviation of `hz` that comes from the publisher's own unevenness. None until it is known."""
+    changed_s: float | None = None
+    """For how long each single look has shown another rate than before, of which alone `hz` tells then. None when the
+    window holds no such change, and with several publishers."""
 
 
 @dataclass(frozen=True, slots=True)

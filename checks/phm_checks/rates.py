@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._presence import FRESH_S, turned_s
 from phm_checks._words import Steady, brief, clean, last, span
 
 CONFIRM_S = 0.9
 """A rate must be off in two measurements, which the sampler makes once a second, before it is told."""
+SETTLE_S = 2.0
+"""A topic may be silent so much before its node is known to be dead."""
+GAP_PERIODS = 5
+"""A topic is told as silent no sooner than after so many periods, whatever speaks for its node."""
 STAY = 0.9
 """A level is left only when the deviation is below this share of its limit, so that a rate at the limit does not flap."""
 MEASURED_S = 1.0
 """A silence is seen this much after its limit at the latest: the sampler looks, and the check runs, once a second."""
 _BLOCKS = "a firewall, or shared memory without a shared /dev/shm: set FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
+LATE_S = 0.1
+"""An executor that is later waits for its processor."""
 DOUBTS = 2.5
 """A rate is off only by what goes beyond so many standard deviations of it: the publisher's own unevenness is no fault."""
 WITNESSES = 2
@@ -66,7 +73,7 @@ class Rates(api.Check):
                 _unit(topic),
                 needs=(f"topics/{api.topic_id(topic.name)}",),
                 target=settings.container_of_topic(topic),
-                settle_s=2.0,
+                settle_s=SETTLE_S,
                 grace_s=settings.ros.grace,
                 memory_s=_limit_s(topic, settings.ros.silence) + MEASURED_S,
             )
@@ -114,18 +121,26 @@ class Rates(api.Check):
             return self._never(case, seen, fact)
         if hz == 0.0:
             memory.off_since = None
-            limit = "" if seen.rate.limit_s is None else f" and no gap over {span(seen.rate.limit_s)}"
-            return self._bad(
-                Level.ERROR,
-                "silent",
-                "silent",
-                f"{name}: offline. Silent for {span(silent_s)}, expected {topic.rate:g} Hz{limit}: its "
-                "node hangs or its source stopped; see that node's log",
-                case,
-            )
+            return self._silent(case, silent_s, seen, fact)
         if hz is None:
             return api.stale(f"{name} is received; its rate is being measured", brief="", **values)
-        return self._rate(case, hz, seen.rate, memory, now)
+        return self._rate(case, hz, seen, fact, memory, now)
+
+    def _silent(self, case: _Case, silent_s: float, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
+        assert seen.rate is not None
+        limit_s = seen.rate.limit_s
+        limit = "" if limit_s is None else f" and no gap over {span(limit_s)}"
+        turns = _all_turned(seen, fact, max(silent_s, seen.rate.age_s or 0.0) - 1 / case.rate)
+        why = "its source stopped, the node itself goes on" if turns else "its node hangs or its source stopped"
+        result = self._bad(
+            Level.ERROR,
+            "silent",
+            "silent",
+            f"{case.name}: offline. Silent for {span(silent_s)}, expected {case.rate:g} Hz{limit}: {why}; see that node's log",
+            case,
+        )
+        settle_s = GAP_PERIODS / case.rate - (limit_s or 0.0)
+        return replace(result, settle_s=min(SETTLE_S, max(0.0, settle_s))) if turns else result
 
     def _latched(self, name: str, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
         """Judged by its publishers; a sample that they keep for whoever comes must come to PHM, too."""
@@ -207,7 +222,11 @@ class Rates(api.Check):
                 nodes |= _nodes(seen)
         return set() if nodes & fact.beacons.keys() else nodes
 
-    def _rate(self, case: _Case, hz: float, measured: api.RateFact, memory: _Memory, now: float) -> api.Result:
+    def _rate(
+        self, case: _Case, hz: float, seen: api.TopicFact, fact: api.RosFact, memory: _Memory, now: float
+    ) -> api.Result:
+        measured = seen.rate
+        assert measured is not None
         off = abs(hz - case.rate) / case.rate * 100
         doubt = DOUBTS * 100 * (measured.error_hz or 0.0) / case.rate
         before = memory.told.level if memory.told is not None else Level.OK
@@ -220,12 +239,13 @@ class Rates(api.Check):
             return api.ok(f"{case.name}: {hz:.3f}", **case.values)
         if memory.off_since is None:
             memory.off_since = now
-        if not _confirmed(case, measured, now - memory.off_since):
+        sure = self._changed(seen, fact)
+        if not sure and not _confirmed(case, measured, now - memory.off_since):
             if memory.told is not None and memory.told.level is not Level.STALE:
                 return memory.told
             return api.stale(f"{case.name} was measured once at {hz:.3f} Hz; measuring again", brief="", **case.values)
         low = hz < case.rate
-        return self._bad(
+        result = self._bad(
             Level.ERROR if off > error + 1e-6 else Level.WARN,
             "rate_low" if low else "rate_high",
             f"{self._hz.show(case.name, hz):.3g} Hz, not {case.rate:g}",
@@ -234,6 +254,19 @@ class Rates(api.Check):
             f"{'look for load or loss at its node' if low else 'look for a second publisher'}",
             case,
         )
+        return replace(result, settle_s=0.0) if sure else result
+
+    def _changed(self, seen: api.TopicFact, fact: api.RosFact) -> bool:
+        """Whether the rate has surely become another one: each look shows it, and it is not the whole machine that is slow."""
+        if seen.rate is None or seen.rate.changed_s is None:
+            return False
+        nodes = _nodes(seen)
+        topics = (fact.topics.get(f"/{api.topic_id(topic.name)}", api.TopicFact()) for topic in self._topics)
+        others = (topic.rate for topic in topics if topic.rate is not None and nodes.isdisjoint(_nodes(topic)))
+        if any(other.changed_s is not None or other.hz == 0.0 for other in others):
+            return False
+        beacons = (fact.beacons[node] for node in nodes if node in fact.beacons)
+        return all(beacon.late_s <= LATE_S and beacon.age_s <= FRESH_S for beacon in beacons)
 
     @staticmethod
     def _bad(level: Level, condition: str, short: str, words: str, case: _Case) -> api.Result:
@@ -271,6 +304,13 @@ def _why_doubt(doubt: float) -> str:
 
 def _rounded(number: float | None, digits: int) -> float | None:
     return None if number is None else round(number, digits)
+
+
+def _all_turned(seen: api.TopicFact, fact: api.RosFact, due_s: float) -> bool:
+    """Whether the executors of all its publishers, each listed once, have turned since a message was due, `due_s` ago: none of
+    them hangs or is dead."""
+    nodes = _nodes(seen)
+    return bool(nodes) and all(fact.nodes.get(node) == 1 and turned_s(node, fact) <= due_s for node in nodes)
 
 
 def _nodes(seen: api.TopicFact) -> set[str]:

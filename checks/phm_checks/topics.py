@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._ends import Ends, Key
 from phm_checks._near import sentence, strays
 from phm_checks._pairs import (
     Pair,
@@ -20,14 +22,21 @@ from phm_checks._pairs import (
     serves,
     sides,
 )
+from phm_checks._presence import all_alive
 from phm_checks._qos import Mismatch, mismatches
 from phm_checks._words import brief, clean, did_you_mean, joined, last, listed, span
 
 OLD_PICTURE_S = 5.0
 """A picture of the graph older than this proves nothing."""
+SETTLE_S = 1.5
+"""The ends of a dying node may leave the graph so much before it is known to be dead."""
+SURE_S = 0.2
+"""The same for what is wrong between ends that are there, of nodes that live: no death explains it."""
 STRAY_S = 10.0
 """A subscription on an almost right name may wait for its own publisher, which starts later."""
 SHOWN = 3
+BETWEEN = ("qos_mismatch", "type_wrong")
+"""Conditions that say nothing of an end that is away."""
 
 
 class Topics(api.Check):
@@ -49,8 +58,7 @@ class Topics(api.Check):
         self._targets = {unit.id: unit.target for unit in units}
         self._grace_s = grace_s
         self._homes = dict(homes)
-        self._had: set[tuple[str, str, str]] = set()
-        """Named ends that were there since their node came into the graph: topic, kind, node. At most as many as configured."""
+        self._ends = Ends()
         self._stray_since: dict[str, float] = {}
         self._audits: dict[str, tuple[object, Sequence[api.Result]]] = {}
 
@@ -64,7 +72,7 @@ class Topics(api.Check):
             needs = [*(f"container/{key}", f"network/{key}")] if key else []
             needs += [f"nodes/{node}" for node in nodes]
             units.append(
-                api.Unit(_unit(topic), needs=tuple(needs), target=key, settle_s=1.5, grace_s=settings.ros.grace)
+                api.Unit(_unit(topic), needs=tuple(needs), target=key, settle_s=SETTLE_S, grace_s=settings.ros.grace)
             )
         named = {full(node) for topic in topics for node in (*topic.publishers, *topic.subscribers)}
         homes = {node: settings.container_of_node(node) for node in named}
@@ -93,7 +101,7 @@ class Topics(api.Check):
     def _judge(self, topic: api.TopicSettings, fact: api.RosFact, now: float) -> api.Result:
         """What is missing comes first, then the worst of: type, quality of service, an almost right name."""
         seen = fact.topics.get(full(topic.name), api.TopicFact())
-        missing = self._missing(topic, seen, fact)
+        missing = self._missing(topic, seen, fact, now)
         if missing is not None:
             if fact.up_s < self._grace_s:
                 return api.stale(
@@ -102,7 +110,9 @@ class Topics(api.Check):
             return missing
         found = [*self._audit(topic, seen), *self._unfed(topic, seen, fact, now)]
         if found:
-            return api.worst(found)
+            worst = api.worst(found)
+            sure = worst.condition in BETWEEN and all_alive((*seen.publishers, *seen.subscribers), fact)
+            return replace(worst, settle_s=SURE_S) if sure else worst
         return api.ok(
             f"Topic {api.topic_id(topic.name)} is connected: {_count(seen.publishers, 'publisher')}, "
             f"{_count(seen.subscribers, 'subscriber')}",
@@ -120,14 +130,16 @@ class Topics(api.Check):
         self._audits[topic.name] = (ends, found)
         return found
 
-    def _missing(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact) -> api.Result | None:
+    def _missing(
+        self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float
+    ) -> api.Result | None:
         """The first of: no such topic, a publisher is missing, a subscriber is missing."""
         name = full(topic.name)
         sides_of = (
             ("publisher", topic.publishers, seen.publishers),
             ("subscriber", topic.subscribers, seen.subscribers),
         )
-        lost = [found for kind, wanted, there in sides_of for found in self._lost(name, kind, wanted, there, fact)]
+        lost = [found for kind, wanted, there in sides_of for found in self._lost(name, kind, wanted, there, fact, now)]
         if not lost and not seen.publishers and not seen.subscribers:
             return self._bad(
                 topic, seen, Level.ERROR, "topic_missing", "missing",
@@ -135,13 +147,16 @@ class Topics(api.Check):
                 f"{_hint(topic, fact, (*topic.publishers, *topic.subscribers), absent=True)}",
             )  # fmt: skip
         if lost:
-            kind, node = lost[0]
-            return self._bad(
+            _, kind, node = lost[0]
+            settles = [self._ends.settle_s(key, fact, now) for key in lost]
+            known = [settle_s for settle_s in settles if settle_s is not None]
+            result = self._bad(
                 topic, seen, Level.ERROR, f"{kind}_lost", f"lost {kind} {last(node)}"[:30],
                 f"topic {name} has lost its {kind} {node}, which was there before and whose node still runs: it gave its "
                 f"{'publisher' if kind == 'publisher' else 'subscription'} up; see its log, restart it",
                 self._homes.get(node, ""),
             )  # fmt: skip
+            return replace(result, settle_s=max(known) if len(known) == len(settles) else None)
         for kind, wanted, there in sides_of:
             names = {end.node for end in there}
             lacking = [full(node) for node in wanted if full(node) not in names]
@@ -161,21 +176,22 @@ class Topics(api.Check):
         return None
 
     def _lost(
-        self, name: str, kind: str, wanted: Sequence[str], there: Sequence[api.EndpointFact], fact: api.RosFact
-    ) -> list[tuple[str, str]]:
-        """Kind and node of named ends that their running nodes once had. What never was there is a matter of configuration, and no
-        restart helps; neither is anything known of a node that was started anew."""
+        self,
+        name: str,
+        kind: str,
+        wanted: Sequence[str],
+        there: Sequence[api.EndpointFact],
+        fact: api.RosFact,
+        now: float,
+    ) -> list[Key]:
+        """Named ends that their running nodes once had."""
         names = {end.node for end in there}
-        lost = []
-        for node in map(full, wanted):
-            key = (name, kind, node)
-            if node in names:
-                self._had.add(key)
-            elif not fact.nodes.get(node):
-                self._had.discard(key)
-            elif key in self._had:
-                lost.append((kind, node))
-        return lost
+        keys = [(name, kind, node) for node in map(full, wanted)]
+        return [
+            key
+            for key in keys
+            if self._ends.lost(key, there=key[2] in names, listed=bool(fact.nodes.get(key[2])), now=now)
+        ]
 
     def _type(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
         """ERROR for a needed end whose type is not the configured one, or for a needed pair that differs; else WARN."""

@@ -15,7 +15,7 @@ from phm.tracker.units import NEVER, Entry, Hold, Scene, Step, Tracked
 ITSELF = "itself"
 ASK_AGAIN_S = 1.0
 """While a bad result waits to be confirmed, it and its needs are run again this often."""
-LOOK_AGAIN_S = 0.25
+LOOK_AGAIN_S = 0.15
 """A unit that settles, even this often: evidence may end the waiting early (`Result.settle_s`)."""
 UNPROVEN_S = 30.0
 """How long a unit that is OK again stays ERROR because what needs it has not come back: time for the next action."""

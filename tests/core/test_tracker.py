@@ -146,7 +146,7 @@ def test_what_settles_is_looked_at_often() -> None:
     bench.now += 1
     bench.see("nodes", BAD)
     bench.see("container", OK)
-    assert bench.later(0.2) == set()
+    assert bench.later(0.1) == set()
     assert bench.later(0.1) == {"nodes"}
 
 

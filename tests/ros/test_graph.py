@@ -191,3 +191,31 @@ def test_the_child_ends_with_its_parent(bench: Bench) -> None:
     daemon.wait()
     daemon.stdout.close()
     until(lambda: gone(child), "the end of the child")
+
+
+SLEEPY = (
+    "import phm.probes.ros.child as child; plain = child._report\n"
+    "child._report = lambda watch, out, tick_s: plain(watch, out, 3600.0); raise SystemExit(child.main())"
+)
+"""A child that looks once an hour, and when the middleware tells of a change."""
+
+
+def test_a_change_of_the_graph_is_seen_at_once(bench: Bench) -> None:
+    """Nodes and ends that come and go, and a publisher that is made anew with another quality: nobody waits for the next look."""
+    probe = bench.probe(
+        [{"name": TOPIC}], command=(sys.executable, "-c", SLEEPY), limits=Limits(start_s=60.0, silent_s=60.0)
+    )
+    node = bench.node("node_1", "--publish", "topic_1:10", "--subscribe", "topic_1", "--no-beacon")
+    seen(
+        probe, lambda fact: [end.node for end in fact.topics[TOPIC].publishers] == ["/agent_1/node_1"], "the publisher"
+    )
+    node.send_signal(signal.SIGHUP)
+    seen(probe, lambda fact: not fact.topics[TOPIC].subscribers, "that it listens no more")
+    node.send_signal(signal.SIGRTMIN + 1)
+    seen(
+        probe,
+        lambda fact: [end.reliability for end in fact.topics[TOPIC].publishers] == ["best_effort"],
+        "the publisher that was made anew",
+    )
+    node.terminate()
+    seen(probe, lambda fact: not fact.nodes and not fact.topics[TOPIC].publishers, "its absence")

@@ -1,7 +1,7 @@
 """The child process that looks at ROS, so that the middleware can crash or hang without harm to PHM.
 
 Started by `phm.probes.ros.process`. The parts that it looks with (`watch`) alone import rclpy. There is one hidden
-node, no executor and no thread of its own. It ends when its parent does.
+node, no executor, and one thread that only waits for the graph to change. It ends when its parent does.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from phm.probes.ros.lines import Lines
@@ -20,7 +19,6 @@ from phm.probes.ros.protocol import (
     Message,
     Missing,
     ProtocolError,
-    Publish,
     decode_order,
     decode_wanted,
     encode,
@@ -72,29 +70,36 @@ def _report(watch: Watch, out: int, tick_s: float) -> None:
     leak = _Leak(os.environ.get("PHM_DEBUG_ROS_LEAK_MB", ""))
     next_s = time.monotonic()
     orders = Lines()
+    told = False
     while True:
-        _send(out, *watch.look())
+        _send(out, *watch.look(told=told))
         leak.grow()
-        next_s = max(next_s + tick_s, time.monotonic())
-        if not _wait(next_s, orders, watch.obey):
+        if not told:
+            next_s = max(next_s + tick_s, time.monotonic())
+        woken = _wait(next_s, orders, watch)
+        if woken is None:
             return
+        told = woken
 
 
-def _wait(until_s: float, orders: Lines, obey: Callable[[Publish], None]) -> bool:
-    """Sleep, and carry out what the daemon writes meanwhile; False as soon as it has closed the pipe."""
+def _wait(until_s: float, orders: Lines, watch: Watch) -> bool | None:
+    """Sleep, and carry out what the daemon writes meanwhile. True: the graph may have changed. None: the pipe is closed."""
+    ears = [0] if watch.events is None else [0, watch.events]
     while True:
         left_s = until_s - time.monotonic()
         if left_s <= 0:
-            return True
-        readable, _, _ = select.select([0], [], [], left_s)
+            return False
+        readable, _, _ = select.select(ears, [], [], left_s)
         if not readable:
             continue
+        if 0 not in readable:
+            return True
         piece = os.read(0, 65536)
         if not piece:
-            return False
+            return None
         for line in orders.add(piece):
             try:
-                obey(decode_order(line))
+                watch.obey(decode_order(line))
             except ProtocolError as error:
                 sys.stderr.write(f"phm ros child: {error}\n")
 

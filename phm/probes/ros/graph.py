@@ -1,7 +1,8 @@
 """What discovery knows: nodes by name, and the endpoints of the topics that are wanted.
 
 Runs in the child alone. Names and counts cost microseconds and are read each tick; the endpoints, with
-node names and QoS, cost 50 us a topic and are read when names or counts changed, and once a second.
+node names and QoS, cost 50 us a topic and are read when the middleware tells of a change, when names or counts
+changed, and once a second.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ class Graph:
         self.publishers: dict[str, tuple[EndpointFact, ...]] = dict.fromkeys(topics, ())
         self.subscribers: dict[str, tuple[EndpointFact, ...]] = dict.fromkeys(topics, ())
 
-    def look(self, now_s: float) -> bool:
-        """Read what may have changed; True when something did."""
+    def look(self, now_s: float, *, told: bool = False) -> bool:
+        """Read what may have changed; True when something did. told: the middleware says that something has."""
         nodes = self._read_nodes()
         counts = self._read_counts()
         changed = nodes != self.nodes
-        if changed or counts != self._counts or self._unsettled or now_s >= self._next_full_s:
+        if told or changed or counts != self._counts or self._unsettled or now_s >= self._next_full_s:
             self._next_full_s = now_s + self._full_s
             changed = self._read_endpoints() or changed
         self.nodes, self._counts = nodes, counts

@@ -212,6 +212,7 @@ class Meter:
             self._restarts.count,
             _rounded(self.sample_bytes),
             _rounded(error_hz),
+            _rounded(newest.changed_s if newest is not None and hz and len(self._tracks) == 1 else None),
         )
 
     def _error_hz(self, now_s: float, hz: float | None, window_s: float) -> float | None:

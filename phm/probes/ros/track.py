@@ -6,6 +6,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 
+from phm.probes.ros.pace import Pace
 from phm.probes.ros.recent import Recent
 
 SHORTEST_S = 1.0
@@ -48,6 +49,12 @@ class Track:
         self._counted = 0
         self._falls: deque[float] = deque(maxlen=FALLS)
         self._beat = Beat()
+        self._pace = Pace()
+        self._usual: tuple[float | None, float | None] = (None, None)
+        """Rate and jitter as of the last look that was as usual."""
+        self._odd_from: Sample | None = None
+        self._changed_from: Sample | None = None
+        """The newest sample before the looks that show another rate; the same where they were enough."""
         self._quickest = Recent(QUICKEST_S)
         self.last: Sample | None = None
         self.fell = False
@@ -69,10 +76,12 @@ class Track:
         self.fell = False
         continues = self.last is None or self._continues(self.last, sample, numbered)
         if not continues:
-            self._kept.clear()
+            self.forget()
         self._kept.append(sample)
         while sample.at_s - self._kept[0].at_s > self.window_s and len(self._kept) > 2:
             self._kept.popleft()
+        if self._pace.steady:
+            self._usual, self._odd_from = (self.hz, self.jitter_s), sample
         self._quickest.add(-sample.delay_s, sample.at_s)
         self.last = sample
         return continues
@@ -90,12 +99,24 @@ class Track:
             self._quickest.clear()
             return False
         if self._kept:  # else this is the first sample after a silence
+            if numbered and self._pace.add(count, published_s, *self._usual):
+                self._change()
             self._beat.add(count, published_s)
         return True
+
+    def _change(self) -> None:
+        """What was before is of another rate."""
+        self._changed_from = self._odd_from
+        assert self._changed_from is not None
+        while self._kept[0].at_s < self._changed_from.at_s:
+            self._kept.popleft()
+        self._beat = Beat()
 
     def forget(self) -> None:
         """Begin anew: what comes after a silence must not be averaged with it."""
         self._kept.clear()
+        self._pace.forget()
+        self._changed_from = None
 
     def mixed(self, now_s: float) -> bool:
         """Whether these numbers can only be those of several publishers."""
@@ -114,6 +135,11 @@ class Track:
         first, last = self._kept[0].sequence, self._kept[-1].sequence
         assert first is not None and last is not None
         return (last - first) / self.span_s
+
+    @property
+    def changed_s(self) -> float | None:
+        """For how long it has had another rate than before, at each look; None: not that began within the window."""
+        return self.span_s if self._kept and self._kept[0] is self._changed_from else None
 
     @property
     def jitter_s(self) -> float | None:

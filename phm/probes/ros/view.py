@@ -13,6 +13,7 @@ from phm.ros_facts import NameFact, RateFact
 
 _with_rate = changer(TopicFact, "rate")
 _with_silence = changer(RateFact, "silent_s")
+_with_age = changer(RateFact, "age_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +57,26 @@ class View:
         if rate is None:
             return topic
         silent_s = self.silent_s.get(name, rate.silent_s)
-        return topic if silent_s is None else _with_rate(topic, _with_silence(rate, silent_s + age_s))
+        if silent_s is None:
+            return topic
+        silent_s += age_s
+        aged: RateFact = _with_silence(rate, silent_s)
+        if rate.hz == 0.0 and rate.age_s is not None and rate.silent_s is not None:
+            # Nothing has come since the picture was made: then it told how long before the look the last one was published.
+            aged = _with_age(aged, rate.age_s + max(0.0, silent_s - rate.silent_s))
+        told: TopicFact = _with_rate(topic, aged)
+        return told
+
+
+def flow(rate: RateFact) -> tuple[bool, bool, str]:
+    """What must not change unnoticed of a rate: whether it is silent, whether it has become another one, why it is not known."""
+    return rate.hz == 0.0, rate.changed_s is not None, rate.problem
 
 
 def _shape(picture: Picture) -> object:
-    """What must not change unnoticed: nodes, endpoints, and whether topics flow."""
+    """What must not change unnoticed: nodes, endpoints, and how topics flow."""
     flows = {
-        name: (topic.publishers, topic.subscribers, topic.rate and (topic.rate.hz == 0.0, topic.rate.problem))
+        name: (topic.publishers, topic.subscribers, topic.rate and flow(topic.rate))
         for name, topic in picture.topics.items()
     }
     return dict(picture.nodes), flows

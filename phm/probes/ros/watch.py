@@ -17,8 +17,10 @@ from phm.probes.ros.beacons import Beacons
 from phm.probes.ros.diagnostics import Diagnostics
 from phm.probes.ros.gauge import Gauge
 from phm.probes.ros.graph import Graph
+from phm.probes.ros.graph_events import GraphEvents
 from phm.probes.ros.names import Names
 from phm.probes.ros.protocol import Message, Others, Picture, Publish, Tick, Wanted
+from phm.probes.ros.view import flow
 from phm.ros_facts import RateFact, TopicFact
 
 
@@ -45,13 +47,21 @@ class Watch:
         self._names = Names(self._node, {topic.name for topic in wanted.topics})
         self._diagnostics = Diagnostics(self._node, wanted.listen)
         self._beacons = Beacons(self._node, frozenset(wanted.nodes))
+        self._events = GraphEvents(self._node, self._context)
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
-        self._states: dict[str, tuple[bool, str]] = {}
+        self._states: dict[str, tuple[bool, bool, str]] = {}
 
-    def look(self) -> list[Message]:
-        """Called once a tick: what there is to tell the daemon."""
-        messages: list[Message] = [self._picture()]
+    @property
+    def events(self) -> int | None:
+        """A descriptor that is readable when the graph may have changed; None where there is none."""
+        return self._events.fd
+
+    def look(self, *, told: bool = False) -> list[Message]:
+        """Called once a tick, and told when `events` was readable: what there is to tell the daemon."""
+        if told:
+            self._events.take()
+        messages: list[Message] = [self._picture(told=told)]
         if self._names.look(time.monotonic()):
             messages.append(Others(self._names.names))
         return messages + self._beacons.look() + self._diagnostics.look()
@@ -60,14 +70,14 @@ class Watch:
         """Called as soon as the daemon has said so."""
         self._diagnostics.publish(order)
 
-    def _picture(self) -> Picture | Tick:
+    def _picture(self, *, told: bool) -> Picture | Tick:
         """The whole picture when something changed or it is time, else only that nothing did."""
         now_s = time.monotonic()
-        changed = self._graph.look(now_s)
+        changed = self._graph.look(now_s, told=told)
         rates: dict[str, RateFact] = {}
         for name, gauge in self._gauges.items():
             rates[name] = gauge.look(now_s, self._graph.publishers[name])
-        states = {name: (rate.hz == 0.0, rate.problem) for name, rate in rates.items()}
+        states = {name: flow(rate) for name, rate in rates.items()}
         up_s = round(now_s - self._began_s, 3)
         if not changed and states == self._states and now_s < self._next_full_s:
             return Tick(up_s, {name: rate.silent_s for name, rate in rates.items()})
@@ -82,5 +92,6 @@ class Watch:
 
     def close(self) -> None:
         """Leave the graph politely, so that others forget this participant now and not after its lease."""
+        self._events.close()
         self._node.destroy_node()
         self._context.try_shutdown()
