@@ -90,6 +90,11 @@ class Parts:
         """See `MavlinkHub.reopen`."""
         return self.mavlink is not None and self.mavlink.reopen(link, timeout_s)
 
+    def begun(self, container: str) -> None:
+        """A configured container has been started: see `MavlinkHub.hurry`."""
+        if self.mavlink is not None:
+            self.mavlink.hurry(container)
+
     def link_reports(self) -> list[dict[str, Any]]:
         """The MAVLink endpoints for `phm status`, see `MavlinkHub.report`."""
         return self.mavlink.report() if self.mavlink is not None else []

@@ -165,6 +165,7 @@ class Daemon:
             self.pipeline.expect_end(event.key, STOPPING_S)
         if event.begins_life:
             self.pipeline.started(event.key)
+            self.parts.begun(event.key)
         for subject in event.subjects:
             self._wake(subject)
 

@@ -268,6 +268,9 @@ class EndpointSettings(Section):
     which both are connected; `peers`: the other agents, and neither ground nor autopilot."""
     radio: Literal["auto", "required", "off"] = "auto"
     """Whether a telemetry radio that sends RADIO_STATUS is behind it; `auto`: once it was heard it must be there."""
+    container: Name | None = None
+    """Key of the configured container at its other end, such as a MAVLink router's. Its faults are told there, and when it
+    is started the connection is tried at once. Default: none."""
 
     @property
     def key(self) -> str:

@@ -207,6 +207,10 @@ def endpoints_are_told_apart(root: View) -> None:
     endpoints = list(root.get("mavlink", "endpoints").records())
     no_twins("endpoint", ((entry.get("url").text, entry.get("url")) for entry in endpoints))
     no_twins("endpoint name", ((entry.get("name").text, entry.get("name")) for entry in endpoints))
+    known = {container_key(container): container for container in root.get("containers").records()}
+    for entry in endpoints:
+        if entry.get("container").text:
+            _configured(entry.get("container"), known)
     autopilot = root.get("mavlink", "autopilot")
     if autopilot.value is True and not root.get("mavlink", "endpoints").value:
         autopilot.complain("is true, but there are no endpoints to hear it on: add one to 'mavlink.endpoints'")

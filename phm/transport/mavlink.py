@@ -130,6 +130,12 @@ class MavlinkHub:
         """Close the endpoint of this name and open it anew; whether it was open again in time. Blocks for so long at most."""
         return any(endpoint.reopen(timeout_s) for endpoint in self._endpoints if endpoint.name == link)
 
+    def hurry(self, container: str) -> None:
+        """The container at the other end of some endpoints has been started: those that are closed are tried at once."""
+        for endpoint in self._endpoints:
+            if endpoint.container == container:
+                endpoint.hurry()
+
     def counters(self) -> dict[str, Counters]:
         return {endpoint.name: endpoint.codec.counters for endpoint in self._endpoints}
 

@@ -48,13 +48,15 @@ class Endpoint:
         deliver: Callable[[Any, str], None],
         changed: Callable[[], None],
     ) -> None:
-        self.name = settings.key
+        self.name, self.container = settings.key, settings.container
         self.to_peers = settings.leads_to == "peers"
         self.codec = codec
         self._clock, self._deliver, self._changed = clock, deliver, changed
         self._outbox = Outbox(clock, settings.budget or None)
         self._stopping = threading.Event()
-        self._opener = Opener(settings, codec, clock, self._stopping)
+        self._soon = threading.Event()
+        """Ends every wait while it is closed; also set with `_stopping`."""
+        self._opener = Opener(settings, codec, clock, self._soon)
         self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._fact: LinkFact | None = None
         self._line: LineCount | None = None
@@ -103,9 +105,15 @@ class Endpoint:
             self._clock.wait(self._stopping, REOPEN_POLL_S)
         return self._opened != before
 
+    def hurry(self) -> None:
+        """What is at the other end has been started: try at once, and soon again. Nothing happens while it is open."""
+        if self._fact is None or not self._fact.open:
+            self._soon.set()
+
     def stop(self) -> None:
         """Ask the thread to send what is queued, at most FAREWELL_S long, and to end."""
         self._stopping.set()
+        self._soon.set()
         self._ring()
 
     def join(self, timeout_s: float) -> None:
@@ -129,8 +137,11 @@ class Endpoint:
                 self._tell(is_open=False, error=f"{type(error).__name__}: {error}")
             if was_open and self._clock.mono() - opened >= STEADY_S:
                 wait_s = BACKOFF_S
-            self._clock.wait(self._stopping, wait_s)
-            wait_s = min(2 * wait_s, BACKOFF_MAX_S)
+            if self._clock.wait(self._soon, wait_s) and not self._stopping.is_set():
+                self._soon.clear()
+                wait_s = BACKOFF_S
+            else:
+                wait_s = min(2 * wait_s, BACKOFF_MAX_S)
 
     def _live(self, channel: Channel) -> None:
         """Serve an open channel until PHM stops or wants it opened anew. Raises OSError when it is lost."""
@@ -140,6 +151,9 @@ class Endpoint:
             self._heard = self._clock.mono()
             self._outbox.expire()
             self._again.clear()
+            self._soon.clear()
+            if self._stopping.is_set():
+                self._soon.set()
             self._opened += 1
             while not self._stopping.is_set():
                 self._turn(channel, IDLE_S)

@@ -21,14 +21,14 @@ from phm.transport.serial_line import LineCount, count, keep_dtr
 CONNECT_LIMIT_S = 5.0
 RESOLVE_LIMIT_S = 5.0
 _SLICE_S = 0.1
-"""How soon an opening notices that PHM is closing."""
+"""How soon an opening notices that it is to end."""
 
 
 class Opener:
-    """Opens one endpoint again and again. `open` is called in the endpoint's own thread."""
+    """Opens one endpoint again and again. `open` is called in the endpoint's own thread, and given up when `enough` is set."""
 
-    def __init__(self, settings: EndpointSettings, codec: Codec, clock: Clock, stopping: threading.Event) -> None:
-        self._settings, self._codec, self._clock, self._stopping = settings, codec, clock, stopping
+    def __init__(self, settings: EndpointSettings, codec: Codec, clock: Clock, enough: threading.Event) -> None:
+        self._settings, self._codec, self._clock, self._enough = settings, codec, clock, enough
         self._scheme = "serial"
         self._resolver: Resolver | None = None
         self._target: Address | None = None
@@ -61,7 +61,7 @@ class Opener:
         assert self._resolver is not None
         done = self._resolver.ask()
         end = self._clock.mono() + RESOLVE_LIMIT_S
-        while not done.is_set() and not self._stopping.is_set() and self._clock.mono() < end:
+        while not done.is_set() and not self._enough.is_set() and self._clock.mono() < end:
             done.wait(_SLICE_S)
         self._target = self._resolver.answer()
         return self._target
@@ -83,7 +83,7 @@ class Opener:
         poller = select.poll()
         poller.register(sock, select.POLLOUT)
         end = self._clock.mono() + CONNECT_LIMIT_S
-        while not self._stopping.is_set() and self._clock.mono() < end:
+        while not self._enough.is_set() and self._clock.mono() < end:
             if poller.poll(_SLICE_S * 1000):
                 return sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         return errno.ETIMEDOUT

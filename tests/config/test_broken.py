@@ -232,6 +232,8 @@ BROKEN = [
            ("is 'run/*.mcap'", "without '/'")),
     Broken("all may go at once", "host:\n  make_room:\n  - {path: /bags, files: ['*'], older_than: 1s}\n", 3,
            "host.make_room[0].older_than", ("is 1", "10 or more")),
+    Broken("link to no container", ONE + "mavlink:\n  endpoints:\n  - {url: 'tcp:a:5760', container: rooter}\n", 5,
+           "mavlink.endpoints[0].container", ("unknown container 'rooter'",)),
     # names of parts
     Broken("check", "checks:\n  nods: {}\n", 2, "checks.nods", ("unknown check 'nods', did you mean 'nodes'?",)),
     Broken("need", "checks:\n  host:\n    needs: [hots]\n", 3, "checks.host.needs[0]", ("unknown need 'hots'", "'host'")),
