@@ -30,7 +30,7 @@ _BESIDE = ("app", "files", "host")
 
 
 def group(fault: Fault) -> str:
-    return _GROUPS.get(fault.unit.partition("/")[0], "link")
+    return "link" if fault.layer == "link" else _GROUPS.get(fault.unit.partition("/")[0], "link")
 
 
 def class_of(fault: Fault) -> Class:

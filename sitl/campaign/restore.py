@@ -13,8 +13,8 @@ from sitl.swarm.swarm import Swarm, SwarmAgent
 
 
 def restore(swarm: Swarm, agent: SwarmAgent) -> None:
-    """Links, device, file, networks, configuration; then application and PHM are restarted. Each step is tried by itself."""
-    for step in (_air, _device, _networks, _file, _application, _phm):
+    """Links, router, device, file, networks, configuration; then application and PHM are restarted. Each step is tried by itself."""
+    for step in (_air, _router, _device, _networks, _file, _application, _phm):
         _try(step, swarm, agent)
 
 
@@ -26,6 +26,10 @@ def _try(step: Callable[[Swarm, SwarmAgent], None], swarm: Swarm, agent: SwarmAg
 def _air(swarm: Swarm, agent: SwarmAgent) -> None:
     swarm.air.split([])
     swarm.air.reset(agent.number)
+
+
+def _router(_: Swarm, agent: SwarmAgent) -> None:
+    agent.router.start()
 
 
 def _device(_: Swarm, agent: SwarmAgent) -> None:

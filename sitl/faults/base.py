@@ -76,6 +76,11 @@ class Agent:
         return self.container("phm")
 
     @property
+    def router(self) -> Container:
+        """The MAVLink router aboard; LookupError when it has none of its own."""
+        return self.container("router")
+
+    @property
     def links(self) -> Air:
         """Its emulated links; LookupError when it has none."""
         if self.air is None:

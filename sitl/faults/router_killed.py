@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import time
-
-from sitl.faults.base import Agent, Fault
+from sitl.faults.base import Agent, Fault, died
 
 
 class Injection(Fault):
-    """Connections to it are refused. PHM opens its own again as soon as somebody answers; the router is not PHM's to start."""
+    """`docker kill` of the container in which it runs. Connections to it are refused until it is started."""
 
-    name, title, unit = "router_killed", "MAVLink router killed", "link/router"
-    condition = "link_closed"
+    name, title, unit = "router_killed", "MAVLink router killed", "container/router"
+    condition = "exited"
     layer = "link"
     cause = "the MAVLink router aboard crashed or was stopped"
-    healable = False
     needs = frozenset({"air"})
 
     def inject(self, agent: Agent) -> float:
-        moment = time.monotonic()
-        agent.links.set(agent.number, "router", off=True)
-        return moment
+        router = agent.router
+        before = router.attrs["State"]["FinishedAt"]
+        router.kill()
+        return died(router, before)
 
     def clear(self, agent: Agent) -> None:
-        agent.links.reset(agent.number)
+        agent.router.start()

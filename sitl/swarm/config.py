@@ -16,7 +16,7 @@ from sitl.swarm.ports import INSIDE
 
 AIR_HOST = "air"
 """Name of the air's container on the network that it shares with the sidecars."""
-APP = "ros_app"
+APP, ROUTER = "ros_app", "router"
 
 
 def graph(options: Options) -> list[NodePlan]:
@@ -33,6 +33,9 @@ def text(options: Options, number: int, changes: Mapping[str, str] | None = None
     plans = graph(options)
     tree["ros"]["nodes"] = [*(_node(agent, plan) for plan in plans), *_beyond(tree["ros"]["nodes"])]
     tree["ros"]["topics"] = _topics(agent, plans)
+    tree["containers"].append(
+        {"name": f"{options.name}-{number}-{ROUTER}-1", "alias": ROUTER, "recover": True, "healthcheck": "ignore"}
+    )
     tree["mavlink"]["endpoints"] = endpoints(options, number)
     tree["mavlink"]["autopilot"] = True
     tree["swarm"]["agents"] = list(range(1, options.agents + 1))
@@ -46,9 +49,10 @@ def endpoints(options: Options, number: int) -> list[dict[str, Any]]:
     """The way to the ground and to the autopilot, and that to the other agents."""
     found: list[dict[str, Any]] = [
         {
-            "url": f"tcp:{AIR_HOST}:{INSIDE.router_of(number)}",
+            "url": f"tcp:{ROUTER}-{number}:{INSIDE.router_of(number)}",
             "name": "router",
             "leads_to": "router",
+            "container": ROUTER,
             "radio": "required",
         },
         {"url": f"udpout:{AIR_HOST}:{INSIDE.peers_of(number)}", "name": "peers", "leads_to": "peers"},

@@ -119,6 +119,7 @@ def _variables(swarm: Swarm, agent: SwarmAgent) -> dict[str, str]:
         "PHM_DEVICE": str(agent.device),
         "PHM_LOGS": str(agent.logs),
         "PHM_CONFIG": str(agent.config),
+        "PHM_ROUTER_PORT": str(INSIDE.router_of(agent.number)),
         "PHM_GRAPH": json.dumps([plan.as_words() for plan in config.graph(swarm.options)]),
         "ROS_DOMAIN_ID": str(agent.number),
     }
@@ -133,6 +134,7 @@ def _application(swarm: Swarm, agent: SwarmAgent, nodes: int, stop: Event) -> No
 
 
 def _sidecar(agent: SwarmAgent, stop: Event) -> None:
+    _started(agent.router)
     watch, sidecar = Watch(agent.record), agent.sidecar
     _started(sidecar)
     _until(lambda: watch.update().array is not None, PHM_LIMIT_S, sidecar, stop)

@@ -15,10 +15,11 @@ from sitl.faults.base import Agent
 from sitl.swarm.control import Air
 from sitl.swarm.ports import Ports
 
-LINKED = sorted(name for name, fault in all_faults().items() if "air" in fault.needs)
+LINKED = sorted(name for name, fault in all_faults().items() if "air" in fault.needs and name != "router_killed")
+"""The router is a container of its own, which no air process has."""
 TOUCHED = {
     "autopilot_silent": ("autopilot",), "gcs_radio_cut": ("ground",), "radio_lossy": ("ground",), "peer_lost": ("peers",),
-    "radio_saturated": ("ground",), "router_killed": ("router",), "autopilot_reboot": (), "peer_split": (),
+    "radio_saturated": ("ground",), "autopilot_reboot": (), "peer_split": (),
 }  # fmt: skip
 """What of the agent's links is other than before; a reboot passes, and a split is not the agent's own."""
 AGENTS = 5
@@ -54,6 +55,30 @@ def test_it_breaks_its_own_link_of_one_agent_and_gives_it_back(name: str, air: A
     fault.clear(agent)
     assert links(air) == before
     assert not air.state()["groups"]
+
+
+def test_a_router_that_is_off_is_one_agents_own(air: Air) -> None:
+    """Its own end in the air refuses connections, and is given back."""
+    before = links(air)
+    air.set(2, "router", off=True)
+    after = links(air)
+    assert [
+        (number, link) for number in before for link in before[number] if before[number][link] != after[number][link]
+    ] == [(2, "router")]
+    air.reset(2)
+    assert links(air) == before
+
+
+def test_a_killed_router_is_killed_in_its_container(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And started again by `clear`, whether it runs or not."""
+    container = mock.Mock(attrs={"State": {"FinishedAt": "0001-01-01T00:00:00Z"}})
+    agent = Agent("phm-test", "agent_2", mock.Mock(), number=2)
+    monkeypatch.setattr(Agent, "container", lambda self, service: {"router": container}[service])
+    container.reload.side_effect = lambda: container.attrs["State"].update(FinishedAt="2026-01-01T00:00:00.5Z")
+    all_faults()["router_killed"].inject(agent)
+    container.kill.assert_called_once_with()
+    all_faults()["router_killed"].clear(agent)
+    container.start.assert_called_once_with()
 
 
 def test_a_split_leaves_two_groups(air: Air) -> None:

@@ -50,10 +50,21 @@ def test_phm_takes_the_configuration_of_each_agent() -> None:
 def test_the_ground_and_the_peers_are_reached_by_ways_of_their_own() -> None:
     """One endpoint to the router, behind which radio and autopilot must be; one to the other agents."""
     router, peers = settings(Options(agents=4), 3).mavlink.endpoints
-    assert (router.leads_to, router.radio) == ("router", "required")
+    assert (router.leads_to, router.radio, router.container) == ("router", "required", "router")
     assert (peers.leads_to, peers.to_ground, peers.to_autopilot) == ("peers", False, False)
     assert router.url.endswith(":5603")
     assert peers.url.endswith(":14603")
+
+
+def test_the_router_aboard_is_a_container_that_phm_may_start() -> None:
+    """Beside the application, which stays the first; each agent has its own."""
+    _, router = settings(Options(agents=4, name="flock"), 3).containers
+    assert (router.name, router.key, router.recover, router.flight_critical) == (
+        "flock-3-router-1",
+        "router",
+        True,
+        False,
+    )
 
 
 def test_each_agent_has_its_own_ports() -> None:

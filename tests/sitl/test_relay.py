@@ -1,0 +1,138 @@
+"""The router of a simulated agent as a program of its own, with real sockets."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from sitl import relay
+from tests.fakes.swarm import until
+
+LIMIT_S = 10.0
+MOST_KB = 12 * 1024
+
+
+class Far:
+    """The air's end."""
+
+    def __init__(self) -> None:
+        self.door = socket.create_server(("127.0.0.1", 0))
+        self.door.settimeout(LIMIT_S)
+        self.port = self.door.getsockname()[1]
+        self.open = contextlib.ExitStack()
+        self.open.enter_context(self.door)
+
+    def connected(self) -> socket.socket:
+        sock, _ = self.door.accept()
+        sock.settimeout(LIMIT_S)
+        return self.open.enter_context(sock)
+
+
+@pytest.fixture
+def far() -> Iterator[Far]:
+    made = Far()
+    with made.open:
+        yield made
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return int(free.getsockname()[1])
+
+
+@pytest.fixture
+def router(far: Far, port: int) -> Iterator[subprocess.Popen[bytes]]:
+    argv = [sys.executable, "-I", "-S", str(Path(relay.__file__)), str(port), "127.0.0.1", str(far.port)]
+    with subprocess.Popen(argv) as process:
+        yield process
+        process.kill()
+
+
+@contextlib.contextmanager
+def connected(port: int) -> Iterator[socket.socket]:
+    found: list[socket.socket] = []
+
+    def tried() -> bool:
+        with contextlib.suppress(ConnectionRefusedError):
+            found.append(socket.create_connection(("127.0.0.1", port), LIMIT_S))
+        return bool(found)
+
+    assert until(tried)
+    with found[0] as near:
+        near.settimeout(LIMIT_S)
+        yield near
+
+
+def ticks(pid: int) -> int:
+    """Processor time so far, in hundredths of a second."""
+    user, system = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+    return int(user) + int(system)
+
+
+def refused(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port), LIMIT_S).close()
+    except ConnectionRefusedError:
+        return True
+    return False
+
+
+def test_bytes_pass_both_ways(router: subprocess.Popen[bytes], far: Far, port: int) -> None:
+    """Also when PHM has been away."""
+    air = far.connected()
+    for _ in range(2):
+        with connected(port) as near:
+            near.sendall(b"up")
+            assert air.recv(10) == b"up"
+            air.sendall(b"down")
+            assert near.recv(10) == b"down"
+
+
+def test_who_comes_later_takes_the_place(router: subprocess.Popen[bytes], far: Far, port: int) -> None:
+    """PHM may have lost a connection that the router still believes in."""
+    air = far.connected()
+    with connected(port) as lost, connected(port) as near:
+        assert lost.recv(10) == b""
+        near.sendall(b"up")
+        assert air.recv(10) == b"up"
+
+
+def test_who_connects_is_refused_while_nothing_is_behind_it(
+    router: subprocess.Popen[bytes], far: Far, port: int
+) -> None:
+    """As by a router that is not there: PHM sees one fault, whichever of the two ends."""
+    air = far.connected()
+    with connected(port) as near:
+        air.close()
+        far.door.close()
+        assert near.recv(10) == b""
+    assert until(lambda: refused(port))
+
+
+def test_it_costs_next_to_nothing(router: subprocess.Popen[bytes], far: Far, port: int) -> None:
+    """One for each agent of a machine: 12 MB at most, and no processor time while nothing comes."""
+    air = far.connected()
+    with connected(port) as near:
+        air.sendall(b"down")
+        assert near.recv(10) == b"down"
+        status = Path(f"/proc/{router.pid}/status").read_text()
+        (resident,) = [line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")]
+        assert int(resident) <= MOST_KB
+        spent = ticks(router.pid)
+        time.sleep(0.5)
+        assert ticks(router.pid) - spent <= 1
+
+
+def test_it_ends_when_it_is_told_to(router: subprocess.Popen[bytes], far: Far) -> None:
+    """`docker stop` does not have to kill it."""
+    far.connected()
+    router.terminate()
+    assert router.wait(LIMIT_S) == 0
