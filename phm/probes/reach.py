@@ -21,12 +21,13 @@ from phm.facts import CannotTell
 
 LIMIT_S = 1.0
 """For an address of which little is known."""
-LEAST_S, TIMES = 0.25, 10
+LEAST_S, TIMES = 0.25, 4
 """One that has answered is given up after so many times the longest that it took of late, but not before LEAST_S: on a
-bridge of this machine an answer takes 0.1 ms, and what delays it is this machine's own load, which shows in each."""
+bridge of this machine the kernel answers within 0.1 ms. What takes longer is mostly PHM itself that waits for a core, and an
+answer that is there by then counts."""
 LEARNED = 5
 """So many answers are needed to know how long they take."""
-_FADES = 0.98
+_FADES = 0.95
 MOST_REMEMBERED = 256
 _DISCARD_PORT = 9
 _COMPLETE = 0x2  # ATF_COM in /proc/net/arp: the address has answered with its hardware address
