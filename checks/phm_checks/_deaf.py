@@ -7,6 +7,7 @@ their processes run, is the way between them and PHM: a firewall, or a transport
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable, Sequence
 
 from phm import api
@@ -19,7 +20,21 @@ SILENT_S = 3.0
 """Well below the time after which the silence of a single node is told, so that this is known before."""
 TOGETHER_S = 1.5
 """Beacons beat five times a second and topics of 1 Hz once: so far apart may be the last signs of nodes cut off at once."""
+ASLEEP, AWAKE = "asleep", "awake"
 OLD_PICTURE_S = 2.0
+SOON_S, SOON_PERIODS = 1.0, 5.0
+"""Where beacons that have threads of their own are among the silent, and all processes sleep, so none of them waits for a processor:
+a second of silence, or so many beats, which a second look must confirm."""
+CONFIRM_S = 0.4
+"""Until the second look: PHM's own child, too, may have been held up, and what has come be still on its way through it."""
+FRESH_S = 0.5
+"""Pictures come four times a second; an older one means that the child is held up."""
+NOISE_S = 0.05
+"""Ages of one sign in two pictures differ by less: none can be of another beat."""
+PAUSE, REMEMBER_S = 2.0, 600.0
+"""A silence that ended by itself shows what this machine does at times: so many times as long is waited for, for so long."""
+ABSENT_S = 4.0
+"""So long nothing may have been heard of nodes that are not listed either. Below the time after which each is told by itself."""
 
 
 class Deaf:
@@ -33,6 +48,10 @@ class Deaf:
         self._wanted = [Wanted(name, key, words[name]) for name in own]
         self._ends = {name: Ends.of(name, settings.ros.topics) for name in own}
         self._life, self._met_at = "", 0.0
+        self._cut_at = 0.0
+        """The last sign before they were told to be cut off was at this moment at the latest."""
+        self._pause_s, self._paused_at = 0.0, 0.0
+        """The last silence of all that ended by itself, and when."""
         self._deaf_life = ""
         """In which it was blocked last, until something was heard in another."""
         self.never_heard = False
@@ -77,12 +96,17 @@ class Deaf:
             return ""
         silent = [found for node in self._wanted if (found := self._silent_s(node, fact)) is not None]
         # What was heard before this life was heard of other processes, whose names may be listed until their lease ends.
-        if len(silent) >= WITNESSES and _together(silent) and now - max(silent) > self._met_at and self._run(world):
-            self.never_heard = False
-            return (
-                f"nothing has come of any of its {len(silent)} nodes for {span(min(silent))}, though discovery lists them and "
-                "their processes run"
-            )
+        in_this_life = silent and now - max(silent) > self._met_at
+        if in_this_life and len(silent) >= WITNESSES:
+            # What was told stays so until something is heard.
+            long = _together(silent, SILENT_S, TOGETHER_S) or now - min(silent) <= self._cut_at
+            silent_s = min(silent) if long and self._run(world) else self._soon(world, fact, silent)
+            if silent_s:
+                self.never_heard, self._cut_at = False, world.clock.mono() - silent_s + NOISE_S
+                return (
+                    f"nothing has come of any of its {len(silent)} nodes for {span(silent_s)}, though discovery lists them and "
+                    "their processes run"
+                )
         if not silent and now - self._met_at > self._grace_s and self._nameless(fact) and self._run(world):
             self.never_heard = True
             return (
@@ -90,6 +114,49 @@ class Deaf:
                 f"the processes of {listed([node.short for node in self._wanted], 3)} run"
             )
         return ""
+
+    def _soon(self, world: api.World, fact: api.RosFact, silent: Sequence[float]) -> float:
+        """How long all of them have been silent, where that is certain before SILENT_S; else 0."""
+        beats = [fact.beacons[node.name].period_s for node in self._wanted if node.name in fact.beacons]
+        all_heard_of = len(silent) == len(self._wanted)
+        if not all_heard_of or len(beats) < WITNESSES or fact.age_s > FRESH_S:
+            return 0.0
+        now = world.clock.mono()
+        pause_s = self._pause_s if now - self._paused_at < REMEMBER_S else 0.0
+        limit_s = max(SOON_S, SOON_PERIODS * max(beats), PAUSE * pause_s)
+        near_s = max(2 * max(beats), FRESH_S)
+        if not _together(silent, limit_s - CONFIRM_S, near_s) or self._run(world) != ASLEEP:
+            return 0.0
+        world.clock.wait(threading.Event(), max(CONFIRM_S, limit_s - min(silent)))
+        try:
+            again = world.ros.look()
+        except api.CannotTell:
+            return 0.0
+        passed_s = world.clock.mono() - now
+        later = [found for node in self._wanted if (found := self._silent_s(node, again)) is not None]
+        if later and min(later) < min(silent):
+            self._pause_s, self._paused_at = min(silent) + passed_s - min(later), now
+            return 0.0
+        sure = again.age_s <= FRESH_S and len(later) == len(self._wanted) and _together(later, limit_s, near_s)
+        return min(later) if sure else 0.0
+
+    def absent(self, world: api.World) -> str:
+        """The evidence that discovery does not pass either, though all nodes run; empty where that cannot be told. After `why`."""
+        now = world.clock.mono()
+        if len(self._wanted) < WITNESSES or now - self._met_at < self._grace_s:
+            return ""
+        try:
+            fact = world.ros.look()
+        except api.CannotTell:
+            return ""
+        heard = [age_s for node in self._wanted for age_s in self._signs(node, fact)]
+        listed_ones = [node.name for node in self._wanted if fact.nodes.get(node.name)]
+        if fact.age_s > OLD_PICTURE_S or fact.up_s < self._grace_s or listed_ones or not heard:
+            return ""
+        silent_s = min(heard) - fact.age_s
+        if silent_s < ABSENT_S or now - silent_s < self._met_at or not self._run(world):
+            return ""
+        return f"none of its {len(self._wanted)} nodes is listed, and nothing has come of them for {span(silent_s)}, though their processes run"
 
     def _silent_s(self, node: Wanted, fact: api.RosFact) -> float | None:
         """Since the last sign of a node that is listed; None: it is not, or it never gave one, so it is no witness."""
@@ -116,15 +183,18 @@ class Deaf:
         heard = any(topic.rate is not None and topic.rate.silent_s is not None for topic in topics)
         return len(found) >= WITNESSES and not any(found) and not heard
 
-    def _run(self, world: api.World) -> bool:
-        """Whether each node has a process of its own, none of them stopped. Asked only when there is a reason."""
+    def _run(self, world: api.World) -> str:
+        """AWAKE or ASLEEP where each node has a process of its own, none of them stopped; else empty. Asked only for a reason."""
         try:
             found, _ = match(self._wanted, world.docker.processes(self._key), {})
         except api.CannotTell:
-            return False
+            return ""
         states = [one.process.state[:1] for one in found.values()]
-        return len(states) == len(self._wanted) and not any(state in ("T", "t") for state in states)
+        if len(states) != len(self._wanted) or any(state in ("T", "t") for state in states):
+            return ""
+        return ASLEEP if all(state == "S" for state in states) else AWAKE
 
 
-def _together(silent: Sequence[float]) -> bool:
-    return min(silent) > SILENT_S and max(silent) - min(silent) <= TOGETHER_S
+def _together(silent: Sequence[float], limit_s: float, apart_s: float) -> bool:
+    """Whether all have been silent for longer than that, and since about the same moment."""
+    return min(silent) > limit_s and max(silent) - min(silent) <= apart_s

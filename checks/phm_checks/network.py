@@ -63,6 +63,13 @@ class Network(PerContainer):
     def _blocked(self, world: api.World, fact: api.ContainerFact) -> api.Result | None:
         """The network is as it must be, and what the nodes say still does not come."""
         why, never = self._deaf.why(world, fact.life), self._deaf.never_heard
+        if not why and (absent := self._deaf.absent(world)):
+            return self._bad(
+                f"{self.key} is connected and answers, but {absent}: look at ROS_DOMAIN_ID, firewalls and discovery between PHM and "
+                "it; nothing is restarted for it",
+                "nodes unheard",
+                "nodes_unheard",
+            )
         if not why and self._deaf.waiting(world, fact.life):
             return api.stale(
                 f"{self.key} is connected; its transport was blocked before it was started, and nothing has come of its nodes since"
