@@ -1,14 +1,19 @@
 """The status file: what the running daemon says about itself, and when to believe it.
 
-Standard library only: `phm status --healthy` runs every few seconds on small computers and must start fast.
+Standard library only: `phm status --healthy` runs every few seconds on small computers and must start fast. The image's HEALTHCHECK
+runs this file itself, without site-packages, which says the same in a fifth of the processor time.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import sys
 import time
-from typing import Any
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:  # importing `typing` would be a fifth of a health check
+    from typing import Any
 
 NAME = "status.json"
 MAX_AGE_S = 5.0
@@ -98,3 +103,20 @@ def _exists(pid: int) -> bool:
     except OSError:
         return True
     return True
+
+
+def main(arguments: list[str]) -> int:
+    """As `phm status --healthy`: a sentence, and 0 or 1. `arguments`: the run_dir, else PHM_RUN_DIR, else /run/phm."""
+    run_dir = arguments[0] if arguments else os.environ.get("PHM_RUN_DIR") or "/run/phm"
+    try:
+        document = read(run_dir)
+        reason = unhealthy(document)
+    except NoStatus as error:
+        document, reason = {}, str(error)
+    well = f"PHM is well: {len(document.get('checks', ()))} units watched."
+    sys.stdout.write(f"PHM is not well: {reason}.\n" if reason else f"{well}\n")
+    return 1 if reason else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -58,12 +58,12 @@ def in_sidecar(*words: str) -> str:
 
 
 def test_the_sidecar_is_no_root_and_watches_itself() -> None:
-    """The image runs `phm run` as user 10001, ends on SIGTERM and asks `phm status --healthy` how it is."""
+    """The image runs `phm run` as user 10001, ends on SIGTERM and asks how it is in the quick way."""
     config = image("phm-sidecar:dev")
     assert config["User"] == "10001:10001"
     assert [*config["Entrypoint"], *config["Cmd"]] == ["ros-entrypoint", "phm", "run"]
     assert config["StopSignal"] == "SIGTERM"
-    assert config["Healthcheck"]["Test"] == ["CMD", "phm", "status", "--healthy"]
+    assert config["Healthcheck"]["Test"] == ["CMD", "python", "-I", "-S", "/opt/phm/code/phm/wire/status_file.py"]
 
 
 def test_the_sidecar_carries_no_tools_to_build_or_fetch_with() -> None:

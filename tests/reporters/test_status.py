@@ -165,3 +165,27 @@ def test_no_status_has_a_reason(tmp_path: Path, content: str | None, reason: str
         (tmp_path / "status.json").write_bytes(content.encode("latin-1"))
     with pytest.raises(status_file.NoStatus, match=reason):
         status_file.read(str(tmp_path))
+
+
+def test_a_health_check_without_packages_says_the_same(tmp_path: Path) -> None:
+    """As the image runs it: the file alone, the standard library alone; no typing, which would be a fifth of its time."""
+    script = Path(status_file.__file__)
+
+    def answer(*before: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-I", "-S", *before, str(script)]
+        environ = {**os.environ, "PHM_RUN_DIR": str(tmp_path)}
+        return subprocess.run(command, env=environ, capture_output=True, text=True, check=False)
+
+    nothing = answer()
+    assert nothing.returncode == 1
+    assert "PHM is not running" in nothing.stdout
+    fresh(tmp_path)
+    well = answer("-X", "importtime")
+    assert (well.returncode, well.stdout[:12]) == (0, "PHM is well:")
+    imported = {line.rpartition("|")[2].strip() for line in well.stderr.splitlines()}
+    assert "json" in imported
+    assert imported.isdisjoint({"typing", "site", "click", "phm"})
+    (tmp_path / "status.json").write_text(json.dumps(fresh(tmp_path, alive=False)))
+    stalled = answer()
+    assert stalled.returncode == 1
+    assert "engine has stalled" in stalled.stdout
