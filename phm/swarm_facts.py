@@ -14,6 +14,7 @@ class PeerFact:
     state: alive, late, unheard by some, lost, never seen, or left (stopped on purpose). age_s: since this agent heard it,
     None when it never did. heard_by, unheard_by: ids of the agents whose view counted, this one included. gcs: whether
     it hears a ground station by its own word; None when it has not said so lately. word: its newest status word.
+    since_s: for how long its state has been this one.
     """
 
     state: str
@@ -22,6 +23,7 @@ class PeerFact:
     unheard_by: tuple[int, ...] = ()
     gcs: bool | None = None
     word: int = 0
+    since_s: float = float("inf")
 
 
 @dataclass(frozen=True, slots=True)

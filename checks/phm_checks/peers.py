@@ -11,7 +11,8 @@ from phm_checks._words import brief, joined, span
 GRACE_S = 30.0
 """Agents are switched on one after another: for so long after PHM's start nobody is missed."""
 SETTLE_S = 5.0
-"""Agents that vanish together are lost within seconds of each other: a split is told before single agents are."""
+"""Agents that vanish together are mostly known to be lost together (`phm.swarm.vanished`), and else within seconds of each
+other: a split is told, at once, before single agents are."""
 WHOLE = "peers/swarm"
 
 
@@ -24,7 +25,7 @@ class Peers(api.Check):
     def __init__(self, agents: Sequence[int]) -> None:
         self._agents = tuple(agents)
         self._units = (
-            api.Unit(WHOLE, settle_s=1.0, grace_s=GRACE_S),
+            api.Unit(WHOLE, grace_s=GRACE_S),
             *(api.Unit(_unit(agent), needs=(WHOLE,), settle_s=SETTLE_S, grace_s=GRACE_S) for agent in self._agents),
         )
 
@@ -49,9 +50,10 @@ class Peers(api.Check):
 
     def _whole(self, fact: api.SwarmFact) -> api.Result:
         """What concerns several agents, and agents that are not configured one by one."""
-        others = {agent: peer for agent, peer in fact.peers.items() if agent not in self._agents}
+        settled = {agent for agent, peer in fact.peers.items() if peer.since_s >= SETTLE_S}
         found = [*_clashes(fact), *_alone(fact), *_split(fact)]
         if not found:
+            others = sorted(settled.difference(self._agents))
             found = [result for agent in others if (result := _agent(agent, fact)).level.bad]
         values: dict[str, api.Value] = {"members": fact.members, "living": fact.living, "speaker": fact.speaker}
         if found:

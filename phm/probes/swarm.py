@@ -17,7 +17,8 @@ from phm.transport.mavlink import MavlinkHub
 from phm.transport.mavlink_budget import periods
 from phm.wire import status_word, tunnel
 
-FRESH_S = 0.5
+FRESH_S, FRESH_PERIODS = 0.5, 0.1
+"""How old the picture may be: the shorter of both, for silence is noticed by looking alone."""
 LINK_S = 60.0
 """A link on which no other agent was heard for so long leads to none."""
 
@@ -43,33 +44,46 @@ class Swarm:
         self._own, self._component = settings.agent.id, settings.mavlink.component_id
         self._gcs_timeout_s = settings.mavlink.gcs_timeout
         expected = settings.swarm.agents
-        heartbeat_s = settings.mavlink.heartbeat or periods(len(expected))[0]
-        self._peers = Peers(self._own, heartbeat_s, expected)
+        self._heartbeat_s = settings.mavlink.heartbeat
+        self._peers = Peers(self._own, self._period_s(len(expected)), expected)
         self._election = Election()
         self._links: dict[str, float] = {}
         self._began = clock.mono()
         self._shown: object = None
         self._fresh: tuple[float, SwarmFact | None] = (0.0, None)
+        self._fresh_s = FRESH_S
+        self._since: dict[int, tuple[str, float]] = {}
+        """Each agent's state, and since when it is so."""
         self._lock = threading.Lock()
         hub.share(len({*expected, self._own}))
         hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_TUNNEL))
         hub.watch(self.wake_if_changed)
 
     def look(self) -> SwarmFact:
-        """Computed anew at most every FRESH_S, and when a frame said something new: a hundred views cost milliseconds."""
+        """Computed anew when a frame said something new, and when it is FRESH_S old or, in a small swarm, a tenth of a
+        heartbeat's period: a hundred views cost milliseconds. Wakes the check when it would judge differently."""
         at, fact = self._fresh
-        if fact is None or self._clock.mono() - at >= FRESH_S:
+        if fact is None or self._clock.mono() - at >= self._fresh_s:
             fact = self._look()
             self._fresh = (self._clock.mono(), fact)
+            self._compare(fact)
         return fact
 
     def _look(self) -> SwarmFact:
         now, gcs = self._clock.mono(), self._hears_ground()
+        closed = {link.name for link in self._hub.links() if not link.open}
         with self._lock:
+            period_s = self._period_s(1 + len(self._peers.all()))
+            self._fresh_s = min(FRESH_S, FRESH_PERIODS * period_s)
+            hears = not any(name in closed and now - at <= LINK_S for name, at in self._links.items())
+            self._peers.watch(now, period_s, hears=hears)
             agreed = agree(self._peers, now, gcs)
             speaker = self._election.speaker(agreed, gcs, now)
             clashing = self._peers.clashing(now)
             links = tuple(sorted(name for name, at in self._links.items() if now - at <= LINK_S))
+            self._since = {
+                agent: self._since_when(agent, verdict.state.value, now) for agent, verdict in agreed.verdicts.items()
+            }
             peers = {agent: self._peer(agent, agreed, now) for agent in agreed.verdicts}
         return SwarmFact(
             self._own, agreed.members, len(agreed.living), peers, agreed.split, without_ground(agreed, gcs), clashing,
@@ -77,9 +91,11 @@ class Swarm:
         )  # fmt: skip
 
     def wake_if_changed(self) -> None:
-        """Look; wake the check when it would judge differently. The number of agents sets the links' budgets."""
+        """Look. The number of agents sets the links' budgets."""
         fact = self.look()
         self._hub.share(fact.members, speaks=fact.speaker == self._own)
+
+    def _compare(self, fact: SwarmFact) -> None:
         picture = (
             {agent: (peer.state, peer.heard_by, peer.gcs) for agent, peer in fact.peers.items()},
             fact.split, fact.deaf, fact.clashing, fact.speaker,
@@ -136,7 +152,18 @@ class Swarm:
         age_s = self._gcs_age_s()
         return age_s is not None and age_s <= self._gcs_timeout_s and not self._deaf()
 
+    def _period_s(self, agents: int) -> float:
+        """Of everybody's heartbeats in a swarm of so many."""
+        return self._heartbeat_s or periods(agents)[0]
+
+    def _since_when(self, agent: int, state: str, now: float) -> tuple[str, float]:
+        was = self._since.get(agent)
+        return was if was is not None and was[0] == state else (state, now)
+
     def _peer(self, agent: int, agreed: Consensus, now: float) -> PeerFact:
         verdict, peer = agreed.verdicts[agent], self._peers.peer(agent)
         age_s = None if peer is None or peer.heard_s is None else now - peer.heard_s
-        return PeerFact(verdict.state.value, age_s, verdict.heard_by, verdict.unheard_by, verdict.gcs, verdict.word)
+        return PeerFact(
+            verdict.state.value, age_s, verdict.heard_by, verdict.unheard_by, verdict.gcs, verdict.word,
+            now - self._since[agent][1],
+        )  # fmt: skip

@@ -1,7 +1,8 @@
 """The other agents, as this one hears them: who lives, who is late, who is lost, who uses an id twice. Pure.
 
 A peer is known by PHM's own heartbeat, which carries its status word. How long its silence may be follows from how
-often it is heard: agents may be set to other periods than ours, and radios lose frames.
+often it is heard: agents may be set to other periods than ours, and radios lose frames. Where its heartbeats were steady, it is
+known to be lost sooner (`phm.swarm.pulse`), and sooner still where others fell silent with it (`phm.swarm.vanished`).
 """
 
 from __future__ import annotations
@@ -10,10 +11,16 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from phm.swarm.pulse import Pulse
+from phm.swarm.vanished import NEARLY, gravest, silences, vanished
 from phm.wire.tunnel import Seen, View
 
 LATE_PERIODS, LOST_PERIODS = 2.5, 5.0
-"""Silence in heartbeat periods of the peer: one lost frame says nothing, four in a row do."""
+"""Silence in heartbeat periods of the peer: one lost frame says nothing, four in a row do. LOST_PERIODS is the most."""
+FADE_S, FADE_MARGIN = 600.0, 1.5
+"""How long a fade is remembered, after which several peers were back, and how much longer a silence then has to be."""
+STALL_PERIODS = 0.5
+"""Looked at after a longer pause, the silence may have been ours: then everybody has a period to be heard first."""
 LEARN = 0.3
 """Weight of the newest gap in the estimate of a peer's period."""
 MAX_PERIOD_S = 60.0
@@ -40,14 +47,21 @@ class Peer:
     word: int = 0
     leaving: bool = False
     """It said POWEROFF: silence that follows is planned."""
-    alive_since: float | None = None
     view: View | None = None
     view_s: float | None = None
     falls: deque[float] = field(default_factory=lambda: deque(maxlen=CLASHES))
+    pulse: Pulse = field(init=False)
+    vanished: bool = False
+    """It fell silent together with others, and was not heard since."""
+    gone: bool = False
+    """It was heard steadily, and is silent for longer than ever."""
     frames: dict[str, int] = field(default_factory=dict)
     """Newest frame number by link."""
     beats: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     """Link, frame number and word of the last heartbeats."""
+
+    def __post_init__(self) -> None:
+        self.pulse = Pulse(self.period_s)
 
     def count(self, frame: int, word: int, link: str, now: float) -> None:
         """Notice a sequence that falls back: a restart, or two senders with one id."""
@@ -68,7 +82,7 @@ class Peer:
         silent_s = now - self.heard_s
         if self.leaving and silent_s > self.period_s:
             return Seen.LOST
-        if silent_s > LOST_PERIODS * self.period_s:
+        if self.vanished or self.gone or silent_s > LOST_PERIODS * self.period_s:
             return Seen.LOST
         return Seen.LATE if silent_s > LATE_PERIODS * self.period_s else Seen.ALIVE
 
@@ -92,6 +106,10 @@ class Peers:
         self._period_s = period_s
         self._expected = frozenset(expected) - {own}
         self._peers = {agent: Peer(agent, period_s) for agent in sorted(self._expected)}
+        self._watched: float | None = None
+        self._blind_until = float("-inf")
+        self._fades: deque[tuple[float, float]] = deque(maxlen=8)
+        """When a fade ended, and how long nothing was heard of several peers, seconds."""
 
     def heartbeat(
         self, agent: int, word: int, now: float, *, leaving: bool = False, frame: int | None = None, link: str = ""
@@ -106,14 +124,16 @@ class Peers:
         if frame is not None:
             peer.count(frame, word, link, now)
         before = (peer.seen(now), peer.word, peer.leaving)
-        if peer.heard_s is not None and before[0] in (Seen.ALIVE, Seen.LATE):
-            gap_s = min(now - peer.heard_s, MAX_PERIOD_S)
+        gap_s = float("inf") if peer.heard_s is None else now - peer.heard_s
+        if before[0] in (Seen.ALIVE, Seen.LATE) or (gap_s <= LOST_PERIODS * peer.period_s and not peer.leaving):
+            gap_s = min(gap_s, MAX_PERIOD_S)
             # Two heartbeats in one moment come from an answer to a ground station, and tell no period.
             if gap_s > 0.2 * peer.period_s:
                 peer.period_s += LEARN * (gap_s - peer.period_s)
-        else:
-            peer.alive_since = now
+                peer.pulse.beat(gap_s)
+        self._fade(peer, now)
         peer.heard_s, peer.word, peer.leaving = now, word, leaving
+        peer.vanished = peer.gone = False
         return before != (peer.seen(now), word, leaving)
 
     def told(self, agent: int, view: View, now: float) -> bool:
@@ -126,6 +146,31 @@ class Peers:
         return old is None or (old.gcs, old.autopilot, old.radio, old.peers) != (
             view.gcs, view.autopilot, view.radio, view.peers
         )  # fmt: skip
+
+    def watch(self, now: float, period_s: float, *, hears: bool = True) -> None:
+        """Notice who is lost sooner than after LOST_PERIODS: alone, or together with others. To be called a few times in each period.
+
+        period_s: of heartbeats in a swarm of this size. hears: the links on which they were heard are open; that one is
+        closed tells it itself.
+        """
+        last, self._watched = self._watched, now
+        if period_s != self._period_s:  # all change over, and the first pause is a long one
+            self._period_s = period_s
+            for peer in self._peers.values():
+                peer.pulse = Pulse(period_s)
+            hears = False
+        if last is None or now - last > STALL_PERIODS * period_s or not hears:
+            longest = max((peer.pulse.period_s for peer in self._peers.values()), default=period_s)
+            self._blind_until = now + 1.5 * longest
+        if now < self._blind_until:
+            return
+        recent = [length for ended, length in self._fades if now - ended <= FADE_S]
+        least_s = FADE_MARGIN * max(recent, default=0.0)
+        listened = self._listened(now)
+        for agent in vanished(silences(listened, now), now, least_s):
+            self._peers[agent].vanished = True
+        for agent, heard_s, pulse in listened:
+            self._peers[agent].gone = pulse.gone(now - heard_s)
 
     def seen(self, now: float) -> dict[int, Seen]:
         """How each member but ourselves is seen, by agent id."""
@@ -147,6 +192,28 @@ class Peers:
             for agent, peer in sorted(self._peers.items())
             if len(peer.falls) == CLASHES and now - peer.falls[0] <= CLASH_PERIODS * peer.period_s
         )
+
+    def _listened(self, now: float) -> list[tuple[int, float, Pulse]]:
+        """Those that are missed when they are silent."""
+        return [
+            (agent, peer.heard_s, peer.pulse)
+            for agent, peer in self._peers.items()
+            if peer.heard_s is not None and not peer.leaving and peer.seen(now) in (Seen.ALIVE, Seen.LATE)
+        ]
+
+    def _fade(self, peer: Peer, now: float) -> None:
+        """Remember how long a silence of several was, when the first of them is heard again before long."""
+        if peer.heard_s is None or not peer.pulse.missed(silent_s := now - peer.heard_s):
+            return
+        if self._fades and now - self._fades[-1][0] <= 2.0 * peer.pulse.period_s:
+            return
+        if peer.vanished:
+            if silent_s <= LOST_PERIODS * peer.period_s:
+                self._fades.append((now, silent_s))
+            return
+        group = gravest(silences(self._listened(now), now))
+        if group is not None and group.weight >= NEARLY and peer.agent in group.agents:
+            self._fades.append((now, now - group.since_s))
 
     def _peer(self, agent: int) -> Peer:
         peer = self._peers.get(agent)

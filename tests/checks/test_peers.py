@@ -8,7 +8,7 @@ import pytest
 
 from phm import testing
 from phm.api import Level, PeerFact, Result
-from phm_checks.peers import WHOLE, Peers
+from phm_checks.peers import SETTLE_S, WHOLE, Peers
 
 ALIVE = PeerFact("alive", 1.0, (1, 2), ())
 LOST = PeerFact("lost", 20.0, (), (1, 2))
@@ -84,6 +84,19 @@ def test_an_id_used_twice_is_told_first() -> None:
 def test_without_configuration_the_heard_ones_are_missed() -> None:
     result = judge({2: ALIVE, 3: LOST}, ())[WHOLE]
     assert (result.level, result.brief) == (Level.ERROR, "A03 lost")
+
+
+def test_without_configuration_a_heard_one_is_missed_no_sooner_than_a_configured_one() -> None:
+    """A view that is on its way may still say that it lives, or that several are lost."""
+    fresh = PeerFact("unheard by some", 7.0, (1,), (2,), since_s=1.0)
+    assert judge({2: ALIVE, 3: fresh}, ())[WHOLE].level is Level.OK
+    lasting = PeerFact("unheard by some", 7.0, (1,), (2,), since_s=SETTLE_S)
+    assert judge({2: ALIVE, 3: lasting}, ())[WHOLE].condition == "peer_partly"
+
+
+def test_what_several_share_is_told_at_once_and_single_agents_after_it() -> None:
+    whole, *single = Peers((2, 3)).units
+    assert (whole.settle_s, {unit.settle_s for unit in single}) == (0.0, {SETTLE_S})
 
 
 def test_alone_and_nobody_expected_is_well() -> None:

@@ -141,6 +141,34 @@ def test_both_sides_of_a_split_speak_for_themselves() -> None:
     assert {agent.probe.look().living for agent in fleet.agents.values()} == {6}
 
 
+def test_a_swarm_that_falls_in_two_knows_it_before_single_agents_are_missed() -> None:
+    """Five minutes in, with heartbeats at times of their own: a cut agent and both halves of a split know it within 3.5 s of it, and
+    never call one agent lost on the way there."""
+    fleet = Fleet(8)
+    for number, agent in fleet.agents.items():
+        agent.reporters[0]._heartbeat_at += 3 * number % 8 / 4  # type: ignore[union-attr]
+    fleet.run(300)
+    halves = [{1, 2, 3, 4}, {5, 6, 7, 8}]
+    for groups in ([{8}, {1, 2, 3, 4, 5, 6, 7}], halves):
+        fleet.cut = {(a, b) for one in groups for other in groups if one is not other for a in one for b in other}
+        sides = [group for group in groups if 2 * len(group) <= 8]
+        for _ in range(14):
+            fleet.run(0.25)
+            for number, agent in fleet.agents.items():
+                away = next(other for other in groups if number not in other)
+                lost = {other for other, peer in agent.probe.look().peers.items() if peer.state == "lost"}
+                assert lost in (set(), away)
+        for side in sides:
+            for number in side:
+                fact = fleet.agents[number].probe.look()
+                assert set(fact.split) == set(fleet.agents) - side
+                assert fact.speaker == min(side)
+        fleet.run(20)  # as long as no fade lasts
+        fleet.cut = set()
+        fleet.run(60)
+        assert {agent.probe.look().living for agent in fleet.agents.values()} == {8}
+
+
 @pytest.mark.parametrize("loss", [0.0, 0.1])
 def test_a_lossy_network_loses_nobody(loss: float) -> None:
     """Ten minutes with a tenth of all frames gone: no agent is ever agreed to be lost."""

@@ -1,0 +1,91 @@
+"""How regularly one peer's heartbeats come: its period, its jitter, how many are lost on the way. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+GAPS = 9
+"""The period is the median of so many gaps: losses of up to a third of the frames do not move it."""
+MEMORY = 150.0
+"""Heartbeats over which the share that is lost is counted, the older ones less."""
+PRIOR_LOST, PRIOR_HEARD = 2.0, 8.0
+"""Before anything is known, a fifth is taken to be lost."""
+FLOOR, SAFETY = 0.04, 2.0
+"""The share of lost heartbeats that is reckoned with: twice what was counted, at least 4 %, for losses come in bursts."""
+MOST = 0.9
+OUTAGE = 5
+"""A pause of more periods is no loss of frames."""
+JITTER, JITTER_MIN, JITTER_MAX, FORGET = 0.1, 0.025, 0.5, 0.98
+"""In periods: the first guess, the bounds, and what is left of the largest deviation a heartbeat later."""
+SURE = math.log(1e4)
+STEADY_HEARD = 60.0
+FEWEST_MISSED, MORE_THAN_EVER = 3, 2
+"""One peer alone is not given up before so many heartbeats are missed, and so many more than ever lately."""
+RUNS = 300
+
+
+@dataclass(slots=True)
+class Pulse:
+    """Of one peer. `period_s`: between its heartbeats, unlike an average of gaps not longer where frames are lost."""
+
+    period_s: float
+    jitter: float = JITTER
+    """The largest deviation of a heartbeat from its time lately, in periods."""
+    heard: float = 0.0
+    lost: float = 0.0
+    pauses: float = 0.0
+    """Counted over MEMORY: heartbeats that came, that did not, and gaps in which some did not."""
+    _gaps: deque[float] = field(default_factory=lambda: deque(maxlen=GAPS), repr=False)
+    _runs: deque[int] = field(default_factory=lambda: deque(maxlen=RUNS), repr=False)
+
+    def beat(self, gap_s: float) -> None:
+        """A heartbeat came, so long after the one before."""
+        self._gaps.append(gap_s)
+        ordered = sorted(self._gaps)
+        self.period_s = ordered[(len(ordered) - 1) // 3] if len(ordered) > 2 else self.period_s
+        periods = gap_s / self.period_s
+        missed = max(0, round(periods) - 1)
+        if missed >= OUTAGE:
+            return
+        self._runs.append(missed)
+        keep = 1.0 - 1.0 / MEMORY
+        self.heard, self.lost = self.heard * keep + 1.0, self.lost * keep + missed
+        self.pauses = self.pauses * keep + (missed > 0)
+        off = abs(periods - missed - 1.0)
+        self.jitter = min(JITTER_MAX, max(JITTER_MIN, self.jitter * FORGET, off))
+
+    @property
+    def share(self) -> float:
+        """Of its heartbeats, how many are reckoned to be lost by chance."""
+        counted = (self.lost + PRIOR_LOST) / (self.heard + self.lost + PRIOR_LOST + PRIOR_HEARD)
+        return min(MOST, max(FLOOR, SAFETY * counted))
+
+    @property
+    def follows(self) -> float:
+        """How often another one is lost after one that is: fades take several."""
+        share = self.share
+        return min(MOST, max(share, (self.lost - self.pauses + PRIOR_LOST * share) / (self.lost + PRIOR_LOST)))
+
+    def weight(self, missed: int) -> float:
+        """What so many missed in a row say: the negative logarithm of their probability by chance."""
+        return -math.log(self.share) - (missed - 1) * math.log(self.follows) if missed else 0.0
+
+    @property
+    def slack_s(self) -> float:
+        """A heartbeat later than this is missed."""
+        return max(2.0 * JITTER_MIN, min(JITTER_MAX, 1.5 * self.jitter)) * self.period_s
+
+    def missed(self, silent_s: float) -> int:
+        """How many heartbeats are overdue by now."""
+        return max(0, math.floor((silent_s - self.slack_s) / self.period_s))
+
+    def gone(self, silent_s: float) -> bool:
+        """Whether its silence alone says that it is lost: only where it has been heard steadily."""
+        if self.heard < STEADY_HEARD:
+            return False
+        missed = self.missed(silent_s)
+        if missed < FEWEST_MISSED or self.weight(missed) < SURE:
+            return False
+        return missed >= MORE_THAN_EVER + max(self._runs, default=0)

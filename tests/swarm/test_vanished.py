@@ -1,0 +1,200 @@
+"""Peers that fall silent together are known to be lost sooner than one of them, and neither chance nor a short fade is taken for it."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable
+from statistics import mean
+
+import pytest
+
+from phm.swarm.peers import LOST_PERIODS, Peers
+from phm.wire.tunnel import Seen
+
+PERIOD_S = 2.0
+STEP_S = 0.2
+WORD = 5
+LEARNED_S = 300.0
+"""Long enough for heartbeats that all came to be known as steady."""
+Heard = Callable[[int, float], bool]
+
+
+class Air:
+    """Agents 2... send heartbeats with up to a tenth of a second of jitter, each at a time of its own; agent 1 listens."""
+
+    def __init__(self, peers: int, seed: int, *, even: bool = False) -> None:
+        self.random = random.Random(seed)
+        self.others = range(2, 2 + peers)
+        self.peers = Peers(1, PERIOD_S, self.others)
+        self.now = 0.0
+        self.hears: Heard = lambda agent, now: True
+        phases = [place / peers if even else self.random.random() for place in range(peers)]
+        self._due = {agent: phase * PERIOD_S for agent, phase in zip(self.others, phases, strict=True)}
+        self._late = dict.fromkeys(self.others, 0.0)
+
+    def run(self, seconds: float, *, until: Callable[[], bool] = lambda: False) -> float:
+        """Seconds until `until`, or all of them; looked at every STEP_S."""
+        began = self.now
+        while self.now < began + seconds and not until():
+            self.now += STEP_S
+            for agent in self.others:
+                while self._due[agent] + self._late[agent] <= self.now:
+                    at = self._due[agent] + self._late[agent]
+                    self._due[agent] += PERIOD_S
+                    self._late[agent] = self.random.random() / 10
+                    if self.hears(agent, at):
+                        self.peers.heartbeat(agent, WORD, at)
+            self.peers.watch(self.now, PERIOD_S)
+        return self.now - began
+
+    def lost(self) -> set[int]:
+        return {agent for agent, seen in self.peers.seen(self.now).items() if seen is Seen.LOST}
+
+    def cut(self, agents: Iterable[int]) -> float:
+        """Seconds until all of these are lost; a random part of a period passes before."""
+        gone = set(agents)
+        self.run(self.random.random() * PERIOD_S)
+        self.hears = lambda agent, now: agent not in gone
+        return self.run(30.0, until=lambda: gone <= self.lost())
+
+    def lossy(self, share: float) -> None:
+        self.hears = lambda agent, now: self.random.random() >= share
+
+
+@pytest.mark.parametrize(("peers", "cut", "even", "average_s", "most_s"), [
+    (7, 7, True, 2.8, 3.0),
+    (7, 7, False, 3.0, 3.8),
+    (4, 4, True, 3.2, 3.6),
+    (7, 4, True, 3.2, 3.6),
+])  # fmt: skip
+def test_a_cut_is_known_long_before_a_single_loss(
+    peers: int, cut: int, even: bool, average_s: float, most_s: float
+) -> None:
+    """All peers, or more than half of them: two missed heartbeats of one and one each of the others are enough."""
+    times = []
+    for seed in range(8):
+        air = Air(peers, seed, even=even)
+        air.run(LEARNED_S)
+        times.append(air.cut(list(air.others)[:cut]))
+    assert mean(times) <= average_s
+    assert max(times) <= most_s
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+@pytest.mark.parametrize("peers", [4, 7])
+def test_random_loss_is_never_taken_for_a_cut(peers: int, share: float) -> None:
+    """Two hours, a fifth of all heartbeats lost: no group ever vanished."""
+    air = Air(peers, 1)
+    air.lossy(share)
+    air.run(7200.0, until=lambda: any(peer.vanished for peer in air.peers.all().values()))
+    assert air.now >= 7200.0
+
+
+def test_a_cut_is_known_on_a_lossy_network_too() -> None:
+    """Never later than a single one would be."""
+    air = Air(7, 2)
+    air.lossy(0.2)
+    air.run(LEARNED_S)
+    longest = max(peer.period_s for peer in air.peers.all().values())
+    assert air.cut(air.others) <= LOST_PERIODS * max(longest, 1.5 * PERIOD_S)
+
+
+@pytest.mark.parametrize("peers", [4, 7])
+def test_a_fade_of_one_period_is_no_cut(peers: int) -> None:
+    """This agent's own radio hears nobody for 2 s, a hundred times, with nothing learned from the fades before."""
+    air = Air(peers, 3)
+    air.run(LEARNED_S)
+    for _ in range(100):
+        air.peers._fades.clear()
+        end = air.now + PERIOD_S
+        air.hears = lambda agent, now, end=end: now > end  # type: ignore[misc]
+        air.run(10.0 + air.random.random() * PERIOD_S, until=lambda: bool(air.lost()))
+        assert air.lost() == set()
+
+
+def test_longer_fades_than_were_seen_are_needed_after_one() -> None:
+    """One of 3 s is told, the next of that length are not; ten minutes later it is forgotten."""
+    told = []
+    air = Air(7, 4, even=True)
+    for pause_s in (LEARNED_S, 30.0, 30.0, 630.0):
+        air.run(pause_s)
+        end = air.now + 3.2
+        air.hears = lambda agent, now, end=end: now > end  # type: ignore[misc]
+        told.append(air.run(8.0, until=lambda: bool(air.lost())) < 8.0)
+        air.hears = lambda agent, now: True
+    assert told == [True, False, False, True]
+
+
+def test_agents_on_one_beat_are_not_lost_by_one_missed_heartbeat() -> None:
+    """All send in the same moment, and a collision or a fade takes one of each."""
+    air = Air(7, 5)
+    air._due = dict.fromkeys(air.others, 1.0)
+    air.run(LEARNED_S)
+    air.hears = lambda agent, now: not LEARNED_S < now <= LEARNED_S + PERIOD_S
+    air.run(20.0, until=lambda: bool(air.lost()))
+    assert air.lost() == set()
+
+
+def test_a_pause_of_our_own_is_not_theirs() -> None:
+    """PHM stands still for 5 s, and the heartbeats of that time are gone."""
+    air = Air(7, 6)
+    air.run(LEARNED_S)
+    stall = air.now + 5.0
+    air.hears = lambda agent, now: now > stall
+    air.now = stall
+    air.run(10.0, until=lambda: bool(air.lost()))
+    assert air.lost() == set()
+    assert air.now > stall + 9.0
+
+
+def test_a_closed_link_lets_nobody_vanish() -> None:
+    """Its own check tells it; after five periods they are lost all the same."""
+    air = Air(7, 7)
+    air.run(LEARNED_S)
+    for _ in range(20):
+        air.now += STEP_S
+        air.peers.watch(air.now, PERIOD_S, hears=False)
+    assert air.lost() == set()
+
+
+def test_a_swarm_that_grows_slows_its_heartbeats_and_nobody_vanishes() -> None:
+    air = Air(7, 8)
+    air.run(LEARNED_S)
+    heard = max(peer.heard_s or 0.0 for peer in air.peers.all().values())
+    while air.now < heard + 5.0:
+        air.now += STEP_S
+        air.peers.watch(air.now, 5.0)
+        assert air.lost() == set()
+
+
+def test_one_steady_peer_is_lost_after_three_missed_heartbeats() -> None:
+    """Sooner than the five periods that one has that was not heard for long, or not steadily."""
+    steady, new, lossy = (Air(7, 9) for _ in range(3))
+    steady.run(LEARNED_S)
+    new.run(40.0)
+    lossy.hears = lambda agent, now: agent != 2 or now % 60.0 > 4.5
+    lossy.run(LEARNED_S)
+    lossy.hears = lambda agent, now: True
+    lossy.run(20.0)
+    first, second, third = (air.cut([2]) for air in (steady, new, lossy))
+    assert first < 3.3 * PERIOD_S < second <= (LOST_PERIODS + 0.5) * PERIOD_S
+    assert third > first + 0.5 * PERIOD_S
+
+
+def test_agents_that_fall_silent_one_after_another_have_not_vanished_together() -> None:
+    air = Air(7, 10)
+    air.run(LEARNED_S)
+    air.hears = lambda agent, now: agent != 2
+    air.run(2.5 * PERIOD_S)
+    air.hears = lambda agent, now: agent not in (2, 3)
+    air.run(1.5 * PERIOD_S, until=lambda: 3 in air.lost())
+    assert air.lost() == {2}
+
+
+def test_who_is_heard_again_is_back() -> None:
+    air = Air(7, 11)
+    air.run(LEARNED_S)
+    air.cut(air.others)
+    air.hears = lambda agent, now: True
+    air.run(1.2 * PERIOD_S, until=lambda: not air.lost())
+    assert air.lost() == set()
