@@ -6,8 +6,10 @@ that cannot be loaded is reported with its cause and does not keep the others fr
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from functools import lru_cache
+from importlib.metadata import Distribution, EntryPoint, entry_points
 
 from phm.api import Check
 
@@ -25,10 +27,14 @@ class Found:
     problem: str = ""
 
 
-def find(group: str, base: type) -> list[Found]:
-    """Everything declared in `group`, by name; each is loaded and must be a subclass of `base`."""
+@lru_cache(maxsize=8)
+def find(group: str, base: type) -> tuple[Found, ...]:
+    """Everything declared in `group`, by name; each is loaded and must be a subclass of `base`.
+
+    Looked for once in a process: it reads the metadata of every installed package, and PHM asks eight times while it starts.
+    """
     found = [_load(point, base) for point in entry_points(group=group)]
-    return sorted(_without_twins(found), key=lambda entry: entry.name)
+    return tuple(sorted(_without_twins(found), key=lambda entry: entry.name))
 
 
 def checks() -> dict[str, type[Check]]:
@@ -36,13 +42,13 @@ def checks() -> dict[str, type[Check]]:
     return usable(find(CHECKS, Check))
 
 
-def usable(found: list[Found]) -> dict[str, type]:
+def usable(found: Iterable[Found]) -> dict[str, type]:
     return {entry.name: entry.loaded for entry in found if entry.loaded is not None}
 
 
 def _load(point: EntryPoint, base: type) -> Found:
     """Three ways to fail, three sentences (after uvicorn's importer)."""
-    source = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown distribution"
+    source = _source(point.dist) if point.dist else "unknown distribution"
 
     def failed(reason: str) -> Found:
         return Found(point.name, source, None, reason)
@@ -60,6 +66,12 @@ def _load(point: EntryPoint, base: type) -> Found:
     if getattr(loaded, "name", None) != point.name:
         return failed(f"{point.value!r} is named {getattr(loaded, 'name', None)!r}, its entry point {point.name!r}")
     return Found(point.name, source, loaded)
+
+
+@lru_cache(maxsize=64)
+def _source(package: Distribution) -> str:
+    """Name and version; each time they are asked for, the whole of its metadata is parsed."""
+    return f"{package.name} {package.version}"
 
 
 def _without_twins(found: list[Found]) -> list[Found]:
