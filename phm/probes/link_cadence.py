@@ -37,6 +37,7 @@ class Cadence:
         """Silence counts from here: before it nothing could be heard."""
         self._held_s = 0.0
         """The newest pause, which `broke` can still take back."""
+        self._due_s: float | None = None
 
     def beat(self, now: float) -> None:
         """It was heard."""
@@ -45,23 +46,27 @@ class Cadence:
         # A longer one was a fault and is no habit of the sender.
         self._held_s = pause_s if pause_s <= self._most_s else 0.0
         self._last, self._from = now, now
+        self._due_s = self._limit_s()
 
     def broke(self, now: float) -> None:
         """What is heard next does not continue what was: the link was closed, PHM stood still, or the sender began anew."""
         self._last, self._from, self._held_s = None, now, 0.0
+        self._due_s = self._limit_s()
 
     def due_s(self) -> float | None:
         """The limit; None: not known well enough, or not under the configured one."""
+        return self._due_s
+
+    def overdue(self, read_at: float) -> bool:
+        """Whether it was silent for longer, as far as its link was read to the end at `read_at`."""
+        return self._due_s is not None and read_at - self._from > self._due_s
+
+    def _limit_s(self) -> float | None:
         longest_s = max([self._held_s, *(step.longest_s for step in self._steps)])
         if sum(step.known_s for step in self._steps) < LEARN_S or longest_s > UNEVEN_S:
             return None
         limit_s = max(self._least_s, FACTOR * longest_s)
         return limit_s if limit_s < self._most_s else None
-
-    def overdue(self, read_at: float) -> bool:
-        """Whether it was silent for longer, as far as its link was read to the end at `read_at`."""
-        due_s = self.due_s()
-        return due_s is not None and read_at - self._from > due_s
 
     def _keep(self, now: float, pause_s: float) -> None:
         while self._steps and now - self._steps[0].began > STEP_S * STEPS:

@@ -80,13 +80,7 @@ class Links:
     def deaf(self) -> bool:
         """Whether a ground station is surely out of reach of this agent, though `gcs_timeout` may not have passed: the radio
         aboard has lost the other one, or all endpoints to the ground are gone. That the ground is silent is no such proof."""
-        gone = {link.name for link in self._hub.links() if not link.open and _gone(link)}
-        if self._ground and self._ground <= gone:
-            return True
-        gcs = self.gcs()
-        if gcs is None or gcs.age_s <= UNEVEN_S:
-            return False
-        return any(radio.alone and radio.link == gcs.link and radio.age_s < gcs.age_s for radio in self.radios())
+        return self._deaf(self.gcs(), self.radios())
 
     def autopilot(self) -> AutopilotFact | None:
         with self._lock:
@@ -156,9 +150,18 @@ class Links:
             lost = (pilot.age_s > limits.autopilot_timeout, pilot.overdue)
             flying = (lost, pilot.armed, pilot.reboots)
         ground = None if gcs is None else (gcs.age_s > limits.gcs_timeout, gcs.overdue)
-        radios = tuple((radio.age_s <= limits.radio_timeout, *_report(radio)) for radio in self.radios())
+        heard = self.radios()
+        radios = tuple((radio.age_s <= limits.radio_timeout, *_report(radio)) for radio in heard)
         links = tuple((link.name, link.open, _gone(link)) for link in self._hub.links())
-        return ground, self.deaf(), flying, len(self.problems()), radios, links
+        return ground, self._deaf(gcs, heard), flying, len(self.problems()), radios, links
+
+    def _deaf(self, gcs: GcsFact | None, radios: tuple[RadioFact, ...]) -> bool:
+        gone = {link.name for link in self._hub.links() if _gone(link)}
+        if self._ground and self._ground <= gone:
+            return True
+        if gcs is None or gcs.age_s <= UNEVEN_S:
+            return False
+        return any(radio.alone and radio.link == gcs.link and radio.age_s < gcs.age_s for radio in radios)
 
     def _hear(self, message: Any, link: str) -> None:
         now = self._clock.mono()
@@ -204,7 +207,7 @@ class Links:
 
 
 def _gone(link: LinkFact) -> bool:
-    return link.failed >= (GONE_REFUSED if link.code == errno.ECONNREFUSED else GONE)
+    return not link.open and link.failed >= (GONE_REFUSED if link.code == errno.ECONNREFUSED else GONE)
 
 
 def _report(radio: RadioFact) -> tuple[object, ...]:
