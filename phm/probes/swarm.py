@@ -73,7 +73,7 @@ class Swarm:
         now, gcs = self._clock.mono(), self._hears_ground()
         closed = {link.name for link in self._hub.links() if not link.open}
         with self._lock:
-            period_s = self._period_s(1 + len(self._peers.all()))
+            period_s = self._period_s(1 + sum(not peer.leaving for peer in self._peers.all().values()))
             self._fresh_s = min(FRESH_S, FRESH_PERIODS * period_s)
             hears = not any(name in closed and now - at <= LINK_S for name, at in self._links.items())
             self._peers.watch(now, period_s, hears=hears)

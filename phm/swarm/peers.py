@@ -194,11 +194,15 @@ class Peers:
         )
 
     def _listened(self, now: float) -> list[tuple[int, float, Pulse]]:
-        """Those that are missed when they are silent."""
+        """Those that are missed when they are silent, and have one pulse each."""
+        mixed = self.clashing(now)
         return [
             (agent, peer.heard_s, peer.pulse)
             for agent, peer in self._peers.items()
-            if peer.heard_s is not None and not peer.leaving and peer.seen(now) in (Seen.ALIVE, Seen.LATE)
+            if peer.heard_s is not None
+            and not peer.leaving
+            and peer.seen(now) in (Seen.ALIVE, Seen.LATE)
+            and agent not in mixed
         ]
 
     def _fade(self, peer: Peer, now: float) -> None:

@@ -6,8 +6,8 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
-GAPS = 9
-"""The period is the median of so many gaps: losses of up to a third of the frames do not move it."""
+GAPS = 15
+"""The period is the median of so many gaps: losses of up to a third of the frames hardly move it."""
 MEMORY = 150.0
 """Heartbeats over which the share that is lost is counted, the older ones less."""
 PRIOR_LOST, PRIOR_HEARD = 2.0, 8.0
@@ -28,9 +28,11 @@ RUNS = 300
 
 @dataclass(slots=True)
 class Pulse:
-    """Of one peer. `period_s`: between its heartbeats, unlike an average of gaps not longer where frames are lost."""
+    """Of one peer. `period_s`: between its heartbeats, unlike an average of gaps not longer where frames are lost. It begins
+    with our own period, and is never shorter: what comes by two ways, or from two agents, comes more often."""
 
     period_s: float
+    least_s: float = field(init=False)
     jitter: float = JITTER
     """The largest deviation of a heartbeat from its time lately, in periods."""
     heard: float = 0.0
@@ -40,16 +42,19 @@ class Pulse:
     _gaps: deque[float] = field(default_factory=lambda: deque(maxlen=GAPS), repr=False)
     _runs: deque[int] = field(default_factory=lambda: deque(maxlen=RUNS), repr=False)
 
+    def __post_init__(self) -> None:
+        self.least_s = self.period_s
+
     def beat(self, gap_s: float) -> None:
         """A heartbeat came, so long after the one before."""
         self._gaps.append(gap_s)
         ordered = sorted(self._gaps)
-        self.period_s = ordered[(len(ordered) - 1) // 3] if len(ordered) > 2 else self.period_s
+        self.period_s = max(self.least_s, ordered[len(ordered) // 2])
         periods = gap_s / self.period_s
         missed = max(0, round(periods) - 1)
+        self._runs.append(missed)
         if missed >= OUTAGE:
             return
-        self._runs.append(missed)
         keep = 1.0 - 1.0 / MEMORY
         self.heard, self.lost = self.heard * keep + 1.0, self.lost * keep + missed
         self.pauses = self.pauses * keep + (missed > 0)

@@ -191,6 +191,18 @@ def test_agents_that_fall_silent_one_after_another_have_not_vanished_together() 
     assert air.lost() == {2}
 
 
+def test_two_agents_with_one_id_are_never_lost_between_their_heartbeats() -> None:
+    """Their heartbeats come in pairs, which is no pulse of one."""
+    peers = Peers(1, PERIOD_S, (2, 3, 4))
+    for step in range(2000):
+        now = step / 5
+        for agent in (2, 3, 4):
+            if step % 10 in (agent, agent + 2):
+                peers.heartbeat(agent, WORD, now)
+        peers.watch(now, PERIOD_S)
+        assert Seen.LOST not in peers.seen(now).values()
+
+
 def test_who_is_heard_again_is_back() -> None:
     air = Air(7, 11)
     air.run(LEARNED_S)
