@@ -20,7 +20,6 @@ OUTAGE = 5
 JITTER, JITTER_MIN, JITTER_MAX, FORGET = 0.1, 0.025, 0.5, 0.98
 """In periods: the first guess, the bounds, and what is left of the largest deviation a heartbeat later."""
 SURE = math.log(1e4)
-STEADY_HEARD = 60.0
 FEWEST_MISSED, MORE_THAN_EVER = 3, 2
 """One peer alone is not given up before so many heartbeats are missed, and so many more than ever lately."""
 RUNS = 300
@@ -88,8 +87,6 @@ class Pulse:
 
     def gone(self, silent_s: float) -> bool:
         """Whether its silence alone says that it is lost: only where it has been heard steadily."""
-        if self.heard < STEADY_HEARD:
-            return False
         missed = self.missed(silent_s)
         if missed < FEWEST_MISSED or self.weight(missed) < SURE:
             return False
