@@ -9,6 +9,8 @@ from phm.api import Layer, Slot
 from phm_checks._path import QUIET_S, all_closed, link_id, radio_id, to_autopilot, to_ground, with_radio
 from phm_checks._words import Steady, brief, span
 
+SAME_S = 0.3
+"""Two moments that differ by less are of one heartbeat."""
 GRACE_S = 5.0
 """After a link or a radio is back, a ground station has so long to be heard again; it sends a HEARTBEAT a second."""
 TOGETHER_S = 2.5
@@ -24,6 +26,8 @@ class Gcs(api.Check):
     def __init__(self, settings: api.Settings) -> None:
         self._settings = settings
         self._age = Steady(share=1.0)
+        self._lost_at: float | None = None
+        """When the ground station was heard last that was told as lost before the timeout."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -72,8 +76,13 @@ class Gcs(api.Check):
     def _early(self, world: api.World, fact: api.GcsFact) -> bool:
         """Whether it is surely lost before the timeout. A radio that tells of the other one decides: losses come in bursts on the
         air, and an operator's program may stand still. By other links a pause that it never made is proof enough."""
-        if all_closed(world, to_ground(self._settings)):
-            return False
+        heard_at = world.clock.mono() - fact.age_s
+        if self._lost_at is not None and heard_at - self._lost_at < SAME_S:
+            return True  # until it is heard again, whatever the radio finds meanwhile
+        self._lost_at = heard_at if self._surely(world, fact) else None
+        return self._lost_at is not None
+
+    def _surely(self, world: api.World, fact: api.GcsFact) -> bool:
         if any(
             radio.link == fact.link and (radio.alone or radio.remrssi is not None) for radio in world.links.radios()
         ):

@@ -38,6 +38,7 @@ class Cadence:
         self._held_s = 0.0
         """The newest pause, which `broke` can still take back."""
         self._due_s: float | None = None
+        self._lost = False
 
     def beat(self, now: float) -> None:
         """It was heard."""
@@ -45,7 +46,7 @@ class Cadence:
         pause_s = 0.0 if self._last is None else now - self._last
         # A longer one was a fault and is no habit of the sender.
         self._held_s = pause_s if pause_s <= self._most_s else 0.0
-        self._last, self._from = now, now
+        self._last, self._from, self._lost = now, now, False
         self._due_s = self._limit_s()
 
     def broke(self, now: float) -> None:
@@ -57,9 +58,12 @@ class Cadence:
         """The limit; None: not known well enough, or not under the configured one."""
         return self._due_s
 
-    def overdue(self, read_at: float) -> bool:
-        """Whether it was silent for longer, as far as its link was read to the end at `read_at`."""
-        return self._due_s is not None and read_at - self._from > self._due_s
+    def overdue(self, read_at: float | None) -> bool:
+        """Whether it was silent for longer, as far as its link was read to the end at `read_at`; None: it is not read. Once
+        it is overdue, it is so until its next beat, whatever becomes of the link."""
+        late = self._due_s is not None and read_at is not None and read_at - self._from > self._due_s
+        self._lost = self._lost or late
+        return self._lost
 
     def _limit_s(self) -> float | None:
         longest_s = max([self._held_s, *(step.longest_s for step in self._steps)])

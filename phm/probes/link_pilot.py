@@ -86,7 +86,8 @@ class Pilot:
         )  # fmt: skip
 
     def _overdue(self, read_at: float | None) -> bool:
-        return read_at is not None and read_at - self._spoke >= ALIVE_S and self._cadence.overdue(read_at)
+        speaks = read_at is not None and read_at - self._spoke < ALIVE_S
+        return self._cadence.overdue(None if speaks else read_at)
 
     def _armed_at(self, moment: float) -> bool:
         """As last heard before `moment`: after a reboot the first heartbeat, disarmed, may come before the new time."""

@@ -48,6 +48,8 @@ class Links:
         self._gcs: tuple[float, int, int, str] | None = None
         # A ground station may stand still while its operator loads a map, and all agents would tell: half of the timeout.
         self._gcs_beats = Cadence(self._settings.gcs_timeout, max(UNEVEN_S, self._settings.gcs_timeout / 2))
+        self._unreached = False
+        """It was out of reach, and was not heard since: a radio at the edge of its range finds and loses the other one."""
         self._pilot = Pilot(self._settings.autopilot_timeout)
         self._ground = frozenset(entry.key for entry in self._settings.endpoints if entry.to_ground)
         self._radios: dict[str, Radio] = {}
@@ -74,8 +76,7 @@ class Links:
             if gcs is None:
                 return None
             read_at, due_s = self._hub.read_at(gcs[3]), self._gcs_beats.due_s()
-            overdue = read_at is not None and self._gcs_beats.overdue(read_at)
-            return GcsFact(self._clock.mono() - gcs[0], *gcs[1:], due_s, overdue)
+            return GcsFact(self._clock.mono() - gcs[0], *gcs[1:], due_s, self._gcs_beats.overdue(read_at))
 
     def deaf(self) -> bool:
         """Whether a ground station is surely out of reach of this agent, though `gcs_timeout` may not have passed: the radio
@@ -157,11 +158,13 @@ class Links:
 
     def _deaf(self, gcs: GcsFact | None, radios: tuple[RadioFact, ...]) -> bool:
         gone = {link.name for link in self._hub.links() if _gone(link)}
-        if self._ground and self._ground <= gone:
-            return True
-        if gcs is None or gcs.age_s <= UNEVEN_S:
-            return False
-        return any(radio.alone and radio.link == gcs.link and radio.age_s < gcs.age_s for radio in radios)
+        cut = bool(self._ground) and self._ground <= gone
+        if gcs is None:
+            return cut
+        lost = any(radio.alone and radio.link == gcs.link and radio.age_s < gcs.age_s for radio in radios)
+        if cut or (lost and gcs.age_s > UNEVEN_S):
+            self._unreached = True
+        return self._unreached
 
     def _hear(self, message: Any, link: str) -> None:
         now = self._clock.mono()
@@ -183,6 +186,7 @@ class Links:
                 if stalled:
                     self._gcs_beats.broke(now)
                 self._gcs_beats.beat(now)
+                self._unreached = False
                 self._gcs = (now, system, component, link)
         self.look()
 

@@ -130,4 +130,18 @@ def test_before_the_timeout_nothing_is_said_while_the_radio_may_be_the_cause() -
     assert run(check(), together).level is api.Level.OK
     closed = testing.FakeLinks(gcs_age_s=5.3, links=(api.LinkFact("ground", open=False),), radios=(ALONE,))
     closed.gcs_link = "ground"
-    assert run(check(), closed).level is api.Level.OK
+    assert run(check(), closed).level is api.Level.STALE
+
+
+def test_a_radio_that_finds_the_other_one_for_a_moment_ends_nothing() -> None:
+    """At the edge of its range: what was told is over with the next heartbeat."""
+    clock, links, judge = testing.FakeClock(), heard(3.6, radios=(ALONE,)), check()
+    told = []
+    for age_s, remrssi in ((3.6, None), (4.6, 150), (5.6, None), (0.2, 150), (1.2, 150)):
+        links.gcs_age = age_s
+        links.radio_facts = (dataclasses.replace(ALONE, age_s=0.1, remrssi=remrssi, alone=remrssi is None),)
+        result = judge.run(testing.world(links=links, clock=clock))
+        assert isinstance(result, api.Result)
+        told.append(result.level)
+        clock.advance(1.0)
+    assert told == [api.Level.ERROR] * 3 + [api.Level.OK] * 2

@@ -140,6 +140,18 @@ def test_an_outage_is_no_habit() -> None:
     assert cadence.due_s() == UNEVEN_S
 
 
+def test_who_is_overdue_is_so_until_the_next_beat() -> None:
+    """Also when its link is closed or opened anew meanwhile."""
+    cadence = Cadence(BOUND_S)
+    last = learned(cadence)
+    assert cadence.overdue(last + 2.6)
+    cadence.broke(last + 3.0)
+    assert cadence.overdue(None)
+    assert cadence.overdue(last + 3.1)
+    cadence.beat(last + 4.0)
+    assert not cadence.overdue(last + 4.1)
+
+
 def test_what_broke_is_no_pause_of_the_sender() -> None:
     """The link was closed for a moment: silence counts from then on, and the pause before is forgotten, too."""
     cadence = Cadence(BOUND_S)

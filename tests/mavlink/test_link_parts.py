@@ -360,16 +360,18 @@ def test_a_steady_autopilot_is_overdue_early() -> None:
     pilot = Pilot()
     last = known(pilot)
     assert not overdue(pilot, last + 2.1, last + 2.1)
-    assert overdue(pilot, last + 2.6, last + 2.6)
     assert not overdue(pilot, last + 9.0, last + 2.1)
     assert not overdue(pilot, last + 9.0, None)
+    assert overdue(pilot, last + 2.6, last + 2.6)
+    beat(pilot, last + 2.7)
+    assert not overdue(pilot, last + 2.8, last + 2.8)
 
 
 def test_an_autopilot_whose_other_frames_come_is_not_overdue() -> None:
     """Its heartbeats are lost or late."""
     pilot = Pilot()
     last = known(pilot)
-    pilot.booted(last + 2.2, 500_000)
+    pilot.booted(last + 2.2, 300_000)
     assert not overdue(pilot, last + 2.8, last + 2.8)
     assert overdue(pilot, last + 3.4, last + 3.4)
 
