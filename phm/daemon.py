@@ -39,11 +39,13 @@ logger = logging.getLogger(__name__)
 
 STALLED_BEAT_S = 3.0
 STOOD_STILL_S = 2.5
-"""A pause of the heart, which beats ten times a second, that is told. Of one that its guard has ended it is told however short."""
+"""A pause of the heart, which beats twice to ten times a second, that is told. Of one that its guard has ended it is told however short."""
 DEADLY = ("signal 2", "signal 3", "signal 9", "signal 15")
 STOPPING_S = 11.0
 """The engine's own time between SIGTERM and SIGKILL is 10 s."""
 LOOK_S = 1.0
+CALM_S = 0.5
+"""Between two beats while nothing waits: no unit settles, no action is at work. What changes that has the heart beat at once."""
 STALLED_END_S = 30.0
 """A daemon that has stalled for so long ends itself, since Docker restarts what exits and not what hangs."""
 STALLED_CHECKS_S = 15.0
@@ -76,13 +78,13 @@ class Daemon:
             note=lambda text: self.pipeline.note("PHM", text), self_look=self._look_at_self,
         )  # fmt: skip
         self.engine = Engine(self.plan.scheduled, self.parts.world, self.clock, self._observe)
-        self.pipeline.attach(self.engine.wake_units)
+        self.pipeline.attach(self.engine.wake_units, self.beat_soon)
         self.reporters = Installed(self.bus)
         self.executor: Executor | None = None
         self.control: Control | None = None
         self.desk: Desk | None = None
         self.memory = Memory(settings, self.pipeline, self.bus, self.clock)
-        self._stop = threading.Event()
+        self._stop, self._soon = threading.Event(), threading.Event()
         self._heart = threading.Thread(target=self._beat_on, name="phm-heart", daemon=True)
 
     # ------------------------------------------------------------ life
@@ -114,8 +116,13 @@ class Daemon:
     def stop_soon(self) -> None:
         self._stop.set()
 
+    def beat_soon(self) -> None:
+        """Have the heart beat now: there is something to wait for, or PHM was stopped and goes on."""
+        self._soon.set()
+
     def stop(self) -> None:
         self._stop.set()
+        self.beat_soon()
         if self._guard is not None:
             self._guard.close()
         self.pipeline.note("PHM", "PHM is stopping")
@@ -275,6 +282,7 @@ class Daemon:
     def _beat_on(self) -> None:
         next_pass = self._beat = self.clock.mono()  # how long the start took is no pause
         while not self._stop.is_set():
+            calm_s = WATCH_S
             try:
                 now = self.clock.mono()
                 was_stopped = self._guard is not None and self._guard.beat()
@@ -285,11 +293,12 @@ class Daemon:
                 if now >= next_pass:
                     self.pipeline.begin_pass()
                     next_pass = max(next_pass + self.settings.interval, now)
-                self.engine.look_for_overdue()
+                calm_s = min(CALM_S, self.engine.look_for_overdue(), next_pass - now)
                 self.pipeline.tick()
             except Exception:  # a defect that shows in one beat must not end all: passes and deadlines hang on it
                 logger.exception("the heart missed a beat")
-            self.clock.wait(self._stop, WATCH_S)
+            self.clock.wait(self._soon, WATCH_S if self.pipeline.waiting else max(WATCH_S, calm_s))
+            self._soon.clear()
 
 
 def run(settings: Settings) -> int:
@@ -305,6 +314,7 @@ def run(settings: Settings) -> int:
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end)
+    signal.signal(signal.SIGCONT, lambda number, frame: daemon.beat_soon())
     daemon.start()
     guard.start()
     if not daemon.wait():

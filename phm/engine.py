@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 MIN_GAP_S = 0.05
 """A check that is woken all the time still leaves the processor alone this long between runs."""
 WATCH_S = 0.1
-"""How often overdue checks are looked for and settling is judged; part of the time to detect a dead node."""
+"""How often settling is judged while something settles; part of the time to detect a dead node."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,17 +156,21 @@ class Engine:
         for worker in self.workers:
             worker.wake(reason)
 
-    def look_for_overdue(self) -> None:
-        """Report runs that have passed their deadline, once each, as STALE. Called every WATCH_S."""
-        now = self._clock.mono()
+    def look_for_overdue(self) -> float:
+        """Report runs that have passed their deadline, once each, as STALE. Returns how long none of those that run now will be."""
+        now, calm_s = self._clock.mono(), float("inf")
         for worker in self.workers:
             since = worker.running_since
-            if since is None or worker.told_overdue or not worker.overdue(now):
+            if since is None or worker.told_overdue:
+                continue
+            limit = worker.scheduled.deadline_s
+            if not worker.overdue(now):
+                calm_s = min(calm_s, since + limit - now)
                 continue
             worker.told_overdue = True
-            limit = worker.scheduled.deadline_s
             result = stale(f"the check has not come back within its deadline of {limit:g} s; it is left running")
             self._sink(Batch(dict.fromkeys(worker.units, result), now, now - since, "overdue", overdue=True))
+        return calm_s
 
     def overdue(self) -> tuple[str, ...]:
         """First unit of each check that is past its deadline now."""

@@ -33,10 +33,13 @@ class Pipeline:
         """When a check last came back by itself (monotonic seconds): the engine's sign of life."""
         self.complete = False
         """Whether a first report is done."""
+        self.waiting = True
+        """Whether `tick` has something to do before the next result: a unit settles, an action is at work."""
+        self._stir: Callable[[], None] = lambda: None
 
-    def attach(self, wake_units: WakeUnits) -> None:
-        """Tell the pipeline how to have units run again."""
-        self._wake_units = wake_units
+    def attach(self, wake_units: WakeUnits, stir: Callable[[], None] = lambda: None) -> None:
+        """Tell the pipeline how to have units run again, and whom to tell that `waiting` became true."""
+        self._wake_units, self._stir = wake_units, stir
 
     def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault]) -> tuple[Event, ...]:
         """Before anything runs: see `Tracker.restore`. The events are for the caller to publish, once somebody hears."""
@@ -52,18 +55,24 @@ class Pipeline:
         with self._lock:
             if not overdue:
                 self.last_batch = now.mono
+            changed = False
             for unit, result in results.items():
-                rerun |= self._publish(self._tracker.observe(unit, result, started, now, duration_s))
+                step = self._tracker.observe(unit, result, started, now, duration_s)
+                rerun |= self._publish(step)
+                changed = changed or step.waiting or bool(step.events or step.rerun)
             if self._pass_started is not None and (started >= self._pass_started.mono or overdue):
                 self._outstanding.difference_update(results)
                 self._finish_pass(now)
         self._wake(rerun)
+        if changed:
+            self._wait()
 
     def tick(self) -> None:
         """Let time pass; called a few times a second."""
         now = self._clock.stamp()
         with self._lock:
-            rerun = self._publish(self._tracker.tick(now))
+            step = self._tracker.tick(now)
+            rerun, self.waiting = self._publish(step), step.waiting
             if self._pass_started is not None and now.mono - self._pass_started.mono >= self._pass_limit_s:
                 self._outstanding.clear()
                 self._finish_pass(now)
@@ -156,6 +165,7 @@ class Pipeline:
         with self._lock:
             rerun = self._publish(change(self._clock.stamp()))
         self._wake(rerun)
+        self._wait()
 
     def _publish(self, step: Step) -> set[str]:
         for event in step.events:
@@ -163,6 +173,11 @@ class Pipeline:
                 self._recent = [*self._recent, event.fault][-RECENT_FAULTS:]
             self._bus.publish(event)
         return step.rerun
+
+    def _wait(self) -> None:
+        if not self.waiting:
+            self.waiting = True
+            self._stir()
 
     def _wake(self, units: set[str]) -> None:
         if units:

@@ -42,7 +42,7 @@ class Mavlink(Reporter):
     """See the module. All but `_hear` runs in the bus's thread for this reporter."""
 
     name = "mavlink"
-    period_s: ClassVar[float | None] = 0.1
+    period_s: ClassVar[float | None] = 0.2
     kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, Report)
 
     def __init__(self, context: ReporterContext, port: MavlinkPort) -> None:

@@ -36,7 +36,7 @@ class Swarm(Reporter):
     """See the module. All but `_hear` runs in the bus's thread for this reporter."""
 
     name = "swarm"
-    period_s: ClassVar[float | None] = 0.2
+    period_s: ClassVar[float | None] = 0.4
     kinds = ()
 
     def __init__(self, context: ReporterContext, port: MavlinkPort, probe: SwarmProbe) -> None:

@@ -116,6 +116,7 @@ class Tracker:
             self._begin_anew(entry.target, now, step)
         self._judge(entry, now, step)
         self._judge_dependents(entry, now, step)
+        step.waiting = entry.waiting or any(other.waiting for other in self._scene.downstream(entry.id))
         return step
 
     def tick(self, now: Stamp) -> Step:
@@ -123,11 +124,11 @@ class Tracker:
         step = Step()
         for target in [target for target, hold in self._holds.items() if now.mono >= hold.until]:
             self._release(target, now, step)
+        step.waiting = bool(self._holds)
         for entry in self._units.values():
-            kept_back = entry.fault is not None and entry.raw is not None and entry.raw.level is Level.OK
-            untold = entry.raw is not None and entry.raw.level.bad and entry.told.level is not entry.raw.level
-            if kept_back or untold:
+            if entry.untold:
                 self._judge(entry, now, step)
+            step.waiting |= entry.waiting
             if entry.pending is not None:
                 waiting = (entry, *self._scene.upstream(entry.id))
                 step.rerun.update(other.id for other in waiting if now.mono - other.started >= ASK_AGAIN_S)

@@ -31,6 +31,8 @@ class Step:
 
     events: list[Event] = field(default_factory=list)
     rerun: set[str] = field(default_factory=set)
+    waiting: bool = True
+    """Whether time alone may change something: from `observe` about the unit and what needs it, from `tick` about all."""
 
 
 @dataclass(slots=True)
@@ -113,6 +115,20 @@ class Entry:
     def failing(self) -> bool:
         """Its newest result is an ERROR, whether told or not: enough to be somebody else's cause."""
         return self.raw is not None and self.raw.level is Level.ERROR
+
+    @property
+    def untold(self) -> bool:
+        """It is bad and not told so yet, or well while its fault is still open: time may end that."""
+        if self.raw is None:
+            return False
+        if self.raw.level is Level.OK:
+            return self.fault is not None
+        return self.raw.level.bad and self.told.level is not self.raw.level
+
+    @property
+    def waiting(self) -> bool:
+        """Whether time alone may change what is told, or how soon it is looked at again."""
+        return self.pending is not None or self.untold
 
     @property
     def unknown(self) -> bool:

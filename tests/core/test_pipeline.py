@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from phm import testing
 from phm.api import Layer, Level, Slot, Unit, error, ok, stale
 from phm.bus import Bus
-from phm.model import Event, Report, ReportStarted
+from phm.model import Event, Report, ReportStarted, Result
 from phm.pipeline import Pipeline
 from phm.tracker import Tracked, Tracker
 
@@ -117,3 +117,37 @@ def test_closed_faults_are_remembered_up_to_a_cap() -> None:
     recent = rig.pipeline.recent_faults()
     assert len(recent) == 20
     assert recent[-1].id == "F50"
+
+
+def test_time_is_waited_for_only_while_it_may_change_something() -> None:
+    """Well, or told as it is: nobody need tick. A result, an action or a held unit that changes that is told at once."""
+    rig = Rig(target="app")
+    stirred: list[float] = []
+    rig.pipeline.attach(rig.wake, lambda: stirred.append(rig.clock.mono()))
+
+    def observe(unit: str, result: Result) -> bool:
+        """Whether the heart is called; then until nothing waits any more."""
+        before = len(stirred)
+        rig.clock.advance(0.5)
+        rig.pipeline.observe({unit: result}, rig.clock.mono(), 0.0)
+        called = len(stirred) > before
+        for _ in range(40):
+            rig.clock.advance(0.5)
+            rig.pipeline.observe({"container": ok("well"), unit: result}, rig.clock.mono(), 0.0)
+            rig.pipeline.tick()
+        assert not rig.pipeline.waiting
+        return called
+
+    for unit in ("container", "nodes"):
+        observe(unit, ok("well"))
+    assert not observe("nodes", ok("well"))
+    assert observe("nodes", BAD), "it waits for what it needs to be looked at"
+    assert not observe("nodes", BAD), "told"
+    assert observe("nodes", ok("well"))
+    rig.pipeline.hold("app", "container", "restart", 30.0)
+    rig.pipeline.tick()
+    assert rig.pipeline.waiting, "an action that does not end is ended by time"
+    rig.clock.advance(31)
+    rig.pipeline.tick()
+    rig.pipeline.tick()
+    assert not rig.pipeline.waiting
