@@ -184,7 +184,7 @@ def test_disks_and_fans_are_those_of_the_host_check() -> None:
         DiskFact("/nas", 0.0, 0, problem="it hangs"),
         DiskFact("/data", 50.0, 2**30, total_bytes=2 * 2**30),
     )
-    results = Host(settings().host).run(world(host=FakeHost(disks=disks, fans_rpm=(1200, 0, 40_000))))
+    results = Host(settings()).run(world(host=FakeHost(disks=disks, fans_rpm=(1200, 0, 40_000))))
     units = [
         UnitState(unit, "host", Slot.HOST, Layer.COMPANION, result.level, result, Stamp(0.0, 0.0))
         for unit, result in results.items()
