@@ -1,6 +1,6 @@
 """The status file, from which `phm status` and the container's HEALTHCHECK read how the running daemon does.
 
-Written atomically to ``run_dir/status.json`` every second and on change; removed at the end. When to believe
+Written atomically to ``run_dir/status.json`` every two seconds and on change; removed at the end. When to believe
 it is `phm.wire.status_file`; its keys are in `docs/cli.md`.
 """
 
@@ -30,7 +30,7 @@ class Status(Reporter):
     """Keeps `run_dir/status.json` fresh."""
 
     name = "status"
-    period_s = 1.0
+    period_s = 2.0
     kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, Report)
 
     def __init__(self, context: ReporterContext) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # importing `typing` would be a fifth of a health check
 
 NAME = "status.json"
 MAX_AGE_S = 5.0
-"""A file older than this is a leftover: the daemon rewrites it every second."""
+"""A file older than this is a leftover: the daemon rewrites it every two seconds."""
 
 
 class NoStatus(Exception):
