@@ -278,6 +278,7 @@ def _values(topic: api.TopicSettings, rate: api.RateFact) -> dict[str, api.Value
         "hz": _rounded(rate.hz, 3),
         "expected_hz": topic.rate,
         "error_hz": _rounded(rate.error_hz, 4),
+        "changed_s": _rounded(rate.changed_s, 2),
         "silent_s": _rounded(rate.silent_s, 2),
         "silent_limit_s": _rounded(rate.limit_s, 2),
         "jitter_s": _rounded(rate.jitter_s, 4),

@@ -9,7 +9,7 @@ runs when, how long a run takes, which wake-ups are lost) is random.
   the fault (the lease of `config/fastdds.xml` ends).
 - The endpoints of a topic disappear from 1 s before to 1 s after their node; `settle_s` of topics is 1.5 s.
 - A topic is silent 0.5 s after the fault at the earliest; `settle_s` of rates is 2 s, so it is never told before its node
-  is seen missing.
+  is seen missing. One whose node has gone on since it fell silent may be told at once: its death did not silence it.
 - After a repair nodes are back within 5 s, topics 1 s and rates 3 s later: each within its grace of 8 s. A killed node
   may stay listed for another second after its container has started again (a ghost).
 - A run takes 0.2 s at most, a wake-up that is not lost is served within 0.9 s.
@@ -206,8 +206,14 @@ class World:
                 if span.condition == "restarting":
                     return Result(Level.STALE, "the engine is about to restart it", values=values)
                 condition = span.condition
-                return Result(Level.ERROR, f"{unit} {condition}", condition, condition, target, values)
+                sure = 0.0 if self._surely_silent(span) else None
+                return Result(Level.ERROR, f"{unit} {condition}", condition, condition, target, values, settle_s=sure)
         return Result(Level.OK, "well", values=values)
+
+    def _surely_silent(self, span: Bad) -> bool:
+        """The node has shown that it goes on since; every second node has nothing to show it with."""
+        primary = any(span in spans for kind, spans in self.active.items() if kind.startswith("silent"))
+        return primary and int(span.begin * 1000) % 2 == 0
 
     def _is_ghost(self, unit: str, at: float) -> bool:
         """Listed from memory; what was missing already before the container ended leaves none."""
