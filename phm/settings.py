@@ -461,7 +461,8 @@ class RecoverySettings(Section):
     stop_timeout: Annotated[Seconds, Field(ge=0, le=300)] = 5.0
     """Seconds between SIGTERM and SIGKILL when a container is restarted."""
     patience: Annotated[Seconds, Field(ge=0, le=600)] = 10.0
-    """Seconds that a topic must have been silent or slow, with its node alive, before anything is done about it."""
+    """Seconds that a topic must have been silent, slow, without an end that it had or with ends that fit no more, its nodes alive,
+    or a node must have run twice, before anything is done about it."""
     ladders: dict[str, list[str]] = Field(default_factory=dict)
     """Per condition, the actions in order, replacing the built-in ladder, e.g. `unhealthy: [restart]`."""
 
