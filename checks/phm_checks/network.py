@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Slot
@@ -83,12 +84,14 @@ class Network(PerContainer):
             else "Data came before, since it was started: look for a firewall that was set up meanwhile; rules in its own network "
             "namespace go with a restart of the application, others do not"
         )
-        return self._bad(
-            f"{self.key} is connected and answers, but discovery passes and no data: {why}. {cause}",
+        found = self._bad(
+            f"{self.key} is connected{' and answers' if self.entry.address else ''}, but discovery passes and no data: {why}. {cause}",
             "transport blocked",
             "transport_blocked",
             never_well=never,
         )
+        # Whose address was not asked for may be well, and PHM's own way to it broken: nothing is restarted for that.
+        return found if self.entry.address else replace(found, target="")
 
     def _mode(self, fact: api.ContainerFact) -> api.Result | None:
         """The network modes in which a container cannot be on a network of its own."""

@@ -83,6 +83,18 @@ def test_a_life_in_which_data_came_before_is_told_from_one_in_which_none_did(abo
     assert "Data came before" in result.summary
 
 
+def test_without_a_test_of_the_address_nothing_is_restarted(aboard: Aboard) -> None:
+    """What is broken may be PHM's own way to a container that is well."""
+    made = testing.settings(
+        containers=[{"name": "ros_app", "networks": [NET], "address": False}],
+        ros={"nodes": [{"name": name} for name in NODES]},
+    )
+    (aboard.check,) = Network.build(made)
+    aboard.look()
+    result = aboard.later(10.0, 4.0, 4.4)
+    assert (result.condition, result.target) == ("transport_blocked", "")
+
+
 def test_after_a_restart_it_is_well_when_something_is_heard(aboard: Aboard) -> None:
     """Connected is not healed: what was blocked may be blocked again, which nobody knows before a node speaks."""
     aboard.later(10.0, 4.0, 4.4)
