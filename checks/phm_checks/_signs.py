@@ -148,12 +148,14 @@ class Signs:
         return Evidence(Kind.ENDPOINTS, Says.GONE, "none of its endpoints is in the graph", fact.age_s, lasted_s)
 
     def _count_ends(self, fact: api.RosFact, now: float) -> None:
-        seen = [fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics]
-        ends = [
-            [end.node for end in side].count(self._node) for one in seen for side in (one.publishers, one.subscribers)
-        ]
-        self.twofold = self.count > 1 and max(ends, default=0) != 1
+        self.twofold = self.count > 1 and self._most_ends(fact) != 1
         self._twice_since = (self._twice_since or now) if self.twofold else None
+
+    def _most_ends(self, fact: api.RosFact) -> int:
+        """How often the same end of one topic is listed for it, at most; 0: none of its ends is."""
+        seen = [fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics]
+        ends = ([end.node for end in side] for one in seen for side in (one.publishers, one.subscribers))
+        return max((nodes.count(self._node) for nodes in ends), default=0)
 
     def _name(self, fact: api.RosFact, now: float) -> Evidence | None:
         """A picture that never had the node proves its absence only when it is old enough."""
