@@ -39,7 +39,7 @@ logger = logging.getLogger(__name__)
 
 STALLED_BEAT_S = 3.0
 STOOD_STILL_S = 2.5
-"""A pause of the heart, which beats twice to ten times a second, that is told. Of one that its guard has ended it is told however short."""
+"""A pause of the heart, beyond the rest that it takes between two beats, that is told. Of one that its guard has ended it is told however short."""
 DEADLY = ("signal 2", "signal 3", "signal 9", "signal 15")
 STOPPING_S = 11.0
 """The engine's own time between SIGTERM and SIGKILL is 10 s."""
@@ -281,13 +281,14 @@ class Daemon:
 
     def _beat_on(self) -> None:
         next_pass = self._beat = self.clock.mono()  # how long the start took is no pause
+        wait_s = 0.0
         while not self._stop.is_set():
             calm_s = WATCH_S
             try:
                 now = self.clock.mono()
                 was_stopped = self._guard is not None and self._guard.beat()
                 paused_s, self._beat = now - self._beat, now
-                if was_stopped or paused_s > STOOD_STILL_S:
+                if was_stopped or paused_s - wait_s > STOOD_STILL_S:
                     self._stood_still = (now, paused_s, was_stopped)
                     self._wake("myself")
                 if now >= next_pass:
@@ -297,7 +298,8 @@ class Daemon:
                 self.pipeline.tick()
             except Exception:  # a defect that shows in one beat must not end all: passes and deadlines hang on it
                 logger.exception("the heart missed a beat")
-            self.clock.wait(self._soon, WATCH_S if self.pipeline.waiting else max(WATCH_S, calm_s))
+            wait_s = WATCH_S if self.pipeline.waiting else max(WATCH_S, calm_s)
+            self.clock.wait(self._soon, wait_s)
             self._soon.clear()
 
 
