@@ -55,6 +55,11 @@ class Ends:
         end.lost_at = now if end.lost_at is None else end.lost_at
         return True
 
+    def young(self, topic: str, now: float) -> bool:
+        """Whether all ends of the topic that are lost may be being made anew at this moment."""
+        lost = [end.lost_at for key, end in self._had.items() if key[0] == topic and end.lost_at is not None]
+        return bool(lost) and now - min(lost) < SETTLE_S
+
     def settle_s(self, key: Key, fact: api.RosFact, now: float) -> float | None:
         """How long a lost end must have been away to be told; None while its node has not been heard since: it may be ending."""
         end = self._had[key]

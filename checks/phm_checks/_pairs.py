@@ -9,9 +9,11 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from phm import api
 from phm.api import Level
-from phm_checks._qos import mismatches
+from phm_checks._qos import Mismatch, mismatches
+from phm_checks._words import clean
 
 Pair = tuple[api.EndpointFact, api.EndpointFact]
+SHOWN = 3
 
 
 def full(name: str) -> str:
@@ -72,3 +74,29 @@ def named(end: api.EndpointFact, nodes: Iterable[str]) -> bool:
 
 def level_of(topic: api.TopicSettings, seen: api.TopicFact, pairs: Sequence[Pair]) -> Level:
     return Level.ERROR if any(needed(topic, seen, pair) for pair in pairs) else Level.WARN
+
+
+def unfit(seen: api.TopicFact, pair: Pair, mismatch: Mismatch) -> str:
+    """One policy of one pair, and what to change: at the end that stands alone, if one does."""
+    out, into = pair
+    at_publisher = f"at the publisher {mismatch.raise_offer}"
+    at_subscriber = f"at the subscriber {mismatch.lower_ask}"
+    if any(serves(out, other) for other in seen.subscribers):
+        change = at_subscriber
+    elif any(serves(other, into) for other in seen.publishers):
+        change = at_publisher
+    else:
+        change = f"{at_publisher}, or {at_subscriber}"
+    return (
+        f"{mismatch.policy}: publisher {who(out)} offers {mismatch.offered}, subscriber {who(into)} asks for "
+        f"{mismatch.asked}; set {change}"
+    )
+
+
+def who(end: api.EndpointFact) -> str:
+    return clean(end.node, 80) or "without a node name"
+
+
+def some(texts: Sequence[str]) -> str:
+    shown = ", ".join(texts[:SHOWN])
+    return shown if len(texts) <= SHOWN else f"{shown} and {len(texts) - SHOWN} more"

@@ -10,6 +10,7 @@ from phm.api import Layer, Level, Slot
 from phm_checks._ends import Ends, Key
 from phm_checks._near import sentence, strays
 from phm_checks._pairs import (
+    SHOWN,
     Pair,
     all_ends,
     full,
@@ -19,11 +20,13 @@ from phm_checks._pairs import (
     pairs_of,
     same_definition,
     same_type,
-    serves,
     sides,
+    some,
+    unfit,
+    who,
 )
 from phm_checks._presence import all_alive
-from phm_checks._qos import Mismatch, mismatches
+from phm_checks._qos import mismatches
 from phm_checks._words import brief, clean, did_you_mean, joined, last, listed, span
 
 OLD_PICTURE_S = 5.0
@@ -34,7 +37,6 @@ SURE_S = 0.2
 """The same for what is wrong between ends that are there, of nodes that live: no death explains it."""
 STRAY_S = 10.0
 """A subscription on an almost right name may wait for its own publisher, which starts later."""
-SHOWN = 3
 BETWEEN = ("qos_mismatch", "type_wrong")
 """Conditions that say nothing of an end that is away."""
 
@@ -59,6 +61,8 @@ class Topics(api.Check):
         self._grace_s = grace_s
         self._homes = dict(homes)
         self._ends = Ends()
+        self._said: dict[str, api.Result] = {}
+        """What is wrong between the ends that are there: it stands while one of them is made anew."""
         self._stray_since: dict[str, float] = {}
         self._audits: dict[str, tuple[object, Sequence[api.Result]]] = {}
 
@@ -107,12 +111,16 @@ class Topics(api.Check):
                 return api.stale(
                     f"not seen yet, PHM has looked at the graph for {span(fact.up_s)} only: {missing.summary}"
                 )
-            return missing
+            said = self._said.get(topic.name)
+            return said if said is not None and self._ends.young(full(topic.name), now) else missing
+        self._said.pop(topic.name, None)
         found = [*self._audit(topic, seen), *self._unfed(topic, seen, fact, now)]
         if found:
             worst = api.worst(found)
-            sure = worst.condition in BETWEEN and all_alive((*seen.publishers, *seen.subscribers), fact)
-            return replace(worst, settle_s=SURE_S) if sure else worst
+            if worst.condition in BETWEEN and all_alive((*seen.publishers, *seen.subscribers), fact):
+                worst = replace(worst, settle_s=SURE_S)
+            self._said[topic.name] = worst
+            return worst
         return api.ok(
             f"Topic {api.topic_id(topic.name)} is connected: {_count(seen.publishers, 'publisher')}, "
             f"{_count(seen.subscribers, 'subscriber')}",
@@ -201,20 +209,20 @@ class Topics(api.Check):
             if len(types) < 2:
                 return None
             differing = [pair for pair in pairs_of(seen) if not same_type(*pair)]
-            ends = [f"{clean(end.type, 80)} at {side} {_who(end)}" for side, end in sides(differing) or all_ends(seen)]
+            ends = [f"{clean(end.type, 80)} at {side} {who(end)}" for side, end in sides(differing) or all_ends(seen)]
             return self._bad(
                 topic, seen, level_of(topic, seen, differing), "type_wrong", "mixed types",
-                f"topic {name} is used with different types, and ends of different type do not connect: {_some(ends)}; build "
+                f"topic {name} is used with different types, and ends of different type do not connect: {some(ends)}; build "
                 "them against the same message package",
             )  # fmt: skip
         wrong = [(side, end) for side, end in all_ends(seen) if end.type and end.type != topic.type]
         if not wrong:
             return None
         bad = any(needed_end(topic, seen, side, end) for side, end in wrong)
-        ends = [f"type {clean(end.type, 80)} at {side} {_who(end)}" for side, end in wrong]
+        ends = [f"type {clean(end.type, 80)} at {side} {who(end)}" for side, end in wrong]
         return self._bad(
             topic, seen, Level.ERROR if bad else Level.WARN, "type_wrong", "wrong type",
-            f"topic {name} has {_some(ends)}; expected {topic.type} at all ends, others do not connect: build them against "
+            f"topic {name} has {some(ends)}; expected {topic.type} at all ends, others do not connect: build them against "
             "the same message package",
         )  # fmt: skip
 
@@ -223,20 +231,20 @@ class Topics(api.Check):
         found = [(out, into) for out, into in pairs_of(seen) if same_type(out, into) and not same_definition(out, into)]
         if not found:
             return None
-        ends = [f"{side} {_who(end)} has {clean(end.type_hash, 20)}" for side, end in sides(found)]
+        ends = [f"{side} {who(end)} has {clean(end.type_hash, 20)}" for side, end in sides(found)]
         return self._bad(
             topic, seen, level_of(topic, seen, found), "type_wrong", "type versions differ",
-            f"topic {full(topic.name)}: {clean(found[0][0].type, 80)} is not the same type everywhere. {_some(ends)}; build all "
+            f"topic {full(topic.name)}: {clean(found[0][0].type, 80)} is not the same type everywhere. {some(ends)}; build all "
             "ends against the same version of its package",
         )  # fmt: skip
 
     def _qos(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
         """Pairs whose publisher offers less than its subscriber asks for, so that DDS does not connect them."""
-        found = [(pair, unfit) for pair in pairs_of(seen) if same_type(*pair) and (unfit := mismatches(*pair))]
+        found = [(pair, amiss) for pair in pairs_of(seen) if same_type(*pair) and (amiss := mismatches(*pair))]
         if not found:
             return None
         asked_for = [entry for entry in found if needed(topic, seen, entry[0])]
-        words = [_unfit(seen, pair, mismatch) for pair, unfit in asked_for or found for mismatch in unfit]
+        words = [unfit(seen, pair, mismatch) for pair, amiss in asked_for or found for mismatch in amiss]
         return self._bad(
             topic, seen, Level.ERROR if asked_for else Level.WARN, "qos_mismatch", "QoS mismatch",
             f"topic {full(topic.name)} does not connect all its ends. {joined(words[:SHOWN])}"
@@ -288,32 +296,6 @@ def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *
     theirs = [stray for stray in near if stray.used_by([full(node) for node in lacking])]
     likely = theirs or [stray for stray in near if absent or (stray.sure and stray.one_sided)]
     return "".join(f" {sentence(name, stray)}" for stray in likely[:SHOWN])
-
-
-def _unfit(seen: api.TopicFact, pair: Pair, mismatch: Mismatch) -> str:
-    """One policy of one pair, and what to change: at the end that stands alone, if one does."""
-    out, into = pair
-    at_publisher = f"at the publisher {mismatch.raise_offer}"
-    at_subscriber = f"at the subscriber {mismatch.lower_ask}"
-    if any(serves(out, other) for other in seen.subscribers):
-        change = at_subscriber
-    elif any(serves(other, into) for other in seen.publishers):
-        change = at_publisher
-    else:
-        change = f"{at_publisher}, or {at_subscriber}"
-    return (
-        f"{mismatch.policy}: publisher {_who(out)} offers {mismatch.offered}, subscriber {_who(into)} asks for "
-        f"{mismatch.asked}; set {change}"
-    )
-
-
-def _who(end: api.EndpointFact) -> str:
-    return clean(end.node, 80) or "without a node name"
-
-
-def _some(texts: Sequence[str]) -> str:
-    shown = ", ".join(texts[:SHOWN])
-    return shown if len(texts) <= SHOWN else f"{shown} and {len(texts) - SHOWN} more"
 
 
 def _unit(topic: api.TopicSettings) -> str:

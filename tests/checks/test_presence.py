@@ -176,6 +176,18 @@ def test_a_publisher_that_is_made_anew_is_not_yet_lost() -> None:
     assert bench.judge([end(ONE, "best_effort")], [end(TWO)], beacons=alive).condition == "qos_mismatch"
 
 
+def test_a_fault_keeps_its_words_while_a_publisher_is_made_anew() -> None:
+    """From one quality of service that does not fit to another, or to one that fits: the moment in between is not told."""
+    bench = Connections()
+    bench.judge([end(ONE)], [end(TWO)])
+    bench.judge([end(ONE, "best_effort")], [end(TWO)])
+    assert bench.judge([], [end(TWO)]).condition == "qos_mismatch"
+    bench.clock.advance(SETTLE_S + 0.1)
+    assert bench.judge([], [end(TWO)]).condition == "publisher_lost"
+    assert bench.judge([end(ONE)], [end(TWO)]).level is api.Level.OK
+    assert bench.judge([], [end(TWO)]).condition == "publisher_lost"
+
+
 # ------------------------------------------------------------ rates
 
 

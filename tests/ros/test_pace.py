@@ -48,6 +48,15 @@ def test_twice_the_rate_is_a_change_too() -> None:
     assert [round(hz) for _, hz in changes(Meter(5.0, 3.0), publications, 100.0, 190.0)] == [10, 5]
 
 
+def test_a_change_soon_after_another_is_seen() -> None:
+    """How even the publisher is, is not yet known anew: what was known before holds."""
+    publications = [
+        *even(5.0, 100.0, 30.0), *even(2.5, 130.0, 2.0, first=151), *even(5.0, 132.0, 2.0, first=156),
+        *even(2.5, 134.0, 4.0, first=166),
+    ]  # fmt: skip
+    assert [round(hz, 1) for _, hz in changes(Meter(5.0, 3.0), publications, 100.0, 138.0)] == [2.5, 2.5]
+
+
 @pytest.mark.parametrize("phase_s", PHASES)
 @pytest.mark.parametrize("name", ["steady", "lognormal", "bursty", "stalling", "fast"])
 def test_no_recorded_trace_changes(name: str, phase_s: float) -> None:

@@ -81,7 +81,8 @@ class Track:
         while sample.at_s - self._kept[0].at_s > self.window_s and len(self._kept) > 2:
             self._kept.popleft()
         if self._pace.steady:
-            self._usual, self._odd_from = (self.hz, self.jitter_s), sample
+            jitter_s = self.jitter_s
+            self._usual, self._odd_from = (self.hz, self._usual[1] if jitter_s is None else jitter_s), sample
         self._quickest.add(-sample.delay_s, sample.at_s)
         self.last = sample
         return continues

@@ -11,6 +11,8 @@ from phm.probes.ros.protocol import Heard, Message, Others, Picture, Tick
 from phm.probes.ros.records import changer
 from phm.ros_facts import NameFact, RateFact
 
+FRESH_S = 4.0
+"""A silence is told by then, or what is said of its node will not decide it."""
 _with_rate = changer(TopicFact, "rate")
 _with_silence = changer(RateFact, "silent_s")
 _with_age = changer(RateFact, "age_s")
@@ -68,9 +70,13 @@ class View:
         return told
 
 
-def flow(rate: RateFact) -> tuple[bool, bool, str]:
-    """What must not change unnoticed of a rate: whether it is silent, whether it has become another one, why it is not known."""
-    return rate.hz == 0.0, rate.changed_s is not None, rate.problem
+def flow(rate: RateFact) -> tuple[float | None, bool, str]:
+    """What must not change unnoticed of a rate: whether it is silent, whether it has become another one, why it is not known.
+
+    In the first seconds of a silence each look counts: with it comes what is known of the node meanwhile.
+    """
+    silent_s = None if rate.hz != 0.0 else min(rate.silent_s or 0.0, FRESH_S)
+    return silent_s, rate.changed_s is not None, rate.problem
 
 
 def _shape(picture: Picture) -> object:

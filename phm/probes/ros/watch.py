@@ -50,7 +50,7 @@ class Watch:
         self._events = GraphEvents(self._node, self._context)
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
-        self._states: dict[str, tuple[bool, bool, str]] = {}
+        self._states: dict[str, tuple[float | None, bool, str]] = {}
 
     @property
     def events(self) -> int | None:
