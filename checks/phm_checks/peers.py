@@ -24,6 +24,8 @@ class Peers(api.Check):
 
     def __init__(self, agents: Sequence[int]) -> None:
         self._agents = tuple(agents)
+        self._away: frozenset[int] = frozenset()
+        """Who vanished together, as told: they come back one by one, and that is not told each time."""
         self._units = (
             api.Unit(WHOLE, grace_s=GRACE_S),
             *(api.Unit(_unit(agent), needs=(WHOLE,), settle_s=SETTLE_S, grace_s=GRACE_S) for agent in self._agents),
@@ -51,7 +53,7 @@ class Peers(api.Check):
     def _whole(self, fact: api.SwarmFact) -> api.Result:
         """What concerns several agents, and agents that are not configured one by one."""
         settled = {agent for agent, peer in fact.peers.items() if peer.since_s >= SETTLE_S}
-        found = [*_clashes(fact), *_alone(fact), *_split(fact)]
+        found = [*_clashes(fact), *_alone(fact), *self._split(fact)]
         if not found:
             others = sorted(settled.difference(self._agents))
             found = [result for agent in others if (result := _agent(agent, fact)).level.bad]
@@ -63,6 +65,24 @@ class Peers(api.Check):
         if not fact.peers:
             return api.bypass("no other agent was ever heard, and none is configured (swarm.agents)", **values)
         return api.ok(f"{fact.living} of {fact.members} agents of the swarm live", **values)
+
+    def _split(self, fact: api.SwarmFact) -> list[api.Result]:
+        lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost"]
+        if not fact.split or len(lost) >= len(fact.peers):
+            self._away = frozenset()
+            return []
+        coming = {agent for agent in self._away if agent in fact.peers and fact.peers[agent].since_s < SETTLE_S}
+        self._away = away = frozenset(coming.union(fact.split))
+        there = ("alive", "late", "unheard by some")
+        here = {fact.own, *(agent for agent, peer in fact.peers.items() if peer.state in there)} - away
+        return [
+            api.error(
+                f"the swarm is split: {_names(away)} vanished together and {_names(here)} are here: a network between them is "
+                "broken, or something happened to all of those",
+                brief=brief(f"split {len(here)}/{fact.members}", f"lost {_names(away, 3)}"),
+                condition="split",
+            )
+        ]
 
 
 def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
@@ -122,21 +142,6 @@ def _alone(fact: api.SwarmFact) -> list[api.Result]:
             f"no other agent is heard any more, {_names(lost)} are lost together: check this agent's own link to them first",
             brief=brief("all peers", "lost"),
             condition="alone",
-        )
-    ]
-
-
-def _split(fact: api.SwarmFact) -> list[api.Result]:
-    lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost"]
-    if not fact.split or len(lost) >= len(fact.peers):
-        return []
-    here = sorted({fact.own, *(agent for agent, peer in fact.peers.items() if peer.state in ("alive", "late"))})
-    return [
-        api.error(
-            f"the swarm is split: {_names(fact.split)} vanished together and {_names(here)} are here: a network between them is "
-            "broken, or something happened to all of those",
-            brief=brief(f"split {len(here)}/{fact.members}", f"lost {_names(fact.split, 3)}"),
-            condition="split",
         )
     ]
 

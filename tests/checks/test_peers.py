@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -63,6 +64,27 @@ def test_a_split_is_one_fault_and_the_cause_of_the_single_ones() -> None:
     result = judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[WHOLE]
     assert (result.level, result.condition) == (Level.ERROR, "split")
     assert "A03 A04 vanished together and A01 A02 are here" in result.summary
+
+
+def test_those_that_come_back_one_by_one_are_not_told_each_time() -> None:
+    """Until they have been back for a while, and others have not."""
+    check = Peers((2, 3, 4, 5))
+
+    def brief(**states: PeerFact) -> str:
+        peers = {2: ALIVE, **{int(name[1:]): peer for name, peer in states.items()}}
+        lost = tuple(agent for agent, peer in peers.items() if peer.state == "lost")
+        split = lost if len(lost) > 1 else ()
+        swarm = testing.FakeSwarm(peers=peers, members=5, living=5 - len(lost), split=split)
+        return dict(check.run(testing.world(swarm=swarm)))[WHOLE].brief
+
+    back = PeerFact("alive", 0.1, (1, 2), (), since_s=0.1)
+    partly = PeerFact("unheard by some", 0.1, (1,), (2,), since_s=0.1)
+    assert brief(a3=LOST, a4=LOST, a5=LOST) == "split 2/5 lost A03 A04 A05"
+    assert brief(a3=LOST, a4=LOST, a5=partly) == "split 2/5 lost A03 A04 A05"
+    assert brief(a3=LOST, a4=LOST, a5=back) == "split 2/5 lost A03 A04 A05"
+    assert brief(a3=LOST, a4=LOST, a5=replace(back, since_s=SETTLE_S)) == "split 3/5 lost A03 A04"
+    assert brief(a3=LOST, a4=back, a5=back) == ""
+    assert brief(a3=LOST, a4=LOST, a5=back) == "split 3/5 lost A03 A04"
 
 
 def test_all_lost_at_once_is_ones_own_radio() -> None:
