@@ -16,6 +16,8 @@ SETTLE_S = 2.0
 """A topic may be silent so much before its node is known to be dead."""
 GAP_PERIODS = 5
 """A topic is told as silent no sooner than after so many periods, whatever speaks for its node."""
+LARGE_BPS = 0.8e6
+"""Topics of so many bytes a second are listened to with pauses (`phm.probes.ros.gauge`): when one fell silent is not known."""
 STAY = 0.9
 """A level is left only when the deviation is below this share of its limit, so that a rate at the limit does not flap."""
 MEASURED_S = 1.0
@@ -130,7 +132,8 @@ class Rates(api.Check):
         assert seen.rate is not None
         limit_s = seen.rate.limit_s
         limit = "" if limit_s is None else f" and no gap over {span(limit_s)}"
-        turns = _all_turned(seen, fact, max(silent_s, seen.rate.age_s or 0.0) - 1 / case.rate)
+        known = (seen.rate.sample_bytes or 0.0) * case.rate <= LARGE_BPS
+        turns = known and _all_turned(seen, fact, max(silent_s, seen.rate.age_s or 0.0) - 1 / case.rate)
         why = "its source stopped, the node itself goes on" if turns else "its node hangs or its source stopped"
         result = self._bad(
             Level.ERROR,

@@ -225,6 +225,12 @@ def test_a_topic_whose_node_may_hang_or_be_dead_settles(beacon: api.BeaconFact |
     assert Flows().silent(1.4, beacon) is None
 
 
+def test_when_a_large_topic_fell_silent_is_not_known() -> None:
+    """It is listened to with pauses, so its node may have hung since its last message."""
+    large = api.RateFact(0.0, 4.0, limit_s=3.0, sample_bytes=1e6)
+    assert Flows().judge(large, beacons={ONE: beat(0.1)}).settle_s is None
+
+
 @pytest.mark.parametrize(("hz", "limit_s", "settles_s"), [(10.0, 1.0, 0.0), (2.5, 1.0, 1.0), (1.0, 1.5, 2.0)])
 def test_a_slow_topic_is_given_five_periods(hz: float, limit_s: float, settles_s: float) -> None:
     """One message that is late is no silence, whatever speaks for the node; but no more than what any topic is given."""
