@@ -421,7 +421,7 @@ class HostSettings(Section):
     """Share of all cores in use, averaged over `cpu_window`."""
     cpu_window: Annotated[Seconds, Field(ge=1, le=600)] = 10.0
     """Seconds over which CPU use is averaged before it is judged."""
-    cpu_quick: Annotated[Seconds, Field(ge=0, le=600)] = 2.5
+    cpu_quick: Annotated[Seconds, Field(ge=0, le=600)] = 2.0
     """Seconds after which it is judged already when no core was idle and tasks had to wait for one; 0: never."""
     memory: Limit = Limit(warn=85, error=95)
     """Share of memory that is not available."""

@@ -17,8 +17,8 @@ WAITING_PERCENT = 40.0
 """Tasks must have waited for a core for this share of the quick window: cores that are all busy while nobody waits are well used."""
 STAYS_S = 5.0
 """What was told quickly stays until it was not so for this long: bursts with short pauses are one fault."""
-FEWEST = 4
-"""Readings in the quick window."""
+FEWEST = 2
+"""Readings in the quick window. The kernel counts all the time, so few will do."""
 ASK_AGAIN_S = 10.0
 """An engine that did not answer whether a container starts is left alone for so long."""
 _MOST_READINGS = 2000

@@ -41,7 +41,8 @@ class Devices(PerContainer):
     """
 
     name, slot = "devices", Slot.DEVICES
-    period_s = 2.0
+    period_s = 5.0
+    """A device that comes, goes or changes its rights wakes the check; this is for what only opening it shows."""
 
     def __init__(self, entry: api.ContainerSettings) -> None:
         super().__init__(entry)

@@ -22,7 +22,7 @@ class Host(api.Check):
     """The machine: units host/cpu, host/memory, host/disk, host/temperature and host/clock."""
 
     name, slot, layer = "host", Slot.HOST, Layer.COMPANION
-    period_s = 0.5
+    period_s = 1.0
 
     def __init__(self, settings: api.Settings) -> None:
         self._limits = limits = settings.host

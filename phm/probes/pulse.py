@@ -15,7 +15,7 @@ from phm.facts import CannotTell
 
 logger = logging.getLogger(__name__)
 
-PERIOD_S = 0.5
+PERIOD_S = 1.0
 GIVEN_UP_S = 30.0
 """An address that is silent for longer is left to the check's own period: mostly its container is gone."""
 MOST = 32
