@@ -160,7 +160,8 @@ class Fault:
     cannot be well while it lasts, by the graph of needs (known at once, when the alarm is raised);
     `suspects` names units that were ERROR then and can be behind anything, a full disk: a hint, not a verdict;
     `well_s` is for how many seconds the unit had been told as OK, without a break, when it broke;
-    `well_in_life_s` the same in all since its target's container was last seen to be started, breaks or not.
+    `well_in_life_s` the same in all since its target's container was last seen to be started, breaks or not; `life_seen`
+    whether that start was seen at all: else the container runs for longer than PHM.
     """
 
     id: str
@@ -177,6 +178,7 @@ class Fault:
     suspects: tuple[str, ...] = ()
     well_s: float = 0.0
     well_in_life_s: float = 0.0
+    life_seen: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,8 +56,9 @@ ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_twice"})
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
 namespace, a publisher that was made anew, a second node started by hand. Where it was well in this life, a restart brings
 back what the start had, and is tried once; where it never was, nothing is done. A ladder of the user's own holds as it is."""
-ONCE_WELL_S = 2.0
-"""Beyond the grace of a start: what has been told well for longer was not wrong from the start. A check that knows better says so
+ONCE_WELL_S, FOUND_WELL_S = 2.0, 5.0
+"""What has been told well for longer was not wrong from the start: beyond the grace of that start, in which all comes up and names
+of the life before go; where the container ran before PHM did, since PHM looks. A check that knows better says so
 (`phm.model.NEVER_WELL`)."""
 
 
@@ -167,7 +168,8 @@ def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings,
     condition = fault.result.condition
     if not ladder:
         return f"no action is known for {condition or 'this'}"
-    never_well = fault.result.values.get(NEVER_WELL, fault.well_in_life_s < start_s + ONCE_WELL_S)
+    least_s = start_s + ONCE_WELL_S if fault.life_seen else FOUND_WELL_S
+    never_well = fault.result.values.get(NEVER_WELL, fault.well_in_life_s < least_s)
     if _once(condition, settings) and never_well:
         return "it was not well before in this life of its container, so a restart would bring it back"
     return ""

@@ -201,6 +201,7 @@ def _fault(fault: Fault) -> dict[str, Any]:
         "consequences": list(fault.consequences[:MAX_FAULTS]),
         "well_s": fault.well_s,
         "well_in_life_s": fault.well_in_life_s,
+        "life_seen": fault.life_seen,
         "result": {
             "summary": result.summary[:MAX_TEXT],
             "brief": result.brief[:MAX_TEXT],
@@ -218,6 +219,7 @@ def _read_fault(body: Any, opened: Stamp) -> Fault:
         consequences=tuple(str(name) for name in body["consequences"]),
         well_s=float(body.get("well_s", 0.0)),
         well_in_life_s=float(body.get("well_in_life_s", 0.0)),
+        life_seen=bool(body.get("life_seen", False)),
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from phm.model import Fault, FaultClosed, FaultOpened, Level, Outcome, Result, Stamp
-from phm.tracker.units import Entry, Scene, Step
+from phm.tracker.units import NEVER, Entry, Scene, Step
 
 CONFIGURATION = "configuration"
 """What ended a fault whose unit is no longer configured."""
@@ -55,6 +55,7 @@ class Episodes:
             suspects=self._suspects(entry),
             well_s=now.mono - entry.told.since.mono if entry.told.level is Level.OK else 0.0,
             well_in_life_s=entry.well_in_life_s(now.mono),
+            life_seen=entry.born != NEVER,
         )
         step.events.append(FaultOpened(now, entry.fault))
 

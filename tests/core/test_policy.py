@@ -75,7 +75,7 @@ ONCE = ("transport_blocked", "qos_mismatch", "node_twice")
 
 def was_well(condition: str, seconds: float) -> Fault:
     """Opened long ago, so that patience is over."""
-    return replace(fault(condition, opened=900.0), well_in_life_s=seconds)
+    return replace(fault(condition, opened=900.0), well_in_life_s=seconds, life_seen=True)
 
 
 @pytest.mark.parametrize("condition", ONCE)
@@ -92,6 +92,12 @@ def test_what_was_never_well_in_this_life_is_left_alone(condition: str) -> None:
     for seconds in (0.0, 9.0):
         assert isinstance(say(fault=was_well(condition, seconds)), Leave)
     assert isinstance(say(fault=was_well(condition, 9.0), start_s=6.0), Act)
+
+
+@pytest.mark.parametrize(("seconds", "expected"), [(4.0, Leave), (6.0, Act)])
+def test_a_container_that_ran_before_phm_has_come_up_already(seconds: float, expected: type) -> None:
+    """A PHM that was started again need not wait for the grace of a start that was long ago."""
+    assert isinstance(say(fault=replace(was_well("node_twice", seconds), life_seen=False)), expected)
 
 
 @pytest.mark.parametrize(("never", "seconds", "expected"), [(True, 60.0, Leave), (False, 0.0, Act)])

@@ -197,3 +197,16 @@ def test_what_was_never_told_well_in_this_life_counts_nothing() -> None:
     bench.see("nodes", BAD)
     all_missing(bench, 10.0, life=2)
     assert well_in_life_s(bench) == [0.0]
+
+
+def test_a_fault_knows_whether_its_container_was_started_before_phm_looked() -> None:
+    """Then all has come up long ago, as far as anybody knows."""
+    bench = living()
+    bench.later(1)
+    for _ in range(4):
+        bench.see("nodes", BAD)
+        bench.see("container", lived(1))
+        bench.later(0.2)
+    all_missing(bench, 2.0, life=1)
+    (fault,) = [event.fault for event in bench.events if isinstance(event, FaultOpened)]
+    assert (fault.life_seen, fault.well_in_life_s > 0) == (False, True)

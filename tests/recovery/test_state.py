@@ -35,6 +35,7 @@ def fault(name: str = "ab12-1", opened: Stamp | None = None) -> Fault:
         blocks=("files/app",),
         well_s=61.5,
         well_in_life_s=90.5,
+        life_seen=True,
     )
 
 
