@@ -57,6 +57,17 @@ def test_a_change_soon_after_another_is_seen() -> None:
     assert [round(hz, 1) for _, hz in changes(Meter(5.0, 3.0), publications, 100.0, 138.0)] == [2.5, 2.5]
 
 
+def test_a_change_is_no_unevenness() -> None:
+    """So the next one is judged as the first: up and down again, and the error stays far below the change."""
+    meter, first, errors = Meter(5.0, 3.0), 1, []
+    for part in range(8):
+        hz, start_s = (2.5 if part % 2 else 5.0), 100.0 + 10.0 * part
+        fact = feed(meter, even(hz, start_s, 10.0, first=first), start_s, start_s + 10.0)
+        first += int(hz * 10)
+        errors.append(fact.error_hz or 0.0)
+    assert max(errors) < 0.25
+
+
 @pytest.mark.parametrize("phase_s", PHASES)
 @pytest.mark.parametrize("name", ["steady", "lognormal", "bursty", "stalling", "fast"])
 def test_no_recorded_trace_changes(name: str, phase_s: float) -> None:

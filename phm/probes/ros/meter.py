@@ -169,6 +169,8 @@ class Meter:
         last, hz = track.last, track.hz
         self._restarts.hear(sample, last)
         continues = track.add(sample)
+        if track.turned:
+            self._spread.forget()  # that it was another rate before is no unevenness
         if track.fell and last is not None:
             self._restarts.fell(last, hz)
         return continues and not new

@@ -59,6 +59,8 @@ class Track:
         self.last: Sample | None = None
         self.fell = False
         """Whether the number of the newest sample fell below that of the one before."""
+        self.turned = False
+        """Whether the newest sample showed that its rate has become another one."""
         self.began_s = 0.0
         self._first: int | None = None
         self.replaced = False
@@ -73,7 +75,7 @@ class Track:
             sample = replace(sample, sequence=self._counted)
         if self.last is None:
             self.began_s, self._first = sample.at_s, sample.sequence
-        self.fell = False
+        self.fell = self.turned = False
         continues = self.last is None or self._continues(self.last, sample, numbered)
         if not continues:
             self.forget()
@@ -107,7 +109,7 @@ class Track:
 
     def _change(self) -> None:
         """What was before is of another rate."""
-        self._changed_from = self._odd_from
+        self._changed_from, self.turned = self._odd_from, True
         assert self._changed_from is not None
         while self._kept[0].at_s < self._changed_from.at_s:
             self._kept.popleft()
