@@ -117,12 +117,14 @@ class Daemon:
         self._stop.set()
 
     def beat_soon(self) -> None:
-        """Have the heart beat now: there is something to wait for, or PHM was stopped and goes on."""
+        """Have the heart beat now: there is something to wait for, or PHM was stopped and goes on.
+
+        Also called by a signal's handler, so never by the main thread itself, which the handler would find holding the event.
+        """
         self._soon.set()
 
     def stop(self) -> None:
         self._stop.set()
-        self.beat_soon()
         if self._guard is not None:
             self._guard.close()
         self.pipeline.note("PHM", "PHM is stopping")
