@@ -154,7 +154,7 @@ class Deaf:
         if fact.age_s > OLD_PICTURE_S or fact.up_s < self._grace_s or listed_ones or not heard:
             return ""
         silent_s = min(heard) - fact.age_s
-        if silent_s < ABSENT_S or now - silent_s < self._met_at or not self._run(world):
+        if silent_s < ABSENT_S or now - silent_s < self._met_at or self._run(world) != ASLEEP:
             return ""
         return f"none of its {len(self._wanted)} nodes is listed, and nothing has come of them for {span(silent_s)}, though their processes run"
 

@@ -240,7 +240,7 @@ def test_nodes_that_are_neither_listed_nor_heard_are_one_fault(aboard: Aboard) -
 
 
 @pytest.mark.parametrize(
-    "why", ["one is listed", "not long enough", "one process ended", "a young child", "a young life"]
+    "why", ["one is listed", "not long enough", "one process ended", "one computes", "a young child", "a young life"]
 )
 def test_nodes_that_are_not_there_for_another_reason_are_their_own_faults(aboard: Aboard, why: str) -> None:
     """They start, they have ended, or they come and go."""
@@ -248,6 +248,8 @@ def test_nodes_that_are_not_there_for_another_reason_are_their_own_faults(aboard
     aboard.ros.change(
         nodes={NODES[1]: 1} if why == "one is listed" else {}, up_s=3.0 if why == "a young child" else 60.0
     )
-    if why == "one process ended":
-        aboard.docker.lists["ros_app"] = ROWS[:1]
+    if why in ("one process ended", "one computes"):
+        aboard.docker.lists["ros_app"] = (
+            ROWS[:1] if why == "one process ended" else (ROWS[0], replace(ROWS[1], state="R"))
+        )
     assert aboard.look().level is api.Level.OK
