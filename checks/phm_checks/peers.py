@@ -133,7 +133,7 @@ def _clashes(fact: api.SwarmFact) -> list[api.Result]:
 
 def _alone(fact: api.SwarmFact) -> list[api.Result]:
     """All others at once: it is this agent's own radio, as far as it can know, and one fault."""
-    lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost"]
+    lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost" and fact.own not in peer.heard_by]
     here = [agent for agent, peer in fact.peers.items() if peer.state != "left"]
     if len(lost) < 2 or len(lost) < len(here):
         return []

@@ -87,7 +87,8 @@ def agree(peers: Peers, now: float, own_gcs: bool) -> Consensus:
         else _verdict(agent, how, views, peers, now)
         for agent, how in seen.items()
     }
-    lost = [agent for agent, verdict in verdicts.items() if verdict.state is State.LOST]
+    # Those that we hear did not vanish: when a split heals, the other half's views still say that ours is lost.
+    lost = [agent for agent, verdict in verdicts.items() if verdict.state is State.LOST and seen[agent] not in THERE]
     return Consensus(peers.own, verdicts, observers, _together(lost, peers))
 
 

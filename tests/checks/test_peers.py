@@ -92,6 +92,12 @@ def test_all_lost_at_once_is_ones_own_radio() -> None:
     assert (result.condition, result.brief) == ("alone", "all peers lost")
 
 
+def test_who_hears_the_others_is_not_alone() -> None:
+    """Whatever these think of each other."""
+    heard = PeerFact("lost", 1.0, (1,), (2, 3))
+    assert judge({2: heard, 3: heard}, (2, 3))[WHOLE].level is Level.OK
+
+
 def test_the_only_other_agent_lost_is_lost() -> None:
     results = judge({2: LOST}, (2,))
     assert results[WHOLE].level is Level.OK

@@ -109,6 +109,19 @@ def test_a_split_network_is_told_on_both_sides_and_heals() -> None:
     assert swarm.agreed(1).lost == swarm.agreed(8).lost == ()
 
 
+def test_what_is_heard_did_not_vanish() -> None:
+    """A split heals, and the other half hears one agent of ours; its views still say that the rest of us is lost."""
+    swarm = Swarm(range(1, 9))
+    swarm.run(20)
+    swarm.separate((1, 2, 3), (4, 5, 6, 7, 8))
+    swarm.run(30)
+    swarm.cut = {(a, b) for a, b in swarm.cut if a < 4 and a != 1}
+    swarm.run(PERIOD_S)
+    agreed = swarm.agreed(1)
+    assert agreed.lost == (2, 3)
+    assert agreed.split == ()
+
+
 def test_agents_that_die_one_after_another_are_no_split() -> None:
     swarm = Swarm(range(1, 6))
     swarm.run(20)
