@@ -13,7 +13,7 @@ from phm.api import Level
 from phm_checks._graded import Graded
 from phm_checks._words import Steady, span
 
-WAITING_PERCENT = 50.0
+WAITING_PERCENT = 40.0
 """Tasks must have waited for a core for this share of the quick window: cores that are all busy while nobody waits are well used."""
 STAYS_S = 5.0
 """What was told quickly stays until it was not so for this long: bursts with short pauses are one fault."""
