@@ -71,15 +71,16 @@ class Peers(api.Check):
         if not fact.split or len(lost) >= len(fact.peers):
             self._away = frozenset()
             return []
-        coming = {agent for agent in self._away if agent in fact.peers and fact.peers[agent].since_s < SETTLE_S}
-        self._away = away = frozenset(coming.union(fact.split))
+        away = [(agent, fact.peers[agent]) for agent in self._away if agent in fact.peers]
+        coming = {agent for agent, peer in away if peer.state == "lost" or peer.since_s < SETTLE_S}
+        self._away = frozenset(coming.union(fact.split))
         there = ("alive", "late", "unheard by some")
-        here = {fact.own, *(agent for agent, peer in fact.peers.items() if peer.state in there)} - away
+        here = {fact.own, *(agent for agent, peer in fact.peers.items() if peer.state in there)} - self._away
         return [
             api.error(
-                f"the swarm is split: {_names(away)} vanished together and {_names(here)} are here: a network between them is "
+                f"the swarm is split: {_names(self._away)} vanished together and {_names(here)} are here: a network between them is "
                 "broken, or something happened to all of those",
-                brief=brief(f"split {len(here)}/{fact.members}", f"lost {_names(away, 3)}"),
+                brief=brief(f"split {len(here)}/{fact.members}", f"lost {_names(self._away, 3)}"),
                 condition="split",
             )
         ]
