@@ -134,8 +134,6 @@ class ProcessFact:
     """Program and arguments, with a space between, at most 4096 characters."""
     age_s: float | None = None
     """Since it was started, in whole seconds, rounded down; None when not told."""
-    age_s: float | None = None
-    """Since it was started, in whole seconds, rounded down; None when not told."""
 
 
 @dataclass(frozen=True, slots=True)
