@@ -43,12 +43,15 @@ class _Node:
     @property
     def doubts(self) -> set[tuple[str, str]]:
         """Why it may not be well, with its name. What is told as bad is looked at until it is well."""
-        told = set() if self.state in (State.ALIVE, State.DUPLICATE, None) else {self.state.value}
+        well = self.state in (State.ALIVE, None) or (self.state is State.DUPLICATE and not self.copies)
+        told = set() if well or self.state is None else {self.state.value}
         return {(self.wanted.name, why) for why in self.signs.doubts | told}
 
     def judge(self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float, fit: int) -> Judgement:
-        """fit: how many processes may be the node's own."""
-        self._both_since = (self._both_since or now) if fit > 1 and self.signs.twofold else None
+        """fit: how many processes may be the node's own. While two that were told are there, the graph may be a new one that does
+        not list both yet (`phm.probes.ros.ghosts`)."""
+        both = fit > 1 and (self.signs.twofold or self.copies > 0)
+        self._both_since = (self._both_since or now) if both else None
         lasts = self._both_since is not None and (self.signs.rivals > 0 or now - self._both_since >= BOTH_S)
         self.copies = fit if lasts else 0
         starting = now - began_at < grace_s

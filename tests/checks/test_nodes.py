@@ -237,6 +237,7 @@ def test_a_node_with_two_processes_runs_twice_whatever_its_lease() -> None:
     assert (twice.level, twice.condition, twice.target) == (api.Level.ERROR, "node_twice", "ros_app")
     assert "2 processes" in twice.summary
     bench.ros.change(nodes={NAME: 1})
+    assert bench.after(5.0).condition == "node_twice", "a graph that is made anew may not list both yet"
     bench.processes(MAIN, ONE)
     assert bench.after(1.0).level is api.Level.OK
 
