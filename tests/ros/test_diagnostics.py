@@ -204,9 +204,11 @@ def test_a_child_that_does_not_read_blocks_nobody(bench: Bench) -> None:
 def test_what_is_no_order_is_ignored() -> None:
     """A line that was cut, or is not JSON, does no harm to the next; a closed pipe is the end."""
     code = (
-        "import time; from phm.probes.ros import child; from phm.probes.ros.lines import Lines\n"
+        "import time; from types import SimpleNamespace\n"
+        "from phm.probes.ros import child; from phm.probes.ros.lines import Lines\n"
         "orders, got = Lines(), []\n"
-        "while child._wait(time.monotonic() + 9, orders, got.append): pass\n"
+        "watch = SimpleNamespace(events=None, obey=got.append)\n"
+        "while child._wait(time.monotonic() + 9, orders, watch) is not None: pass\n"
         "print([order.utc_s for order in got])"
     )
     done = subprocess.run(
