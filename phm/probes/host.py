@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from phm.clock import Clock
+from phm.disk_space import space
 from phm.facts import CannotTell, DiskFact, HostFact
 from phm.probes.processor import Processor, head
 from phm.probes.worker import Worker
@@ -148,19 +149,13 @@ class Host:
 
     @staticmethod
     def _disk(path: str, worker: Worker) -> DiskFact:
-        """One disk, in the manner of `df`: what only root may use counts as neither used nor free."""
+        """One disk; one that cannot be read has its `problem`."""
         try:
-            seen = worker.call(lambda: os.statvfs(path), DISK_S)
+            return worker.call(lambda: space(path), DISK_S)
         except CannotTell as reason:
             return DiskFact(path, 0.0, 0, problem=f"{reason}: the mount may hang")
         except OSError as error:
             return DiskFact(path, 0.0, 0, problem=f"{error.strerror or error}: is it mounted into PHM?")
-        used = seen.f_blocks - seen.f_bfree
-        usable = used + seen.f_bavail
-        # Some file systems (btrfs) have no fixed number of inodes and say 0.
-        inodes = 100.0 * (seen.f_files - seen.f_ffree) / seen.f_files if seen.f_files else 0.0
-        percent, free = 100.0 * used / usable if usable else 0.0, seen.f_bavail * seen.f_frsize
-        return DiskFact(path, percent, free, inodes, total_bytes=usable * seen.f_frsize)
 
     def _temperature(self) -> tuple[float | None, str]:
         """The hottest sensor of the processor in degrees Celsius, with its name."""

@@ -103,6 +103,13 @@ def test_a_folder_that_is_not_there_is_told(disk: Path) -> None:
         run(disk, {"files": ["*"]})
 
 
+def test_a_folder_on_another_disk_is_told_and_left(disk: Path) -> None:
+    """To empty it would not help the disk that is full."""
+    put(disk / "log.txt", 98_000)
+    with pytest.raises(ActionFailed, match=r"removed 0 old files.*/dev/shm is on another disk"):
+        run(disk, {"path": "/dev/shm", "files": ["nothing-of-this-name"]})
+
+
 def test_nothing_goes_while_there_is_room(disk: Path) -> None:
     kept = put(disk / "bags/a.mcap", 10_000)
     assert run(disk, {"files": ["*"]}).startswith("removed 0 old files")

@@ -12,6 +12,7 @@ from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import PurePosixPath
 
+from phm.disk_space import space
 from phm.model import Fault
 from phm.recovery.base import Action, ActionContext, ActionFailed
 from phm.recovery.disks import path_of
@@ -22,8 +23,8 @@ ENOUGH = 0.9
 MOST = 10_000
 """Files that are looked at; a folder with more is not made empty in one go."""
 DEPTH = 8
-MOST_PROBLEMS = 3
-"""So many files that cannot be removed say that none can."""
+MOST_REFUSED = 3
+"""So many files of a folder that cannot be removed say that none can."""
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
@@ -64,19 +65,17 @@ class MakeRoom(Action):
 
 
 def used_percent(path: str) -> float:
-    """Share of the disk in use, as `df` and the host check reckon it, or of its inodes when that is more. Raises ActionFailed."""
+    """Share of the disk in use, or of its inodes when that is more. Raises ActionFailed."""
     try:
-        seen = os.statvfs(path)
+        fact = space(path)
     except OSError as error:
         raise ActionFailed(f"disk {path} cannot be read: {error.strerror or error}") from error
-    used = seen.f_blocks - seen.f_bfree
-    usable = used + seen.f_bavail
-    inodes = 100.0 * (seen.f_files - seen.f_ffree) / seen.f_files if seen.f_files else 0.0
-    return max(100.0 * used / usable if usable else 0.0, inodes)
+    return max(fact.used_percent, fact.inodes_used_percent)
 
 
 def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str]) -> Iterator[Old]:
     """Remove files of one folder until the goal is reached; those that are gone. Sentences about others go to `problems`."""
+    refused = 0
     if used_percent(disk) < goal:
         return
     try:
@@ -86,13 +85,15 @@ def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str]) -> 
         return
     try:
         if os.fstat(folder).st_dev != os.stat(disk).st_dev:
+            problems.append(f"{place.path} is on another disk")
             return
         for old in _old_files(folder, place):
-            if used_percent(disk) < goal or len(problems) >= MOST_PROBLEMS:
+            if used_percent(disk) < goal or refused >= MOST_REFUSED:
                 return
             try:
                 _unlink(folder, old.path)
             except OSError as error:
+                refused += 1
                 problems.append(f"{place.path}/{old.path}: {error.strerror or error}")
             else:
                 yield old

@@ -1,0 +1,18 @@
+"""How full a disk is, in the manner of `df`: for whoever judges it and for whoever makes room on it, so that both mean the same."""
+
+from __future__ import annotations
+
+import os
+
+from phm.facts import DiskFact
+
+
+def space(path: str) -> DiskFact:
+    """The disk on which `path` lies. What only root may use counts as neither used nor free. Raises OSError; may hang on a dead mount."""
+    seen = os.statvfs(path)
+    used = seen.f_blocks - seen.f_bfree
+    usable = used + seen.f_bavail
+    # Some file systems (btrfs) have no fixed number of inodes and say 0.
+    inodes = 100.0 * (seen.f_files - seen.f_ffree) / seen.f_files if seen.f_files else 0.0
+    percent, free = 100.0 * used / usable if usable else 0.0, seen.f_bavail * seen.f_frsize
+    return DiskFact(path, percent, free, inodes, total_bytes=usable * seen.f_frsize)
