@@ -10,7 +10,6 @@ import contextlib
 import ctypes
 import os
 import threading
-import time
 from typing import Any
 
 BURST_S = 0.1
@@ -23,7 +22,7 @@ class GraphEvents:
 
     def __init__(self, node: Any, context: Any) -> None:
         self.fd: int | None = None
-        self._stopping = False
+        self._stopping = threading.Event()
         try:
             self._wait_set = _wait_set(context)
             self._stop = _guard(context)
@@ -44,13 +43,13 @@ class GraphEvents:
         """Before the node is destroyed."""
         if self.fd is None:
             return
-        self._stopping = True
+        self._stopping.set()
         self._stop.trigger_guard_condition()
         self._thread.join(FAREWELL_S)
 
     def _run(self) -> None:
         assert self.fd is not None
-        while not self._stopping:
+        while not self._stopping.is_set():
             try:
                 self._wait_set.clear_entities()
                 self._wait_set.add_guard_condition(self._stop)
@@ -58,9 +57,9 @@ class GraphEvents:
                 self._wait_set.wait(-1)
             except Exception:  # the context is gone
                 return
-            if not self._stopping:
+            if not self._stopping.is_set():
                 os.eventfd_write(self.fd, 1)
-                time.sleep(BURST_S)
+                self._stopping.wait(BURST_S)
 
 
 def _wait_set(context: Any) -> Any:

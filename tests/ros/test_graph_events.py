@@ -1,0 +1,45 @@
+"""The graph's own events, with the middleware that is installed: seen without a look, and let go of at once."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+from tests.fakes.ros_bench import ROOT, Bench
+
+SCRIPT = """
+import select
+import rclpy
+from phm.probes.ros.graph_events import GraphEvents
+
+LIMIT_S = 20.0
+context = rclpy.Context()
+rclpy.init(context=context)
+node = rclpy.create_node("_phm_watching", context=context)
+events = GraphEvents(node, context)
+assert events.fd is not None, "no events with this distribution"
+
+def seen():
+    return bool(select.select([events.fd], [], [], LIMIT_S)[0])
+
+other = rclpy.create_node("other", context=context)
+print("came", seen())
+while select.select([events.fd], [], [], 1.0)[0]:  # all that its coming has changed
+    events.take()
+other.destroy_node()
+print("went", seen())
+events.close()
+print("ended", not events._thread.is_alive())
+node.destroy_node()
+rclpy.shutdown(context=context)
+"""
+
+
+def test_a_node_that_comes_and_one_that_goes_are_events(bench: Bench) -> None:
+    """And the thread that waits for them ends when it is told to."""
+    environ = {
+        **os.environ, "PYTHONPATH": str(ROOT), "ROS_DOMAIN_ID": str(bench.domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }  # fmt: skip
+    done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, timeout=90, check=False, env=environ)
+    assert done.stdout.split(b"\n")[:3] == [b"came True", b"went True", b"ended True"], done.stderr.decode()[-800:]
