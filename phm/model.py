@@ -239,12 +239,16 @@ class ReportStarted:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """One pass over all checks. `units` is in configuration order."""
+    """One pass over all checks. `units` is in configuration order.
+
+    missing: units whose check did not come back in this pass; what `units` says of them is older.
+    """
 
     at: Stamp
     number: int
     started: Stamp
     units: tuple[UnitState, ...]
+    missing: tuple[str, ...] = ()
 
 
 Event = Transition | FaultOpened | FaultClosed | ActionEvent | Note | ReportStarted | Report

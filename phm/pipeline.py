@@ -28,6 +28,8 @@ class Pipeline:
         self._pass_number = 0
         self._pass_started: Stamp | None = None
         self._outstanding: set[str] = set()
+        self._overdue: set[str] = set()
+        """Units whose check is past its deadline and has not come back since: no pass waits for them."""
         self._recent: list[Fault] = []
         self.last_batch = clock.mono()
         """When a check last came back by itself (monotonic seconds): the engine's sign of life."""
@@ -53,16 +55,19 @@ class Pipeline:
         now = self._clock.stamp()
         rerun: set[str] = set()
         with self._lock:
-            if not overdue:
+            if overdue:
+                self._overdue.update(results)
+            else:
                 self.last_batch = now.mono
+                self._overdue.difference_update(results)
             changed = False
             for unit, result in results.items():
                 step = self._tracker.observe(unit, result, started, now, duration_s)
                 rerun |= self._publish(step)
                 changed = changed or step.waiting or bool(step.events or step.rerun)
-            if self._pass_started is not None and (started >= self._pass_started.mono or overdue):
+            if not overdue and self._pass_started is not None and started >= self._pass_started.mono:
                 self._outstanding.difference_update(results)
-                self._finish_pass(now)
+            self._finish_pass(now)
         self._wake(rerun)
         if changed:
             self._wait()
@@ -74,14 +79,18 @@ class Pipeline:
             step = self._tracker.tick(now)
             rerun, self.waiting = self._publish(step), step.waiting
             if self._pass_started is not None and now.mono - self._pass_started.mono >= self._pass_limit_s:
-                self._outstanding.clear()
-                self._finish_pass(now)
+                self._end_pass(now, self._pass_started)
         self._wake(rerun)
 
     def begin_pass(self) -> None:
-        """A new report: it is complete when every unit has been run since now."""
+        """A new report: it ends when every unit has been run since now, except those whose check hangs.
+
+        A pass that is still open is published first with what is known.
+        """
         with self._lock:
             now = self._clock.stamp()
+            if self._pass_started is not None:
+                self._end_pass(now, self._pass_started)
             self._pass_number += 1
             self._pass_started = now
             self._outstanding = {state.unit for state in self._tracker.states()}
@@ -184,6 +193,11 @@ class Pipeline:
             self._wake_units(units, "confirm")
 
     def _finish_pass(self, now: Stamp) -> None:
-        if self._pass_started is not None and not self._outstanding:
-            self._bus.publish(Report(now, self._pass_number, self._pass_started, self._tracker.states()))
-            self._pass_started, self.complete = None, True
+        if self._pass_started is not None and self._outstanding <= self._overdue:
+            self._end_pass(now, self._pass_started)
+
+    def _end_pass(self, now: Stamp, began: Stamp) -> None:
+        states = self._tracker.states()
+        missing = tuple(state.unit for state in states if state.unit in self._outstanding)
+        self._bus.publish(Report(now, self._pass_number, began, states, missing))
+        self._pass_started, self.complete = None, True

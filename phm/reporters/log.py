@@ -145,6 +145,7 @@ def _report(report: Report) -> dict[str, Any]:
         "failures": array.count(0),
         "status_array": array,
         "slots": {str(int(slot)): slots[slot].name for slot in sorted(slots)},
+        "missing": list(report.missing),
     }
 
 

@@ -73,6 +73,42 @@ def test_an_overdue_check_counts_for_the_pass_but_not_as_a_sign_of_life() -> Non
     assert rig.pipeline.last_batch == alive
 
 
+def test_a_check_that_hangs_for_ever_does_not_end_the_periodic_report() -> None:
+    """Each later pass is published as soon as the other checks are done, with the hung unit named in it."""
+    rig = Rig()
+    rig.pipeline.begin_pass()
+    rig.pipeline.observe({"container": ok("running")}, rig.clock.mono(), 0.0)
+    rig.clock.advance(5)
+    rig.pipeline.observe({"nodes": stale("hung")}, rig.clock.mono(), 5.0, overdue=True)
+    for number in (2, 3, 4):
+        rig.clock.advance(10)  # an interval shorter than the limit of a pass
+        rig.pipeline.begin_pass()
+        rig.clock.advance(1)
+        rig.pipeline.observe({"container": ok("running")}, rig.clock.mono(), 0.0)
+        assert [report.number for report in rig.reports()] == list(range(1, number + 1))
+        assert rig.reports()[-1].missing == ("nodes",)
+    came_back = rig.clock.mono()
+    rig.pipeline.observe({"nodes": ok("back")}, came_back - 35, 35.0)
+    rig.clock.advance(10)
+    rig.pipeline.begin_pass()
+    rig.pipeline.observe({"container": ok("running")}, rig.clock.mono(), 0.0)
+    assert len(rig.reports()) == 4, "it has come back, so the pass waits for it again"
+    rig.pipeline.observe({"nodes": ok("running")}, rig.clock.mono(), 0.0)
+    assert rig.reports()[-1].missing == ()
+
+
+def test_an_unfinished_pass_is_published_before_the_next_one_begins() -> None:
+    """With an interval shorter than the slowest check, what is known is reported and the rest is named."""
+    rig = Rig()
+    rig.pipeline.begin_pass()
+    rig.pipeline.observe({"container": ok("running")}, rig.clock.mono(), 0.0)
+    rig.clock.advance(2)
+    rig.pipeline.begin_pass()
+    assert [(report.number, report.missing) for report in rig.reports()] == [(1, ("nodes",))]
+    kinds = [type(event) for event in rig.events if isinstance(event, (Report, ReportStarted))]
+    assert kinds == [ReportStarted, Report, ReportStarted]
+
+
 def test_what_the_tracker_wants_to_know_wakes_the_checks() -> None:
     """The dependent's question reaches the engine."""
     rig = Rig()

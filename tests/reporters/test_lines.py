@@ -234,3 +234,11 @@ def test_a_very_long_line_is_cut_with_a_mark() -> None:
     assert len(data) <= MAX_BYTES
     assert data.decode().endswith("é [cut]")
     assert encode("\udcff") == b"\\udcff"
+
+
+def test_a_report_names_the_units_whose_check_did_not_come_back() -> None:
+    """The line before the totals says which units are older than the report."""
+    hung = unit("custom/x", Slot.USER_1, Level.STALE, "no result yet")
+    lines = TextLines().of(Report(at(), 1, at(), (hung,), missing=("custom/x",)))
+    assert lines[-2] == f"{STAMP} ---- PHM: not in this report, the check has not come back: custom/x"
+    assert " REPORT " in lines[-1]
