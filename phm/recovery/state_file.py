@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -23,6 +24,8 @@ from phm.wire.status_file import place
 NAME = "state.json"
 MAX_BYTES = 4_000_000
 KEPT_CORRUPT = 3
+_ASIDE = re.compile(re.escape(NAME) + r"\.corrupt-\d{8}T\d{6}Z")
+"""Only what PHM set aside itself is removed again, not an operator's copy."""
 ALONG_S = 0.25
 """Changes within this time of the last writing wait for the next tick."""
 
@@ -84,10 +87,12 @@ class StateFile:
         aside = self.path.with_name(f"{NAME}.corrupt-{utc}")
         try:
             self.path.replace(aside)
-            for old in sorted(self.path.parent.glob(f"{NAME}.corrupt-*"))[:-KEPT_CORRUPT]:
-                old.unlink()
         except OSError as error:
             return f"{self.path} is not believed ({reason}) and cannot be set aside: {error.strerror or error}"
+        earlier = [entry for entry in self.path.parent.glob(f"{NAME}.corrupt-*") if _ASIDE.fullmatch(entry.name)]
+        for old in sorted(earlier)[:-KEPT_CORRUPT]:
+            with contextlib.suppress(OSError):  # a directory of that name, say: the others are what matters
+                old.unlink()
         return f"{self.path} is not believed ({reason}): set aside as {aside.name}, PHM starts without what it knew"
 
 

@@ -116,7 +116,9 @@ class TextLines:
         for _check, states in groupby(report.units, key=lambda state: (state.check, state.slot)):
             yield from _check_lines(report.at, tuple(states), self._faults)
         if report.missing:
-            yield _line(report.at, "PHM", None, f"not in this report, the check has not come back: {', '.join(report.missing)}")
+            yield _line(
+                report.at, "PHM", None, f"not in this report, the check has not come back: {', '.join(report.missing)}"
+            )
         array = status_array(report.units)
         yield (
             f"{clock_text(report.at.utc)} REPORT Successes: {array.count(1)}, Failures: {array.count(0)}, "

@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import re
 import resource
 import stat
 from collections import deque
 from collections.abc import Callable
 
 from phm.clock import Clock
+from phm.wire.journal import rotated_number
 
 RING_LINES = 1000
 """Lines kept in memory while the file cannot be written; older ones are dropped and counted."""
@@ -164,23 +164,31 @@ class RotatingLines:
         return stat.S_ISREG(os.fstat(self._fd).st_mode)
 
     def _rotate(self) -> None:
-        """Shift ``.1`` to ``.2`` and so on; the oldest is replaced. Renames only: at no moment is content without a file."""
-        for number in range(self._files - 1, 0, -1):
-            try:
-                os.rename(f"{self.path}.{number}", f"{self.path}.{number + 1}")
-            except FileNotFoundError:
-                continue
-        os.rename(self.path, f"{self.path}.1")
+        """Shift ``.1`` to ``.2`` and so on; the oldest is replaced. Renames only: at no moment is content without a file.
+
+        A directory or link that somebody else gave such a name is left alone and its number passed over. Without any
+        number left, the file is begun again: a log of the last lines is better than none.
+        """
+        names = [name for number in range(1, self._files + 1) if _ours(name := f"{self.path}.{number}")]
+        if not names:
+            os.ftruncate(self._fd, 0)
+            self._size = 0
+            return
+        for older, newer in zip(names[:0:-1], names[-2::-1], strict=True):
+            with contextlib.suppress(FileNotFoundError):
+                os.rename(newer, older)
+        os.rename(self.path, names[0])
         self._close()
         self._open()
 
     def _prune(self, directory: str) -> None:
         """Remove rotated files beyond the number that is kept now; an earlier configuration may have kept more."""
-        numbered = re.compile(re.escape(os.path.basename(self.path)) + r"\.(\d+)")
-        for name in os.listdir(directory):
-            match = numbered.fullmatch(name)
-            if match and int(match[1]) > self._files:
-                os.unlink(os.path.join(directory, name))
+        base = os.path.basename(self.path)
+        extra = [name for name in os.listdir(directory) if (rotated_number(base, name) or 0) > self._files]
+        for path in (os.path.join(directory, name) for name in extra):
+            with contextlib.suppress(OSError):  # what cannot be removed is no reason not to log
+                if _ours(path):
+                    os.unlink(path)
 
     def _failed(self, error: OSError) -> None:
         self._reason = error.strerror or type(error).__name__
@@ -194,3 +202,11 @@ class RotatingLines:
             # The descriptor is gone either way; what could not be written was told by the write.
             with contextlib.suppress(OSError):
                 os.close(fd)
+
+
+def _ours(path: str) -> bool:
+    """Whether rotation may put a file there: it is free, or a regular file. Raises OSError."""
+    try:
+        return stat.S_ISREG(os.lstat(path).st_mode)
+    except FileNotFoundError:
+        return True

@@ -17,6 +17,10 @@ from typing import IO, Any
 VERSION = 1
 """`v` of the lines that are written now. It rises only when a key changes its meaning or goes away."""
 
+MOST_FILES = 100
+"""The highest number of rotated files that a configuration can ask for."""
+_NUMBER = re.compile(r"[1-9][0-9]{0,2}")
+
 
 def files(path: Path | str) -> list[Path]:
     """The files of one log, oldest first: ``phm.jsonl.2``, ``phm.jsonl.1``, ``phm.jsonl``; those that exist.
@@ -26,10 +30,24 @@ def files(path: Path | str) -> list[Path]:
     base = Path(path)
     if base.is_dir():
         base = base / "phm.jsonl"
-    numbered = re.compile(re.escape(base.name) + r"\.(\d+)")
-    rotated = [(int(match[1]), entry) for entry in base.parent.glob("*") if (match := numbered.fullmatch(entry.name))]
+    rotated = [
+        (number, entry)
+        for entry in base.parent.glob("*")
+        if (number := rotated_number(base.name, entry.name)) is not None
+    ]
     found = [entry for _number, entry in sorted(rotated, reverse=True)]
     return found + ([base] if base.exists() else [])
+
+
+def rotated_number(base: str, name: str) -> int | None:
+    """The number that rotation gave to `name`, a file of the log `base`; None when rotation never makes that name.
+
+    An operator's copy, such as ``phm.jsonl.20261121``, is no part of the log.
+    """
+    digits = name.removeprefix(f"{base}.")
+    if digits == name or not _NUMBER.fullmatch(digits) or int(digits) > MOST_FILES:
+        return None
+    return int(digits)
 
 
 def read(path: Path | str) -> Iterator[dict[str, Any]]:

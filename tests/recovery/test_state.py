@@ -183,6 +183,21 @@ def test_few_broken_files_are_kept(tmp_path: Path) -> None:
     assert texts == [f"broken {number}" for number in range(6)][-KEPT_CORRUPT:]
 
 
+def test_an_operators_copy_of_a_broken_file_is_kept(tmp_path: Path) -> None:
+    """Only the names that PHM gives are removed; a directory of such a name does not turn it into a failure."""
+    clock = testing.FakeClock()
+    file = StateFile(str(tmp_path), clock, BOOT)
+    (tmp_path / "state.json.corrupt-0-flight-7").write_text("theirs")
+    (tmp_path / "state.json.corrupt-19990101T000000Z").mkdir()
+    for number in range(5):
+        file.path.write_text(f"broken {number}")
+        assert "set aside as" in file.load(WINDOW_S)[1]
+        clock.advance(60.0)
+    assert (tmp_path / "state.json.corrupt-0-flight-7").read_text() == "theirs"
+    kept = [entry for entry in tmp_path.glob("state.json.corrupt-2*") if entry.is_file()]
+    assert len(kept) == KEPT_CORRUPT
+
+
 def test_an_unreadable_state_is_a_sentence(tmp_path: Path) -> None:
     """A folder in the file's place: told, and PHM starts with nothing."""
     file = StateFile(str(tmp_path), testing.FakeClock(), BOOT)

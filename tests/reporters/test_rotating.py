@@ -78,6 +78,50 @@ def test_files_beyond_a_smaller_number_are_removed(tmp_path: Path) -> None:
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["log", "log.1", "log.old", "other.9"]
 
 
+def test_an_operators_copy_is_never_removed(tmp_path: Path) -> None:
+    """Only names that rotation itself gives are pruned: .1 to .100, no leading zero; a date is not one of them."""
+    theirs = ["log.007", "log.101", "log.20261121", "log.3.gz", "log.\u0663"]
+    for name in theirs:
+        (tmp_path / name).write_text("theirs\n")
+    (tmp_path / "log.99").write_text("of an earlier configuration\n")
+    make(tmp_path / "log", files=2).write(b"line")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == sorted(["log", *theirs])
+
+
+def test_what_cannot_be_pruned_does_not_keep_the_log_from_being_written(tmp_path: Path) -> None:
+    """A directory or a link with the name of a rotated file stays where it is, and lines are written beside it."""
+    (tmp_path / "log.7").mkdir()
+    (tmp_path / "log.8").symlink_to(tmp_path / "nowhere")
+    lines = make(tmp_path / "log", files=2)
+    lines.write(b"line")
+    assert (tmp_path / "log").read_bytes() == b"line\n"
+    assert lines.problem() == ""
+    assert (tmp_path / "log.7").is_dir() and (tmp_path / "log.8").is_symlink()
+
+
+def test_rotation_goes_round_a_directory_in_its_way(tmp_path: Path) -> None:
+    """A directory named as a rotated file is neither moved nor replaced; the other names are used."""
+    (tmp_path / "log.1").mkdir()
+    (tmp_path / "log.1" / "kept").write_text("theirs\n")
+    lines = make(tmp_path / "log", max_size=100, files=3)
+    for number in range(100):
+        lines.write(b"%019d" % number)
+    assert lines.problem() == ""
+    assert (tmp_path / "log.1" / "kept").read_text() == "theirs\n"
+    kept = [int(line) for name in ("log.3", "log.2", "log") for line in (tmp_path / name).read_text().split()]
+    assert kept == list(range(85, 100))
+
+
+def test_with_no_name_to_rotate_to_the_newest_lines_are_kept(tmp_path: Path) -> None:
+    """Where every rotated name is a directory, the file is begun again: it neither grows beyond its size nor stops."""
+    (tmp_path / "log.1").mkdir()
+    lines = make(tmp_path / "log", max_size=100, files=1)
+    for number in range(12):
+        lines.write(b"%019d" % number)
+    assert lines.problem() == ""
+    assert [int(line) for line in (tmp_path / "log").read_text().split()] == [10, 11]
+
+
 def test_a_torn_last_line_stays_by_itself(tmp_path: Path) -> None:
     """After a power cut the next line starts on a new line, and the torn piece is kept."""
     (tmp_path / "log").write_bytes(b"whole\ntor")
