@@ -1,4 +1,4 @@
-"""The ways MAVLink bytes travel: UDP, TCP and serial, none of them ever blocking.
+"""The ways MAVLink bytes travel: TCP and serial here, UDP in `phm.transport.mavlink_udp`; none of them ever blocks.
 
 A channel belongs to the thread of its endpoint. It says which descriptors to poll, gives the messages
 that came in, and takes whole frames. OSError from any of its methods means: it is lost, open it anew.
@@ -7,25 +7,20 @@ that came in, and takes whole frames. OSError from any of its methods means: it 
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import select
 import socket
 from abc import ABC, abstractmethod
 from typing import Any
 
-from phm.clock import Clock
 from phm.transport.mavlink_codec import Codec, Parser
 from phm.transport.serial_line import LineCount
 
 MAX_PEERS = 16
-PEER_EXPIRES_S = 60.0
 READ_BYTES = 16384
-DATAGRAMS_A_TURN = 64
 SEND_BUFFER_BYTES = 16384
 CLIENT_BACKLOG_BYTES = 16384
 """A TCP client that is this far behind loses frames, and nobody else does."""
-_BUSY = frozenset((errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS))
 _POLL_LOST = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
@@ -179,104 +174,6 @@ class TcpServer(Channel):
     def _drop(self, fd: int) -> None:
         client, _ = self._clients.pop(fd)
         client.close()
-
-
-class _Udp(Channel):
-    """What both kinds of UDP share: reading a bounded number of datagrams at a time."""
-
-    def __init__(self, sock: socket.socket, codec: Codec) -> None:
-        self._socket, self._codec = sock, codec
-        self._parser = codec.parser()
-
-    def polls(self) -> list[tuple[int, int]]:
-        return [(self._socket.fileno(), select.POLLIN)]
-
-    def serve(self, fd: int, events: int) -> list[Any]:
-        messages: list[Any] = []
-        for _ in range(DATAGRAMS_A_TURN):
-            try:
-                data, sender = self._socket.recvfrom(65535)
-            except BlockingIOError:
-                break
-            except ConnectionError:
-                continue  # an earlier datagram found nobody listening: no news about this channel
-            messages += self._take(data, sender)
-        return messages
-
-    @abstractmethod
-    def _take(self, data: bytes, sender: Any) -> list[Any]: ...
-
-    def close(self) -> None:
-        self._socket.close()
-
-
-class UdpOut(_Udp):
-    """Sends to one address, or to all of a network, whether or not anybody was heard."""
-
-    proven = False
-
-    def __init__(self, sock: socket.socket, target: Any, codec: Codec) -> None:
-        super().__init__(sock, codec)
-        self._target = target
-
-    def _take(self, data: bytes, sender: Any) -> list[Any]:
-        return self._parser.datagram(data)
-
-    @property
-    def ready(self) -> bool:
-        return True
-
-    def write(self, frame: bytes) -> int:
-        try:
-            self._socket.sendto(frame, self._target)
-        except ConnectionError:
-            return 1  # ECONNREFUSED tells of an earlier datagram; this one may well arrive
-        except OSError as error:
-            if error.errno in _BUSY:
-                self._codec.counters.dropped += 1
-                return 0
-            raise
-        return 1
-
-
-class UdpIn(_Udp):
-    """Waits for peers and answers to each that sent a frame whose checksum is right."""
-
-    def __init__(self, sock: socket.socket, codec: Codec, clock: Clock) -> None:
-        super().__init__(sock, codec)
-        self._clock = clock
-        self._peers: dict[Any, float] = {}
-
-    def _take(self, data: bytes, sender: Any) -> list[Any]:
-        known = sender in self._peers
-        before = self._parser.verified
-        messages = self._parser.datagram(data, verify=not known)
-        if known or (self._parser.verified > before and self._room()):
-            self._peers[sender] = self._clock.mono()
-        return messages
-
-    def _room(self) -> bool:
-        self._expire()
-        return len(self._peers) < MAX_PEERS
-
-    def _expire(self) -> None:
-        now = self._clock.mono()
-        self._peers = {peer: heard for peer, heard in self._peers.items() if now - heard <= PEER_EXPIRES_S}
-
-    @property
-    def ready(self) -> bool:
-        return True
-
-    def write(self, frame: bytes) -> int:
-        self._expire()
-        sent = 0
-        for peer in self._peers:
-            try:
-                self._socket.sendto(frame, peer)
-                sent += 1
-            except OSError:  # one peer's network is gone; it expires unless it comes back
-                self._codec.counters.dropped += 1
-        return sent
 
 
 def tune(sock: socket.socket) -> None:

@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterator
 
 from phm.clock import Clock
 from phm.settings import EndpointSettings
-from phm.transport.mavlink_channels import Channel, StreamChannel, TcpServer, UdpIn, UdpOut, tune
+from phm.transport.mavlink_channels import Channel, StreamChannel, TcpServer, tune
 from phm.transport.mavlink_codec import Codec
+from phm.transport.mavlink_udp import UdpBroadcast, UdpIn, UdpOut
 from phm.transport.resolve import Address, Resolver
 from phm.transport.serial_line import LineCount, count, keep_dtr
 
@@ -32,6 +33,8 @@ class Opener:
         self._scheme = "serial"
         self._resolver: Resolver | None = None
         self._target: Address | None = None
+        self._source = ""
+        """Own address of the connected UDP socket."""
         if not settings.url.startswith("/"):
             self._scheme, _, rest = settings.url.partition(":")
             host, _, port = rest.rpartition(":")
@@ -39,12 +42,17 @@ class Opener:
             self._resolver = Resolver(host, int(port), kind, passive=self._scheme.endswith("in"))
 
     def moved(self) -> bool:
-        """Whether the other side's name now stands for another address (a container started anew).
+        """Whether the peer's name now stands for another address (its container was started again), or the way there begins
+        at another address of this machine (another interface has taken over).
 
-        Looks the name up in the background; what it says is what earlier look-ups found. For UDP only:
+        Looks the name up in the background; what it says is what earlier look-ups found. For `udpout` only:
         TCP notices by itself.
         """
-        if self._scheme != "udpout" or self._resolver is None or self._resolver.literal:
+        if self._scheme != "udpout" or self._resolver is None:
+            return False
+        if self._rerouted():
+            return True
+        if self._resolver.literal:
             return False
         self._resolver.ask()
         return self._resolver.newest() not in (None, self._target)
@@ -53,7 +61,7 @@ class Opener:
         """A new channel. Raises OSError with a sentence for the log."""
         makers: dict[str, Callable[[], Channel]] = {
             "serial": self._serial, "tcp": self._tcp, "tcpin": self._tcpin,
-            "udpin": self._udpin, "udpout": self._udpout, "udpbcast": self._udpout,
+            "udpin": self._udpin, "udpout": self._udpout, "udpbcast": self._udpbcast,
         }  # fmt: skip
         return makers[self._scheme]()
 
@@ -111,9 +119,26 @@ class Opener:
         sock = socket.socket(family, socket.SOCK_DGRAM)
         with _closed_on_failure(sock):
             sock.setblocking(False)
-            if self._scheme == "udpbcast":
-                sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        return UdpOut(sock, target, self._codec)
+            sock.connect(target)
+            self._source = sock.getsockname()[0]
+            return UdpOut(sock, self._codec)
+
+    def _udpbcast(self) -> Channel:
+        family, target = self._address()
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        with _closed_on_failure(sock):
+            sock.setblocking(False)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            return UdpBroadcast(sock, target, self._codec)
+
+    def _rerouted(self) -> bool:
+        """Whether the way to the peer now begins at another address of this machine: a connected socket keeps its first one."""
+        assert self._target is not None
+        family, target = self._target
+        with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect(target)  # of UDP: nothing is sent
+            return bool(probe.getsockname()[0] != self._source)
+        return False
 
     def _serial(self) -> Channel:
         # Imported here: an agent without serial endpoints does not pay for pyserial.

@@ -1,0 +1,153 @@
+"""MAVLink by UDP: to one peer, to a network, or waiting for whoever sends. Part of `phm.transport.mavlink_channels`."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import select
+import socket
+from abc import abstractmethod
+from typing import Any
+
+from phm.clock import Clock
+from phm.transport.mavlink_channels import MAX_PEERS, Channel
+from phm.transport.mavlink_codec import Codec
+
+PEER_EXPIRES_S = 60.0
+DATAGRAMS_A_TURN = 64
+_BUSY = frozenset((errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS))
+
+
+class _Udp(Channel):
+    """What all kinds of UDP share: reading a bounded number of datagrams at a time."""
+
+    def __init__(self, sock: socket.socket, codec: Codec) -> None:
+        self._socket, self._codec = sock, codec
+        self._parser = codec.parser()
+
+    def polls(self) -> list[tuple[int, int]]:
+        return [(self._socket.fileno(), select.POLLIN)]
+
+    def serve(self, fd: int, events: int) -> list[Any]:
+        messages: list[Any] = []
+        for _ in range(DATAGRAMS_A_TURN):
+            try:
+                data, sender = self._socket.recvfrom(65535)
+            except BlockingIOError:
+                break
+            except OSError:
+                continue  # an ICMP error about an earlier datagram, which anybody on the way can cause; reading it clears it
+            messages += self._take(data, sender)
+        return messages
+
+    @abstractmethod
+    def _take(self, data: bytes, sender: Any) -> list[Any]: ...
+
+    @property
+    def ready(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Sending(_Udp):
+    """Sends to one address whether or not anybody was heard."""
+
+    proven = False
+
+    def _send(self, frame: bytes) -> None:
+        raise NotImplementedError
+
+    def write(self, frame: bytes) -> int:
+        try:
+            try:
+                self._send(frame)
+            except OSError as error:
+                if error.errno in _BUSY:
+                    raise
+                # The kernel reports an ICMP error about an earlier datagram instead of sending this one.
+                self._send(frame)
+        except ConnectionError:
+            return 1  # nobody listens there yet, which is no news about this channel
+        except OSError as error:
+            if error.errno in _BUSY:
+                self._codec.counters.dropped += 1
+                return 0
+            raise
+        return 1
+
+
+class UdpOut(_Sending):
+    """One peer, by a connected socket: the kernel drops what others send."""
+
+    def __init__(self, sock: socket.socket, codec: Codec) -> None:
+        """sock: connected."""
+        super().__init__(sock, codec)
+        self._peer = sock.getpeername()[:2]
+
+    def _take(self, data: bytes, sender: Any) -> list[Any]:
+        # What came between the socket's bind and its connect, both within `connect`, may be a stranger's.
+        return self._parser.datagram(data) if sender[:2] == self._peer else []
+
+    def _send(self, frame: bytes) -> None:
+        self._socket.send(frame)
+
+
+class UdpBroadcast(_Sending):
+    """All of a network. Those that listen on the port answer from it; what comes from another port or network is dropped."""
+
+    def __init__(self, sock: socket.socket, target: Any, codec: Codec) -> None:
+        super().__init__(sock, codec)
+        self._target, self._network = target, network_of(target[0])
+
+    def _take(self, data: bytes, sender: Any) -> list[Any]:
+        if sender[1] != self._target[1] or ipaddress.ip_address(sender[0]) not in self._network:
+            return []
+        return self._parser.datagram(data)
+
+    def _send(self, frame: bytes) -> None:
+        self._socket.sendto(frame, self._target)
+
+
+def network_of(broadcast: str) -> ipaddress.IPv4Network:
+    """The largest network that has this broadcast address. Its interface may not be up yet, so the mask is not asked for."""
+    number = int(ipaddress.IPv4Address(broadcast))
+    host_bits = (~number & (number + 1)).bit_length() - 1
+    return ipaddress.IPv4Network((number >> host_bits << host_bits, 32 - host_bits))
+
+
+class UdpIn(_Udp):
+    """Waits for peers and answers to each that sent a frame whose checksum is right."""
+
+    def __init__(self, sock: socket.socket, codec: Codec, clock: Clock) -> None:
+        super().__init__(sock, codec)
+        self._clock = clock
+        self._peers: dict[Any, float] = {}
+
+    def _take(self, data: bytes, sender: Any) -> list[Any]:
+        known = sender in self._peers
+        before = self._parser.verified
+        messages = self._parser.datagram(data, verify=not known)
+        if known or (self._parser.verified > before and self._room()):
+            self._peers[sender] = self._clock.mono()
+        return messages
+
+    def _room(self) -> bool:
+        self._expire()
+        return len(self._peers) < MAX_PEERS
+
+    def _expire(self) -> None:
+        now = self._clock.mono()
+        self._peers = {peer: heard for peer, heard in self._peers.items() if now - heard <= PEER_EXPIRES_S}
+
+    def write(self, frame: bytes) -> int:
+        self._expire()
+        sent = 0
+        for peer in self._peers:
+            try:
+                self._socket.sendto(frame, peer)
+                sent += 1
+            except OSError:  # one peer's network is gone; it expires unless it comes back
+                self._codec.counters.dropped += 1
+        return sent

@@ -1,0 +1,158 @@
+"""Who may use an endpoint: frames of strangers, over real sockets."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import socket
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.inbound.desk import Desk, Powers
+from phm.settings import MavlinkSettings
+from phm.testing import settings
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink import MavlinkHub
+from phm.transport.mavlink_udp import network_of
+from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
+
+RESTART = mavlink.MAVLink_command_long_message(7, 193, 31010, 0, 3, 1, 0, 0, 0, 0, 0)
+Board = Callable[[str], "Aboard"]
+
+
+class Aboard:
+    """A hub of agent 7 with one endpoint and a command handler that allows `restart`; `did` is what was done."""
+
+    def __init__(self, url: str) -> None:
+        chosen = settings(
+            agent={"id": 7}, containers=[{"name": "app"}],
+            mavlink={"endpoints": [{"url": url, "budget": 0}], "commands": ["status", "restart"]},
+        )  # fmt: skip
+        assert isinstance(chosen.mavlink, MavlinkSettings)
+        self.did: list[str] = []
+        self.heard: list[tuple[int, str]] = []
+        self.hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
+        self.hub.listen(lambda message, link: self.heard.append((message.get_srcSystem(), message.get_type())), (0,))
+        powers = Powers(
+            tuple, tuple, tuple, lambda: True, lambda: True, look=lambda: None, approve=str,
+            restart=lambda key, by: self.did.append(by) or key, note=lambda kind, text: None, later=TimeoutError,
+        )  # fmt: skip
+        self.desk = Desk(self.hub, powers, chosen, SystemClock())
+        self.hub.start()
+        self.desk.start()
+
+    def close(self) -> None:
+        self.desk.close()
+        self.hub.close()
+
+
+@pytest.fixture
+def board() -> Iterator[Board]:
+    """Makes agents, and closes them at the end."""
+    made: list[Aboard] = []
+
+    def make(url: str) -> Aboard:
+        made.append(Aboard(url))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def udp() -> Iterator[Callable[..., socket.socket]]:
+    """Makes UDP sockets of loopback, and closes them at the end."""
+    with contextlib.ExitStack() as stack:
+
+        def make(host: str = "127.0.0.1", port: int = 0) -> socket.socket:
+            made = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            made.bind((host, port))
+            made.settimeout(15.0)
+            return made
+
+        yield make
+
+
+def address_of(agent: Aboard, ground: socket.socket) -> Any:
+    """Where the agent's endpoint sends from."""
+    agent.hub.send(text("hello"))
+    return ground.recvfrom(300)[1]
+
+
+def test_udpout_hears_its_peer_and_nobody_else(board: Board, udp: Callable[..., socket.socket]) -> None:
+    """A command from another port or host of the network is not even read; the peer's own is obeyed."""
+    ground = udp()
+    agent = board(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
+    ours = address_of(agent, ground)
+    for stranger in (udp(), udp("127.0.0.2"), udp("127.0.0.2", ground.getsockname()[1])):
+        stranger.sendto(Sender(255, 190).frame(RESTART), ours)
+    known = Sender(254, 190)
+    for message in (heartbeat(), RESTART):
+        ground.sendto(known.frame(message), ours)
+    until(lambda: agent.did, "the peer's restart")
+    assert agent.did == ["254/190"]
+    assert agent.heard == [(254, "HEARTBEAT")]
+
+
+def test_udpbcast_hears_answers_from_its_port_alone(board: Board, udp: Callable[..., socket.socket]) -> None:
+    """A receiver of the broadcast answers from the port that it was sent to; what comes from another port is not read."""
+    port = free_port(socket.SOCK_DGRAM)
+    ground = udp("0.0.0.0", port)
+    agent = board(f"udpbcast:127.255.255.255:{port}")
+    agent.hub.send(text("hello"))
+    _data, ours = ground.recvfrom(300)
+    udp().sendto(Sender(255, 190).frame(RESTART), ("127.0.0.1", ours[1]))
+    for message in (heartbeat(), RESTART):
+        ground.sendto(Sender(254, 190).frame(message), ("127.0.0.1", ours[1]))
+    until(lambda: agent.did, "the restart that the listener on the port asked for")
+    assert agent.did == ["254/190"]
+    assert agent.heard == [(254, "HEARTBEAT")]
+
+
+def test_a_ground_station_that_starts_later_gets_the_next_frame(
+    board: Board, udp: Callable[..., socket.socket]
+) -> None:
+    """That nobody listened at first is reported to a connected socket, and must cost neither the link nor a line."""
+    port = free_port(socket.SOCK_DGRAM)
+    agent = board(f"udpout:127.0.0.1:{port}")
+    (counters,) = agent.hub.counters().values()
+    for number in range(3):
+        agent.hub.send(text("to nobody"))
+        until(lambda sent=number + 1: counters.sent == sent)  # type: ignore[misc]
+    ground = udp("127.0.0.1", port)
+    agent.hub.send(text("to the ground"))
+    assert b"to the ground" in ground.recv(300)
+    assert [fact.open for fact in agent.hub.links()] == [True]
+    assert agent.hub._endpoints[0]._opened == 1
+
+
+@pytest.mark.parametrize(
+    ("target", "inside", "outside"),
+    [
+        ("192.168.6.255", "192.168.6.1", "192.168.7.1"),
+        ("192.168.7.127", "192.168.7.126", "192.168.7.129"),
+        ("10.42.255.255", "10.42.3.4", "10.43.3.4"),
+    ],
+)
+def test_the_network_of_a_broadcast_address_is_known_without_its_mask(target: str, inside: str, outside: str) -> None:
+    """All bits behind the last zero may be the host's."""
+    network = network_of(target)
+    assert ipaddress.ip_address(inside) in network
+    assert ipaddress.ip_address(outside) not in network
+    assert ipaddress.ip_address("8.8.8.8") in network_of("255.255.255.255")
+
+
+def test_udpout_follows_the_way_to_its_peer(board: Board, udp: Callable[..., socket.socket]) -> None:
+    """When the route begins at another address of this machine, a silent endpoint is opened again from there."""
+    ground = udp()
+    agent = board(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
+    endpoint = agent.hub._endpoints[0]
+    address_of(agent, ground)
+    assert endpoint._opener.moved() is False
+    endpoint._opener._source = "192.0.2.1"  # as if the first interface had gone
+    assert endpoint._opener.moved() is True
