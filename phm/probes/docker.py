@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import socket
 import threading
@@ -42,10 +43,12 @@ class Docker:
     def __init__(self, engine: Engine, settings: Settings, clock: Clock, proc: Path = Path("/proc/self")) -> None:
         self._engine, self._settings, self._clock, self._proc = engine, settings, clock, proc
         self._entries = {key: _Entry() for key in (_MYSELF, *(entry.key for entry in settings.containers))}
+        self._generations = itertools.count(1)
         self._generation = 0
         self._my_id = ""
         self._processes = Processes(engine)
         self._reach = reach.Reach()
+        engine.on_change = self.invalidate
 
     def engine(self) -> str:
         return str(self._engine.version().get("Version") or "unknown version")
@@ -94,8 +97,8 @@ class Docker:
         return self._reach.knock(address)
 
     def invalidate(self) -> None:
-        """Something happened: what was read before now is old. Called with each Docker event."""
-        self._generation += 1
+        """Something happened: what was read before now is old. Called with each Docker event and after each action of PHM."""
+        self._generation = next(self._generations)
 
     # ------------------------------------------------------------ one question for all who ask at once
 

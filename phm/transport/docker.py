@@ -249,7 +249,10 @@ class Engine(Session):
         self._act(lambda client: client.remove_container(ref, v=True), f"remove {ref}")
 
     def _act(self, fn: Callable[[APIClient], Any], what: str, grace_s: float = 0.0) -> None:
-        self.call(fn, deadline_s=self.timeout_s + grace_s + ACT_MARGIN_S, what=what)
+        try:
+            self.call(fn, deadline_s=self.timeout_s + grace_s + ACT_MARGIN_S, what=what)
+        finally:
+            self.on_change()
 
 
 def _whole(seconds: float) -> int:

@@ -50,6 +50,8 @@ class Session:
         self._local = threading.local()  # docker-py's client is not thread-safe
         self._resolver = resolver_for(url)
         self._api = ""
+        self.on_change: Callable[[], None] = lambda: None
+        """Called after each call that was to change something, whatever came of it: what was read before is old."""
 
     def call(self, fn: Callable[[APIClient], T], *, deadline_s: float | None = None, what: str = "answer") -> T:
         """Run `fn` on this thread's docker-py client, to be over after `deadline_s` (default: the time-out)."""

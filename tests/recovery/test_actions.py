@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +11,10 @@ from typing import Any
 import pytest
 
 from phm.facts import NotPermitted
+from phm.probes.docker import Docker
 from phm.recovery.actions import Relaunch, Restart, Restore, Start
 from phm.recovery.base import ActionFailed
+from phm.testing import FakeClock
 from phm.transport.docker import Engine, EngineBroken, EngineTimeout
 from tests.fakes.engine import FakeEngine, Hang, Status, container
 from tests.recovery.bench import Bench, bench, fault
@@ -107,6 +110,32 @@ def test_a_dependant_that_was_started_after_it_is_left_as_it_is(fake: FakeEngine
         )
     made.run(Restart, "app", EXITED)
     assert acted(fake, "restart") == ["app", "side", "late"]
+
+
+def test_dependants_are_judged_by_the_answer_after_the_action(fake: FakeEngine, ask: Engine) -> None:
+    """An answer from before the start, however young, says nothing about who runs after it."""
+    made = stack(fake, ask)
+    made.probe = Docker(ask, made.settings, FakeClock())  # no time passes, so every answer stays young
+    fake.set("app", status="exited", exit_code=1)
+    for name in ("app", "side"):
+        assert made.fact(name) is not None
+    words = made.run(Start, "app", EXITED)
+    assert words == "started app; restarted side, which depends on it; restarted late, which depends on it"
+    assert acted(fake, "start", "restart") == ["app", "side", "late"]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_no_answer_from_before_an_action_outlives_it(fake: FakeEngine, ask: Engine, *, fails: bool) -> None:
+    """Also after an action that failed: the engine may have done it all the same."""
+    made = stack(fake, ask)
+    probe = made.probe = Docker(ask, made.settings, FakeClock())
+    probe.container("app")
+    asked = len(fake.calls)
+    fake.fault = Status(500, "no", route="/restart") if fails else None
+    with contextlib.suppress(EngineBroken):
+        ask.restart("app")
+    probe.container("app")
+    assert len(fake.calls) == asked + 2
 
 
 def test_arming_is_asked_when_the_dependant_is_in_hand(fake: FakeEngine, ask: Engine) -> None:
