@@ -325,6 +325,7 @@ def test_each_new_call_has_a_deadline(
     monkeypatch.setattr("phm.transport.docker.ACT_MARGIN_S", 0.0)
     fake.containers["app"] = container("app")
     ask.version()
+    ask.timeout_s = 0.5
     fake.fault = Hang()
     calls: dict[str, Callable[[], object]] = {
         "exec": lambda: ask.exec_detached("app", ["x"]), "put": lambda: ask.put_file("app", "/a", b"", 0o644),
