@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from phm.cli.options import config_option, json_option, load_settings, run_dir_option
-from phm.wire import episodes, journal, status_file
+from phm.wire import episodes, journal, status_file, status_shape
 
 RECENT = 20
 
@@ -60,7 +60,7 @@ def command(
 def _open_now(run_dir: str) -> tuple[list[dict[str, Any]], bool]:
     """The open faults of the running daemon, and whether one runs that can be believed."""
     try:
-        document = status_file.read(os.fspath(run_dir))
+        document = status_shape.read(os.fspath(run_dir))
     except status_file.NoStatus:
         return [], False
     opened = document.get("faults", {}).get("open", [])

@@ -108,7 +108,8 @@ def command(
     `mavlink.endpoints`: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, /dev/ttyUSB0 and so on; by default
     udpin:0.0.0.0:14551. On a terminal it shows a live table, else a line for each piece of news.
 
-    Exit code 0; 1 when a port is taken, and with --once when an agent is in ERROR, lost or not heard, or there is none.
+    Exit code 0; 1 when a port is taken or the record is not complete, and with --once when an agent is in ERROR, lost
+    or not heard, or there is none.
     """
     from phm.cli import render
     from phm.clock import SystemClock
@@ -123,21 +124,29 @@ def command(
     def notes() -> list[str]:
         return [part.about() for part in (server, book) if part is not None and part.about()]
 
+    def warn(text: str) -> None:
+        click.echo(text, err=True)
+
+    good = True
     with _ending() as stop:
-        show, console = Show(station, clock, _patient(stop), notes), render.console()
+        show, console = Show(station, clock, _patient(stop), notes, warn), render.console()
         with _running(station, book, server):
             _tried(station)
             limit_s = seconds if seconds is not None else ONCE_S if once else None
             end = None if limit_s is None else clock.mono() + limit_s
             if once:
                 clock.wait(stop, limit_s)
-                ctx.exit(0 if show.once(console, as_json=as_json) else 1)
+                good = show.once(console, as_json=as_json)
             elif as_json or not console.is_terminal:
                 show.lines(stop, end, as_json=as_json)
             else:
                 show.live(stop, end, console)
-        if as_json:
+        if as_json and not once:
             show.rest(0.0, as_json=True)
+    if book is not None and book.about():
+        warn(book.about())
+        good = False
+    ctx.exit(0 if good else 1)
 
 
 def _patient(stop: threading.Event) -> Callable[[str], None]:

@@ -28,7 +28,7 @@ def command(ctx: click.Context, run_dir: str, as_json: bool, healthy: bool, watc
     if watch:
         _watch(run_dir)
         return
-    document, problem = _look(run_dir)
+    document, problem = _look(run_dir, shown=not healthy)
     if healthy:
         click.echo(problem or f"PHM is well: {len(document.get('checks', ()))} units watched.", err=bool(problem))
     elif as_json:
@@ -42,14 +42,20 @@ def command(ctx: click.Context, run_dir: str, as_json: bool, healthy: bool, watc
     ctx.exit(1 if problem else 0)
 
 
-def _look(run_dir: str) -> tuple[dict[str, Any], str]:
-    """The status, empty when there is none, and why it is not well, empty when it is."""
+def _look(run_dir: str, *, shown: bool = True) -> tuple[dict[str, Any], str]:
+    """The status, empty when there is none, and why it is not well, empty when it is. `shown`: more than its verdict is needed."""
     try:
-        document = status_file.read(run_dir)
+        document = _complete(run_dir) if shown else status_file.read(run_dir)
     except status_file.NoStatus as error:
         return {}, f"PHM is not well: {error}."
     reason = status_file.unhealthy(document)
     return document, f"PHM is not well: {reason}." if reason else ""
+
+
+def _complete(run_dir: str) -> dict[str, Any]:
+    from phm.wire import status_shape  # a health check does without
+
+    return status_shape.read(run_dir)
 
 
 def _watch(run_dir: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -24,10 +25,16 @@ Print = Callable[[str], None]
 
 
 class Show:
-    """All of it runs in the thread that calls. `notes`: what the program has to say about itself."""
+    """All of it runs in the thread that calls.
 
-    def __init__(self, station: Station, clock: Clock, echo: Print, notes: Callable[[], list[str]]) -> None:
-        self._station, self._clock, self._echo, self._notes = station, clock, echo, notes
+    notes: what the program has to say about itself; `warn` prints one where there is no table to show it in.
+    """
+
+    def __init__(
+        self, station: Station, clock: Clock, echo: Print, notes: Callable[[], list[str]], warn: Print
+    ) -> None:
+        self._station, self._clock, self._echo, self._notes, self._warn = station, clock, echo, notes, warn
+        self._warned: set[str] = set()
         self._outlet = Outlet(clock)
         self._lines: deque[str] = deque(maxlen=KEPT_LINES)
         station.subscribe(self._outlet)
@@ -36,6 +43,7 @@ class Show:
         """A line for each piece of news until `stop`, or until the clock is at `end`."""
         while not self._over(stop, end):
             self.rest(LOOK_S, as_json=as_json)
+            self._warn_once()
 
     def rest(self, timeout_s: float, *, as_json: bool) -> None:
         """What waits to be shown, or comes within the time."""
@@ -60,6 +68,13 @@ class Show:
             console.print(table.whole(news.body, notes=self._notes()))
         hows = {agent["how"] for agent in news.body["agents"]}
         return bool(hows) and not hows & NOT_WELL
+
+    def _warn_once(self) -> None:
+        """Each note when it appears, not again for each new count in it; again when it comes back."""
+        notes = {re.sub(r"\d+", "#", note): note for note in self._notes()}
+        for kind in notes.keys() - self._warned:
+            self._warn(notes[kind])
+        self._warned = set(notes)
 
     def _table(self, console: Console) -> RenderableType:
         self._lines.extend(text for item in self._outlet.take(0.0) if (text := timed(item.news)))

@@ -37,7 +37,7 @@ class RotatingLines:
     """
 
     def __init__(self, path: str, *, max_size: int, files: int, clock: Clock, lost_line: LostLine) -> None:
-        self.path = path
+        self.path = os.path.abspath(path)
         self._max_size, self._files, self._clock, self._lost_line = (max_size, files, clock, lost_line)
         self._fd = -1
         self._size = 0

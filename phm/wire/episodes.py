@@ -8,10 +8,25 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from phm.wire.shape import misfit
+
 Json = dict[str, Any]
 MAX_EPISODES = 5000
 MAX_STEPS = 200
 MAX_BLOCKS = 50
+_TEXTS = (
+    "event", "fault", "unit", "layer", "condition", "summary", "brief", "target", "opened", "closed", "utc", "outcome", "by",
+    "action", "phase", "detail", "blocked_by",
+)  # fmt: skip
+SHAPES: dict[str, Any] = {
+    **dict.fromkeys(_TEXTS, (str, type(None))),
+    "slot": int,
+    "duration_s": (float, type(None)),
+    "blocks": [str],
+    "consequences": [str],
+    "suspects": [str],
+}
+"""The keys that an episode is made of, and their types."""
 
 
 def gather(events: Iterable[Mapping[str, Any]], open_now: Sequence[Mapping[str, Any]] | None) -> list[Json]:
@@ -22,7 +37,7 @@ def gather(events: Iterable[Mapping[str, Any]], open_now: Sequence[Mapping[str, 
     """
     episodes: dict[str, Json] = {}
     by_unit: dict[str, str] = {}
-    for event in events:
+    for event in map(_sound, events):
         kind, name = event.get("event"), event.get("fault")
         if kind == "transition" and event.get("blocked_by"):
             _blocked(episodes.get(by_unit.get(str(event["blocked_by"]), "")), event)
@@ -33,7 +48,7 @@ def gather(events: Iterable[Mapping[str, Any]], open_now: Sequence[Mapping[str, 
                 by_unit[episode["unit"]] = name
             if len(episodes) > MAX_EPISODES:
                 del episodes[next(iter(episodes))]
-    known = {str(fault.get("fault")): fault for fault in open_now or ()}
+    known = {str(fault.get("fault")): fault for fault in map(_sound, open_now or ())}
     for name, fault in known.items():
         if name not in episodes:  # its opening is in a log that is gone
             episodes[name] = {**_new(fault), **fault}
@@ -42,6 +57,11 @@ def gather(events: Iterable[Mapping[str, Any]], open_now: Sequence[Mapping[str, 
         if open_now is not None and episode["outcome"] == "open" and name not in known:
             episode["outcome"] = "unknown"
     return sorted(episodes.values(), key=lambda episode: str(episode["opened"]))
+
+
+def _sound(event: Mapping[str, Any]) -> Json:
+    """The event without what has the wrong type: a damaged line still says what its other keys say."""
+    return {key: value for key, value in event.items() if key in SHAPES and not misfit(value, SHAPES[key])}
 
 
 def _new(event: Mapping[str, Any]) -> Json:
@@ -95,7 +115,7 @@ def _blocked(episode: Json | None, event: Mapping[str, Any]) -> None:
 
 def _blocks(episode: Json, units: Any) -> None:
     for unit in units if isinstance(units, list) else ():
-        if unit not in episode["blocks"] and len(episode["blocks"]) < MAX_BLOCKS:
+        if isinstance(unit, str) and unit not in episode["blocks"] and len(episode["blocks"]) < MAX_BLOCKS:
             episode["blocks"].append(unit)
 
 

@@ -29,16 +29,20 @@ def read(run_dir: str) -> dict[str, Any]:
     path = os.path.join(run_dir, NAME)
     try:
         with open(path, "rb") as stream:
-            document = json.load(stream)
+            document = json.load(stream, parse_constant=_not_json)
     except FileNotFoundError:
         raise NoStatus(f"there is no {path}: PHM is not running, or its run_dir is another (see --run-dir)") from None
     except OSError as error:
         raise NoStatus(f"cannot read {path}: {error.strerror}") from None
     except (ValueError, RecursionError):
         raise NoStatus(f"{path} is not JSON: something other than PHM wrote it") from None
-    if not isinstance(document, dict):
+    if not isinstance(document, dict) or not isinstance(document.get("checks", []), list):
         raise NoStatus(f"{path} is not a PHM status: something other than PHM wrote it")
     return document
+
+
+def _not_json(constant: str) -> object:
+    raise ValueError(constant)  # NaN and Infinity: Python's own additions to JSON
 
 
 def place() -> dict[str, str]:
@@ -90,6 +94,8 @@ def _pid_namespace() -> str:
 
 def _exists(pid: int) -> bool:
     """Whether the process lives; a zombie (killed, not yet collected by its parent) does not."""
+    if not 0 < pid < 2**31:
+        return False
     try:
         with open(f"/proc/{pid}/stat", "rb") as stream:
             return stream.read().rpartition(b")")[2].split()[0] not in (b"Z", b"X")

@@ -131,7 +131,7 @@ def test_the_health_check_imports_next_to_nothing(tmp_path: Path) -> None:
 
 def test_an_unforeseen_error_is_one_sentence() -> None:
     """No traceback unless it is asked for, and exit code 70 (EX_SOFTWARE)."""
-    script = "import phm.cli.status as s, phm.cli; s._look = lambda d: 1 / 0; phm.cli.main(['status'])"
+    script = "import phm.cli.status as s, phm.cli; s._look = lambda *a, **k: 1 / 0; phm.cli.main(['status'])"
     plain = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=False)
     assert plain.returncode == os.EX_SOFTWARE
     assert plain.stderr == ("phm: internal error: ZeroDivisionError: division by zero (PHM_TRACEBACK=1 shows where)\n")

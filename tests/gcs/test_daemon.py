@@ -447,6 +447,27 @@ def test_once_says_by_its_exit_code_whether_all_are_well(voices: tuple[int, Call
     assert (nobody.returncode, "no agent heard yet" in output) == (1, True)
 
 
+def test_a_bare_name_is_recorded_in_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--record NAME` writes NAME where the program was started."""
+    monkeypatch.chdir(tmp_path)
+    done = run(f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}", "--record", "flight.jsonl", "--for", "0.3")
+    errors = done.communicate(timeout=60)[1]
+    assert (done.returncode, errors) == (0, "")
+    assert [event["event"] for event in journal.read(tmp_path / "flight.jsonl")][-1] == "snapshot"
+
+
+@pytest.mark.parametrize("more", [(), ("--json",), ("--once",), ("--once", "--json")])
+def test_a_record_that_cannot_be_written_is_reported_without_a_terminal(tmp_path: Path, more: tuple[str, ...]) -> None:
+    """On standard error, with the reason, and by exit code 1."""
+    (tmp_path / "folder").write_text("a file in the way")
+    path = str(tmp_path / "folder" / "flight.jsonl")
+    done = run(f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}", "--record", path, "--for", "1.5", *more)
+    errors = done.communicate(timeout=60)[1]
+    assert done.returncode == 1
+    assert f"record: cannot write {path}: " in errors
+    assert errors.count("record: ") <= 2, "once when it appears, once at the end"
+
+
 def test_output_that_nobody_reads_holds_up_nothing(tmp_path: Path) -> None:
     """The record goes on, and one SIGTERM ends the program."""
     port, path = free_port(socket.SOCK_DGRAM), tmp_path / "r.jsonl"
