@@ -26,6 +26,16 @@ def all_ends(seen: api.TopicFact) -> Iterator[tuple[str, api.EndpointFact]]:
     yield from (("subscriber", end) for end in seen.subscribers)
 
 
+def named_sides(
+    topic: api.TopicSettings, seen: api.TopicFact
+) -> tuple[tuple[str, Sequence[str], Sequence[api.EndpointFact]], ...]:
+    """Kind of end, the nodes that the configuration names, and the ends that are there."""
+    return (
+        ("publisher", topic.publishers, seen.publishers),
+        ("subscriber", topic.subscribers, seen.subscribers),
+    )
+
+
 def sides(pairs: Sequence[Pair]) -> list[tuple[str, api.EndpointFact]]:
     """The ends of these pairs, each once."""
     return list(

@@ -22,6 +22,11 @@ TWICE_S = 30.0
 """A restarted node is listed twice until its old lease ends, 20 s by default in Fast DDS; longer means two nodes."""
 
 
+UNNAMED_S = 20.0
+"""So long ends without a name speak against a node's absence: PHM looks for the names with a new participant after 5 s
+(`phm.probes.ros.unnamed`), which takes seconds."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ends:
     """What the configuration says of one node's topics: those it alone publishes at a rate, and all that it uses."""
@@ -142,6 +147,8 @@ class Signs:
         if not self.count or not self._had_ends:
             self._had_ends, self._bare_since = False, None
             return None
+        if self._unnamed(fact):
+            return None
         self._bare_since = now if self._bare_since is None else self._bare_since
         self.doubts.add("no endpoints")
         lasted_s = now - self._bare_since
@@ -174,7 +181,15 @@ class Signs:
             self._gone_since = None
             return None
         self._gone_since = now if self._gone_since is None else self._gone_since
+        if self._listed_by_this_child and now - self._gone_since < UNNAMED_S and self._unnamed(fact):
+            self.doubts.add("unnamed")
+            return None
         return Evidence(Kind.NAME, Says.GONE, "it is not in the graph", fact.age_s, now - self._gone_since)
+
+    def _unnamed(self, fact: api.RosFact) -> bool:
+        """Whether an end of its topics has no node's name: it may be its own, whose name PHM alone has lost."""
+        seen = (fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics)
+        return any(not end.node for topic in seen for end in (*topic.publishers, *topic.subscribers))
 
 
 def _waver_s(rate: api.RateFact, expected_hz: float) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+UNNAMED = "one without a name"
 BRIEF_MAX = 38
 """Characters of `Result.brief`: what a STATUSTEXT leaves beside agent, word and slot."""
 
@@ -33,8 +34,8 @@ def last(name: str) -> str:
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:
-    """`a, b, c and 4 more`; `none` when there are none."""
-    every = [clean(name, 80) for name in names]
+    """`a, b, c and 4 more`; `none` when there are none. A name that is empty is `one without a name`."""
+    every = [clean(name, 80) or UNNAMED for name in names]
     if not every:
         return "none"
     shown = ", ".join(every[:most])

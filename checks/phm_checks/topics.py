@@ -8,6 +8,7 @@ from dataclasses import replace
 from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._ends import Ends, Key
+from phm_checks._gaps import Gaps
 from phm_checks._near import sentence, strays
 from phm_checks._pairs import (
     SHOWN,
@@ -15,6 +16,7 @@ from phm_checks._pairs import (
     all_ends,
     full,
     level_of,
+    named_sides,
     needed,
     needed_end,
     pairs_of,
@@ -64,6 +66,7 @@ class Topics(api.Check):
         self._said: dict[str, api.Result] = {}
         """What is wrong between the ends that are there: it stands while one of them is made anew."""
         self._stray_since: dict[str, float] = {}
+        self._gaps = Gaps()
         self._audits: dict[str, tuple[object, Sequence[api.Result]]] = {}
 
     @classmethod
@@ -105,6 +108,9 @@ class Topics(api.Check):
     def _judge(self, topic: api.TopicSettings, fact: api.RosFact, now: float) -> api.Result:
         """What is missing comes first, then the worst of: type, quality of service, an almost right name."""
         seen = fact.topics.get(full(topic.name), api.TopicFact())
+        unknown = self._gaps.judge(topic, seen, now)
+        if unknown is not None:
+            return unknown
         missing = self._missing(topic, seen, fact, now)
         if missing is not None:
             if fact.up_s < self._grace_s:
@@ -143,10 +149,7 @@ class Topics(api.Check):
     ) -> api.Result | None:
         """The first of: no such topic, a publisher is missing, a subscriber is missing."""
         name = full(topic.name)
-        sides_of = (
-            ("publisher", topic.publishers, seen.publishers),
-            ("subscriber", topic.subscribers, seen.subscribers),
-        )
+        sides_of = named_sides(topic, seen)
         lost = [found for kind, wanted, there in sides_of for found in self._lost(name, kind, wanted, there, fact, now)]
         if not lost and not seen.publishers and not seen.subscribers:
             return self._bad(

@@ -11,7 +11,7 @@ import pytest
 from phm import api, testing
 from phm_checks._liveness import GOODBYE_S, HANG_S, LOST_S
 from phm_checks._roster import BLIND_S, OLD_S, QUIET_S, SOON_S
-from phm_checks._signs import TWICE_S
+from phm_checks._signs import TWICE_S, UNNAMED_S
 from phm_checks.nodes import BUSY_S, Nodes
 
 NODE = "nodes/agent_1/node_1"
@@ -784,6 +784,22 @@ def test_a_transport_that_hides_names_restarts_no_node() -> None:
     bench.ros.change(nodes={}, topics={TOPIC: nameless})
     result = bench.after(GRACE_S + LOST_S + 1.0)
     assert (result.condition, result.target) == ("node_unheard", "")
+
+
+def test_a_node_whose_name_alone_was_lost_is_not_missing() -> None:
+    """Its topic has a publisher without a name: PHM has lost names and gets them with a new participant, so it waits for that."""
+    bench = Bench(topics=[{"name": TOPIC, "publishers": [NAME]}])
+    named, nameless = (api.TopicFact((api.EndpointFact(node, "std_msgs/msg/String"),)) for node in (NAME, ""))
+    bench.ros.change(topics={TOPIC: named})
+    assert bench.after(GRACE_S).level is api.Level.OK
+    levels = []
+    bench.ros.change(nodes={}, topics={TOPIC: nameless})
+    bench.after(UNNAMED_S - 1.0, lambda _: levels.append(bench.result().level))
+    assert api.Level.ERROR not in levels
+    bench.ros.change(nodes={NAME: 1}, topics={TOPIC: named})
+    assert bench.after(1.0).level is api.Level.OK
+    bench.ros.change(nodes={}, topics={TOPIC: nameless})
+    assert bench.after(UNNAMED_S + 1.0).condition == "node_missing"
 
 
 @pytest.mark.parametrize("why", ["one is heard", "one is listed", "one ended", "nobody knows the processes"])

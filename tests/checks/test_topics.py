@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
+from phm_checks._words import listed
 from phm_checks.topics import Topics
 
 NAME = "/agent_1/topic_1"
@@ -333,3 +334,50 @@ def test_no_picture_makes_every_topic_stale() -> None:
 def test_no_topics_no_check() -> None:
     """Nothing to judge, nothing built."""
     assert list(Topics.build(testing.settings())) == []
+
+
+NAMELESS = end("")
+
+
+@pytest.mark.parametrize("side", ["publishers", "subscribers"])
+def test_an_end_whose_node_is_not_known_is_not_taken_for_missing(side: str) -> None:
+    """It may be the one that is looked for: STALE with a sentence that is one, no alarm and no restart."""
+    check = build(publishers=[ONE], subscribers=[TWO])
+    nodes = {ONE: 1, TWO: 1}
+    assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
+    seen = {"publishers": PAIR.publishers, "subscribers": PAIR.subscribers, side: (NAMELESS,)}
+    result = judge(check, api.TopicFact(**seen), nodes=nodes)
+    assert (result.level, result.condition) == (api.Level.STALE, "")
+    lacking = ONE if side == "publishers" else TWO
+    assert f"has a {side[:-1]} of which PHM does not know the node: whether {lacking} is connected" in result.summary
+    assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
+
+
+def test_a_list_of_ends_without_names_is_a_sentence() -> None:
+    """What has no name is called so: an empty place in a list is no text."""
+    found = api.TopicFact((end(""), end("", INT)))
+    assert "publisher without a node name" in judge(build(), found).summary
+    assert listed(["", "/a"]) == "one without a name, /a" and listed([]) == "none"
+
+
+def test_data_that_flow_prove_a_publisher_that_is_not_listed() -> None:
+    """Samples that came after the last publisher had left the graph: the picture is wrong, and not the vehicle."""
+    clock = testing.FakeClock()
+    check = build(publishers=[ONE])
+    ros = testing.FakeRos(topics={NAME: PAIR}, nodes={ONE: 1})
+    world = testing.world(ros=ros, clock=clock)
+
+    def judged(rate: api.RateFact) -> api.Result:
+        ros.change(topics={NAME: api.TopicFact((), PAIR.subscribers, rate)})
+        results = check.run(world)
+        assert not isinstance(results, api.Result)
+        return results[UNIT]
+
+    check.run(world)
+    clock.advance(1.0)
+    assert judged(api.RateFact(10.0, 0.05)).level is api.Level.ERROR
+    clock.advance(1.0)
+    assert judged(api.RateFact(10.0, 1.05)).level is api.Level.ERROR
+    assert judged(api.RateFact(10.0, 0.05)).level is api.Level.STALE
+    clock.advance(5.0)
+    assert judged(api.RateFact(0.0, 6.0)).level is api.Level.ERROR

@@ -34,6 +34,7 @@ from phm.probes.ros.protocol import (
     encode_order,
     encode_wanted,
 )
+from phm.probes.ros.unnamed import UNNAMED_S, Unnamed
 from phm.probes.ros.view import View
 from phm.ros_facts import DiagnosticFact
 from phm.settings import Settings
@@ -43,6 +44,8 @@ NOT_INSTALLED = (
     "on x86-64 install phm-sidecar[ros], elsewhere use an image FROM a ROS base"
 )
 COMMAND = (sys.executable, "-m", "phm.probes.ros.child")
+SILENT_MISSES = 3.0
+"""A beacon that has missed so many beats is no sign of life."""
 _REMARKS = 20
 """Different remarks of the child that are written to the log; each is written once."""
 
@@ -67,6 +70,7 @@ class Limits:
     """Longest time between two messages; the child sends four a second."""
     weigh_s: float = 1.0
     doubt_s: float = DOUBT_S
+    unnamed_s: float = UNNAMED_S
     backoff_s: float = 0.5
     backoff_max_s: float = 30.0
     steady_s: float = 60.0
@@ -102,11 +106,14 @@ class RosProcess:
         self._on_change = on_change
         self._on_note = on_note
         self._environ = child_environ(settings, os.environ if environ is None else environ)
-        self._first_line = encode_wanted(wanted(settings))
+        looked_for = wanted(settings)
+        self._first_line = encode_wanted(looked_for)
+        self._nodes = frozenset(looked_for.nodes)
         self._max_memory = settings.ros.max_memory
         self._command = tuple(command)
         self._limits = limits
         self._ghosts = Ghosts(limits.doubt_s)
+        self._unnamed = Unnamed(limits.unnamed_s)
         self._lock = threading.Lock()
         self._view = View()
         self._post = b""
@@ -259,11 +266,19 @@ class RosProcess:
         return ""
 
     def _doubt(self, now_s: float) -> None:
-        """A node that is listed twice for too long may be a ghost of this participant: another one shows."""
+        """What is listed twice, or without a name, for too long may be a mistake of this participant: another one shows."""
         picture = self._view.picture
-        ghosts = self._ghosts.look(picture.nodes, now_s) if picture is not None else ()
+        if picture is None:
+            return
+        ghosts = self._ghosts.look(picture.nodes, now_s)
+        fact = self._view.fact(picture, now_s)
+        beating = {name for name in self._nodes if name in fact.beacons and fact.beacons[name].missed < SILENT_MISSES}
+        unnamed = self._unnamed.look(fact.topics, now_s, beating - fact.nodes.keys())
         if ghosts:
             self.renew(f"{', '.join(ghosts)} has been listed more than once for {self._limits.doubt_s:g} s")
+        elif unnamed:
+            names = ", ".join(unnamed[:3])
+            self.renew(f"{names} is in use, and the graph has not named all its nodes for {self._limits.unnamed_s:g} s")
 
     def _say_goodbye(self, life: Life) -> None:
         """What waits to be published may be the last word of PHM: the child reads it before the end of its input."""

@@ -1,0 +1,74 @@
+"""What PHM's own participant has forgotten comes back with a new one, and no alarm is raised for it meanwhile."""
+
+from __future__ import annotations
+
+import signal
+import time
+from itertools import pairwise
+
+from phm.facts import EndpointFact, RateFact, RosFact, TopicFact
+from phm.probes.ros.unnamed import REST_MOST_S, REST_S, UNNAMED_S, Unnamed
+from tests.fakes.ros_bench import Bench, seen
+
+STRING = "std_msgs/msg/String"
+TOPIC, NODE = "/agent_1/topic_1", "/agent_1/node_1"
+NAMED = {TOPIC: TopicFact((EndpointFact(NODE, STRING),))}
+NAMELESS = {TOPIC: TopicFact((EndpointFact("", STRING),))}
+FLOWING = RateFact(10.0, 0.1)
+
+
+def test_a_node_that_lost_its_lease_is_listed_again_by_name(bench: Bench) -> None:
+    """Its endpoints come back without the name, which no later announcement brings: PHM looks with a new participant."""
+    node = bench.node("node_1", "--publish", "topic_1:10")
+    probe = bench.probe([{"name": TOPIC, "rate": 10}], nodes=[{"name": NODE}])
+    seen(probe, lambda fact: NODE in fact.nodes and fact.topics[TOPIC].publishers and NODE in fact.beacons, "the node")
+    node.send_signal(signal.SIGSTOP)
+    seen(probe, lambda fact: not fact.topics[TOPIC].publishers, "the end of its lease of 1 s")
+    time.sleep(0.5)
+    node.send_signal(signal.SIGCONT)
+
+    def listed(fact: RosFact) -> bool:
+        return NODE in fact.nodes and [end.node for end in fact.topics[TOPIC].publishers] == [NODE]
+
+    seen(probe, listed, "the node by its name", limit_s=60.0)
+    assert probe.restarts == 0
+
+
+def test_names_that_are_lost_are_looked_for_with_a_new_participant() -> None:
+    """After some seconds, as an endpoint comes a moment before its name; and not again and again when that does not help."""
+    unnamed = Unnamed()
+    assert unnamed.look(NAMED, 0.0) == ()
+    assert unnamed.look(NAMELESS, 1.0) == ()
+    assert unnamed.look(NAMELESS, 0.9 + UNNAMED_S) == ()
+    assert unnamed.look(NAMELESS, 1.0 + UNNAMED_S) == (TOPIC,)
+    looked = [at for at in range(10, 2000) if unnamed.look(NAMELESS, float(at))]
+    assert [later - earlier for earlier, later in pairwise([6, *looked])] == [
+        REST_S,
+        2 * REST_S,
+        4 * REST_S,
+        8 * REST_S,
+        REST_MOST_S,
+    ]
+
+
+def test_an_endpoint_that_never_had_a_name_is_left_alone_unless_its_data_come() -> None:
+    """Where data are blocked no name ever comes, and a new participant gets none either."""
+    unnamed = Unnamed()
+    assert not any(unnamed.look(NAMELESS, float(at)) for at in range(100))
+    flowing = {TOPIC: TopicFact((EndpointFact("", STRING),), (), FLOWING)}
+    assert any(unnamed.look(flowing, float(at)) for at in range(100, 110))
+
+
+def test_data_of_a_publisher_that_is_not_listed_are_a_reason_to_look_anew() -> None:
+    """The picture contradicts itself: it is not the vehicle that is at fault."""
+    flowing = {TOPIC: TopicFact((), (), FLOWING)}
+    unnamed = Unnamed()
+    assert any(unnamed.look(flowing, float(at)) for at in range(10))
+    assert not any(Unnamed().look({TOPIC: TopicFact()}, float(at)) for at in range(100))
+
+
+def test_a_node_that_beats_and_is_not_listed_is_a_reason_to_look_anew() -> None:
+    """Its beacon comes through the same participant that does not list it."""
+    unnamed = Unnamed()
+    assert any(unnamed.look({}, float(at), {NODE}) for at in range(10))
+    assert not any(Unnamed().look({}, float(at), {NODE} if at % 4 else set()) for at in range(100))
