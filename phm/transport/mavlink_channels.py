@@ -13,10 +13,11 @@ import socket
 from abc import ABC, abstractmethod
 from typing import Any
 
+from phm.clock import Clock
+from phm.transport.mavlink_admission import Admission
 from phm.transport.mavlink_codec import Codec, Parser
 from phm.transport.serial_line import LineCount
 
-MAX_PEERS = 16
 READ_BYTES = 16384
 SEND_BUFFER_BYTES = 16384
 CLIENT_BACKLOG_BYTES = 16384
@@ -118,13 +119,17 @@ class StreamChannel(Channel):
 
 
 class TcpServer(Channel):
-    """Listens; every client hears everything. A client that does not read loses frames and harms nobody."""
+    """Listens; every client hears everything. A client that does not read loses frames and harms nobody. Who is a client where
+    more come than there is room for is `Admission`'s."""
 
-    def __init__(self, listener: socket.socket, codec: Codec) -> None:
-        self._listener, self._codec = listener, codec
+    def __init__(self, listener: socket.socket, codec: Codec, clock: Clock) -> None:
+        self._listener, self._codec, self._clock = listener, codec, clock
         self._clients: dict[int, tuple[socket.socket, Stream]] = {}
+        self._admission = Admission(signs=codec.signs, on_trial=codec.signs)
 
     def polls(self) -> list[tuple[int, int]]:
+        for fd in self._admission.unproven(self._clock.mono()):
+            self._drop(fd)
         clients = [(fd, stream.mask()) for fd, (_, stream) in self._clients.items()]
         return [(self._listener.fileno(), select.POLLIN), *clients]
 
@@ -135,10 +140,14 @@ class TcpServer(Channel):
         if fd not in self._clients:
             return []
         try:
-            return self._clients[fd][1].serve(events)
+            messages = self._clients[fd][1].serve(events)
         except OSError:
             self._drop(fd)
             return []
+        if events & select.POLLIN:
+            signed = any(message.get_signed() for message in messages)
+            self._admission.heard(fd, self._clock.mono(), signed=signed)
+        return messages
 
     @property
     def ready(self) -> bool:
@@ -164,15 +173,19 @@ class TcpServer(Channel):
 
     def _accept(self) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionAbortedError):
-            client, _ = self._listener.accept()
-            if len(self._clients) >= MAX_PEERS:
+            client, address = self._listener.accept()
+            going = self._admission.admit(client.fileno(), address[0], self._clock.mono())
+            if going is None:
                 client.close()
                 return
+            for fd in going:
+                self._drop(fd)
             tune(client)
             self._clients[client.fileno()] = (client, Stream(client.fileno(), self._codec.parser()))
 
     def _drop(self, fd: int) -> None:
         client, _ = self._clients.pop(fd)
+        self._admission.forget(fd)
         client.close()
 
 

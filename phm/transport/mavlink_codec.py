@@ -57,6 +57,11 @@ class Codec:
         self.counters = Counters()
         self.senders = Senders()
 
+    @property
+    def signs(self) -> bool:
+        """Signing is on."""
+        return self._signer is not None
+
     def pack(self, message: Any) -> bytes:
         """The frame of a message. Packing writes into the message, and other endpoints pack it too: use a copy."""
         if self._signer is not None:

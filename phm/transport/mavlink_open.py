@@ -104,7 +104,7 @@ class Opener:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             sock.bind(address)
             sock.listen(8)
-        return TcpServer(sock, self._codec)
+        return TcpServer(sock, self._codec, self._clock)
 
     def _udpin(self) -> Channel:
         family, address = self._address()

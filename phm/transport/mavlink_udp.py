@@ -10,7 +10,8 @@ from abc import abstractmethod
 from typing import Any
 
 from phm.clock import Clock
-from phm.transport.mavlink_channels import MAX_PEERS, Channel
+from phm.transport.mavlink_admission import Admission
+from phm.transport.mavlink_channels import Channel
 from phm.transport.mavlink_codec import Codec
 
 PEER_EXPIRES_S = 60.0
@@ -118,33 +119,30 @@ def network_of(broadcast: str) -> ipaddress.IPv4Network:
 
 
 class UdpIn(_Udp):
-    """Waits for peers and answers to each that sent a frame whose checksum is right."""
+    """Waits for peers and answers to each that sent a frame whose checksum is right. Who is one where more come than there is
+    room for is `Admission`'s; the frames of the others are read all the same."""
 
     def __init__(self, sock: socket.socket, codec: Codec, clock: Clock) -> None:
         super().__init__(sock, codec)
         self._clock = clock
-        self._peers: dict[Any, float] = {}
+        self._admission = Admission(signs=codec.signs)
 
     def _take(self, data: bytes, sender: Any) -> list[Any]:
-        known = sender in self._peers
+        now, known = self._clock.mono(), sender in self._admission
         before = self._parser.verified
         messages = self._parser.datagram(data, verify=not known)
-        if known or (self._parser.verified > before and self._room()):
-            self._peers[sender] = self._clock.mono()
+        signed = any(message.get_signed() for message in messages)
+        if known:
+            self._admission.heard(sender, now, signed=signed)
+        elif self._parser.verified > before:
+            self._admission.expire(now, PEER_EXPIRES_S)
+            self._admission.admit(sender, sender[0], now, signed=signed)
         return messages
 
-    def _room(self) -> bool:
-        self._expire()
-        return len(self._peers) < MAX_PEERS
-
-    def _expire(self) -> None:
-        now = self._clock.mono()
-        self._peers = {peer: heard for peer, heard in self._peers.items() if now - heard <= PEER_EXPIRES_S}
-
     def write(self, frame: bytes) -> int:
-        self._expire()
+        self._admission.expire(self._clock.mono(), PEER_EXPIRES_S)
         sent = 0
-        for peer in self._peers:
+        for peer in self._admission.peers:
             try:
                 self._socket.sendto(frame, peer)
                 sent += 1

@@ -302,24 +302,25 @@ def test_a_client_that_does_not_read_loses_its_own_frames_only(make_hub: MakeHub
 
 
 def test_udp_answers_to_peers_that_speak_mavlink_only(make_hub: MakeHub) -> None:
-    """Noise makes nobody a peer, a frame does, and there are never more than 16."""
+    """Noise makes no peer, a frame does, and there are never more than 8 of one address and 16 in all."""
     port = free_port(socket.SOCK_DGRAM)
     hub = make_hub(f"udpin:127.0.0.1:{port}")
     until(hub.links)
     frame = Sender(255, 190).frame(heartbeat())
     with contextlib.ExitStack() as stack:
-        peers = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(19)]
-        for peer in peers:
+        peers = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(21)]
+        for number, peer in enumerate(peers):
             peer.setblocking(False)
+            peer.bind((f"127.0.0.{2 + (number > 10) + (number > 19)}", 0))
             peer.connect(("127.0.0.1", port))
         peers[0].send(b"\xfd\x09garbage" * 9)
         peers[1].send(frame[:-1])
         for peer in peers[2:]:
             peer.send(frame)
-        until(lambda: len(hub.heard) == 17)  # type: ignore[attr-defined]
+        until(lambda: len(hub.heard) == 19)  # type: ignore[attr-defined]
         hub.send(text("hello"))
         until(lambda: next(iter(hub.counters().values())).sent == 1)
-        assert [bool(_read(peer)) for peer in peers] == [False, False] + [True] * 16 + [False]
+        assert [bool(_read(peer)) for peer in peers] == [False, False, *[True] * 8, False, *[True] * 8, False, False]
 
 
 def _read(sock: socket.socket) -> bytes:

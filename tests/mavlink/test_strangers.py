@@ -5,10 +5,13 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 import socket
+import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink import mavutil
 
 from phm.clock import SystemClock
 from phm.inbound.desk import Desk, Powers
@@ -16,20 +19,25 @@ from phm.settings import MavlinkSettings
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
+from phm.transport.mavlink_admission import MAX_PEERS
 from phm.transport.mavlink_udp import network_of
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
 
+# With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
+mavutil.set_dialect("common")
 RESTART = mavlink.MAVLink_command_long_message(7, 193, 31010, 0, 3, 1, 0, 0, 0, 0, 0)
-Board = Callable[[str], "Aboard"]
+Board = Callable[..., "Aboard"]
 
 
 class Aboard:
     """A hub of agent 7 with one endpoint and a command handler that allows `restart`; `did` is what was done."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, key: str | None = None) -> None:
         chosen = settings(
             agent={"id": 7}, containers=[{"name": "app"}],
-            mavlink={"endpoints": [{"url": url, "budget": 0}], "commands": ["status", "restart"]},
+            mavlink={
+                "endpoints": [{"url": url, "budget": 0}], "commands": ["status", "restart"], "signing": {"key": key}
+            },
         )  # fmt: skip
         assert isinstance(chosen.mavlink, MavlinkSettings)
         self.did: list[str] = []
@@ -38,11 +46,15 @@ class Aboard:
         self.hub.listen(lambda message, link: self.heard.append((message.get_srcSystem(), message.get_type())), (0,))
         powers = Powers(
             tuple, tuple, tuple, lambda: True, lambda: True, look=lambda: None, approve=str,
-            restart=lambda key, by: self.did.append(by) or key, note=lambda kind, text: None, later=TimeoutError,
+            restart=self._restart, note=lambda kind, text: None, later=TimeoutError,
         )  # fmt: skip
         self.desk = Desk(self.hub, powers, chosen, SystemClock())
         self.hub.start()
         self.desk.start()
+
+    def _restart(self, key: str, by: str) -> str:
+        self.did.append(by)
+        return key
 
     def close(self) -> None:
         self.desk.close()
@@ -54,8 +66,8 @@ def board() -> Iterator[Board]:
     """Makes agents, and closes them at the end."""
     made: list[Aboard] = []
 
-    def make(url: str) -> Aboard:
-        made.append(Aboard(url))
+    def make(url: str, key: str | None = None) -> Aboard:
+        made.append(Aboard(url, key))
         return made[-1]
 
     yield make
@@ -156,3 +168,121 @@ def test_udpout_follows_the_way_to_its_peer(board: Board, udp: Callable[..., soc
     assert endpoint._opener.moved() is False
     endpoint._opener._source = "192.0.2.1"  # as if the first interface had gone
     assert endpoint._opener.moved() is True
+
+
+# ---------------------------------------------------------------- a crowd
+
+
+def test_sixteen_source_ports_lock_no_ground_station_out(board: Board, udp: Callable[..., socket.socket]) -> None:
+    """Frames from many ports of one address leave room for another address, which is sent everything."""
+    port = free_port(socket.SOCK_DGRAM)
+    agent = board(f"udpin:127.0.0.1:{port}")
+    until(agent.hub.links)
+    crowd, ground = [udp("127.0.0.2") for _ in range(MAX_PEERS)], udp()
+    for number, stranger in enumerate(crowd):
+        stranger.sendto(Sender(200 + number, 190).frame(heartbeat()), ("127.0.0.1", port))
+    until(lambda: len(agent.heard) == len(crowd))
+    ground.sendto(Sender(255, 190).frame(heartbeat()), ("127.0.0.1", port))
+    until(lambda: (255, "HEARTBEAT") in agent.heard)
+    agent.hub.send(text("to the ground"))
+    assert b"to the ground" in ground.recv(300)
+
+
+def test_a_ground_station_displaces_an_idle_one_of_its_address(board: Board, udp: Callable[..., socket.socket]) -> None:
+    """Behind the same address as a crowd that has fallen silent it is sent everything after seconds, not after a minute."""
+    port = free_port(socket.SOCK_DGRAM)
+    agent = board(f"udpin:127.0.0.1:{port}")
+    until(agent.hub.links)
+    crowd, ground, known = [udp() for _ in range(MAX_PEERS)], udp(), Sender(255, 190)
+    for stranger in crowd:
+        stranger.sendto(Sender(200, 190).frame(heartbeat()), ("127.0.0.1", port))
+    until(lambda: len(agent.heard) == len(crowd))
+    ground.settimeout(0.2)
+
+    def read() -> bool:
+        ground.sendto(known.frame(heartbeat()), ("127.0.0.1", port))
+        agent.hub.send(text("to the ground"))
+        with contextlib.suppress(TimeoutError):
+            return b"to the ground" in ground.recv(300)
+        return False
+
+    until(read, "the ground station getting lines")
+
+
+def test_idle_tcp_clients_lock_no_ground_station_out(board: Board) -> None:
+    """Connections that say nothing leave room for another address, and make room when they have been idle for long."""
+    port = free_port()
+    agent = board(f"tcpin:127.0.0.1:{port}")
+    until(agent.hub.links)
+    with contextlib.ExitStack() as stack:
+        for host in ("127.0.0.2", "127.0.0.3"):
+            for _ in range(MAX_PEERS):
+                stack.enter_context(socket.create_connection(("127.0.0.1", port), source_address=(host, 0)))
+
+        def reads() -> bool:
+            with socket.create_connection(("127.0.0.1", port)) as ground, contextlib.suppress(OSError):
+                ground.settimeout(0.3)
+                ground.sendall(Sender(255, 190).frame(heartbeat()))
+                until(lambda: (255, "HEARTBEAT") in agent.heard or not _open(ground))
+                agent.hub.send(text("to the ground"))
+                return b"to the ground" in ground.recv(300)
+            return False
+
+        until(reads, "the ground station getting lines")
+
+
+def _open(sock: socket.socket) -> bool:
+    """Whether the other side has not closed the connection."""
+    try:
+        return sock.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) != b""
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+
+
+def test_who_signs_gets_in_whatever_the_crowd_does(board: Board, tmp_path: Path) -> None:
+    """With signing on, connections that send all the time without signing leave places for those that sign."""
+    key, port = tmp_path / "key", free_port()
+    key.write_bytes(bytes(range(32)))
+    key.chmod(0o600)
+    agent = board(f"tcpin:127.0.0.1:{port}", str(key))
+    until(agent.hub.links)
+    stop = threading.Event()
+    with contextlib.ExitStack() as stack:
+        for host in ("127.0.0.2", "127.0.0.3"):
+            flood = threading.Thread(target=_flood, args=(port, host, stop), daemon=True)
+            stack.callback(flood.join, 15.0)
+            flood.start()
+        stack.callback(stop.set)
+        until(lambda: len(agent.heard) > 20 * MAX_PEERS, "the floods having all connections that they get")
+        ground = mavutil.mavlink_connection(f"tcp:127.0.0.1:{port}", source_system=255, source_component=190)
+        stack.callback(ground.close)
+        ground.setup_signing(bytes(range(32)), link_id=9)
+
+        def answered() -> bool:
+            ground.mav.command_long_send(7, 193, 31010, 0, 3, 1, 0, 0, 0, 0, 0)
+            return ground.recv_match(type="COMMAND_ACK", blocking=True, timeout=0.5) is not None
+
+        until(answered, "an answer to who signs")
+        assert agent.did
+    assert (ground.mav.srcSystem, set(agent.did)) == (255, {"255/190"})
+
+
+def _flood(port: int, host: str, stop: threading.Event) -> None:
+    """As many connections as get in, each of which sends a heartbeat all the time, and comes again when it is closed."""
+    frame = Sender(int(host[-1]), 190).frame(heartbeat())
+    open_now: list[socket.socket] = []
+    while not stop.is_set():
+        with contextlib.suppress(OSError):
+            if len(open_now) < MAX_PEERS:
+                open_now.append(socket.create_connection(("127.0.0.1", port), source_address=(host, 0)))
+        for sock in list(open_now):
+            try:
+                sock.sendall(frame)
+            except OSError:
+                sock.close()
+                open_now.remove(sock)
+        stop.wait(0.05)
+    for sock in open_now:
+        sock.close()

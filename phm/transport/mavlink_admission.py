@@ -1,0 +1,112 @@
+"""Which peers a listening endpoint keeps when more come than it has room for. Pure; the caller brings time.
+
+Anybody on the network can come with many source ports or open many connections, so one address has half of the places at
+most, a peer that is idle makes room for a new one, and with signing on some places are kept for peers that sign.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+MAX_PEERS = 16
+PER_ADDRESS = 8
+"""Peers of one address that do not sign; half, so that one host leaves room for others."""
+RESERVED = 4
+"""Places for peers that sign, where signing is on."""
+IDLE_S = 3.0
+"""A peer that was silent for so long may have to make room. Ground stations and autopilots send a HEARTBEAT a second."""
+PROVE_S = 5.0
+"""A connection in a reserved place has so long to send something signed."""
+
+
+@dataclass(slots=True)
+class _Peer:
+    address: str
+    since: float
+    heard: float
+    signed: bool
+
+
+class Admission:
+    """The peers of one endpoint, by any key. Not thread-safe.
+
+    Invariant: at most MAX_PEERS, of which at most PER_ADDRESS of one address do not sign.
+    """
+
+    def __init__(self, *, signs: bool, on_trial: bool = False) -> None:
+        """signs: signing is on. on_trial: a peer is admitted before it can sign (a connection), so it may use a reserved
+        place for PROVE_S; else what it has sent counts (a datagram)."""
+        self._open = MAX_PEERS - RESERVED if signs else MAX_PEERS
+        self._on_trial = on_trial
+        self._peers: dict[Any, _Peer] = {}
+
+    def __contains__(self, key: Any) -> bool:
+        return key in self._peers
+
+    @property
+    def peers(self) -> list[Any]:
+        return list(self._peers)
+
+    def admit(self, key: Any, host: str, now: float, *, signed: bool = False) -> list[Any] | None:
+        """Who has to go so that this new peer may stay; None: it may not. host: its IP address."""
+        address = _address(host)
+        going = self._victims(address, now, signed)
+        if going is None:
+            return None
+        for victim in going:
+            del self._peers[victim]
+        self._peers[key] = _Peer(address, now, now, signed)
+        return going
+
+    def heard(self, key: Any, now: float, *, signed: bool) -> None:
+        """It has sent something; whether that was signed."""
+        peer = self._peers[key]
+        peer.heard, peer.signed = now, peer.signed or signed
+
+    def forget(self, key: Any) -> None:
+        self._peers.pop(key, None)
+
+    def expire(self, now: float, silent_s: float) -> None:
+        """Forget who was silent for so long."""
+        self._peers = {key: peer for key, peer in self._peers.items() if now - peer.heard <= silent_s}
+
+    def unproven(self, now: float) -> list[Any]:
+        """Who has been in a reserved place for too long without signing."""
+        return [key for key in self._trial() if now - self._peers[key].since > PROVE_S]
+
+    def _victims(self, address: str, now: float, signed: bool) -> list[Any] | None:
+        unsigned = self._unsigned()
+        if signed:
+            if len(self._peers) < MAX_PEERS:
+                return []
+            return self._oldest(unsigned, now, 0.0) or self._oldest(self._peers, now, IDLE_S)
+        neighbours = [key for key in unsigned if self._peers[key].address == address]
+        if len(neighbours) >= PER_ADDRESS:
+            return self._oldest(neighbours, now, IDLE_S)
+        if len(self._peers) < MAX_PEERS and (len(unsigned) < self._open or self._on_trial):
+            return []
+        return self._oldest(unsigned, now, IDLE_S) or self._trial()[:1] or None
+
+    def _unsigned(self) -> list[Any]:
+        """In the order in which they came."""
+        return [key for key, peer in self._peers.items() if not peer.signed]
+
+    def _trial(self) -> list[Any]:
+        """Those in reserved places that have not signed so far, oldest first."""
+        return self._unsigned()[self._open :]
+
+    def _oldest(self, keys: Iterable[Any], now: float, silent_s: float) -> list[Any] | None:
+        """The one of these that was silent for longest, if that is so long."""
+        key = min(keys, key=lambda each: self._peers[each].heard, default=None)
+        return None if key is None or now - self._peers[key].heard < silent_s else [key]
+
+
+def _address(host: str) -> str:
+    """What one host has one of: an IPv4 address, or a network of IPv6, in which it may take any."""
+    address = ipaddress.ip_address(host.partition("%")[0])
+    if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped is None:
+        return str(ipaddress.ip_network((address, 64), strict=False))
+    return str(address)

@@ -1,0 +1,94 @@
+"""Which peers stay on a listening endpoint, without sockets."""
+
+from __future__ import annotations
+
+from hypothesis import given, strategies as st
+
+from phm.transport.mavlink_admission import IDLE_S, MAX_PEERS, PER_ADDRESS, PROVE_S, RESERVED, Admission
+
+
+def full(admission: Admission, *, now: float = 0.0) -> list[str]:
+    """As many strangers as get in, of as many addresses as it takes."""
+    came = [f"10.0.0.{n // PER_ADDRESS}:{n}" for n in range(2 * MAX_PEERS)]
+    return [key for key in came if admission.admit(key, key.partition(":")[0], now) is not None]
+
+
+def test_one_address_leaves_room_for_others() -> None:
+    """Half of the places at most."""
+    admission = Admission(signs=False)
+    came = [n for n in range(100) if admission.admit(n, "10.0.0.1", 0.0) is not None]
+    assert came == list(range(PER_ADDRESS))
+    assert admission.admit("ground", "10.0.0.2", 0.0) == []
+
+
+def test_the_oldest_idle_peer_makes_room() -> None:
+    """And no peer that has just sent something does."""
+    admission = Admission(signs=False)
+    came = full(admission)
+    assert len(came) == MAX_PEERS
+    for key in came[1:]:
+        admission.heard(key, IDLE_S, signed=False)
+    assert admission.admit("early", "10.0.1.1", IDLE_S - 0.1) is None
+    assert admission.admit("ground", "10.0.1.1", IDLE_S) == [came[0]]
+    assert admission.admit("late", "10.0.1.2", IDLE_S) is None
+
+
+def test_of_one_address_its_own_idle_peer_makes_room() -> None:
+    """A ground station that was started again comes from another port of the same address."""
+    admission = Admission(signs=False)
+    admission.admit("other", "10.0.0.2", 0.0)
+    for n in range(PER_ADDRESS):
+        admission.admit(n, "10.0.0.1", 1.0)
+    assert admission.admit("again", "10.0.0.1", 1.0 + IDLE_S) == [0]
+
+
+def test_places_are_kept_for_peers_that_sign() -> None:
+    """Whatever unsigned strangers do, so many peers that sign get in beside them, and more in their place."""
+    admission = Admission(signs=True)
+    came = full(admission)
+    assert len(came) == MAX_PEERS - RESERVED
+    assert [admission.admit(n, "10.0.0.0", 0.0, signed=True) for n in range(RESERVED)] == [[]] * RESERVED
+    assert admission.admit("fifth", "10.0.0.0", 0.0, signed=True) == [came[0]]
+    assert admission.admit("stranger", "10.0.9.9", 100.0) == [came[1]]
+    assert not {0, 1, 2, 3, "fifth"} - set(admission.peers)
+
+
+def test_a_connection_has_a_reserved_place_until_it_had_time_to_sign() -> None:
+    """It can sign only after it was admitted; who does stays, who does not goes, and the next one has its turn."""
+    admission = Admission(signs=True, on_trial=True)
+    came = full(admission)
+    assert len(came) > MAX_PEERS
+    trial = admission.peers[-RESERVED:]
+    for key in admission.peers:
+        admission.heard(key, PROVE_S, signed=key == trial[1])
+    assert admission.unproven(PROVE_S) == []
+    assert admission.unproven(PROVE_S + 0.1) == [trial[0], *trial[2:]]
+    assert admission.admit("ground", "10.0.9.9", PROVE_S) == [trial[0]]
+
+
+def test_an_ipv6_host_is_its_network() -> None:
+    """It can use any of 2^64 addresses."""
+    admission = Admission(signs=False)
+    came = [n for n in range(100) if admission.admit(n, f"2001:db8::{n:x}", 0.0) is not None]
+    assert len(came) == PER_ADDRESS
+    assert admission.admit("ground", "fe80::1%eth0", 0.0) == []
+    assert admission.admit("mapped", "::ffff:10.0.0.1", 0.0) == []
+
+
+EVENTS = st.tuples(st.sampled_from(["admit", "heard", "forget"]), st.integers(0, 40), st.booleans(), st.floats(0, 2))
+
+
+@given(st.lists(EVENTS, max_size=200), st.booleans(), st.booleans())
+def test_places_are_bounded(events: list[tuple[str, int, bool, float]], signs: bool, on_trial: bool) -> None:
+    """Whoever comes, signs or falls silent."""
+    admission, now = Admission(signs=signs, on_trial=on_trial), 0.0
+    for what, key, signed, pause in events:
+        now += pause
+        if what == "forget":
+            admission.forget(key)
+        elif key in admission:
+            admission.heard(key, now, signed=signed and signs)
+        elif what == "admit":
+            admission.admit(key, f"10.0.0.{key % 3}", now, signed=signed and signs)
+        assert len(admission.peers) <= MAX_PEERS
+        assert len(admission._unsigned()) <= MAX_PEERS - (RESERVED if signs and not on_trial else 0)
