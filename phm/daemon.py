@@ -26,6 +26,7 @@ from phm.pipeline import Pipeline
 from phm.plan import Plan, make
 from phm.probes.docker_watch import DockerEvent
 from phm.recovery.actions import join
+from phm.recovery.armed import ArmedMonitor
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor, NotNow
 from phm.recovery.memory import Memory
@@ -83,7 +84,9 @@ class Daemon:
         self.executor: Executor | None = None
         self.control: Control | None = None
         self.desk: Desk | None = None
-        self.memory = Memory(settings, self.pipeline, self.bus, self.clock)
+        timeout_s = settings.mavlink.autopilot_timeout
+        self.armed = ArmedMonitor(self.parts.world.links.autopilot, timeout_s, self.clock)
+        self.memory = Memory(settings, self.pipeline, self.bus, self.clock, self.armed)
         self._stop, self._soon = threading.Event(), threading.Event()
         self._heart = threading.Thread(target=self._beat_on, name="phm-heart", daemon=True)
 
@@ -204,7 +207,7 @@ class Daemon:
         graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
         shop = Shop(
             self.pipeline, self._publish_action, self.clock, actions, self._action_context(),
-            self._armed, lambda unit: graces.get(unit, 0.0), self.plan.below,
+            self.armed.now, lambda unit: graces.get(unit, 0.0), self.plan.below,
         )  # fmt: skip
         self.executor = Executor(shop)
         self.memory.resume(self.executor)
@@ -231,20 +234,13 @@ class Daemon:
         docker = self.parts.world.docker
         return ActionContext(
             self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
-            listed_nodes=lambda: self.parts.world.ros.look().nodes, armed=self._armed, reopen=self.parts.reopen,
+            listed_nodes=lambda: self.parts.world.ros.look().nodes, reopen=self.parts.reopen,
         )  # fmt: skip
 
     def _publish_action(self, event: Event) -> None:
         self.bus.publish(event)
         if isinstance(event, ActionEvent) and event.phase is Phase.DONE and event.action == "join":
             self.parts.renew_ros("PHM joined a network")
-
-    def _armed(self) -> bool:
-        """Unknown counts as armed where an autopilot is configured: doing nothing is the safe mistake."""
-        pilot = self.parts.world.links.autopilot()
-        if pilot is None or pilot.age_s > self.settings.mavlink.gcs_timeout:
-            return self.settings.mavlink.autopilot
-        return pilot.armed
 
     def _radio_heard(self) -> bool:
         """As the radio's check, a radio counts as silent after two and a half of its own pauses."""
@@ -253,7 +249,7 @@ class Daemon:
 
     def _pilot_heard(self) -> bool:
         pilot = self.parts.world.links.autopilot()
-        return pilot is not None and pilot.age_s <= self.settings.mavlink.gcs_timeout
+        return pilot is not None and pilot.age_s <= self.settings.mavlink.autopilot_timeout
 
     def _join_networks(self) -> None:
         """Before ROS starts: DDS picks its interfaces when the participant is made. Nobody waits for this.

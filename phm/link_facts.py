@@ -26,7 +26,10 @@ class GcsFact:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotFact:
-    """Of the last HEARTBEAT of the vehicle's autopilot component."""
+    """Of the last HEARTBEAT of the vehicle's autopilot component, by a link that leads to it.
+
+    armed: as it last said by any of these links; armed when they differ.
+    """
 
     age_s: float
     armed: bool
@@ -47,6 +50,12 @@ class AutopilotFact:
     """Both as in `GcsFact`; not overdue while other frames of it still come."""
     quiet_s: float | None = None
     """Since the last of its frames that PHM reads; None: not known."""
+    armed_s: float | None = None
+    """Since a HEARTBEAT of it last said armed, by any link that leads to it; None: none ever did."""
+    disarmed_s: float | None = None
+    """The same of one that said disarmed."""
+    stalled_s: float | None = None
+    """Since PHM last read again after it had been suspended: what it reads then may be old. None: never."""
 
 
 @dataclass(frozen=True, slots=True)

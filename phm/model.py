@@ -196,10 +196,11 @@ class FaultClosed:
 
 
 class Phase(str, Enum):
-    """Where an action stands. ADVISED and REFUSED change nothing in the world."""
+    """Where an action stands. ADVISED, EXPIRED and REFUSED change nothing in the world. EXPIRED: an approval no longer holds."""
 
     ADVISED = "advised"
     APPROVED = "approved"
+    EXPIRED = "expired"
     REFUSED = "refused"
     STARTED = "started"
     DONE = "done"

@@ -126,9 +126,9 @@ class ContainerSettings(Section):
     recover: bool = False
     """Opt-in: PHM may start, restart, unpause and reconnect this container."""
     flight_critical: bool = False
-    """True: what is done to it while the autopilot is armed is decided by `when_armed`."""
+    """True: what is done to it, or would take it down, is decided by `when_armed` unless the autopilot reports disarmed."""
     when_armed: Literal["advise", "act"] = "advise"
-    """For a flight-critical container while armed: only advise (an operator may approve), or act all the same."""
+    """For a flight-critical container unless disarmed: only advise (an operator may approve), or act all the same."""
     after: list[Name] = Field(default_factory=list)
     """Containers that must have started before this one; it is restarted after one of them was restarted by PHM."""
     healthcheck: Literal["auto", "required", "ignore"] = "auto"
@@ -329,9 +329,9 @@ class MavlinkSettings(Section):
     gcs_timeout: Annotated[Seconds, Field(ge=1)] = 10.0
     """A ground station once heard and silent for longer is reported as lost."""
     autopilot: bool = False
-    """True: this agent has an autopilot on these endpoints; not hearing it is a fault, and counts as armed for recovery."""
+    """True: this agent has an autopilot on these endpoints; not hearing it is a fault."""
     autopilot_timeout: Annotated[Seconds, Field(ge=2, le=60)] = 3.5
-    """An autopilot once heard and silent for longer is reported as lost. It sends a HEARTBEAT a second."""
+    """An autopilot once heard and silent for longer is reported as lost, and no longer as disarmed. It sends a HEARTBEAT a second."""
     radio_timeout: Annotated[Seconds, Field(ge=2, le=120)] = 5.0
     """A radio without RADIO_STATUS for longer, and for longer than 2.5 of its own periods, is reported as lost."""
     radio_margin: Annotated[float, Field(ge=0, le=254, allow_inf_nan=False)] = 15.0
@@ -463,6 +463,8 @@ class RecoverySettings(Section):
     patience: Annotated[Seconds, Field(ge=0, le=600)] = 10.0
     """Seconds that a topic must have been silent, slow, without an end that it had or with ends that fit no more, its nodes alive,
     or a node must have run twice, before anything is done about it."""
+    approval: Annotated[Seconds, Field(ge=5, le=600)] = 60.0
+    """Seconds for which an approval holds; what could not be done by then must be approved again."""
     ladders: dict[str, list[str]] = Field(default_factory=dict)
     """Per condition, the actions in order, replacing the built-in ladder, e.g. `unhealthy: [restart]`."""
 

@@ -17,7 +17,8 @@ from phm.wire import control
 def command(ctx: click.Context, fault: str, run_dir: str) -> None:
     """Say yes to the action that PHM advises for an open fault.
 
-    The daemon then does it once, whatever the recovery mode and the armed state say; budget and back-off still hold.
+    The daemon then does it once, whatever the recovery mode and the armed state say; budget and back-off still hold. The
+    approval ends after recovery.approval (60 s), or when the situation changes.
     Exit code 0: it says what will be done; 1: there is nothing to approve, or the daemon does not answer.
     """
     tell(ctx, run_dir, {"do": "approve", "fault": fault})

@@ -68,7 +68,9 @@ def faults(episodes: Sequence[Json], running: bool) -> None:
             what = _plain(episode["summary"] or "")
             if episode["blocks"]:
                 what.append("\n" + one_line(f"blocks {', '.join(episode['blocks'])}"))
-            steps = [step for step in episode["timeline"] if step["what"].endswith((" advised", " approved"))]
+            steps = [
+                step for step in episode["timeline"] if step["what"].endswith((" advised", " approved", " expired"))
+            ]
             if steps and episode["outcome"] == "open":
                 what.append("\n" + one_line(steps[-1]["text"]))
             name, unit, since = (_plain(episode[key] or "-") for key in ("fault", "unit", "opened"))

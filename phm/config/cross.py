@@ -142,6 +142,19 @@ def _configured(place: View, known: Mapping[str, View]) -> bool:
     return False
 
 
+def flight_critical_is_known_to_be(root: View) -> None:
+    """Without a link to the autopilot nothing ever says that the vehicle is disarmed, and PHM would never act."""
+    endpoints = root.get("mavlink", "endpoints").records()
+    if any(entry.get("leads_to").value not in ("ground", "peers") for entry in endpoints):
+        return
+    for container in root.get("containers").records():
+        if container.get("flight_critical").value is True:
+            container.get("flight_critical").complain(
+                "is true, but no MAVLink endpoint leads to the autopilot, so nothing could report whether it is armed: add one to "
+                "'mavlink.endpoints' with 'leads_to' autopilot, router or both, or remove this"
+            )
+
+
 def ros_names_stand_once(root: View) -> None:
     for key, what in (("nodes", "node"), ("topics", "topic")):
         entries = (entry.get("name") for entry in root.get("ros", key).records())
@@ -332,7 +345,7 @@ def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
 
 RULES: tuple[Callable[[View], None], ...] = (
     containers_have_one_identity, containers_are_told_apart, container_parts_stand_once, containers_start_in_order,
-    absent_files_have_no_copy, repairs_are_opted_in, ros_names_stand_once, ros_containers_exist, relaunch_has_a_container,
+    absent_files_have_no_copy, repairs_are_opted_in, flight_critical_is_known_to_be, ros_names_stand_once, ros_containers_exist, relaunch_has_a_container,
     topic_nodes_exist, diagnostics_are_known, own_topics_have_no_rate, endpoints_are_told_apart,
     link_ids_are_told_apart, limits_are_in_order, disks_stand_once,
     fleet_rules.fleet_can_be_told, fleet_rules.fleet_modes_fit, fleet_rules.fleet_certificates_are_of_use,

@@ -19,6 +19,8 @@ BACK_S = 3.0
 WRAP_S, WRAPS_AT_S = 60.0, 2**32 / 1000.0
 TWINS, TWINS_S = 4, 6.0
 """An autopilot that reboots again and again has run for BACK_S each time: faster than so, two of them speak."""
+FLIPS, FLIPS_S = 4, 10.0
+"""An operator does not arm and disarm so often in so short a time: two autopilots disagree."""
 KEPT = 16
 ALIVE_S = 1.0
 """While other frames of it come, its heartbeats are late or lost, and it is not."""
@@ -28,7 +30,12 @@ class Pilot:
     """Not thread-safe. timeout_s: after which it counts as lost in any case."""
 
     def __init__(self, timeout_s: float = 3.5) -> None:
-        self._cadence = Cadence(timeout_s)
+        self._cadence, self._timeout_s = Cadence(timeout_s), timeout_s
+        self._said: dict[str, tuple[float, bool]] = {}
+        """By link: when a heartbeat came last, and whether it said armed."""
+        self._said_armed: dict[bool, float] = {}
+        """When armed (True) and disarmed (False) was last said, by any link."""
+        self._stalled: float | None = None
         self._spoke = float("-inf")
         self._beat: tuple[float, Any, str] | None = None
         self._armed: deque[tuple[float, bool]] = deque(maxlen=KEPT)
@@ -48,10 +55,17 @@ class Pilot:
         """Pauses until now say nothing about it: its link was closed, or PHM stood still."""
         self._cadence.broke(now)
 
+    def stalled(self, now: float) -> None:
+        """PHM has been suspended until now: what it reads next may be old."""
+        self._stalled = now
+        self.broke(now)
+
     def heartbeat(self, now: float, message: Any, link: str) -> None:
         self._beat, self._spoke = (now, message, link), now
         self._cadence.beat(now)
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        self._said[link] = (now, armed)
+        self._said_armed[armed] = now
         if not self._armed or self._armed[-1][1] != armed:
             self._armed.append((now, armed))
 
@@ -68,9 +82,16 @@ class Pilot:
             self._rebooted_armed = self._armed_at(now - new_s)
         self._boot = (now, new_s)
 
+    def boot_s(self, now: float) -> float | None:
+        """For how long it has been running; None: not known."""
+        return self._boot[1] + now - self._boot[0] if self._boot is not None else None
+
     def twins(self, now: float) -> bool:
-        """Whether two autopilots speak with one identity."""
-        return len(self._seen) == TWINS and self._seen[-1] - self._seen[0] < TWINS_S and now - self._seen[-1] < TWINS_S
+        """Whether two autopilots speak with one identity: by their times since boot, or by their armed states."""
+        rebooting = len(self._seen) == TWINS and self._seen[-1] - self._seen[0] < TWINS_S
+        changes = [at for at, _ in self._armed][-FLIPS:]
+        flipping = len(changes) == FLIPS and changes[-1] - changes[0] < FLIPS_S
+        return (rebooting and now - self._seen[-1] < TWINS_S) or (flipping and now - changes[-1] < FLIPS_S)
 
     def fact(self, now: float, read_at: Callable[[str], float | None] = lambda link: None) -> AutopilotFact | None:
         """None: never heard. read_at: until when what came by a link of this name has been read; None: not known."""
@@ -78,11 +99,13 @@ class Pilot:
             return None
         heard, message, link = self._beat
         rebooted = bool(self._seen) and not self.twins(now)
+        armed = any(said for at, said in self._said.values() if heard - at <= self._timeout_s)
+        ages = {said: now - at for said, at in self._said_armed.items()}
         return AutopilotFact(
-            now - heard, self._armed[-1][1], message.custom_mode, message.system_status, link,
-            self._boot[1] + now - self._boot[0] if self._boot is not None else None,
-            self.reboots, now - self._seen[-1] if rebooted else None, rebooted and self._rebooted_armed,
+            now - heard, armed, message.custom_mode, message.system_status, link,
+            self.boot_s(now), self.reboots, now - self._seen[-1] if rebooted else None, rebooted and self._rebooted_armed,
             self._cadence.due_s(), self._overdue(read_at(link)), now - self._spoke,
+            ages.get(True), ages.get(False), None if self._stalled is None else now - self._stalled,
         )  # fmt: skip
 
     def _overdue(self, read_at: float | None) -> bool:

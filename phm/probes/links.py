@@ -14,6 +14,7 @@ from phm.probes.link_cadence import UNEVEN_S, Cadence
 from phm.probes.link_flow import Flow
 from phm.probes.link_pilot import Pilot
 from phm.probes.link_radio import Radio
+from phm.probes.link_strays import Strays
 from phm.probes.link_users import users
 from phm.probes.worker import Worker
 from phm.settings import Settings
@@ -51,6 +52,9 @@ class Links:
         self._unreached = False
         """It was out of reach, and was not heard since: a radio at the edge of its range finds and loses the other one."""
         self._pilot = Pilot(self._settings.autopilot_timeout)
+        self._pilot_links = frozenset(entry.key for entry in self._settings.endpoints if entry.to_autopilot)
+        self._strays = Strays()
+        self._sampled: float | None = None
         self._ground = frozenset(entry.key for entry in self._settings.endpoints if entry.to_ground)
         self._radios: dict[str, Radio] = {}
         self._flows: dict[str, Flow] = {}
@@ -114,10 +118,16 @@ class Links:
             )
         with self._lock:
             twins = self._pilot.twins(now)
+            stray = self._strays.link(now, self._pilot.boot_s(now))
         if twins:
             found.append(
-                f"two autopilots speak as system {self._system}, as their times since boot differ: give each vehicle a "
-                "system id of its own"
+                f"two autopilots send as system {self._system}, as their times since boot or their armed states differ: "
+                "give each vehicle its own system id"
+            )
+        if stray:
+            found.append(
+                f"heartbeats of an autopilot with our system id {self._system} come by {stray}, which does not lead to ours, "
+                "and are ignored: give each vehicle its own system id, or correct leads_to of the endpoint"
             )
         return tuple(found)
 
@@ -133,8 +143,12 @@ class Links:
 
     def _sample(self) -> None:
         now, own = self._clock.mono(), (self._system, self._hub.component_id)
-        closed = {link.name for link in self._hub.links() if not link.open}
+        links = self._hub.links()
+        closed = {link.name for link in links if not link.open}
         with self._lock:
+            before, self._sampled = self._sampled, now if len(closed) < len(links) else None
+            if before is not None and now - before > STALL_S:
+                self._pilot.stalled(now)
             if self._gcs is not None and self._gcs[3] in closed:
                 self._gcs_beats.broke(now)
             if self._pilot.link in closed:
@@ -176,10 +190,7 @@ class Links:
                 self._doubles.append(now)
         elif self._is_pilot(message):
             if message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
-                with self._lock:
-                    if stalled:
-                        self._pilot.broke(now)
-                    self._pilot.heartbeat(now, message, link)
+                self._hear_pilot(now, message, link, stalled=stalled)
         elif message.type == mavlink.MAV_TYPE_GCS and system != self._system:
             # With our own system id it is a program aboard that calls itself a ground station.
             with self._lock:
@@ -190,6 +201,15 @@ class Links:
                 self._gcs = (now, system, component, link)
         self.look()
 
+    def _hear_pilot(self, now: float, message: Any, link: str, *, stalled: bool) -> None:
+        with self._lock:
+            if link not in self._pilot_links:
+                self._strays.heartbeat(now, link)
+                return
+            if stalled:
+                self._pilot.stalled(now)
+            self._pilot.heartbeat(now, message, link)
+
     def _hear_radio(self, message: Any, link: str) -> None:
         asked_s = self._settings.heartbeat or periods(self._hub.agents)[0]
         with self._lock:
@@ -199,6 +219,9 @@ class Links:
     def _hear_time(self, message: Any, link: str) -> None:
         if self._is_pilot(message):
             with self._lock:
+                if link not in self._pilot_links:
+                    self._strays.booted(self._clock.mono(), message.time_boot_ms / 1000.0, link)
+                    return
                 before = self._pilot.reboots
                 self._pilot.booted(self._clock.mono(), message.time_boot_ms)
                 rebooted = self._pilot.reboots != before

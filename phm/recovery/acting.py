@@ -10,7 +10,10 @@ from dataclasses import dataclass, replace
 
 from phm.facts import CannotTell, NotPermitted
 from phm.model import Fault
+from phm.recovery.armed import State
 from phm.recovery.base import Action, ActionFailed
+from phm.recovery.critical import FlightCritical, Reach
+from phm.recovery.guarded_engine import guarded
 from phm.recovery.hands import InOtherHands
 from phm.recovery.shop import Shop
 from phm.settings import ContainerSettings
@@ -20,17 +23,27 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What came of it: a sentence for the log, whether the step was done, and whether PHM was told that it may not."""
+    """What came of it: a sentence for the log, whether the step was done, and whether PHM was told that it may not.
+
+    forbidden: the vehicle was armed between the decision and the call to the engine.
+    """
 
     detail: str
     ok: bool = False
     refused: bool = False
+    forbidden: bool = False
 
 
 class Acting:
-    """One action on `target` for `fault`. Its owner has the target in hand; dependants are taken as they are needed."""
+    """One action on `target` for `fault`. Its owner has the target in hand; dependants are taken as they are needed.
 
-    def __init__(self, shop: Shop, target: ContainerSettings, fault: Fault, action: Action) -> None:
+    approved_at: the armed state at which an operator has approved it; None: nobody has.
+    """
+
+    def __init__(
+        self, shop: Shop, target: ContainerSettings, fault: Fault, action: Action, approved_at: State | None = None
+    ) -> None:
+        self._approved_at = approved_at
         self._shop, self._target, self._fault, self._action = shop, target, fault, action
         self._given_up = False
 
@@ -64,10 +77,13 @@ class Acting:
         self._shop.hands.let_go(self._target.key, self)
 
     def _work(self) -> Done:
-        context = replace(self._shop.context, holding=self._holding)
+        engine = guarded(self._shop.context.engine, self._shop.safeguard, self._forbids)
+        context = replace(self._shop.context, engine=engine, holding=self._holding)
         try:
             with self._shop.lives.acting(self._target.key, self._target.key):
                 return Done(self._action.run(self._target, self._fault, context), ok=True)
+        except FlightCritical as error:
+            return Done(str(error), forbidden=True)
         except NotPermitted as error:
             return Done(f"healing not permitted: {error}; PHM only reports this fault", refused=True)
         except (ActionFailed, CannotTell) as error:
@@ -75,6 +91,9 @@ class Acting:
         except BaseException as error:  # plug-in code, which may also exit: its thread is ours, and the attempt failed
             logger.exception("action %s crashed", self._action.name)
             return Done(f"the action crashed: {type(error).__name__}: {error}")
+
+    def _forbids(self, key: str, reach: Reach) -> str:
+        return self._shop.safeguard.forbids(key, reach, self._approved_at)
 
     @contextlib.contextmanager
     def _holding(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from phm.model import Fault, Level, Result, Stamp, UnitState
 from phm.recovery.history import History
-from phm.recovery.policy import critical_now
 from phm.settings import ContainerSettings, RecoverySettings
 
 CONDITION = "asked"
@@ -19,17 +18,20 @@ class NotNow(Exception):
 
 
 def permit(
-    container: ContainerSettings | None, history: History, now: float, *, armed: bool, settings: RecoverySettings
+    container: ContainerSettings | None, history: History, now: float, *, forbidden: str, settings: RecoverySettings
 ) -> None:
-    """Raises NotAllowed and NotNow. Mode `advise` does not bind: the operator has decided. Nor does back-off."""
+    """Raises NotAllowed and NotNow. Mode `advise` does not bind: the operator has decided. Nor does back-off.
+
+    forbidden: why the container must not be restarted while the vehicle may be armed; empty: it may.
+    """
     if container is None:
         raise NotAllowed("there is no such container in the configuration")
     if settings.mode == "off":
         raise NotAllowed("recovery is off")
     if not container.recover:
         raise NotAllowed(f"{container.key} has not opted in (recover: true)")
-    if critical_now(container, armed):
-        raise NotNow(f"{container.key} is flight-critical, and the autopilot is armed or not heard")
+    if forbidden:
+        raise NotNow(f"{container.key} is not restarted: {forbidden}")
     recent = history.within(now - settings.window)
     if len(recent) >= settings.budget:
         left_s = recent[0].at + settings.window - now

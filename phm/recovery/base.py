@@ -13,6 +13,7 @@ from typing import ClassVar
 
 from phm.facts import Attachment, CannotTell, ContainerFact
 from phm.model import Fault
+from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings, Settings
 from phm.transport.docker import Engine
 
@@ -37,11 +38,11 @@ def _no_hold(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractC
 class ActionContext:
     """What an action may use.
 
+    engine:     refuses what would disturb something flight-critical while armed (`phm.recovery.guarded_engine`).
     container:  the engine's view of a configured container now, or None when there is none.
     myself:     PHM's own container, or None when it runs on the host.
     remembered: how a container was attached to a network when that was last seen.
     listed_nodes: ROS nodes in the graph now, with how often each is listed. Raises CannotTell.
-    armed:      whether the autopilot is armed, or must be taken for armed.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
     holding:    while it is entered, what breaks in that other container follows from this fault's repair.
     """
@@ -52,7 +53,6 @@ class ActionContext:
     myself: Callable[[], ContainerFact | None]
     remembered: Callable[[str, str], Attachment | None]
     listed_nodes: Callable[[], Mapping[str, int]] = _no_graph
-    armed: Callable[[], bool] = lambda: False
     reopen: Callable[[str, float], bool] = _no_link
     holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
 
@@ -63,6 +63,8 @@ class Action(ABC):
     name: ClassVar[str]
     deadline_s: ClassVar[float] = 20.0
     on_myself: ClassVar[bool] = False
+    takes_down: ClassVar[Reach] = Reach.CONTAINER
+    """What goes down with it for a moment: what is flight-critical among that is left alone while armed."""
     proof_s: ClassVar[float] = 0.0
     """The unit and all that needs it must be found well by runs that began this long after the action: for actions after
     which all looks well for a moment (a container that starts and ends again, a node that is listed but cut off)."""

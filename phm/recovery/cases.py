@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from phm.model import Fault
+from phm.recovery.approval import Approval
 from phm.recovery.state import MAX_TOLD, Case as Kept
 
 
@@ -17,8 +18,8 @@ class Case:
     fault: Fault
     told: set[str] = field(default_factory=set)
     refused: bool = False
-    approved: bool = False
-    """An operator has said yes; holds for one action, and not over a restart of PHM."""
+    approval: Approval | None = None
+    """Of an operator; holds for one action, and not over a restart of PHM."""
     proof_from: float | None = None
     """Restored, or the container was started again by others: nothing is done before a run that began after this
     (monotonic seconds) has found the unit in ERROR."""
@@ -68,4 +69,9 @@ class Cases:
         """For the state file, by fault id."""
         with self._lock:
             cases = list(self._of.values())
-        return {case.fault.id: Kept(case.refused, tuple(sorted(case.told)[:MAX_TOLD])) for case in cases}
+        return {case.fault.id: _kept(case) for case in cases}
+
+
+def _kept(case: Case) -> Kept:
+    approved = case.approval.situation.action if case.approval is not None else ""
+    return Kept(case.refused, tuple(sorted(case.told)[:MAX_TOLD]), approved)

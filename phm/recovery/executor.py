@@ -131,7 +131,10 @@ class Executor:
     # ------------------------------------------------------------ the operator's hand
 
     def approve(self, fault_id: str) -> str:
-        """An operator says yes to what is advised for an open fault; what will be done. Raises NotApprovable."""
+        """An operator approves what is advised for an open fault; what will be done.
+
+        Raises NotApprovable, and NotNow when it may be later.
+        """
         faults = self._shop.pipeline.open_faults()
         fault = next((fault for fault in faults if fault.id == fault_id), None)
         if fault is None:

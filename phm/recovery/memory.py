@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from phm.bus import Bus
 from phm.clock import Clock
 from phm.model import Event
 from phm.pipeline import Pipeline
+from phm.recovery.armed import ArmedMonitor
 from phm.recovery.executor import Executor
-from phm.recovery.state import State
+from phm.recovery.state import RecoveryState, State
 from phm.recovery.state_file import Keeper, StateFile
 from phm.settings import Settings
 
@@ -15,7 +18,10 @@ from phm.settings import Settings
 class Memory:
     """`restore` goes before the reporters start, `resume` after them and before the first result."""
 
-    def __init__(self, settings: Settings, pipeline: Pipeline, bus: Bus, clock: Clock) -> None:
+    def __init__(
+        self, settings: Settings, pipeline: Pipeline, bus: Bus, clock: Clock, armed: ArmedMonitor | None = None
+    ) -> None:
+        self._armed = armed
         self._pipeline, self._bus, self._clock = pipeline, bus, clock
         self._window_s = settings.recovery.window
         self._file = StateFile(settings.state_dir, clock)
@@ -27,6 +33,8 @@ class Memory:
         """Read the file and put open faults back; nothing is told yet, since nobody hears it."""
         self._state, self._warning = self._file.load(self._window_s)
         self._events = self._pipeline.restore(self._state.faults, self._state.given_up)
+        if self._armed is not None:
+            self._armed.restore(self._state.recovery.armed)
 
     def resume(self, executor: Executor) -> None:
         """Tell what was restored, hand recovery its part, and begin to keep."""
@@ -43,7 +51,11 @@ class Memory:
             self._note(f"{attempts} recovery attempts from before PHM ended are remembered")
         for cut_short in executor.restore(self._state):
             self._note(cut_short)
-        keeper = self._keeper = Keeper(self._file, self._pipeline, executor.kept, self._clock)
+
+        def kept() -> RecoveryState:
+            return replace(executor.kept(), armed=self._armed.kept() if self._armed is not None else None)
+
+        keeper = self._keeper = Keeper(self._file, self._pipeline, kept, self._clock)
         self._bus.subscribe(
             "state", keeper.handle, kinds=keeper.kinds, key=keeper.key, tick=keeper.tick, period_s=keeper.period_s
         )

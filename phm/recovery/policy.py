@@ -1,15 +1,15 @@
-"""Decides what to do about a fault. Pure: fault, history and armed state in, a decision out.
+"""Decides what to do about a fault. Pure: fault, history and what is forbidden in, a decision out.
 
 Rules, first match wins: no ladder for the condition -> nothing; never well in this life of its container, where
 only that gives hope -> nothing; mode off -> nothing; not opted in ->
-nothing; the same failure `same_failure` times -> give up and say so; flight-critical while armed -> advise; mode
+nothing; the same failure `same_failure` times -> give up and say so; forbidden while armed -> advise; mode
 advise -> advise; budget used up -> wait, and say so; back-off not over -> wait; else the rung of the ladder that
 follows the number of failed attempts. Actions on PHM's own container and links are bound by budget and back-off alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from phm.model import NEVER_WELL, Fault
@@ -107,7 +107,7 @@ def decide(
     now: float,
     *,
     container: ContainerSettings | None,
-    armed: bool,
+    forbids: Callable[[str], str],
     settings: RecoverySettings,
     free_actions: frozenset[str] = frozenset(),
     approved: bool = False,
@@ -116,8 +116,8 @@ def decide(
 ) -> Decision:
     """What to do about `fault` at `now` (monotonic seconds).
 
-    armed: True also when an autopilot is configured and silent (unknown counts as armed).
-    approved: an operator has said yes to this fault: mode advise and the armed state no longer hold it back.
+    forbids: why an action must not be done while the vehicle may be armed; empty: it may (`phm.recovery.critical`).
+    approved: an operator has approved this action: mode advise and the armed state no longer hold it back.
     free_actions: actions on PHM's own container and links; they endanger nobody, so mode, opt-in and arming do not bind them.
     usable: the actions that apply to this fault; other rungs are left out. None: all.
     start_s: how long the parts of a container may take to come up (`ros.grace`).
@@ -141,8 +141,9 @@ def decide(
     if condition in PATIENT and now < fault.opened.mono + settings.patience:
         return Wait(fault.opened.mono + settings.patience, "it may come back by itself")
     bound = action not in free_actions and not approved
-    if bound and container is not None and critical_now(container, armed):
-        return Advise(action, "flight-critical and armed", again_at=now + ARMED_AGAIN_S)
+    forbidden = forbids(action) if bound else ""
+    if forbidden:
+        return Advise(action, forbidden, again_at=now + ARMED_AGAIN_S)
     if bound and settings.mode == "advise":
         return Advise(action, "recovery only advises")
     recent = history.within(now - settings.window)
@@ -177,11 +178,6 @@ def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings,
 
 def _in_vain(attempts: int) -> str:
     return "one attempt did not help" if attempts == 1 else f"{attempts} attempts did not help"
-
-
-def critical_now(container: ContainerSettings, armed: bool) -> bool:
-    """Whether the container must be left alone in the air unless an operator approves."""
-    return armed and container.flight_critical and container.when_armed == "advise"
 
 
 def _same_failures(history: History, fault: Fault, now: float, lasting_s: float) -> list[Attempt]:

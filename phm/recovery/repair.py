@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from phm.model import Fault, Phase
 from phm.recovery.acting import Acting
+from phm.recovery.armed import State
 from phm.recovery.base import Action
 from phm.recovery.proof import prove
 from phm.recovery.shop import Shop
@@ -23,6 +24,7 @@ class Verdict:
     refused:   PHM was told that it may not; it is not tried again for this fault.
     overtaken: somebody else has started the container meanwhile: it gets its grace before the next attempt.
     excused:   the failure says nothing about the target (`phm.recovery.history`).
+    forbidden: not done, because the vehicle was armed meanwhile.
     """
 
     worked: bool
@@ -30,16 +32,20 @@ class Verdict:
     refused: bool = False
     overtaken: bool = False
     excused: bool = False
+    forbidden: bool = False
 
 
 class Repair:
     """`begin`, then `run`, then `release`. Each repair is an owner of its own (`phm.recovery.hands`)."""
 
-    def __init__(self, shop: Shop, target: ContainerSettings, fault: Fault, kind: type[Action], *, last: bool) -> None:
-        """last: no rung of the ladder follows."""
+    def __init__(
+        self, shop: Shop, target: ContainerSettings, fault: Fault, kind: type[Action], *, last: bool,
+        approved_at: State | None = None,
+    ) -> None:  # fmt: skip
+        """last: no rung of the ladder follows. approved_at: as of `Acting`."""
         self._shop, self._target, self._fault, self._kind, self._last = shop, target.key, fault, kind, last
         self._began = shop.clock.mono()
-        self._acting = Acting(shop, target, fault, kind())
+        self._acting = Acting(shop, target, fault, kind(), approved_at)
 
     def begin(self) -> bool:
         """Take the target in hand and hold it; False when another container's repair is restarting it."""
@@ -59,7 +65,7 @@ class Repair:
         tell(Phase.STARTED, f"{name} {self._target} for: {self._fault.result.summary}")
         done = self._acting.run()
         if not done.ok:
-            return Verdict(False, done.detail, refused=done.refused)
+            return Verdict(False, done.detail, done.refused, excused=done.forbidden, forbidden=done.forbidden)
         tell(Phase.DONE, done.detail)
         proof = prove(self._shop, self._fault, self._target, self._kind, stopping)
         if proof.overtaken:

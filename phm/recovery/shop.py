@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from phm.clock import Clock
 from phm.model import Event, Fault
 from phm.pipeline import Pipeline
+from phm.recovery.armed import Armed
 from phm.recovery.base import Action, ActionContext
+from phm.recovery.critical import Reach, Safeguard
 from phm.recovery.hands import Hands
 from phm.recovery.lives import Lives
 from phm.recovery.policy import ladder_of
@@ -23,7 +25,7 @@ def _nothing_below(unit: str) -> Mapping[str, frozenset[str]]:
 class Shop:
     """What all targets share: the tools of the executor.
 
-    armed:   whether the autopilot is armed, or must be taken for armed.
+    armed:   whether the vehicle is armed, as far as that is known now.
     grace_s: of a unit, seconds.
     below:   units that need a unit and are other containers', by container (`phm.plan.Plan.below`).
     """
@@ -33,20 +35,29 @@ class Shop:
     clock: Clock
     actions: Mapping[str, type[Action]]
     context: ActionContext
-    armed: Callable[[], bool]
+    armed: Callable[[], Armed]
     grace_s: Callable[[str], float]
     below: Callable[[str], Mapping[str, frozenset[str]]] = _nothing_below
     hands: Hands = field(init=False)
     lives: Lives = field(init=False)
+    safeguard: Safeguard = field(init=False)
 
     def __post_init__(self) -> None:
         verify_s = self.context.settings.recovery.verify
         object.__setattr__(self, "hands", Hands(self.pipeline, self.clock))
         object.__setattr__(self, "lives", Lives(self.context.container, self.clock, verify_s))
+        context = self.context
+        safeguard = Safeguard(context.settings, context.container, context.myself, self.armed)
+        object.__setattr__(self, "safeguard", safeguard)
 
     @property
     def free_actions(self) -> frozenset[str]:
         return frozenset(name for name, action in self.actions.items() if action.on_myself)
+
+    def forbids(self, target: str, action: str) -> str:
+        """Why this action on `target` must wait until the vehicle is disarmed; empty: it need not."""
+        kind = self.actions.get(action)
+        return self.safeguard.forbids(target, kind.takes_down if kind is not None else Reach.CONTAINER)
 
     def usable(self, container: ContainerSettings | None, fault: Fault) -> frozenset[str] | None:
         """The rungs of the fault's ladder that apply to it. One that is not installed stays, to be told as such."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.recovery.armed import LastKnown
 from phm.recovery.history import KEPT, Attempt
 from phm.recovery.lives import Life
 from phm.recovery.policy import CLEAN_S
@@ -33,10 +34,14 @@ class Unbelievable(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What recovery knows of one open fault. `told` is what was said of it, so as not to say it twice."""
+    """What recovery knows of one open fault. `told` is what was said of it, so as not to say it twice.
+
+    approved: the action that an operator has approved and that was not begun; empty: none.
+    """
 
     refused: bool = False
     told: tuple[str, ...] = ()
+    approved: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +60,8 @@ class RecoveryState:
     cases: Mapping[str, Case] = field(default_factory=dict)
     under_way: Mapping[str, UnderWay] = field(default_factory=dict)
     lives: Mapping[str, Life] = field(default_factory=dict)
+    armed: LastKnown | None = None
+    """The last certain armed state of the vehicle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +88,11 @@ def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
         "given_up": [_fault(fault) for fault in state.given_up[:MAX_FAULTS]],
         "attempts": {target: [_attempt(each, now) for each in made[-KEPT:]] for target, made in newest if made},
         "cases": {
-            name: {"refused": case.refused, "told": [text[:MAX_TEXT] for text in case.told[:MAX_TOLD]]}
+            name: {
+                "refused": case.refused,
+                "told": [text[:MAX_TEXT] for text in case.told[:MAX_TOLD]],
+                "approved": case.approved[:MAX_TEXT],
+            }
             for name, case in list(recovery.cases.items())[:MAX_FAULTS]
         },
         "under_way": {
@@ -89,6 +100,7 @@ def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
             for target, action in list(recovery.under_way.items())[:MAX_TARGETS]
         },
         "lives": {target: _life(life, now) for target, life in list(recovery.lives.items())[:MAX_TARGETS]},
+        "armed": None if recovery.armed is None else _last_known(recovery.armed, now),
     }
 
 
@@ -119,6 +131,11 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
         def moment(body: Any) -> float | None:
             return None if body is None else carried(_read_stamp(body), max(window_s, CLEAN_S)).mono
 
+        def last_known(body: Any) -> LastKnown | None:
+            if body is None:
+                return None
+            return LastKnown(body["armed"] is True, carried(_read_stamp(body["since"]), FAULT_AGE_S).mono)
+
         def life(body: Any) -> Life:
             name, started, by = (str(body[key])[:MAX_TEXT] for key in ("id", "started", "by"))
             return Life(name, started, moment(body["since"]), moment(body["made"]), by)
@@ -129,7 +146,11 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
                 for target, made in list(document["attempts"].items())[:MAX_TARGETS]
             },
             {
-                str(name): Case(case["refused"] is True, tuple(str(text) for text in case["told"][:MAX_TOLD]))
+                str(name): Case(
+                    case["refused"] is True,
+                    tuple(str(text) for text in case["told"][:MAX_TOLD]),
+                    str(case.get("approved", ""))[:MAX_TEXT],
+                )
                 for name, case in list(document["cases"].items())[:MAX_FAULTS]
             },
             {
@@ -137,6 +158,7 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
                 for target, action in list(document["under_way"].items())[:MAX_TARGETS]
             },
             {str(target): life(body) for target, body in list(document.get("lives", {}).items())[:MAX_TARGETS]},
+            last_known(document.get("armed")),
         )
         faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
         return State(faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery)
@@ -174,6 +196,10 @@ def _life(life: Life, now: Stamp) -> dict[str, Any]:
         "made": None if life.made is None else _moment(life.made, now),
         "by": life.by[:MAX_TEXT],
     }
+
+
+def _last_known(last: LastKnown, now: Stamp) -> dict[str, Any]:
+    return {"armed": last.armed, "since": _moment(last.since, now)}
 
 
 def _attempt(attempt: Attempt, now: Stamp) -> dict[str, Any]:

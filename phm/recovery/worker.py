@@ -15,6 +15,7 @@ from functools import partial
 
 from phm.model import ActionEvent, Fault, Phase
 from phm.recovery import disks, links
+from phm.recovery.approvals import Approvals
 from phm.recovery.asked import NotAllowed, NotNow, permit, stand_in
 from phm.recovery.cases import Case, Cases
 from phm.recovery.history import Attempt, History
@@ -50,8 +51,9 @@ class TargetWorker:
         self._target, self._container, self._shop = target, container, shop
         self._history = history
         self._under_way: UnderWay | None = None
-        self._asked: Fault | None = None
+        self._asked: Case | None = None
         self._cases, self._around = Cases(), Surroundings(target, shop, history)
+        self._approvals = Approvals(target, shop, self._publish)
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._stopping = False
@@ -82,6 +84,8 @@ class TargetWorker:
         proof_from = self._shop.clock.mono() + grace_s
         mine = Case(fault, set(case.told), case.refused, proof_from=proof_from, cut_short=cut is not None)
         self._cases.put(mine)
+        if case.approved:
+            self._approvals.expire(mine, case.approved, "PHM has been restarted")
         if cut is not None:
             self._shop.lives.unfinished(self._target, CUT_SHORT_S)
             self._shop.hands.hold(self._target, mine, fault.unit, cut.attempt.action, grace_s + CUT_SHORT_S)
@@ -92,7 +96,7 @@ class TargetWorker:
         return self._cases.kept(), self._under_way
 
     def approve(self, fault_id: str) -> str:
-        """An operator says yes: what will be done now. Raises NotApprovable."""
+        """An operator approves what is advised: what will be done now. Raises NotApprovable, and NotNow when it may be later."""
         case = self._cases.find(fault_id)
         if case is None:
             raise NotApprovable(f"{fault_id} is not in the hands of recovery")
@@ -103,11 +107,17 @@ class TargetWorker:
         if isinstance(decision, (Leave, GiveUp)):
             raise NotApprovable(f"{fault_id} cannot be helped by a yes: {_in_words(decision)}")
         action = unbound.action if isinstance(unbound, Advise) else getattr(decision, "action", "recovery")
+        approval = self._approvals.grant(action)
+        if isinstance(decision, Wait) and decision.until >= approval.until:
+            holds_s = approval.until - approval.given
+            raise NotNow(
+                f"{decision.why}: not possible within the {holds_s:g} s of an approval, approve it again later"
+            )
         later = f", when it may: {decision.why}" if isinstance(decision, Wait) else ""
         detail = f"approved: {action} {self._target} for {case.fault.unit}{later}"
         case.told.discard(f"{Phase.ADVISED.value} {action}")
         self._publish(case.fault, action, Phase.APPROVED, detail)
-        case.refused, case.approved = False, True
+        case.refused, case.approval = False, approval
         self._wake.set()
         return detail
 
@@ -121,7 +131,8 @@ class TargetWorker:
         with self._lock:
             if self._asked is not None or self._under_way is not None:
                 raise NotNow(f"{self._target} is being acted on")
-            self._asked = stand_in(state, self._target, by, self._shop.clock.stamp())
+            fault = stand_in(state, self._target, by, self._shop.clock.stamp())
+            self._asked = Case(fault, approval=self._approvals.grant("restart"))
         self._wake.set()
         return f"restart {self._target}, asked for by {by}"
 
@@ -133,18 +144,21 @@ class TargetWorker:
 
     def _permit(self) -> None:
         shop = self._shop
-        settings = shop.context.settings.recovery
-        permit(self._container, self._history, shop.clock.mono(), armed=shop.armed(), settings=settings)
+        settings, forbidden = shop.context.settings.recovery, shop.forbids(self._target, "restart")
+        permit(self._container, self._history, shop.clock.mono(), forbidden=forbidden, settings=settings)
 
-    def _as_asked(self, fault: Fault) -> float:
+    def _as_asked(self, asked: Case) -> float:
         """As `_perform`. Judged again: the autopilot may have been armed since, or another action used the budget up."""
         try:
             self._permit()
+            void = self._approvals.void(asked, "restart")
+            if void:
+                raise NotNow(f"{self._target} is not restarted: {void}")
         except (NotAllowed, NotNow) as error:
-            self._publish(fault, "restart", Phase.REFUSED, str(error))
+            self._publish(asked.fault, "restart", Phase.REFUSED, str(error))
             self._asked = None
             return 0
-        wait_s = self._perform(Case(fault), Act("restart", 1))
+        wait_s = self._perform(Case(asked.fault), Act("restart", 1))
         if wait_s == 0:
             self._asked = None
         return wait_s
@@ -168,6 +182,7 @@ class TargetWorker:
         if self._asked is not None:
             return self._as_asked(self._asked)
         for case in cases:
+            waits += self._check_approval(case)
             if case.refused:
                 continue
             proof_from = self._around.proof_from(case)
@@ -175,13 +190,20 @@ class TargetWorker:
                 waits.append(self._wait_for_proof(case.fault.unit, proof_from))
                 continue
             case.proof_from = None
-            decision = self._decide(case.fault, approved=case.approved)
+            decision = self._decide(case.fault, approved=case.approval is not None)
             if isinstance(decision, Act):
                 return self._perform(case, decision)
             again = self._say(case, decision)
             if again is not None:
                 waits.append(max(POLL_S, again - self._shop.clock.mono()))
         return min(waits, default=None)
+
+    def _check_approval(self, case: Case) -> list[float]:
+        """When to look at its approval again, in seconds; empty: it has none, or it has just been found to be void."""
+        if case.approval is None:
+            return []
+        decision = self._decide(case.fault, approved=True)
+        return self._approvals.check(case, decision.action if isinstance(decision, Act) else "")
 
     def _wait_for_proof(self, unit: str, proof_from: float) -> float:
         left_s = proof_from - self._shop.clock.mono()
@@ -197,7 +219,7 @@ class TargetWorker:
             self._history,
             shop.clock.mono(),
             container=self._container,
-            armed=shop.armed(),
+            forbids=partial(shop.forbids, self._target),
             settings=shop.context.settings.recovery,
             free_actions=shop.free_actions,
             usable=shop.usable(self._container, fault),
@@ -242,10 +264,12 @@ class TargetWorker:
             case.refused = True
             return 0
         attempt = Attempt(shop.clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
-        repair = Repair(shop, self._container, fault, kind, last=shop.is_last(self._container, fault, act.action))
+        last = shop.is_last(self._container, fault, act.action)
+        approved_at = case.approval.situation.armed if case.approval is not None else None
+        repair = Repair(shop, self._container, fault, kind, last=last, approved_at=approved_at)
         if not repair.begin():
             return LOOK_AGAIN_S  # another container's repair restarts this one: decided afresh when that is over
-        case.approved = case.cut_short = False
+        case.approval, case.cut_short = None, False
         self._under_way = UnderWay(fault.id, attempt)
         worked = False
         try:
@@ -256,7 +280,8 @@ class TargetWorker:
             worked = verdict.worked
             self._learn(case, verdict)
             self._end(replace(attempt, worked=worked, excused=verdict.excused))
-            tell(Phase.VERIFIED if worked else Phase.FAILED, verdict.detail)
+            failed = Phase.REFUSED if verdict.forbidden else Phase.FAILED
+            tell(Phase.VERIFIED if worked else failed, verdict.detail)
         finally:
             if self._under_way is not None and not self._stopping:
                 self._end(attempt)

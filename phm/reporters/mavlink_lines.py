@@ -78,6 +78,9 @@ class Teller:
             self._asks.pop(event.unit, None)
             text = status_line.approved(self._agent, state.slot, event.action, event.target)
             return [Line(key, Severity.NOTICE, text)]
+        if event.phase is Phase.EXPIRED:
+            text = status_line.expired(self._agent, state.slot, event.action, event.target)
+            return [Line(f"{event.unit} approval", Severity.WARNING, text)]
         if event.phase is Phase.ESCALATED:
             text = status_line.gave_up(self._agent, state.slot, event.target, status_line.brief_of(state), number)
             return [self._ask(event.unit, Line(key, status_line.severity(Level.ERROR, state.slot), text))]

@@ -93,6 +93,11 @@ def approved(agent: int, slot: Slot, action: str, target: str) -> str:
     return _line(f"{agent_name(agent)} APPROVED {slot:d} {_short(action, 16)}", target)
 
 
+def expired(agent: int, slot: Slot, action: str, target: str) -> str:
+    """An approval no longer holds, and what it was for was not done."""
+    return _line(f"{agent_name(agent)} EXPIRED {slot:d} {_short(action, 16)}", target)
+
+
 def gave_up(agent: int, slot: Slot, target: str, brief: str, number: int | None = None) -> str:
     """`number`: as of `advise`."""
     said = brief if target in brief else f"{_short(target, 16)}: {brief}"

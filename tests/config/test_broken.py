@@ -217,6 +217,16 @@ BROKEN = [
         "heard on no endpoint", "mavlink:\n  endpoints: [{url: 'tcp:a:1', leads_to: ground}]\n  autopilot: true\n", 3,
         "mavlink.autopilot", ("no endpoint leads to it",),
     ),
+    Broken(
+        "critical, and no link", "containers:\n  - name: app\n    flight_critical: true\n", 3, "containers[0].flight_critical",
+        ("no MAVLink endpoint leads to the autopilot", "add one to 'mavlink.endpoints'", "or remove this"),
+    ),
+    Broken(
+        "critical, links elsewhere",
+        "mavlink:\n  endpoints:\n    - {url: 'tcp:a:1', leads_to: ground}\n    - {url: 'tcp:a:2', leads_to: peers}\n"
+        "containers:\n  - {name: app, flight_critical: true}\n", 6, "containers[0].flight_critical",
+        ("no MAVLink endpoint leads to the autopilot",),
+    ),
     Broken("autopilot's number", "mavlink:\n  component_id: 1\n", 2, "mavlink.component_id", ("allowed is 2 to 250",)),
     # pairs
     Broken("own diagnostics", "ros:\n  topics:\n  - {name: diagnostics, rate: 1Hz}\n", 3, "ros.topics[0].rate",

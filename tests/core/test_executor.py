@@ -15,6 +15,7 @@ from phm.bus import Bus
 from phm.facts import NotPermitted
 from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase
 from phm.pipeline import Pipeline
+from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext, ActionFailed
 from phm.recovery.executor import Executor, Shop
 from phm.settings import ContainerSettings, Settings
@@ -44,8 +45,9 @@ class World:
         self.pipeline = Pipeline(tracker, self.bus, self.clock)
         self.pipeline.attach(lambda units, reason: self.look())
         context = ActionContext(cast(Any, None), self.settings, lambda key: None, lambda: None, lambda a, b: None)
+        state = Armed(State.ARMED, "the autopilot is armed") if armed else Armed(State.DISARMED, "it is disarmed")
         actions = self.actions = {name: self._action(name) for name in ("restart", "start")}
-        shop = Shop(self.pipeline, self.publish, self.clock, actions, context, lambda: armed, lambda unit: 0.0)
+        shop = Shop(self.pipeline, self.publish, self.clock, actions, context, lambda: state, lambda unit: 0.0)
         self.executor = Executor(shop)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
         self.bus.subscribe("test", self.events.append)

@@ -24,9 +24,9 @@ def attempts(*at: float, worked: bool = False, condition: str = "unhealthy") -> 
     return History([Attempt(when, "health/app", condition, "restart", worked) for when in at])
 
 
-def say(history: History | None = None, now: float = 1000.0, *, armed: bool = False, **more: object) -> object:
+def say(history: History | None = None, now: float = 1000.0, *, forbidden: str = "", **more: object) -> object:
     given: dict[str, object] = {"container": APP, "settings": RULES, "fault": fault(), **more}
-    return decide(given.pop("fault"), history or History(), now, armed=armed, **given)  # type: ignore[arg-type]
+    return decide(given.pop("fault"), history or History(), now, forbids=lambda action: forbidden, **given)  # type: ignore[arg-type]
 
 
 def test_the_first_attempt_is_made_at_once() -> None:
@@ -237,13 +237,11 @@ def test_the_budget_counts_all_actions_on_the_target() -> None:
     assert say(history) == Wait(1500.0, "budget of 5 actions used up", tell=True)
 
 
-def test_flight_critical_and_armed_is_advice_only() -> None:
-    """Nothing flight-critical is restarted in the air."""
-    critical = ContainerSettings(name="app", recover=True, flight_critical=True)
-    decision = say(container=critical, armed=True)
+def test_what_is_forbidden_in_the_air_is_advice_only() -> None:
+    """With the reason, and decided again soon: landing is no event."""
+    decision = say(forbidden="flight-critical, and the autopilot is armed")
     assert isinstance(decision, Advise) and decision.again_at is not None
-    assert say(container=critical, armed=False) == Act("restart", 1)
-    assert say(container=APP, armed=True) == Act("restart", 1)
+    assert decision.why == "flight-critical, and the autopilot is armed"
 
 
 @pytest.mark.parametrize("mode", ["act", "advise", "off"])
@@ -261,16 +259,9 @@ def test_giving_up_needs_no_armed_state() -> None:
     assert isinstance(say(attempts(900.0, 910.0, 920.0), settings=replace_rules(budget=2)), GiveUp)
 
 
-def test_when_armed_act_lets_the_user_decide_otherwise() -> None:
-    """Some containers are worse down than restarted, and only their owner knows."""
-    brave = ContainerSettings(name="app", recover=True, flight_critical=True, when_armed="act")
-    assert say(container=brave, armed=True) == Act("restart", 1)
-
-
 def test_an_approved_action_is_done_in_advise_mode_and_while_armed() -> None:
     """The operator's yes replaces PHM's caution, and nothing else: budget and opt-in still bind."""
-    critical = ContainerSettings(name="app", recover=True, flight_critical=True)
-    assert say(container=critical, armed=True, approved=True) == Act("restart", 1)
+    assert say(forbidden="flight-critical, and the autopilot is armed", approved=True) == Act("restart", 1)
     assert say(settings=RecoverySettings(mode="advise"), approved=True) == Act("restart", 1)
     assert isinstance(say(settings=RecoverySettings(mode="off"), approved=True), Leave)
     assert isinstance(say(container=ContainerSettings(name="app"), approved=True), Leave)

@@ -17,6 +17,7 @@ from phm.bus import Bus
 from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase, Transition
 from phm.pipeline import Pipeline
 from phm.recovery import actions as real
+from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor
 from phm.recovery.shop import Shop
@@ -111,9 +112,8 @@ class Healer:
         pipeline = SimPipeline(sim, cast(Any, SimBus(sim)), self._clock)
         pipeline.attach(self._wake)
         context = ActionContext(
-            cast(Any, None), settings, lambda key: sim.world.fact(sim.now), lambda: None, lambda a, b: None,
-            armed=self._armed,
-        )  # fmt: skip
+            cast(Any, None), settings, lambda key: sim.world.fact(sim.now), lambda: None, lambda a, b: None
+        )
         graces = {entry.unit.id: entry.unit.grace_s for entry in sim.plan.tracked}
         kinds = {name: self._action(kind) for name, kind in KINDS.items()}
         shop = Shop(
@@ -155,8 +155,9 @@ class Healer:
     def _wake(self, units: Iterable[str], reason: str) -> None:
         self.sim.wake(units, 0.9 if reason == "confirm" else 0.1)
 
-    def _armed(self) -> bool:
-        return self.armed(self.sim.now)
+    def _armed(self) -> Armed:
+        armed = self.armed(self.sim.now)
+        return Armed(State.ARMED if armed else State.DISARMED, "the autopilot is " + ("armed" if armed else "disarmed"))
 
     # ------------------------------------------------------------ what actions do
 

@@ -28,6 +28,7 @@ def test_a_change_says_agent_word_slot_and_words() -> None:
     advised = read(status_line.advise(7, Slot.CONTAINER, "restart", "ros_app"))
     assert (advised.level, advised.text) == (None, "restart ros_app")
     assert read(status_line.approved(7, Slot.CONTAINER, "restart", "ros_app")).word == "APPROVED"
+    assert read(status_line.expired(7, Slot.CONTAINER, "restart", "ros_app")).word == "EXPIRED"
 
 
 @pytest.mark.parametrize("by", ["", "itself", "restart", "a-long-action"])

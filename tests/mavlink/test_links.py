@@ -18,22 +18,30 @@ from tests.fakes.mavlink import Sender, heartbeat, until
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 
 
+LINKS = [
+    {"url": "udpin:127.0.0.1:14550", "name": "radio"},
+    {"url": "udpin:127.0.0.1:14551", "name": "router", "leads_to": "router"},
+    {"url": "udpin:127.0.0.1:14552", "name": "ground", "leads_to": "ground"},
+    {"url": "udpin:127.0.0.1:14553", "name": "peers", "leads_to": "peers"},
+]
+
+
 class Scene:
-    """The probe of agent 7 on a hub without endpoints, into which the test puts messages."""
+    """The probe of agent 7 on a hub whose endpoints are not opened, into which the test puts messages."""
 
     def __init__(self) -> None:
         self.clock, self.wakes = FakeClock(), 0
-        chosen = settings(agent={"id": 7}, mavlink={"gcs_timeout": 10})
+        chosen = settings(agent={"id": 7}, mavlink={"gcs_timeout": 10, "endpoints": LINKS})
         self.hub = MavlinkHub(chosen.mavlink, 7, self.clock)
         self.links = Links(self.hub, chosen, self.clock, self.wake)
 
     def wake(self) -> None:
         self.wakes += 1
 
-    def hear(self, system: int, component: int, message: Any) -> int:
+    def hear(self, system: int, component: int, message: Any, link: str = "radio") -> int:
         """How many wakes followed."""
         before = self.wakes
-        self.hub._deliver(Sender(system, component).received(message), "radio")
+        self.hub._deliver(Sender(system, component).received(message), link)
         return self.wakes - before
 
     def pass_time(self, seconds: float) -> int:
@@ -236,12 +244,92 @@ def test_two_autopilots_with_our_system_id_are_told() -> None:
         scene.hear(7, 1, boot(20_000))
         scene.clock.advance(0.5)
     (problem,) = scene.links.problems()
-    assert "two autopilots speak as system 7" in problem
+    assert "two autopilots send as system 7" in problem
     fact = scene.links.autopilot()
     assert fact is not None
     assert fact.rebooted_s is None
     scene.clock.advance(30.0)
     assert scene.links.problems() == ()
+
+
+@pytest.mark.parametrize("link", ["ground", "peers"])
+def test_only_links_that_lead_to_the_autopilot_count(link: str) -> None:
+    """Another vehicle with our ids, or a forger: neither disarms ours, nor reboots it, nor stands for it; it is reported."""
+    scene = Scene()
+    scene.hear(7, 1, pilot(armed=True))
+    scene.hear(7, 1, boot(600_000))
+    for _ in range(2):
+        scene.hear(7, 1, pilot(), link)
+        scene.hear(7, 1, boot(1_000), link)
+    fact = scene.links.autopilot()
+    assert fact is not None
+    assert (fact.armed, fact.disarmed_s, fact.link, fact.reboots) == (True, None, "radio", 0)
+    (problem,) = scene.links.problems()
+    assert f"autopilot with our system id 7 come by {link}, which does not lead to ours" in problem
+    assert scene.pass_time(31.0) >= 1
+    assert scene.links.problems() == ()
+
+
+def test_a_stray_autopilot_alone_is_none() -> None:
+    """What comes by a link to the ground alone is never taken for ours."""
+    scene = Scene()
+    scene.hear(7, 1, pilot(), "ground")
+    assert scene.links.autopilot() is None
+
+
+def test_our_own_autopilot_passed_on_by_the_ground_is_no_duplicate() -> None:
+    """Its time since boot is the same; it does not count for arming all the same."""
+    scene = Scene()
+    scene.hear(7, 1, boot(600_000))
+    scene.hear(7, 1, pilot(armed=True))
+    for _ in range(3):
+        scene.clock.advance(1.0)
+        scene.hear(7, 1, boot(600_500), "ground")
+        scene.hear(7, 1, pilot(), "ground")
+    assert scene.links.problems() == ()
+    fact = scene.links.autopilot()
+    assert fact is not None
+    assert fact.armed
+
+
+def test_two_links_that_disagree_count_as_armed_and_are_reported() -> None:
+    """Both lead to the autopilot; whichever spoke last."""
+    scene = Scene()
+    for _ in range(4):
+        scene.hear(7, 1, pilot(armed=True))
+        scene.hear(7, 1, pilot(), "router")
+        scene.clock.advance(1.0)
+    fact = scene.links.autopilot()
+    assert fact is not None
+    assert (fact.armed, fact.armed_s, fact.disarmed_s, fact.link) == (True, 1.0, 1.0, "router")
+    (problem,) = scene.links.problems()
+    assert "two autopilots send as system 7" in problem
+    scene.clock.advance(9.5)
+    scene.hear(7, 1, pilot(), "router")
+    fact = scene.links.autopilot()
+    assert fact is not None
+    assert not fact.armed
+    assert scene.links.problems() == ()
+
+
+def test_arming_and_disarming_by_an_operator_is_no_duplicate() -> None:
+    """A few changes, one after the other."""
+    scene = Scene()
+    for armed in (False, True, False, True):
+        scene.hear(7, 1, pilot(armed=armed))
+        scene.clock.advance(4.0)
+    assert scene.links.problems() == ()
+
+
+def test_what_phm_reads_after_a_suspension_may_be_old() -> None:
+    """The pause is part of the fact, so that a disarmed heartbeat that waited in a buffer opens nothing."""
+    scene = Scene()
+    scene.hub.read_at = lambda link: 1000.0  # type: ignore[method-assign]
+    scene.clock.advance(5.0 + 1000.0 - scene.clock.mono())
+    scene.hear(7, 1, pilot())
+    fact = scene.links.autopilot()
+    assert fact is not None
+    assert (fact.disarmed_s, fact.stalled_s) == (0.0, 0.0)
 
 
 def test_the_ground_station_is_known_with_its_link() -> None:

@@ -160,6 +160,7 @@ def test_a_fault_found_to_follow_from_another_is_taken_back() -> None:
     ("phase", "expected"),
     [
         (Phase.ADVISED, [(4, "A01 ADVISE 2 restart app")]),
+        (Phase.EXPIRED, [(4, "A01 EXPIRED 2 restart app")]),
         (Phase.ESCALATED, [(2, "A01 GAVE UP 2 app exited")]),
         (Phase.STARTED, []),
         (Phase.DONE, []),

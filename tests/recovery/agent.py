@@ -16,6 +16,7 @@ from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Note,
 from phm.needs import Needs
 from phm.pipeline import Pipeline
 from phm.plan import Plan
+from phm.recovery.armed import Armed, ArmedMonitor, State
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor
 from phm.recovery.memory import Memory
@@ -24,6 +25,8 @@ from phm.settings import ContainerSettings, Settings
 from phm.tracker import Tracked, Tracker
 
 STEP_S = 0.1
+ARMED = Armed(State.ARMED, "the autopilot is armed")
+DISARMED = Armed(State.DISARMED, "the autopilot is disarmed")
 LIMIT_S = 20.0
 
 
@@ -69,13 +72,14 @@ class Agent:
     def __init__(
         self, units: Mapping[str, Of], containers: Containers, clock: testing.FakeClock, *,
         folder: Path | None = None, opted_in: tuple[str, ...] = ("app",),
-        critical: tuple[str, ...] = (), **recovery: Any,
+        critical: tuple[str, ...] = (), monitor: ArmedMonitor | None = None, **recovery: Any,
     ) -> None:  # fmt: skip
         self.clock, self.containers = clock, containers
         self.events: list[Event] = []
         self.bad: dict[str, str] = {}
         self.runs: list[tuple[str, str]] = []
         self.armed = False
+        self._monitor = monitor
         self.acting: list[str] = []
         self._at_work: set[str] = set()
         self.behave: Callable[[str, ActionContext, Fault], object] = lambda key, context, fault: containers.start(key)
@@ -95,21 +99,18 @@ class Agent:
         self.units = tuple(units)
         self.bus = Bus(clock)
         self.pipeline = Pipeline(Tracker(tracked, clock.stamp()), self.bus, clock)
-        self.memory = Memory(self.settings, self.pipeline, self.bus, clock) if folder else None
+        self.memory = Memory(self.settings, self.pipeline, self.bus, clock, monitor) if folder else None
         if self.memory is not None:
             self.memory.restore()
         self.bus.subscribe("test", self.events.append)
-        context = ActionContext(
-            cast(Any, None), self.settings, containers.facts.get, lambda: None, lambda a, b: None,
-            armed=lambda: self.armed,
-        )  # fmt: skip
+        context = ActionContext(cast(Any, None), self.settings, containers.facts.get, lambda: None, lambda a, b: None)
         plan = Plan((), tracked, Needs({entry.unit.id: entry.needs for entry in tracked}))
         graces = {name: of.grace_s for name, of in units.items()}
         shop = Shop(
-            self.pipeline, self._publish, clock, {"restart": self._action()}, context, lambda: self.armed,
+            self.pipeline, self._publish, clock, {"restart": self._action()}, context, self._armed,
             lambda unit: graces[unit], plan.below,
         )  # fmt: skip
-        self.executor = Executor(shop)
+        self.executor, self.hands = Executor(shop), shop.hands
         if self.memory is not None:
             self.memory.resume(self.executor)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
@@ -131,6 +132,11 @@ class Agent:
                 return "restarted"
 
         return Restart
+
+    def _armed(self) -> Armed:
+        if self._monitor is not None:
+            return self._monitor.now()
+        return ARMED if self.armed else DISARMED
 
     def _publish(self, event: Event) -> None:
         """Said by a worker's own thread: from STARTED until it knows what came of it, the action has a thread, too."""
@@ -195,6 +201,9 @@ class Agent:
 
     def closed(self) -> list[FaultClosed]:
         return self.of(FaultClosed)
+
+    def actions(self) -> list[ActionEvent]:
+        return self.of(ActionEvent)
 
     def steps(self, target: str = "app") -> list[Phase]:
         return [event.phase for event in self.of(ActionEvent) if event.target == target]

@@ -10,7 +10,10 @@ from phm.clock import SystemClock
 from phm.facts import ContainerFact
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp, Value
 from phm.probes.docker import Docker
+from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext
+from phm.recovery.critical import Safeguard
+from phm.recovery.guarded_engine import guarded
 from phm.settings import ContainerSettings, Settings
 from phm.testing import settings
 from phm.transport.docker import Engine
@@ -34,6 +37,9 @@ class Bench:
     probe: Docker | None = None
     """Answers as PHM's own does, from memory for a moment; without it each question goes to the engine."""
 
+    def _armed(self) -> Armed:
+        return Armed(State.ARMED if self.armed else State.DISARMED, f"armed: {self.armed}")
+
     def fact(self, key: str) -> ContainerFact | None:
         docker = self.probe or Docker(self.engine, self.settings, SystemClock())
         return docker.container(key)
@@ -44,9 +50,10 @@ class Bench:
         return found
 
     def context(self) -> ActionContext:
+        safeguard = Safeguard(self.settings, self.fact, lambda: None, self._armed)
         return ActionContext(
-            self.engine, self.settings, self.fact, lambda: None, lambda key, network: None,
-            listed_nodes=lambda: self.nodes, armed=lambda: self.armed, holding=self._holding,
+            guarded(self.engine, safeguard, safeguard.forbids), self.settings, self.fact, lambda: None, lambda key, network: None,
+            listed_nodes=lambda: self.nodes, holding=self._holding,
         )  # fmt: skip
 
     def run(self, action: type[Action], key: str, of: Fault) -> str:

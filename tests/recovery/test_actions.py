@@ -79,12 +79,14 @@ def test_a_dependant_that_has_not_opted_in_is_named_and_left_alone(fake: FakeEng
 
 
 def test_a_flight_critical_dependant_is_left_alone_while_armed(fake: FakeEngine, ask: Engine) -> None:
-    """What may not be restarted for its own fault is not restarted for another's."""
+    """What may not be restarted for its own fault is not restarted for another's, and a start takes nothing down."""
     made = stack(fake, ask, late={"flight_critical": True})
     made.armed = True
-    words = made.run(Restart, "app", EXITED)
-    assert acted(fake, "restart") == ["app", "side"]
-    assert "late depends on it, and is flight-critical while armed" in words
+    fake.set("app", status="exited", exit_code=1)
+    words = made.run(Start, "app", EXITED)
+    assert acted(fake, "start", "restart") == ["app"]
+    assert "late depends on it: restart of late was not done: flight-critical" in words
+    assert "side depends on it: restart of side was not done: it would take down late" in words
 
 
 def test_a_dependant_that_cannot_be_restarted_is_told(fake: FakeEngine, ask: Engine) -> None:
@@ -144,7 +146,7 @@ def test_arming_is_asked_when_the_dependant_is_in_hand(fake: FakeEngine, ask: En
     made.when_in_hand = lambda: setattr(made, "armed", True)
     words = made.run(Restart, "app", EXITED)
     assert acted(fake, "restart") == ["app", "late"]
-    assert "side depends on it, and is flight-critical while armed" in words
+    assert "side depends on it: restart of side was not done: flight-critical" in words
 
 
 # ---------------------------------------------------------------- relaunch

@@ -15,6 +15,7 @@ from phm.api import Layer, Slot, Unit, error, ok
 from phm.bus import Bus
 from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Note, Phase, Transition
 from phm.pipeline import Pipeline
+from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor, NotApprovable
 from phm.recovery.memory import Memory
@@ -50,7 +51,7 @@ class Life:
             clock,
             {"restart": self._action()},
             context,
-            lambda: False,
+            lambda: Armed(State.DISARMED, "the autopilot is disarmed"),
             lambda unit: 0.0,
         )
         self.executor = Executor(shop)

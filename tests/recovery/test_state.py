@@ -13,6 +13,7 @@ import pytest
 
 from phm import testing
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.recovery.armed import LastKnown
 from phm.recovery.history import Attempt
 from phm.recovery.lives import OTHERS, Life
 from phm.recovery.state import Case, RecoveryState, State, Unbelievable, UnderWay, carry, decode, encode
@@ -48,9 +49,10 @@ FULL = State(
     (fault("ab12-2"),),
     RecoveryState(
         {"app": (replace(attempt(90.0), eased=True, excused=True), attempt())},
-        {"ab12-1": Case(True, ("advised start",))},
+        {"ab12-1": Case(True, ("advised start",), "start")},
         {"app": UnderWay("ab12-1", attempt(99.0))},
         {"app": Life("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, OTHERS), "side": Life("id1", "t")},
+        LastKnown(True, 91.0),
     ),
 )
 
@@ -93,12 +95,14 @@ def test_a_moment_from_the_future_is_now() -> None:
 def test_a_file_of_the_version_before_is_read() -> None:
     """It knew of no lives and no attempts that do not count; an update of PHM must not forget what was given up."""
     document = through_json(FULL, Stamp(1010.0, 100.0))
-    del document["lives"]
+    del document["lives"], document["armed"], document["cases"]["ab12-1"]["approved"]
     document["v"] = 1
     for made in document["attempts"]["app"]:
         del made["eased"], made["excused"]
     state = decode(document, BOOT, Stamp(5.0, 130.0), WINDOW_S)
-    assert (state.faults, state.given_up, state.recovery.cases) == (FULL.faults, FULL.given_up, FULL.recovery.cases)
+    cases = {"ab12-1": Case(True, ("advised start",))}
+    assert (state.faults, state.given_up, state.recovery.cases) == (FULL.faults, FULL.given_up, cases)
+    assert state.recovery.armed is None
     assert state.recovery.attempts == {"app": (attempt(90.0), attempt())}
     assert state.recovery.lives == {}
 
@@ -132,6 +136,8 @@ def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
         spoil("attempts", {"app": [{"at": {"utc": 1e300, "mono": 0}}]}),
         spoil("cases", {"x": 1}),
         spoil("under_way", {"app": {"fault": "x"}}),
+        spoil("armed", {"armed": True}),
+        spoil("armed", []),
         spoil("lives", {"app": {"id": "x", "started": "y", "by": "z", "made": None}}),
         lambda document: {key: value for key, value in document.items() if key != "boot"},
     ],

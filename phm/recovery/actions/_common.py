@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from phm.facts import CannotTell, ContainerFact
 from phm.model import Fault
 from phm.recovery.base import ActionContext, ActionFailed
-from phm.recovery.policy import critical_now
+from phm.recovery.critical import FlightCritical
+from phm.recovery.dependants import dependants
 from phm.settings import ContainerSettings
 
 FOLLOW_S = 30.0
@@ -36,30 +37,6 @@ def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:
     context.engine.restart(fact.id, context.settings.recovery.stop_timeout)
 
 
-def dependants(target: ContainerSettings, facts: Mapping[str, ContainerFact], context: ActionContext) -> list[str]:
-    """Keys of the configured containers to be restarted after the target, in order, those of dependants included.
-
-    A container depends on another when it lives in its network namespace, which is a new one after each
-    start, or names it in `after`. Whoever depends on several comes after the last of them.
-    """
-    needs = {
-        entry.key: {other for other in facts if _shares(facts.get(entry.key), facts[other])} | set(entry.after)
-        for entry in context.settings.containers
-    }
-    reached = {target.key}
-    grown = True
-    while grown:
-        found = {key for key, above in needs.items() if above & reached} - reached
-        reached |= found
-        grown = bool(found)
-    waiting, order = [key for key in needs if key in reached and key != target.key], [target.key]
-    while waiting:
-        ready = [key for key in waiting if not needs[key] & set(waiting)] or waiting[:1]
-        order.append(ready[0])
-        waiting.remove(ready[0])
-    return order[1:]
-
-
 def restart_dependants(target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
     """Restart whoever depends on the target, once that runs again; what was done, for the log (may be empty).
 
@@ -67,7 +44,7 @@ def restart_dependants(target: ContainerSettings, fault: Fault, context: ActionC
     dependant that stays broken is a fault of its own.
     """
     facts = _facts(context)
-    order = dependants(target, facts, context)
+    order = dependants(target.key, facts, context.settings.containers)
     if not order:
         return ""
     mended = facts.get(target.key)
@@ -94,6 +71,8 @@ def _follow(
     try:
         with context.holding(key, fault, "restart", context.settings.recovery.stop_timeout + FOLLOW_S):
             left_alone = _restart_dependant(entry, since, context)
+    except FlightCritical as error:
+        return f"{key} depends on it: {error}; restart it by hand when that is safe", False
     except CannotTell as error:
         return f"{key} depends on it and could not be restarted: {error}", False
     return left_alone or f"restarted {key}, which depends on it", not left_alone
@@ -107,8 +86,6 @@ def _restart_dependant(entry: ContainerSettings, since: str, context: ActionCont
     key, fact = entry.key, context.container(entry.key)
     if fact is None:
         return f"{key}, which depends on it, is not there"
-    if critical_now(entry, context.armed()):
-        return f"{key} depends on it, and is flight-critical while armed: restart it by hand when that is safe"
     if fact.running and _moment(fact) > since:
         return f"{key}, which depends on it, was started after it already"
     restart_gracefully(fact, context)
@@ -131,9 +108,3 @@ def _facts(context: ActionContext) -> dict[str, ContainerFact]:
         if fact is not None:
             found[entry.key] = fact
     return found
-
-
-def _shares(fact: ContainerFact | None, owner: ContainerFact) -> bool:
-    """Whether `fact` lives in the network namespace of `owner`; the engine keeps what the user wrote, id or name."""
-    mode, _, ref = fact.network_mode.partition(":") if fact is not None else ("", "", "")
-    return mode == "container" and bool(ref) and (ref == owner.name or owner.id.startswith(ref))

@@ -15,6 +15,7 @@ from pathlib import PurePosixPath
 from phm.disk_space import space
 from phm.model import Fault
 from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.critical import Reach
 from phm.recovery.disks import path_of
 from phm.settings import ContainerSettings, RoomSettings, Settings
 
@@ -44,6 +45,7 @@ class MakeRoom(Action):
     """
 
     name = "make_room"
+    takes_down = Reach.NOTHING
     deadline_s = 60.0
 
     @classmethod

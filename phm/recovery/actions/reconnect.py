@@ -6,6 +6,7 @@ from phm.facts import Attachment, ContainerFact
 from phm.model import Fault
 from phm.recovery.actions._common import present
 from phm.recovery.base import Action, ActionContext
+from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings
 
 
@@ -17,6 +18,7 @@ class Reconnect(Action):
     """
 
     name = "reconnect"
+    takes_down = Reach.NETWORK
     # A node that has lost its network for good stays listed until its lease ends (1 s with config/fastdds.xml).
     proof_s = 2.0
     # The kernel of an attached interface answers at once; one whose address is silent now stays so.

@@ -6,6 +6,7 @@ from phm.facts import CannotTell
 from phm.model import Fault
 from phm.recovery.actions._common import present
 from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings, NodeSettings, Settings
 
 
@@ -17,6 +18,7 @@ class Relaunch(Action):
     """
 
     name = "relaunch"
+    takes_down = Reach.NOTHING
     # A node that cannot start computes for a moment, too, while the name of the dead one is still listed.
     proof_s = 2.0
 

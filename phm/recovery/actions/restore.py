@@ -12,6 +12,7 @@ from phm.facts import ContainerFact
 from phm.model import Fault
 from phm.recovery.actions._common import present
 from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings, FileSettings, Settings
 from phm.transport.docker import Engine, EngineMissing, FileCopy
 
@@ -31,6 +32,7 @@ class Restore(Action):
     """
 
     name = "restore"
+    takes_down = Reach.NOTHING
     deadline_s = 90.0
 
     @classmethod

@@ -5,6 +5,7 @@ from __future__ import annotations
 from phm.model import Fault
 from phm.recovery.actions._common import present, restart_dependants
 from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings
 
 
@@ -12,6 +13,7 @@ class Start(Action):
     """Start the container, then restart whoever depends on it."""
 
     name = "start"
+    takes_down = Reach.NOTHING
     # An application that cannot start runs for a moment, too: seen 0.1 to 0.4 s.
     proof_s = 2.0
     deadline_s = 120.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from phm.model import Fault
 from phm.recovery.actions._common import present
 from phm.recovery.base import Action, ActionContext
+from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings
 
 
@@ -12,6 +13,7 @@ class Unpause(Action):
     """Let a paused container go on."""
 
     name = "unpause"
+    takes_down = Reach.NOTHING
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)

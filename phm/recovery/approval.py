@@ -1,0 +1,46 @@
+"""An operator's approval: for one action, in the situation in which it was given, and for a short time. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from phm.recovery.armed import State
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What an operator who approves has in view.
+
+    armed:      the judged armed state.
+    generation: the container as `id@StartedAt`; empty: there is none, or it is not known.
+    """
+
+    action: str
+    armed: State
+    generation: str
+
+
+@dataclass(frozen=True, slots=True)
+class Approval:
+    """given, until: monotonic seconds."""
+
+    situation: Situation
+    given: float
+    until: float
+
+    def void(self, now: float, situation: Situation) -> str:
+        """Why it no longer holds; empty: it does."""
+        then = self.situation
+        if now >= self.until:
+            return f"it was not possible within {self.until - self.given:g} s"
+        if situation.armed is not then.armed:
+            return f"the vehicle was {_in_words(then.armed)} when it was given, and is {_in_words(situation.armed)} now"
+        if situation.generation != then.generation:
+            return "the container has been started or recreated since"
+        if situation.action != then.action:
+            return f"the next step is {situation.action or 'not known'} now"
+        return ""
+
+
+def _in_words(state: State) -> str:
+    return "neither reliably armed nor disarmed" if state is State.UNKNOWN else state.value

@@ -1,0 +1,103 @@
+"""Whether the vehicle is armed, as far as recovery may rely on it.
+
+Only a fresh HEARTBEAT of the vehicle's own autopilot that says disarmed counts as disarmed. Everything else keeps recovery
+away from what is flight-critical: armed, silent, never received, heartbeats that contradict each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from phm.clock import Clock
+from phm.link_facts import AutopilotFact
+
+REBOOT_S = 30.0
+"""An autopilot that rebooted while armed says disarmed at first, also in the air: not relied on for so long."""
+
+
+class State(str, Enum):
+    """ARMED also when the last that is known is armed; UNKNOWN: neither armed nor reliably disarmed."""
+
+    DISARMED = "disarmed"
+    ARMED = "armed"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Armed:
+    """The judged state, and the evidence in words, e.g. ``the autopilot has been silent for 5 s``."""
+
+    state: State
+    why: str
+
+    @property
+    def shut(self) -> bool:
+        """Whether what is flight-critical must be left alone."""
+        return self.state is not State.DISARMED
+
+
+@dataclass(frozen=True, slots=True)
+class LastKnown:
+    """What survives a restart of PHM; `since`: when it was first found to be so (monotonic seconds)."""
+
+    armed: bool
+    since: float
+
+
+def judge(fact: AutopilotFact | None, timeout_s: float, last: LastKnown | None = None) -> Armed:
+    """timeout_s: a heartbeat older than this proves nothing (`mavlink.autopilot_timeout`). Pure."""
+    if fact is None:
+        return _never_received(last)
+    if _within(fact.armed_s, timeout_s):
+        if _within(fact.disarmed_s, timeout_s):
+            words = f"said armed {fact.armed_s:.1f} s ago and disarmed {fact.disarmed_s:.1f} s ago"
+            return Armed(State.ARMED, f"the autopilot {words}")
+        return Armed(State.ARMED, "the autopilot is armed")
+    if not _within(fact.disarmed_s, timeout_s):
+        silent = f"the autopilot has been silent for {fact.age_s:.0f} s"
+        if fact.armed:
+            return Armed(State.ARMED, f"{silent} and was armed")
+        return Armed(State.UNKNOWN, silent)
+    if _within(fact.stalled_s, timeout_s):
+        return Armed(State.UNKNOWN, "PHM was suspended and may have read old heartbeats of the autopilot")
+    if fact.rebooted_armed and _within(fact.rebooted_s, REBOOT_S):
+        return Armed(State.ARMED, f"the autopilot rebooted while armed {fact.rebooted_s:.0f} s ago")
+    return Armed(State.DISARMED, "the autopilot is disarmed")
+
+
+def _never_received(last: LastKnown | None) -> Armed:
+    if last is None:
+        return Armed(State.UNKNOWN, "no heartbeat of the autopilot was received")
+    silent = "no heartbeat of the autopilot was received since PHM started"
+    return Armed(State.ARMED, f"{silent}, and it was armed before") if last.armed else Armed(State.UNKNOWN, silent)
+
+
+def _within(age_s: float | None, limit_s: float) -> bool:
+    return age_s is not None and age_s <= limit_s
+
+
+class ArmedMonitor:
+    """Judges the state now and remembers the last one that was certain. Any thread may ask."""
+
+    def __init__(self, pilot: Callable[[], AutopilotFact | None], timeout_s: float, clock: Clock) -> None:
+        self._pilot, self._timeout_s, self._clock = pilot, timeout_s, clock
+        self._last: LastKnown | None = None
+
+    def restore(self, last: LastKnown | None) -> None:
+        """What an earlier run of PHM knew last."""
+        self._last = last
+
+    def now(self) -> Armed:
+        found = judge(self._pilot(), self._timeout_s, self._last)
+        armed = found.state is State.ARMED
+        certain = found.state is not State.UNKNOWN
+        if certain and (self._last is None or self._last.armed != armed):
+            self._last = LastKnown(armed, self._clock.mono())
+        return found
+
+    def kept(self) -> LastKnown | None:
+        """For the state file; changes only when the state does."""
+        self.now()
+        return self._last

@@ -1,0 +1,89 @@
+"""What must be left alone while the vehicle may be armed: flight-critical containers, and whatever takes one of them down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+
+from phm.facts import CannotTell, ContainerFact
+from phm.recovery.armed import Armed, State
+from phm.recovery.dependants import dependants
+from phm.settings import Settings
+
+
+class Reach(Enum):
+    """What an action takes down for a moment, beside what it does to its target.
+
+    NOTHING:   no other container.
+    NETWORK:   the network, also of the containers that share the target's network namespace.
+    CONTAINER: the target, and with it the containers that depend on it (`phm.recovery.dependants`).
+    """
+
+    NOTHING = "nothing"
+    NETWORK = "network"
+    CONTAINER = "container"
+
+
+class FlightCritical(CannotTell):
+    """Not done, because something flight-critical would be disturbed while the vehicle may be armed."""
+
+
+class Safeguard:
+    """The one place that knows what is flight-critical now. armed: the state at the time of the call."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        container: Callable[[str], ContainerFact | None],
+        myself: Callable[[], ContainerFact | None],
+        armed: Callable[[], Armed],
+    ) -> None:
+        self._settings, self._container, self._myself, self.armed = settings, container, myself, armed
+        self._critical = tuple(
+            entry.key for entry in settings.containers if entry.flight_critical and entry.when_armed == "advise"
+        )
+
+    def forbids(self, target: str, reach: Reach, approved_at: State | None = None) -> str:
+        """Why nothing of this reach may be done to `target` now; empty: it may.
+
+        approved_at: the armed state at which an operator approved it, which holds as long as that is the state.
+        """
+        if not self._critical:
+            return ""
+        armed = self.armed()
+        if not armed.shut or armed.state is approved_at:
+            return ""
+        if target in self._critical:
+            return f"flight-critical, and {armed.why}"
+        if reach is Reach.NOTHING:
+            return ""
+        try:
+            below = self._below(target, network_only=reach is Reach.NETWORK)
+        except CannotTell as error:
+            return f"what it would take down is not known ({error}), and {armed.why}"
+        hit = next((key for key in below if key in self._critical), "")
+        return f"it would take down {hit}, which is flight-critical, and {armed.why}" if hit else ""
+
+    def key_of(self, ref: str) -> str:
+        """The key of the configured container that the engine knows by this id or name; empty: none, or PHM's own.
+
+        Raises CannotTell.
+        """
+        me = self._myself()
+        if me is not None and ref in (me.id, me.name):
+            return ""
+        for entry in self._settings.containers:
+            fact = self._container(entry.key)
+            if fact is not None and ref in (fact.id, fact.name):
+                return entry.key
+        return ""
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing has to be looked up: no container is flight-critical, or the vehicle is disarmed."""
+        return not self._critical or not self.armed().shut
+
+    def _below(self, target: str, *, network_only: bool) -> list[str]:
+        facts = {entry.key: self._container(entry.key) for entry in self._settings.containers}
+        seen = {key: fact for key, fact in facts.items() if fact is not None}
+        return dependants(target, seen, self._settings.containers, network_only=network_only)

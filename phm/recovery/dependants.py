@@ -1,0 +1,46 @@
+"""Which containers depend on another: by its network namespace, or by `after` in the configuration. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from phm.facts import ContainerFact
+from phm.settings import ContainerSettings
+
+
+def dependants(
+    target: str,
+    facts: Mapping[str, ContainerFact],
+    containers: Sequence[ContainerSettings],
+    *,
+    network_only: bool = False,
+) -> list[str]:
+    """Keys of the configured containers to be restarted after the container `target`, in order, those of dependants included.
+
+    A container depends on another when it lives in its network namespace, which is a new one after each
+    start, or names it in `after`. One that depends on several comes after the last of them.
+    network_only: leave out those that depend on it by `after` alone.
+    """
+    needs = {
+        entry.key: {other for other in facts if shares_network(facts.get(entry.key), facts[other])}
+        | (set() if network_only else set(entry.after))
+        for entry in containers
+    }
+    reached = {target}
+    grown = True
+    while grown:
+        found = {key for key, above in needs.items() if above & reached} - reached
+        reached |= found
+        grown = bool(found)
+    waiting, order = [key for key in needs if key in reached and key != target], [target]
+    while waiting:
+        ready = [key for key in waiting if not needs[key] & set(waiting)] or waiting[:1]
+        order.append(ready[0])
+        waiting.remove(ready[0])
+    return order[1:]
+
+
+def shares_network(fact: ContainerFact | None, owner: ContainerFact) -> bool:
+    """Whether `fact` lives in the network namespace of `owner`; the engine keeps what the user wrote, id or name."""
+    mode, _, ref = fact.network_mode.partition(":") if fact is not None else ("", "", "")
+    return mode == "container" and bool(ref) and (ref == owner.name or owner.id.startswith(ref))

@@ -1,0 +1,67 @@
+"""The engine as actions get it: before each call that changes something, the armed state is asked for again.
+
+Time passes between the decision and the call, and between the calls of one action: a stop that takes its time, a dependant that
+another repair is at work on. Every call of an action goes through here, also those of actions that are not PHM's own.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any, cast
+
+from phm.recovery.critical import FlightCritical, Reach, Safeguard
+from phm.transport.docker import Engine
+
+READS = frozenset({
+    "ping", "version", "list", "inspect", "inspect_network", "top", "stat_path", "read_file", "copy_file", "fetch_file", "events",
+})  # fmt: skip
+"""Calls that change nothing; every other one is asked about."""
+REACH = {
+    "start": Reach.NOTHING, "unpause": Reach.NOTHING, "exec_detached": Reach.NOTHING, "put_file": Reach.NOTHING,
+    "connect": Reach.NETWORK, "disconnect": Reach.NETWORK,
+}  # fmt: skip
+"""What a call takes down; those that are not here: the container."""
+BRINGS_BACK = frozenset({"start", "unpause", "connect"})
+"""Not refused for what the same action took down: half done is worse than done."""
+
+Forbids = Callable[[str, Reach], str]
+
+
+class GuardedEngine:
+    """Has the methods of `Engine`, for one run of one action. Those that change a container raise FlightCritical while that
+    is forbidden."""
+
+    def __init__(self, engine: Engine, safeguard: Safeguard, forbids: Forbids) -> None:
+        """forbids: a container's key and what is taken down -> why not, empty: it may be done."""
+        self._engine, self._safeguard, self._forbids = engine, safeguard, forbids
+        self._down: set[str] = set()
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._engine, name)
+        if name in READS or not callable(found):
+            return found
+
+        def guarded(*args: Any, **kwargs: Any) -> Any:
+            given = inspect.signature(found).bind(*args, **kwargs).arguments
+            self._ask(name, str(given.get("container") or given.get("ref") or ""))
+            return found(*args, **kwargs)
+
+        return guarded
+
+    def _ask(self, call: str, ref: str) -> None:
+        """Raises FlightCritical, and CannotTell when the engine does not say which container is meant."""
+        if not ref or (call in BRINGS_BACK and ref in self._down):
+            return
+        if not self._safeguard.idle:
+            key = self._safeguard.key_of(ref)
+            why = self._forbids(key, REACH.get(call, Reach.CONTAINER)) if key else ""
+            if why:
+                raise FlightCritical(f"{call} of {key} was not done: {why}")
+        if REACH.get(call) is not Reach.NOTHING and call not in BRINGS_BACK:
+            self._down.add(ref)
+
+
+def guarded(engine: Engine, safeguard: Safeguard, forbids: Forbids) -> Engine:
+    """The same engine to whoever uses it."""
+    return cast(Engine, GuardedEngine(engine, safeguard, forbids))

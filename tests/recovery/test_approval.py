@@ -1,0 +1,166 @@
+"""An operator's approval: for one action, in the situation in which it was given, and for a short time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from phm.model import ActionEvent, Phase
+from phm.recovery.approval import Approval, Situation
+from phm.recovery.armed import State
+from phm.recovery.executor import NotNow
+from phm.testing import FakeClock
+from tests.recovery.agent import Agent, Containers, Of
+
+THEN = Situation("restart", State.ARMED, "app@1")
+
+
+@pytest.mark.parametrize(
+    ("now", "situation", "words"),
+    [
+        (59.9, THEN, ""),
+        (60.0, THEN, "not possible within 60 s"),
+        (1.0, replace(THEN, armed=State.DISARMED), "was armed when it was given, and is disarmed now"),
+        (1.0, replace(THEN, armed=State.UNKNOWN), "neither reliably armed nor disarmed now"),
+        (1.0, replace(THEN, generation="app@2"), "started or recreated since"),
+        (1.0, replace(THEN, action="reconnect"), "the next step is reconnect now"),
+    ],
+)
+def test_an_approval_holds_in_its_situation_alone(now: float, situation: Situation, words: str) -> None:
+    """Armed state, container generation and action are what the operator had in view; and it is short-lived."""
+    void = Approval(THEN, 0.0, 60.0).void(now, situation)
+    assert words in void
+    assert bool(void) is bool(words)
+
+
+@pytest.fixture
+def agents() -> Iterator[list[Agent]]:
+    made: list[Agent] = []
+    yield made
+    for agent in made:
+        agent.stop()
+
+
+def broken(agents: list[Agent], folder: Path | None = None, **recovery: object) -> Agent:
+    """An agent whose container is broken and stays so, whatever is done."""
+    made = Agent({"container/app": Of("app")}, Containers("app"), FakeClock(), folder=folder, **recovery)  # type: ignore[arg-type]
+    agents.append(made)
+    made.bad["container/app"] = "broken"
+    return made
+
+
+def fault_of(made: Agent) -> str:
+    made.until(lambda: made.pipeline.open_faults(), "the fault")
+    return made.pipeline.open_faults()[0].id
+
+
+def expired(made: Agent) -> list[str]:
+    return [event.detail for event in made.of(ActionEvent) if event.phase is Phase.EXPIRED]
+
+
+def advised(agents: list[Agent], folder: Path | None = None, **recovery: object) -> tuple[Agent, str]:
+    made = broken(agents, folder, mode="advise", **recovery)
+    fault = fault_of(made)
+    made.until(lambda: Phase.ADVISED in made.steps(), "the advice")
+    return made, fault
+
+
+def hold_back(made: Agent) -> None:
+    """Another repair has the container in hand, so that nothing can be done yet."""
+    assert made.hands.take("app", made)
+
+
+def test_given_on_the_ground_it_is_void_in_the_air(agents: list[Agent]) -> None:
+    """It is not executed; the operator is informed, and what is advised is advised again."""
+    made, fault = advised(agents)
+    hold_back(made)
+    made.executor.approve(fault)
+    made.rest(1.0)
+    made.armed = True
+    made.until(lambda: expired(made), "the message")
+    made.hands.let_go("app", made)
+    made.rest(5.0)
+    assert made.runs == []
+    assert "was disarmed when it was given, and is armed now" in expired(made)[0]
+    assert made.steps().count(Phase.ADVISED) == 2
+
+
+def test_it_expires_with_a_message(agents: list[Agent]) -> None:
+    """What was not possible within `recovery.approval` is not done later."""
+    made, fault = advised(agents, approval=20)
+    hold_back(made)
+    made.executor.approve(fault)
+    made.rest(19.0)
+    assert expired(made) == []
+    made.rest(2.0)
+    assert "restart app no longer holds: it was not possible within 20 s" in expired(made)[0]
+    made.hands.let_go("app", made)
+    made.rest(5.0)
+    assert made.runs == []
+
+
+def test_another_generation_of_the_container_voids_it(agents: list[Agent]) -> None:
+    """Somebody else has started it meanwhile: what was approved may not be needed any more."""
+    made, fault = advised(agents)
+    hold_back(made)
+    made.executor.approve(fault)
+    made.rest(1.0)
+    made.containers.start("app")
+    made.until(lambda: expired(made), "the message")
+    assert "started or recreated since" in expired(made)[0]
+
+
+def test_a_used_up_budget_is_no_reason_to_keep_it(agents: list[Agent]) -> None:
+    """What cannot be done within its lifetime is refused at once, with the reason; nothing is executed minutes later."""
+    made, fault = advised(agents, budget=1, same_failure=5)
+    made.executor.approve(fault)
+    made.until(lambda: len(made.runs) == 1 and Phase.FAILED in made.steps(), "the first attempt")
+    made.until(lambda: made.steps()[-1] is Phase.ADVISED, "the second advice")
+    with pytest.raises(NotNow, match=r"budget of 1 actions used up: not possible within the 60 s of an approval"):
+        made.executor.approve(fault)
+    made.rest(700.0)
+    assert len(made.runs) == 1
+
+
+def test_it_holds_for_what_is_done_at_once(agents: list[Agent]) -> None:
+    """In the situation in which it was given the action is done, also in the air."""
+    made, fault = advised(agents, critical=("app",))
+    made.armed = True
+    made.rest(1.0)
+    made.executor.approve(fault)
+    made.until(lambda: made.runs == [("app", "container/app")], "the restart")
+
+
+def test_a_restart_of_phm_ends_it_with_a_message(agents: list[Agent], tmp_path: Path) -> None:
+    """It does not survive, and that is not silent."""
+    made, fault = advised(agents, tmp_path)
+    hold_back(made)
+    made.executor.approve(fault)
+    made.rest(2.0)
+    made.stop()
+    agents.clear()
+    second = Agent(
+        {"container/app": Of("app")}, made.containers, made.clock, folder=tmp_path, mode="advise"
+    )  # the same fault is still open
+    agents.append(second)
+    second.bad["container/app"] = "broken"
+    second.rest(5.0)
+    assert second.runs == []
+    assert ["PHM has been restarted" in words for words in expired(second)] == [True]
+
+
+def test_a_restart_that_was_asked_for_expires_too(agents: list[Agent]) -> None:
+    """Asked for on the ground while another repair was at work, it is not done in the air minutes later."""
+    made = Agent({"container/app": Of("app")}, Containers("app"), FakeClock())
+    agents.append(made)
+    made.step()
+    assert made.hands.take("app", made)
+    made.executor.restart("app", "255/190")
+    made.rest(61.0)
+    made.hands.let_go("app", made)
+    made.rest(5.0)
+    assert made.runs == []
+    assert [event.phase for event in made.of(ActionEvent)] == [Phase.REFUSED]

@@ -1,0 +1,140 @@
+"""Whether the vehicle counts as armed: only a fresh heartbeat of its own autopilot that says disarmed opens the gate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from phm.link_facts import AutopilotFact
+from phm.model import Fault, Phase
+from phm.recovery.armed import ArmedMonitor, LastKnown, State, judge
+from phm.recovery.base import ActionContext
+from phm.recovery.critical import FlightCritical
+from phm.testing import FakeClock
+from tests.recovery.agent import Agent, Containers, Of
+
+TIMEOUT_S = 3.5
+
+
+def fact(armed_s: float | None, disarmed_s: float | None, **more: object) -> AutopilotFact:
+    ages = [age for age in (armed_s, disarmed_s) if age is not None]
+    armed = armed_s is not None and (disarmed_s is None or armed_s <= disarmed_s)
+    return AutopilotFact(min(ages), armed, armed_s=armed_s, disarmed_s=disarmed_s, **more)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("given", "last", "state", "words"),
+    [
+        (None, None, State.UNKNOWN, "no heartbeat of the autopilot was received"),
+        (None, LastKnown(True, 0.0), State.ARMED, "since PHM started, and it was armed before"),
+        (None, LastKnown(False, 0.0), State.UNKNOWN, "since PHM started"),
+        (fact(None, 0.5), None, State.DISARMED, "disarmed"),
+        (fact(60.0, 0.5), LastKnown(True, 0.0), State.DISARMED, "disarmed"),
+        (fact(0.5, None), None, State.ARMED, "is armed"),
+        (fact(0.5, 60.0), None, State.ARMED, "is armed"),
+        (fact(12.0, None), None, State.ARMED, "silent for 12 s and was armed"),
+        (fact(None, 12.0), None, State.UNKNOWN, "silent for 12 s"),
+        (fact(None, 3.6), None, State.UNKNOWN, "silent for 4 s"),
+        (fact(1.0, 0.5), None, State.ARMED, "armed 1.0 s ago and disarmed 0.5 s ago"),
+        (fact(None, 0.5, stalled_s=1.0), None, State.UNKNOWN, "PHM was suspended"),
+        (fact(None, 0.5, stalled_s=4.0), None, State.DISARMED, "disarmed"),
+        (fact(9.0, 0.5, rebooted_s=5.0, rebooted_armed=True), None, State.ARMED, "rebooted while armed 5 s ago"),
+        (fact(9.0, 0.5, rebooted_s=31.0, rebooted_armed=True), None, State.DISARMED, "disarmed"),
+        (fact(9.0, 0.5, rebooted_s=5.0, rebooted_armed=False), None, State.DISARMED, "disarmed"),
+    ],
+)
+def test_only_a_fresh_disarmed_opens_the_gate(
+    given: AutopilotFact | None, last: LastKnown | None, state: State, words: str
+) -> None:
+    """Never received, silent, contradictory, read late, or fresh from a reboot in the air: shut, with the reason."""
+    found = judge(given, TIMEOUT_S, last)
+    assert found.state is state
+    assert found.shut is (state is not State.DISARMED)
+    assert words in found.why
+
+
+def test_the_last_certain_state_is_remembered_with_its_beginning() -> None:
+    """It changes when the state does, so that it is not written again and again; what is unknown changes nothing."""
+    clock, seen = FakeClock(), [fact(0.1, None)]
+    monitor = ArmedMonitor(lambda: seen[0], TIMEOUT_S, clock)
+    began = clock.mono()
+    assert monitor.kept() == LastKnown(True, began)
+    clock.advance(5.0)
+    assert monitor.kept() == LastKnown(True, began)
+    seen[0] = fact(None, 9.0)
+    assert monitor.kept() == LastKnown(True, began)
+    seen[0] = fact(9.0, 0.1)
+    assert monitor.kept() == LastKnown(False, clock.mono())
+
+
+def test_a_restart_of_phm_in_flight_opens_nothing(tmp_path: Path) -> None:
+    """What was armed stays armed until a fresh heartbeat says disarmed, and the flight-critical container is left alone."""
+    clock, containers, heard = FakeClock(), Containers("app"), [fact(0.1, None)]
+
+    def life() -> Agent:
+        monitor = ArmedMonitor(lambda: heard[0] if heard else None, TIMEOUT_S, clock)
+        return Agent(
+            {"container/app": Of("app")}, containers, clock, folder=tmp_path, critical=("app",), monitor=monitor
+        )
+
+    first = life()
+    first.rest(2.0)
+    first.stop()
+    heard.clear()
+    second = life()
+    second.bad["container/app"] = "broken"
+    second.rest(30.0)
+    assert second.runs == []
+    assert any("it was armed before" in event.detail for event in second.actions())
+    heard.append(fact(60.0, 0.1))
+    second.until(lambda: second.runs == [("app", "container/app")], "the restart after the fresh disarmed")
+    second.stop()
+
+
+@pytest.fixture
+def agents() -> Iterator[list[Agent]]:
+    made: list[Agent] = []
+    yield made
+    for agent in made:
+        agent.stop()
+
+
+def test_what_would_cut_a_flight_critical_network_is_only_advised(agents: list[Agent]) -> None:
+    """The container itself is not flight-critical, but another one shares its network; on the ground it is restarted."""
+    containers = Containers("app", "pilot")
+    owner = containers.facts["app"].id
+    containers.facts["pilot"] = replace(containers.facts["pilot"], network_mode=f"container:{owner}")
+    made = Agent({"container/app": Of("app")}, containers, FakeClock(), critical=("pilot",))
+    agents.append(made)
+    made.armed = True
+    made.bad["container/app"] = "broken"
+    made.rest(20.0)
+    assert made.runs == []
+    assert "would take down pilot, which is flight-critical" in made.actions()[0].detail
+    made.armed = False
+    made.until(lambda: made.runs == [("app", "container/app")], "the restart after landing")
+
+
+def test_armed_during_an_action_is_no_failure_of_the_container(agents: list[Agent]) -> None:
+    """It is refused and advised, and not counted among the failures after which PHM gives up."""
+    made = Agent({"container/app": Of("app")}, Containers("app"), FakeClock(), critical=("app",))
+    agents.append(made)
+
+    def armed_meanwhile(key: str, context: ActionContext, fault: Fault) -> None:
+        if len(made.runs) <= 4:
+            made.armed = True
+            raise FlightCritical("restart of app was not done")
+        made.bad.clear()
+
+    made.behave = armed_meanwhile
+    made.bad["container/app"] = "broken"
+    for runs in range(1, 5):
+        made.until(lambda wanted=runs: len(made.runs) == wanted, f"attempt {runs}")  # type: ignore[misc]
+        made.until(lambda: made.steps()[-1] in (Phase.REFUSED, Phase.ADVISED), "the refusal")
+        made.armed = False
+    made.until(lambda: made.closed(), "the repair on the ground")
+    assert Phase.ESCALATED not in made.steps()
+    assert made.steps()[:3] == [Phase.STARTED, Phase.REFUSED, Phase.ADVISED]

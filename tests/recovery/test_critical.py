@@ -1,0 +1,181 @@
+"""What is flight-critical, or takes something flight-critical down, is left alone unless the vehicle is disarmed."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+from typing import Any, cast
+
+import pytest
+
+from phm import testing
+from phm.facts import CannotTell, ContainerFact
+from phm.recovery.armed import Armed, State
+from phm.recovery.critical import FlightCritical, Reach, Safeguard
+from phm.recovery.guarded_engine import READS, guarded
+from phm.settings import Settings
+from phm.testing import settings
+from phm.transport.docker import Engine
+
+NOT_ABOUT_A_CONTAINER = {"create_from_image"}
+"""Makes a container that is never started."""
+
+
+class Scene:
+    """`vpn`, whose network `fc_app` shares; `planner` starts after `fc_app`'s owner; `camera` is alone. `fc_app` is critical."""
+
+    def __init__(self, **critical: Any) -> None:
+        self.state = State.ARMED
+        self.unknown: set[str] = set()
+        self.me: ContainerFact | None = testing.container("phm")
+        vpn = testing.container("vpn")
+        self.facts = {
+            "vpn": vpn,
+            "fc_app": replace(testing.container("fc_app"), network_mode=f"container:{vpn.id}"),
+            "camera": testing.container("camera"),
+            "base": testing.container("base"),
+        }
+        self.settings: Settings = settings(
+            containers=[
+                {"name": "vpn", "recover": True, "after": ["base"]},
+                {"name": "fc_app", "recover": True, "flight_critical": True, **critical},
+                {"name": "camera", "recover": True},
+                {"name": "base", "recover": True},
+            ],
+            mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14550"}]},
+        )
+        self.safeguard = Safeguard(self.settings, self.fact, lambda: self.me, lambda: Armed(self.state, "it is armed"))
+
+    def fact(self, key: str) -> ContainerFact | None:
+        if key in self.unknown:
+            raise CannotTell("the engine does not answer")
+        return self.facts.get(key)
+
+
+class Calls:
+    """Stands for the engine and notes what reached it; `after` runs behind each call."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.made: list[str] = []
+        self.scene = scene
+
+    def _note(self, name: str) -> None:
+        self.made.append(name)
+
+    def restart(self, ref: str, stop_timeout_s: float = 5.0) -> None:
+        self._note(f"restart {ref}")
+
+    def start(self, ref: str) -> None:
+        self._note(f"start {ref}")
+
+    def stop(self, ref: str) -> None:
+        self._note(f"stop {ref}")
+        self.scene.state = State.ARMED
+
+    def disconnect(self, network: str, container: str, force: bool = False) -> None:
+        self._note(f"disconnect {container}")
+        self.scene.state = State.ARMED
+
+    def connect(self, network: str, container: str, aliases: tuple[str, ...] = (), address: str = "") -> None:
+        self._note(f"connect {container}")
+
+    def inspect(self, ref: str) -> dict[str, str]:
+        self._note(f"inspect {ref}")
+        return {}
+
+
+def engine(scene: Scene) -> tuple[Engine, Calls]:
+    calls = Calls(scene)
+    return guarded(cast(Engine, calls), scene.safeguard, scene.safeguard.forbids), calls
+
+
+@pytest.mark.parametrize("state", [State.ARMED, State.UNKNOWN])
+@pytest.mark.parametrize(
+    ("target", "reach", "words"),
+    [
+        ("fc_app", Reach.NOTHING, "flight-critical, and"),
+        ("fc_app", Reach.CONTAINER, "flight-critical, and"),
+        ("vpn", Reach.NOTHING, ""),
+        ("vpn", Reach.NETWORK, "would take down fc_app, which is flight-critical"),
+        ("vpn", Reach.CONTAINER, "would take down fc_app, which is flight-critical"),
+        ("base", Reach.NETWORK, ""),
+        ("base", Reach.CONTAINER, "would take down fc_app, which is flight-critical"),
+        ("camera", Reach.CONTAINER, ""),
+    ],
+)
+def test_criticality_is_inherited_from_what_would_go_down(state: State, target: str, reach: Reach, words: str) -> None:
+    """By a shared network namespace and by `after`, also in two steps; what nothing critical depends on is not bound."""
+    scene = Scene()
+    scene.state = state
+    found = scene.safeguard.forbids(target, reach)
+    assert words in found
+    assert bool(found) is bool(words)
+    scene.state = State.DISARMED
+    assert scene.safeguard.forbids(target, reach) == ""
+
+
+def test_when_armed_act_lets_the_user_decide_otherwise() -> None:
+    """Some containers are worse down than restarted, and only their owner knows."""
+    safeguard = Scene(when_armed="act").safeguard
+    assert [safeguard.forbids(key, Reach.CONTAINER) for key in ("fc_app", "vpn")] == ["", ""]
+
+
+def test_what_would_go_down_and_is_not_known_is_left_alone() -> None:
+    """An engine that does not say whose network a container shares is no permission."""
+    scene = Scene()
+    scene.unknown.add("fc_app")
+    assert "not known (the engine does not answer)" in scene.safeguard.forbids("vpn", Reach.CONTAINER)
+
+
+def test_an_approval_holds_as_long_as_the_armed_state_at_which_it_was_given() -> None:
+    """Given while armed it opens nothing when the state is not known any more."""
+    scene = Scene()
+    assert scene.safeguard.forbids("fc_app", Reach.CONTAINER, State.ARMED) == ""
+    assert scene.safeguard.forbids("fc_app", Reach.CONTAINER, State.UNKNOWN)
+    assert scene.safeguard.forbids("fc_app", Reach.CONTAINER, State.DISARMED)
+
+
+def test_the_armed_state_is_asked_before_each_call() -> None:
+    """A restart that was decided on the ground is not made when the vehicle has been armed meanwhile."""
+    scene = Scene()
+    scene.state = State.DISARMED
+    ask, calls = engine(scene)
+    ask.restart(scene.facts["fc_app"].id)
+    scene.state = State.ARMED
+    for ref in (scene.facts["fc_app"].id, "fc_app", scene.facts["vpn"].id):
+        with pytest.raises(FlightCritical, match="was not done"):
+            ask.restart(ref)
+    ask.inspect("fc_app")
+    ask.restart("camera")
+    ask.connect("net", "phm")
+    assert calls.made[1:] == ["inspect fc_app", "restart camera", "connect phm"]
+
+
+@pytest.mark.parametrize(
+    ("down", "up"), [(("stop",), ("start",)), (("disconnect", "net"), ("connect", "net"))], ids=["stop", "disconnect"]
+)
+def test_what_an_action_has_taken_down_it_may_bring_back(down: tuple[str, ...], up: tuple[str, ...]) -> None:
+    """Armed between the two calls: half done would be worse. Another action may not."""
+    scene = Scene()
+    scene.state = State.DISARMED
+    ask, calls = engine(scene)
+    getattr(ask, down[0])(*down[1:], "fc_app")
+    assert scene.state is State.ARMED
+    getattr(ask, up[0])(*up[1:], "fc_app")
+    assert calls.made == [f"{down[0]} fc_app", f"{up[0]} fc_app"]
+    other, _ = engine(scene)
+    with pytest.raises(FlightCritical):
+        getattr(other, up[0])(*up[1:], "fc_app")
+
+
+def test_every_call_of_the_engine_is_read_only_or_asked_about() -> None:
+    """One that is added later cannot be forgotten: it names its container, or it is on one of two short lists."""
+    public = {
+        name: member
+        for name, member in inspect.getmembers(Engine, callable)
+        if not name.startswith("_") and inspect.isfunction(member)
+    }
+    own = {name for name, member in public.items() if member.__qualname__.startswith("Engine.")}
+    assert own >= READS
+    for name in own - READS - NOT_ABOUT_A_CONTAINER:
+        assert {"container", "ref"} & set(inspect.signature(public[name]).parameters), name
