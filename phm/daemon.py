@@ -235,6 +235,7 @@ class Daemon:
         return ActionContext(
             self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
             listed_nodes=lambda: self.parts.world.ros.look().nodes, reopen=self.parts.reopen,
+            age_s=self.clock.age_s,
         )  # fmt: skip
 
     def _publish_action(self, event: Event) -> None:

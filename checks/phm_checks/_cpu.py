@@ -118,18 +118,18 @@ class Cpu:
         except api.CannotTell:
             self._ask_from = now + ASK_AGAIN_S
             return True
-        utc = world.clock.utc()
-        return any(fact is not None and fact.running and _age_s(fact, utc) < self._start_s for fact in facts)
+        return any(fact is not None and fact.running and _age_s(fact, world) < self._start_s for fact in facts)
 
 
 def _rank(level: Level) -> int:
     return (Level.OK, Level.STALE, Level.WARN, Level.ERROR).index(level)
 
 
-def _age_s(fact: api.ContainerFact, utc: float) -> float:
+def _age_s(fact: api.ContainerFact, world: api.World) -> float:
     """Seconds since the container was started; infinite when its engine's stamp cannot be read or lies ahead."""
     try:
         started = datetime.fromisoformat(fact.started_at[:19] + "+00:00").timestamp()
     except ValueError:
         return float("inf")
-    return utc - started if utc >= started else float("inf")
+    age_s = world.clock.age_s(started)
+    return float("inf") if age_s is None else age_s

@@ -26,6 +26,10 @@ def _no_graph() -> Mapping[str, int]:
     raise CannotTell("no ROS graph is watched")
 
 
+def _unknown_age(utc: float) -> float | None:
+    return None
+
+
 def _no_link(link: str, timeout_s: float) -> bool:
     return False
 
@@ -44,6 +48,7 @@ class ActionContext:
     remembered: how a container was attached to a network when that was last seen.
     listed_nodes: ROS nodes in the graph now, with how often each is listed. Raises CannotTell.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
+    age_s:      seconds since something was stamped (UTC), whatever the clock did since; None: not possible (`phm.clock.Steps`).
     holding:    while it is entered, what breaks in that other container follows from this fault's repair.
     """
 
@@ -53,6 +58,7 @@ class ActionContext:
     myself: Callable[[], ContainerFact | None]
     remembered: Callable[[str, str], Attachment | None]
     listed_nodes: Callable[[], Mapping[str, int]] = _no_graph
+    age_s: Callable[[float], float | None] = _unknown_age
     reopen: Callable[[str, float], bool] = _no_link
     holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
 

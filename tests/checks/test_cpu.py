@@ -42,6 +42,15 @@ class Bench:
         self.docker.change("ros_app", started_at=stamp)
 
 
+@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+def test_a_start_is_one_however_the_clock_is_set(step_s: float) -> None:
+    """The container's own stamp is of the clock before the step."""
+    bench = Bench()
+    bench.started()
+    bench.clock.jump_utc(step_s)
+    assert "ERROR" not in [result.level.name for result in bench.looks(2.0, **BUSY)]
+
+
 def test_a_processor_that_is_full_while_tasks_wait_is_told_soon() -> None:
     """After cpu_quick, with the kernel's evidence in the text; before it, nothing."""
     told = Bench().looks(2.0, **BUSY)

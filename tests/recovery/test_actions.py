@@ -101,15 +101,12 @@ def test_a_dependant_that_cannot_be_restarted_is_told(fake: FakeEngine, ask: Eng
 def test_a_dependant_that_was_started_after_it_is_left_as_it_is(fake: FakeEngine, ask: Engine) -> None:
     """Another container's repair was quicker: one restart is enough. What depends on a restarted one follows it always."""
     made = stack(fake, ask)
-    fake.containers["side"]["State"]["StartedAt"] = "9999-01-01T00:00:00Z"
+    made.when_in_hand = lambda: fake.containers["side"]["State"].update(StartedAt="2026-01-01T00:00:01Z")
     words = made.run(Restart, "app", EXITED)
     assert acted(fake, "restart") == ["app", "late"]
     assert "side, which depends on it, was started after it already" in words
     fake.calls.clear()
-    for name in ("late", "side"):
-        fake.containers[name]["State"]["StartedAt"] = (
-            "9999-01-01T00:00:00Z" if name == "late" else "2026-01-01T00:00:00Z"
-        )
+    made.when_in_hand = lambda: fake.containers["late"]["State"].update(StartedAt="2026-01-01T00:00:01Z")
     made.run(Restart, "app", EXITED)
     assert acted(fake, "restart") == ["app", "side", "late"]
 
@@ -138,6 +135,14 @@ def test_no_answer_from_before_an_action_outlives_it(fake: FakeEngine, ask: Engi
         ask.restart("app")
     probe.container("app")
     assert len(fake.calls) == asked + 2
+
+
+def test_a_clock_that_was_set_back_keeps_no_dependant_from_its_restart(fake: FakeEngine, ask: Engine) -> None:
+    """Its StartedAt is later than that of the container whose namespace it has lost; generations decide, not stamps."""
+    made = stack(fake, ask)
+    fake.containers["side"]["State"]["StartedAt"] = "9999-01-01T00:00:00Z"
+    made.run(Restart, "app", EXITED)
+    assert acted(fake, "restart") == ["app", "side", "late"]
 
 
 def test_arming_is_asked_when_the_dependant_is_in_hand(fake: FakeEngine, ask: Engine) -> None:

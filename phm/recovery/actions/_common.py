@@ -14,9 +14,6 @@ from phm.settings import ContainerSettings
 FOLLOW_S = 30.0
 """A dependant is held for its stop time-out and this much longer, in case the thread that restarts it dies."""
 
-ALWAYS = "~"
-"""Later than every moment: nothing was started after it."""
-
 
 def present(target: ContainerSettings, context: ActionContext) -> ContainerFact:
     """The engine's view of the target. Raises ActionFailed when there is none."""
@@ -50,19 +47,19 @@ def restart_dependants(target: ContainerSettings, fault: Fault, context: ActionC
     mended = facts.get(target.key)
     if mended is None or not mended.running:
         return f"; {', '.join(order)} not restarted, because {target.key} does not run"
-    said, since = [], _moment(mended)
+    said, moved = [], False
     for key in order:
-        words, moved = _follow(key, fault, since, facts, context)
-        # What depends on a dependant must follow it, however new it is.
-        since = ALWAYS if moved else since
+        # What depends on a restarted dependant must follow it, however new it is.
+        words, restarted = _follow(key, fault, facts, context, always=moved)
+        moved = moved or restarted
         said.append(f"; {words}")
     return "".join(said)
 
 
 def _follow(
-    key: str, fault: Fault, since: str, facts: Mapping[str, ContainerFact], context: ActionContext
+    key: str, fault: Fault, facts: Mapping[str, ContainerFact], context: ActionContext, *, always: bool
 ) -> tuple[str, bool]:
-    """In words what came of it, and whether the dependant was restarted."""
+    """What came of it, for the log, and whether the dependant was restarted. facts: as observed after the target's start."""
     entry = context.settings.container(key)
     if entry is None or key not in facts:
         return f"{key}, which depends on it, is not there", False
@@ -70,7 +67,7 @@ def _follow(
         return f"{key} depends on it and has not opted in (recover: true): restart it by hand", False
     try:
         with context.holding(key, fault, "restart", context.settings.recovery.stop_timeout + FOLLOW_S):
-            left_alone = _restart_dependant(entry, since, context)
+            left_alone = _restart_dependant(entry, "" if always else facts[key].life, context)
     except FlightCritical as error:
         return f"{key} depends on it: {error}; restart it by hand when that is safe", False
     except CannotTell as error:
@@ -78,23 +75,20 @@ def _follow(
     return left_alone or f"restarted {key}, which depends on it", not left_alone
 
 
-def _restart_dependant(entry: ContainerSettings, since: str, context: ActionContext) -> str:
+def _restart_dependant(entry: ContainerSettings, before: str, context: ActionContext) -> str:
     """All is asked again: there may have been a wait until the repair of another container had it no longer in hand.
 
-    since: one that was started after this moment is left as it is. Returns why it was left alone; empty: restarted.
+    before: its generation (`ContainerFact.life`) as observed after the target's start: one that runs as another generation
+    now was started later than the target, whatever the engine's clock says, and is left alone. Empty: it must follow anyhow.
+    Returns why it was left alone; empty: restarted.
     """
     key, fact = entry.key, context.container(entry.key)
     if fact is None:
         return f"{key}, which depends on it, is not there"
-    if fact.running and _moment(fact) > since:
+    if fact.running and before and fact.life != before:
         return f"{key}, which depends on it, was started after it already"
     restart_gracefully(fact, context)
     return ""
-
-
-def _moment(fact: ContainerFact) -> str:
-    """StartedAt in an order that text has: the engine leaves out zeros at the end of its fractions."""
-    return fact.started_at.rstrip("Z")
 
 
 def _facts(context: ActionContext) -> dict[str, ContainerFact]:
