@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import heapq
 import os
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from phm import testing
+from phm.clock import Clock, SystemClock
 from phm.recovery.actions import make_room
 from phm.recovery.actions.make_room import MakeRoom
 from phm.recovery.base import ActionFailed
@@ -39,7 +43,7 @@ def put(path: Path, size: int, age_s: float = HOUR_S) -> Path:
     return path
 
 
-def run(disk: Path, *rooms: dict[str, Any]) -> str:
+def run(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> str:
     """With the default limits: the goal is below 76.5 %."""
     settings = Settings.model_validate(
         {
@@ -49,7 +53,8 @@ def run(disk: Path, *rooms: dict[str, Any]) -> str:
     )
     target = as_container(f"disk:{disk}")
     assert target is not None
-    return MakeRoom().run(target, None, SimpleNamespace(settings=settings))  # type: ignore[arg-type]
+    context = SimpleNamespace(settings=settings, age_s=(clock or SystemClock()).age_s)
+    return MakeRoom().run(target, None, context)  # type: ignore[arg-type]
 
 
 def test_the_oldest_go_until_there_is_room(disk: Path) -> None:
@@ -60,6 +65,66 @@ def test_the_oldest_go_until_there_is_room(disk: Path) -> None:
     said = run(disk, {"files": ["*.mcap"]})
     assert not oldest.exists() and not older.exists() and newer.exists()
     assert said == f"removed 2 old files, 0.0 MB: {disk} is at 58 %"
+
+
+def test_a_step_of_the_clock_makes_no_file_old(disk: Path) -> None:
+    """A recording closed a minute ago stays when the clock is set forward; one that is really old is removed."""
+    clock = testing.FakeClock(mono=50_000.0, utc=time.time())
+    closed, old = put(disk / "bags/closed.mcap", 40_000, 0.0), put(disk / "bags/old.mcap", 58_000, 3 * HOUR_S)
+    clock.advance(60.0)
+    clock.jump_utc(HOUR_S)
+    run(disk, {"files": ["*.mcap"]}, clock=clock)
+    assert closed.exists() and not old.exists()
+
+
+def test_a_folder_of_many_names_is_read_one_by_one(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest of all go, wherever they are listed, and no more are held than MOST."""
+    monkeypatch.setattr(make_room, "MOST", 3)
+    files = [put(disk / f"bags/{number}.log", 1000, HOUR_S + 60 * (number * 37 % 100)) for number in range(99)]
+    most: list[int] = []
+    largest = heapq.nlargest
+
+    def nlargest(count: int, found: Iterable[Any]) -> list[Any]:
+        most.append(count)
+        return largest(count, found)
+
+    monkeypatch.setattr(heapq, "nlargest", nlargest)
+    oldest = sorted(files, key=lambda file: file.stat().st_mtime)[:3]
+    with pytest.raises(ActionFailed, match="removed 3 old files"):
+        run(disk, {"files": ["*.log"]})
+    assert most == [3]
+    assert [file for file in files if not file.exists()] == sorted(oldest, key=files.index)
+
+
+def test_no_list_of_names_is_made(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An application that makes a million files must not take PHM's memory: names are read as they are needed."""
+    put(disk / "bags/one.log", 98_000)
+    for number in range(50):
+        (disk / f"bags/{number}.txt").touch()
+    monkeypatch.setattr(make_room, "MOST_SEEN", 5)
+    taken: list[str] = []
+
+    class Counting:
+        def __init__(self, entries: Any) -> None:
+            self.entries = entries
+
+        def __enter__(self) -> Any:
+            return self
+
+        def __exit__(self, *error: object) -> None:
+            self.entries.close()
+
+        def __iter__(self) -> Any:
+            for entry in self.entries:
+                taken.append(entry.name)
+                yield entry
+
+    scandir = os.scandir
+    counted = lambda folder=".": Counting(scandir(folder)) if isinstance(folder, int) else scandir(folder)  # noqa: E731
+    monkeypatch.setattr(os, "scandir", counted)
+    with pytest.raises(ActionFailed, match="removed 0 old files"):
+        run(disk, {"files": ["*.none"]})
+    assert 0 < len(taken) <= 6
 
 
 def test_what_is_not_named_or_not_old_stays(disk: Path) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import heapq
 import os
-import stat
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -22,7 +21,9 @@ from phm.settings import ContainerSettings, RoomSettings, Settings
 ENOUGH = 0.9
 """Files go until the disk is at this share of `host.disk.warn`: at the limit itself it would be full again at once."""
 MOST = 10_000
-"""Files that are looked at; a folder with more is not made empty in one go."""
+"""Files that are held in memory, the oldest; a folder with more is not emptied in one go."""
+MOST_SEEN = 1_000_000
+"""Names that are looked at, one by one: about 10 s on an SD card."""
 DEPTH = 8
 MOST_REFUSED = 3
 """So many files of a folder that cannot be removed say that none can."""
@@ -31,9 +32,9 @@ _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 @dataclass(frozen=True, order=True)
 class Old:
-    """A file that may go: last changed at `changed` (seconds since 1970), at `path` below the folder of the configuration."""
+    """A file that may be removed: last changed `age_s` seconds ago, at `path` below the folder of the configuration."""
 
-    changed: float
+    age_s: float
     path: str
     size: int
 
@@ -56,7 +57,7 @@ class MakeRoom(Action):
         disk, host = path_of(target.key), context.settings.host
         goal = ENOUGH * host.disk.warn
         problems: list[str] = []
-        removed = [old for place in host.make_room for old in _clear(place, disk, goal, problems)]
+        removed = [old for place in host.make_room for old in _clear(place, disk, goal, problems, context)]
         used = used_percent(disk)
         count, freed = len(removed), sum(old.size for old in removed)
         did = f"removed {count} old file{'' if count == 1 else 's'}, {freed / 1e6:.1f} MB"
@@ -75,7 +76,7 @@ def used_percent(path: str) -> float:
     return max(fact.used_percent, fact.inodes_used_percent)
 
 
-def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str]) -> Iterator[Old]:
+def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str], context: ActionContext) -> Iterator[Old]:
     """Remove files of one folder until the goal is reached; those that are gone. Sentences about others go to `problems`."""
     refused = 0
     if used_percent(disk) < goal:
@@ -89,7 +90,7 @@ def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str]) -> 
         if os.fstat(folder).st_dev != os.stat(disk).st_dev:
             problems.append(f"{place.path} is on another disk")
             return
-        for old in _old_files(folder, place):
+        for old in heapq.nlargest(MOST, _old_files(folder, place, context)):
             if used_percent(disk) < goal or refused >= MOST_REFUSED:
                 return
             try:
@@ -103,31 +104,42 @@ def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str]) -> 
         os.close(folder)
 
 
-def _old_files(folder: int, place: RoomSettings) -> list[Old]:
-    """What may go, the oldest first. A file that is still written, or was a moment ago, is none of them."""
-    before = time.time() - place.older_than
+def _old_files(folder: int, place: RoomSettings, context: ActionContext) -> Iterator[Old]:
+    """What may be removed. A file that is still written, or was a moment ago, is not; nor one that only a step of the clock
+    has made old."""
     home = os.fstat(folder).st_dev
-    return sorted(
-        Old(seen.st_mtime, path, seen.st_blocks * 512)
-        for path, seen in islice(_files(folder), MOST)
-        if seen.st_dev == home and seen.st_mtime <= before and _named(path, place.files)
-    )
+    for path, entry in islice(_entries(folder, home), MOST_SEEN):
+        if not _named(path, place.files):
+            continue
+        with contextlib.suppress(OSError):  # removed meanwhile
+            if entry.is_file(follow_symlinks=False):
+                seen = entry.stat(follow_symlinks=False)
+                age_s = context.age_s(seen.st_mtime)
+                if seen.st_dev == home and age_s is not None and age_s >= place.older_than:
+                    yield Old(age_s, path, seen.st_blocks * 512)
 
 
 def _named(path: str, patterns: list[str]) -> bool:
     return any(fnmatchcase(PurePosixPath(path).name, pattern) for pattern in patterns)
 
 
-def _files(folder: int) -> Iterator[tuple[str, os.stat_result]]:
-    """Regular files below the folder, with their paths from there."""
-    for here, folders, names, handle in os.fwalk(".", dir_fd=folder, follow_symlinks=False):
-        if here.count("/") >= DEPTH:
-            folders.clear()
-        for name in names:
-            with contextlib.suppress(OSError):  # removed meanwhile
-                seen = os.stat(name, dir_fd=handle, follow_symlinks=False)
-                if stat.S_ISREG(seen.st_mode):
-                    yield os.path.normpath(os.path.join(here, name)), seen
+def _entries(folder: int, home: int, path: str = "", depth: int = DEPTH) -> Iterator[tuple[str, os.DirEntry[str]]]:
+    """All names below an open folder with their paths from there, one by one: an application may make millions of them.
+
+    Links and mounts (folders that are not on the device `home`) are not entered.
+    """
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            below = os.path.join(path, entry.name)
+            yield below, entry
+            with contextlib.suppress(OSError):  # removed meanwhile, or not PHM's to read
+                if depth and entry.is_dir(follow_symlinks=False):
+                    inner = os.open(entry.name, _FOLDER, dir_fd=folder)
+                    try:
+                        if os.fstat(inner).st_dev == home:
+                            yield from _entries(inner, home, below, depth - 1)
+                    finally:
+                        os.close(inner)
 
 
 def _unlink(folder: int, path: str) -> None:
