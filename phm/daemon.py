@@ -41,9 +41,6 @@ logger = logging.getLogger(__name__)
 STALLED_BEAT_S = 3.0
 STOOD_STILL_S = 2.5
 """A pause of the heart, beyond the rest that it takes between two beats, that is told. Of one that its guard has ended it is told however short."""
-DEADLY = ("signal 2", "signal 3", "signal 9", "signal 15")
-STOPPING_S = 11.0
-"""The engine's own time between SIGTERM and SIGKILL is 10 s."""
 LOOK_S = 1.0
 CALM_S = 0.5
 """Between two beats while nothing waits: no unit settles, no action is at work. What changes that has the heart beat at once."""
@@ -173,8 +170,10 @@ class Daemon:
 
     def _docker_event(self, event: DockerEvent) -> None:
         self.pipeline.note("DOCKER", str(event))
-        if event.action == "kill" and event.detail in DEADLY:
-            self.pipeline.expect_end(event.key, STOPPING_S)
+        if event.end_s:
+            self.pipeline.expect_end(event.key, event.end_s)
+        if event.ends_life:
+            self.pipeline.ended(event.key)
         if event.begins_life:
             self.pipeline.started(event.key)
             self.parts.begun(event.key)

@@ -107,6 +107,11 @@ class ContainerFact:
     devices: tuple[DeviceMapping, ...] = ()
     device_rules: tuple[str, ...] = ()
     privileged: bool = False
+    stop_signal: int = 15
+    """By which the engine asks it to end (StopSignal of the image or the container)."""
+    stop_timeout_s: float | None = None
+    """How long the engine then waits before SIGKILL, as the container asks for it (`stop_grace_period`,
+    `--stop-timeout`); negative: for ever; None: the engine's default, 10 s."""
 
     @property
     def running(self) -> bool:

@@ -108,8 +108,17 @@ class Pipeline:
         self._apply(lambda now: self._tracker.release(target, now, worked=worked))
 
     def expect_end(self, target: str, at_most_s: float) -> None:
-        """The container has been told to end (`docker stop`): see `Tracker.expect_end`."""
+        """The container has got a signal to end (`docker stop`): see `Tracker.expect_end`."""
         self._apply(lambda now: self._tracker.expect_end(target, now, at_most_s))
+
+    def ended(self, target: str) -> None:
+        """An event says that the container has ended: a stop is over."""
+        self._apply(lambda now: self._tracker.ended(target))
+
+    def stopping(self, target: str) -> bool:
+        """Whether the container has got a signal to end, is given time for it, and has not ended yet."""
+        with self._lock:
+            return self._tracker.stopping(target, self._clock.mono())
 
     def started(self, target: str) -> None:
         """An event says that the container has been started: see `Tracker.started`."""

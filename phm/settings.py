@@ -459,7 +459,8 @@ class RecoverySettings(Section):
     verify: Annotated[Seconds, Field(ge=1)] = 30.0
     """Seconds within which the check must be OK again after an action, else it failed."""
     stop_timeout: Annotated[Seconds, Field(ge=0, le=300)] = 5.0
-    """Seconds between SIGTERM and SIGKILL when a container is restarted."""
+    """Seconds between the stop signal and SIGKILL when PHM restarts a container. A container that asks for more time itself
+    (`stop_grace_period` in Compose) gets it, up to 2 min."""
     patience: Annotated[Seconds, Field(ge=0, le=600)] = 10.0
     """Seconds that a topic must have been silent, slow, without an end that it had or with ends that fit no more, its nodes alive,
     or a node must have run twice, before anything is done about it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -90,7 +91,25 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         ),
         device_rules=tuple(_text(rule) for rule in host.get("DeviceCgroupRules") or ()),
         privileged=bool(host.get("Privileged")),
+        stop_signal=_signal(_part(answer, "Config").get("StopSignal")),
+        stop_timeout_s=_seconds(_part(answer, "Config").get("StopTimeout")),
     )
+
+
+def _signal(value: Any) -> int:
+    """The number of a signal as Docker writes it: a number, or a name with or without SIG, also `SIGRTMIN+3`."""
+    name, plus, more = _text(value).upper().partition("+")
+    if name.isdecimal():
+        return int(name)
+    try:
+        number = signal.Signals[name if name.startswith("SIG") else f"SIG{name}"].value
+    except KeyError:
+        return int(signal.SIGTERM)
+    return number + int(more) if plus and more.isdecimal() else number
+
+
+def _seconds(value: Any) -> float | None:
+    return float(value) if isinstance(value, int) else None
 
 
 def _networks(networks: Mapping[str, Any]) -> tuple[Attachment, ...]:

@@ -8,6 +8,7 @@ to expect; what was lost is told as an event of its own.
 from __future__ import annotations
 
 import logging
+import signal
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -29,6 +30,14 @@ CONFIRM_S = 0.2
 """A difference is looked at again after this: the event that explains it may be on its way."""
 AGAIN_S = 1.0
 """The engine tells each disconnect twice, a few milliseconds apart (seen with 20.10)."""
+KILL_S = 11.0
+"""A container ends within this time after SIGKILL: the engine waits 10 s for it."""
+STOP_S = 121.0
+"""A stop takes at most this long, or as long as the container asks for. The engine does not report the time-out that
+`docker stop -t` gives, but only that it is over, by SIGKILL."""
+ENDLESS_STOP_S = 601.0
+"""The same for a container that asks to be waited for without an end."""
+_DEADLY = ("2", "3", "15")
 _MAX_IDS = 1000
 CONTAINER_ACTIONS = (
     "create", "start", "kill", "die", "stop", "restart", "pause", "unpause", "oom", "health_status", "destroy", "rename",
@@ -48,6 +57,7 @@ class DockerEvent:
     detail: e.g. ``exit code 137``, ``unhealthy``, ``signal 15`` for kill (which `docker stop` sends first), or empty.
     container: for network events the key of the container concerned, when it is a configured one.
     lost:   the stream did not tell; the comparison found it.
+    end_s:  for a `kill` after which the container is to end: within how many seconds at most; else 0.
     """
 
     kind: str
@@ -57,11 +67,17 @@ class DockerEvent:
     at: Stamp
     container: str = ""
     lost: bool = False
+    end_s: float = 0.0
 
     @property
     def subjects(self) -> frozenset[str]:
         """What it wakes: see `phm.api.Check.wakes`."""
         return frozenset({f"container:{self.key}" if self.kind == "container" else "network"})
+
+    @property
+    def ends_life(self) -> bool:
+        """A container has ended, or is gone."""
+        return self.kind == "container" and self.action in ("die", "destroy")
 
     @property
     def begins_life(self) -> bool:
@@ -77,7 +93,7 @@ class Watch:
     """Two threads: one follows the stream, one compares. `on_event` is called from either, one at a time; `on_turn` when the
     stream broke, could not be opened, or is open again: mostly the engine itself has gone or come.
 
-    Invariant: `_expected`, `_ids`, `_left` and `_touched` are read and written with `_lock` held.
+    Invariant: `_expected`, `_stops`, `_ids`, `_left` and `_touched` are read and written with `_lock` held.
     """
 
     def __init__(
@@ -93,6 +109,8 @@ class Watch:
         self._networks = {name for entry in settings.containers for name in entry.networks}
         self._compare_s = settings.docker.compare
         self._expected: dict[str, Expected] = {}
+        self._stops: dict[str, tuple[int, float | None]] = {}
+        """By which signal each container is stopped, and how long it asks to be waited for."""
         self._ids: dict[str, str] = {}
         self._left: dict[tuple[str, str], int] = {}
         self._touched: dict[str, int] = dict.fromkeys(self._containers, 0)
@@ -190,11 +208,23 @@ class Watch:
             self._touched[key] += 1
             if key in self._expected:
                 self._expected[key] = after(self._expected[key], action, detail, container_id)
+        end_s = 0.0
         if action == "die":
             detail = f"exit code {attributes.get('exitCode', 'unknown')}"
         elif action == "kill":
-            detail = f"signal {attributes.get('signal', 'unknown')}"
-        return DockerEvent("container", key, action, detail, self._clock.stamp())
+            number = str(attributes.get("signal", "unknown"))
+            detail, end_s = f"signal {number}", self._ends_within(key, number)
+        return DockerEvent("container", key, action, detail, self._clock.stamp(), end_s=end_s)
+
+    def _ends_within(self, key: str, number: str) -> float:
+        """How long a container may take to end after this signal; 0: it is not meant to end."""
+        with self._lock:
+            stop_signal, asked_s = self._stops.get(key, (int(signal.SIGTERM), None))
+        if number == str(int(signal.SIGKILL)):
+            return KILL_S
+        if number == str(stop_signal):
+            return ENDLESS_STOP_S if asked_s is not None and asked_s < 0 else max(STOP_S, (asked_s or 0.0) + KILL_S)
+        return KILL_S if number in _DEADLY else 0.0
 
     def _network_event(
         self, action: str, network_id: str, attributes: Mapping[str, Any], at_ns: int
@@ -286,6 +316,9 @@ class Watch:
         except CannotTell as error:
             logger.debug("comparison of %s: %s", key, error)
             return None
+        if fact is not None:
+            with self._lock:
+                self._stops[key] = (fact.stop_signal, fact.stop_timeout_s)
         return touched, Expected.of(fact)
 
     def _turned(self) -> None:

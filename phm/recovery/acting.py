@@ -48,8 +48,9 @@ class Acting:
         self._given_up = False
 
     def begin(self) -> bool:
-        """Take the target in hand; False when another container's repair is restarting it."""
-        return self._shop.hands.take(self._target.key, self)
+        """Take the target in hand; False when another container's repair is restarting it, or somebody is stopping it: it must
+        not be killed before the time is over that it was given to end."""
+        return not self._shop.pipeline.stopping(self._target.key) and self._shop.hands.take(self._target.key, self)
 
     def run(self) -> Done:
         """Do it, and let the target go. A plug-in that hangs costs its deadline and no more."""
@@ -102,6 +103,8 @@ class Acting:
         with hands.on(key, self, at_most_s):
             if self._given_up:
                 raise InOtherHands(f"{action} of {self._target.key} was given up meanwhile")
+            if self._shop.pipeline.stopping(key):
+                raise InOtherHands(f"{key} is being stopped")
             hands.hold(key, self, fault.unit, action, at_most_s)
             try:
                 with self._shop.lives.acting(key, self._target.key):

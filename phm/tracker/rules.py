@@ -99,13 +99,27 @@ def not_known(look: Look) -> Verdict | None:
     return Verdict(look.result) if look.result.level is Level.STALE else None
 
 
+def being_stopped(look: Look) -> Verdict | None:
+    """5. What breaks in a container that was given a signal to end and time for it goes with it, and is no fault.
+
+    Until the container has ended, or its time for it is over. A fault that is open already goes on.
+    """
+    entry = look.entry
+    if not look.scene.stopping(entry.target, look.now) or not look.scene.is_part(entry.id):
+        return None
+    if entry.fault is not None or entry.told_given_up:
+        return KEEP
+    summary = f"{entry.target} is being stopped: {look.result.summary}"
+    return Verdict(replace(look.result, level=Level.STALE, summary=summary, brief="", condition=""))
+
+
 def grace(look: Look) -> Verdict | None:
-    """5. A bad result during grace is `not known yet`, unless its check is certain of it.
+    """6. A bad result during grace is `not known yet`, unless its check is certain of it.
 
     Grace ends early when the unit has been OK for SURE_S, or its `memory_s` where that is longer.
     What was seen before the grace began never counts again: the unit is run anew. It begins with PHM itself; after a
     repair, for the target and all that needs it; after an ERROR, told or not, for all that need the unit: what looked
-    bad meanwhile may follow from it; when a container is told to end, for its parts; and once for each new life of a
+    bad meanwhile may follow from it; and once for each new life of a
     container (`phm.tracker.lives`), for all that need it. A container that never comes well is told by its own check.
     """
     if not too_early(look.entry, look.now):
@@ -115,7 +129,7 @@ def grace(look: Look) -> Verdict | None:
 
 
 def settled(look: Look) -> Verdict:
-    """6. Otherwise everything that the unit needs is run again.
+    """7. Otherwise everything that the unit needs is run again.
 
     A bad result is told only when it was bad `failures` times in a row, has lasted `settle_s` (the result's own, or else
     its unit's), and each need, and with `settle_s` the unit too, has answered in a run that began after that. Needs that
@@ -145,7 +159,9 @@ def settled(look: Look) -> Verdict:
     return Verdict(look.result, ask=ask)
 
 
-RULES: tuple[Callable[[Look], Verdict | None], ...] = (well, repair_at_work, consequence, not_known, grace, settled)
+RULES: tuple[Callable[[Look], Verdict | None], ...] = (
+    well, repair_at_work, consequence, not_known, being_stopped, grace, settled,
+)  # fmt: skip
 
 
 def too_early(entry: Entry, now: float) -> bool:

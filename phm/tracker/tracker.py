@@ -32,7 +32,8 @@ class Tracker:
         self.needs = Needs({entry.unit.id: entry.needs for entry in tracked})
         self._holds: dict[str, Hold] = {}
         self._units: dict[str, Entry] = {}
-        self._scene = Scene(self._units, self.needs, self._holds)
+        self._stops: dict[str, float] = {}
+        self._scene = Scene(self._units, self.needs, self._holds, self._stops)
         self._episodes = Episodes(self._scene, fault_prefix)
         self._lives = Lives()
         for entry in tracked:
@@ -169,19 +170,30 @@ class Tracker:
         return step
 
     def expect_end(self, target: str, now: Stamp, at_most_s: float) -> Step:
-        """Somebody has told the container to end: its parts go first, and are not to be told before it.
+        """The container has got a signal to end, and has so long to do it: its parts go first, and are no faults of their own.
 
-        Units of the target that need another unit of it get grace; the container's own unit does not.
+        These are units of the target that need another unit of it; the container's own unit is judged as ever.
         """
+        self._stops[target] = now.mono + at_most_s
         for entry in self._units.values():
-            above = (other.target for other in self._scene.upstream(entry.id))
-            if entry.target == target and target in above:
-                entry.grant(now.mono, now.mono + at_most_s)
+            if entry.target == target and self._scene.is_part(entry.id):
+                entry.grant(
+                    now.mono, now.mono
+                )  # what looked bad a moment before may have been the beginning of the end
         return Step()
+
+    def ended(self, target: str) -> Step:
+        """The container has ended: what is bad in it from now on follows from that."""
+        self._stops.pop(target, None)
+        return Step()
+
+    def stopping(self, target: str, now: float) -> bool:
+        return self._scene.stopping(target, now)
 
     def started(self, target: str, now: Stamp) -> Step:
         """The container has been started, says an event: what needs it starts fresh, with grace, once for each life."""
         step = Step()
+        self._stops.pop(target, None)
         if self._lives.heard(target, now.mono):
             self._begin_anew(target, now, step)
         return step
@@ -256,6 +268,7 @@ class Tracker:
         self._give_grace([*touched, *sorted(below.difference(touched))], now, step)
 
     def _begin_anew(self, target: str, now: Stamp, step: Step) -> None:
+        self._stops.pop(target, None)
         own = [entry.id for entry in self._units.values() if entry.target == target]
         for name in own:
             self._units[name].begin_life(now.mono)

@@ -137,11 +137,21 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """All units, who needs whom, and by target the actions at work. The tracker fills it, the rules only look."""
+    """All units, who needs whom, by target the actions at work, and until when it is given time to end (monotonic seconds).
+    The tracker fills it, the rules only look."""
 
     units: Mapping[str, Entry]
     needs: Needs
     holds: Mapping[str, Hold]
+    stops: Mapping[str, float] = field(default_factory=dict)
+
+    def stopping(self, target: str, now: float) -> bool:
+        return now < self.stops.get(target, NEVER)
+
+    def is_part(self, unit: str) -> bool:
+        """Whether the unit needs another one of its own target, as a node needs its container."""
+        entry = self.units[unit]
+        return bool(entry.target) and any(other.target == entry.target for other in self.upstream(unit))
 
     def upstream(self, unit: str) -> list[Entry]:
         """What the unit depends on, causes first."""

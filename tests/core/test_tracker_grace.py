@@ -155,3 +155,49 @@ def test_a_stop_that_does_not_come_about_masks_nothing_for_long() -> None:
         bench.see("container", OK)
         bench.see("nodes", BAD)
     assert bench.opened == ["nodes"]
+
+
+def stopping() -> Bench:
+    """A container that was given a minute to end, and whose parts go on for a while."""
+    bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app", settle_s=0.3)])
+    bench.all_well()
+    bench.take(bench.tracker.expect_end("app", bench.stamp(), 60.0))
+    for _ in range(8):
+        bench.later(1.0)
+        bench.see("container", OK)
+        bench.see("nodes", OK)
+    return bench
+
+
+def test_a_stop_that_takes_its_time_is_no_fault() -> None:
+    """Parts that were OK for a while after the signal and then go are still going with their container."""
+    bench = stopping()
+    for _ in range(40):
+        bench.later(1.0)
+        bench.see("container", OK)
+        bench.see("nodes", BAD)
+    assert bench.opened == []
+    assert bench.level("nodes") is Level.STALE
+    assert "app is being stopped" in bench.tracker.state("nodes").result.summary
+    bench.take(bench.tracker.ended("app"))
+    bench.see("container", BAD)
+    assert (bench.opened, bench.blocked_by("nodes")) == (["container"], "container")
+
+
+def test_a_container_that_was_started_again_is_no_longer_stopping() -> None:
+    """`docker restart`: what fails in the new one is a fault, however much time the old one had."""
+    bench = stopping()
+    bench.take(bench.tracker.started("app", bench.stamp()))
+    for _ in range(5):
+        bench.later(1.0)
+        bench.see("container", OK)
+        bench.see("nodes", BAD)
+    assert not bench.tracker.stopping("app", bench.now)
+    assert bench.opened == ["nodes"]
+
+
+def test_the_container_itself_is_judged_while_it_is_being_stopped() -> None:
+    """Only its parts go with it."""
+    bench = stopping()
+    bench.see("container", BAD)
+    assert bench.opened == ["container"]

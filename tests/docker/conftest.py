@@ -48,12 +48,23 @@ class Real:
         self.made += 1
         return f"phm-test-{self._mark}-{self.made}"
 
-    def container(self, command: str = "exec sleep 600", *, name: str = "", start: bool = True, **more: Any) -> Any:
-        """A container of the test image that runs `command` in a shell; `more` as docker-py takes it."""
+    def container(
+        self, command: str = "exec sleep 600", *, name: str = "", start: bool = True, asks_s: int = 0, **more: Any
+    ) -> Any:
+        """A container of the test image that runs `command` in a shell; `more` as docker-py takes it.
+
+        asks_s: its own stop time-out, which docker-py's higher interface cannot set.
+        """
         labels = {LABEL: self._mark, **more.pop("labels", {})}
-        made = self.client.containers.create(
-            self.image, ["sh", "-c", command], name=name or self.name(), labels=labels, init=True, **more
-        )
+        argv, name = ["sh", "-c", command], name or self.name()
+        if asks_s:
+            host = self.client.api.create_host_config(init=True)
+            answer = self.client.api.create_container(
+                self.image, argv, name=name, labels=labels, host_config=host, stop_timeout=asks_s, **more
+            )
+            made = self.client.containers.get(answer["Id"])
+        else:
+            made = self.client.containers.create(self.image, argv, name=name, labels=labels, init=True, **more)
         self._removals.append(lambda: made.remove(force=True, v=True))
         if start:
             made.start()

@@ -10,7 +10,7 @@ import pytest
 
 from phm.clock import SystemClock
 from phm.probes.docker_compare import Expected, after, differences
-from phm.probes.docker_watch import DockerEvent, Watch
+from phm.probes.docker_watch import ENDLESS_STOP_S, KILL_S, STOP_S, DockerEvent, Watch
 from phm.testing import settings
 from phm.transport.docker import Engine
 from tests.fakes.engine import DropStream, FakeEngine, Hang, Status, container
@@ -352,3 +352,33 @@ def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine, until: Unt
     until(lambda: len(turns) > before, "the stream that is open again")
     made.stop()
     engine.close()
+
+
+@pytest.mark.parametrize(
+    ("config", "signal", "end_s"),
+    [
+        ({}, "15", STOP_S),
+        ({"StopSignal": "SIGINT"}, "2", STOP_S),
+        ({"StopSignal": "INT", "StopTimeout": 300}, "2", 300 + KILL_S),
+        ({"StopSignal": "SIGRTMIN+3", "StopTimeout": -1}, "37", ENDLESS_STOP_S),
+        ({"StopSignal": "SIGINT"}, "15", KILL_S),
+        ({}, "9", KILL_S),
+        ({}, "1", 0.0),
+    ],
+)
+def test_a_kill_says_how_long_the_container_may_take_to_end(
+    fake: FakeEngine,
+    watch: Callable[..., tuple[Watch, Heard]],
+    until: Until,
+    config: dict[str, Any],
+    signal: str,
+    end_s: float,
+) -> None:
+    """By the container's own stop signal and time; SIGKILL is the end of that time, and other signals need not end it."""
+    fake.containers["app"] = container("app")
+    fake.containers["app"]["Config"].update(config)
+    made, heard = watch({"name": "app"})
+    until(lambda: made.healthy(), "the first comparison")
+    fake.emit_for("app", "kill", signal=signal)
+    until(lambda: heard, "the event")
+    assert (heard[0].detail, heard[0].end_s) == (f"signal {signal}", end_s)

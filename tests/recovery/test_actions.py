@@ -154,6 +154,21 @@ def test_arming_is_asked_when_the_dependant_is_in_hand(fake: FakeEngine, ask: En
     assert "side depends on it: restart of side was not done: flight-critical" in words
 
 
+@pytest.mark.parametrize(("asked", "given"), [(None, 5), (2, 5), (30, 30), (3600, 120), (-1, 120)])
+def test_a_container_gets_the_time_to_end_that_it_asks_for(
+    fake: FakeEngine, ask: Engine, monkeypatch: pytest.MonkeyPatch, asked: int | None, given: int
+) -> None:
+    """`recovery.stop_timeout` is the least; what the container itself asks for holds where it is longer, up to two minutes."""
+    times: list[float] = []
+    restart = ask.restart
+    monkeypatch.setattr(ask, "restart", lambda ref, time_s: (times.append(time_s), restart(ref, time_s)))
+    made = stack(fake, ask)
+    for name in ("app", "side"):
+        fake.containers[name]["Config"]["StopTimeout"] = asked
+    made.run(Restart, "app", EXITED)
+    assert times == [given, given, 5]
+
+
 # ---------------------------------------------------------------- relaunch
 
 

@@ -57,6 +57,9 @@ class Phm:
     def count(self, phase: Phase) -> int:
         return sum(entry[1] == phase.value for entry in self.actions())
 
+    def notes(self) -> list[str]:
+        return [event.text for event in list(self.events) if isinstance(event, Note)]
+
     def opened(self) -> list[str]:
         return [event.fault.unit for event in self.events if isinstance(event, FaultOpened)]
 
@@ -182,3 +185,26 @@ def test_a_dependant_of_two_is_restarted_by_one_at_a_time(real: Any, phm: Start)
     assert started[side.id] > max(started[one.id], started[two.id])
     network = [made.exec_run(["readlink", "/proc/1/ns/net"]).output for made in (one, side)]
     assert network[0] == network[1]
+
+
+def test_a_stop_that_takes_its_time_is_left_to_end(real: Any, phm: Start) -> None:
+    """`docker stop -t 60` of a container that needs 14 s to end, unhealthy meanwhile: it is not killed before it is through."""
+    made = real.container(
+        f"touch {NEEDED}; trap 'rm {NEEDED}; sleep 14; exit 7' TERM; while :; do sleep 0.1; done",
+        healthcheck={"test": ["CMD", "test", "-e", NEEDED], "interval": 10**9, "timeout": 10**9, "retries": 1},
+    )
+    daemon = phm([{"name": made.name, "alias": "app", "recover": True}])
+    threading.Thread(target=lambda: made.stop(timeout=60), daemon=True).start()
+    daemon.until(lambda: any("container app: die" in text for text in daemon.notes()), "its end")
+    assert "container app: die (exit code 7)" in daemon.notes()
+    assert "health/app" not in daemon.opened()
+
+
+def test_phm_gives_a_container_the_time_that_it_asks_for(real: Any, phm: Start) -> None:
+    """Its own stop time-out is longer than `recovery.stop_timeout`, and its stop signal is not SIGTERM."""
+    made = real.container("trap 'sleep 4; exit 7' INT; while :; do sleep 0.1; done", stop_signal="SIGINT", asks_s=30)
+    made.exec_run(["touch", NEEDED])
+    daemon = phm([with_file(made)], same_failure=1)
+    made.exec_run(["rm", NEEDED])
+    daemon.until(lambda: daemon.count(Phase.DONE) == 1, "the restart")
+    assert [text for text in daemon.notes() if "die" in text] == ["container app: die (exit code 7)"]

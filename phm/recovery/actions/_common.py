@@ -11,6 +11,8 @@ from phm.recovery.critical import FlightCritical
 from phm.recovery.dependants import dependants
 from phm.settings import ContainerSettings
 
+MOST_STOP_S = 120.0
+"""A container that asks for more time to end gets this much when PHM restarts it: it has failed already."""
 FOLLOW_S = 30.0
 """A dependant is held for its stop time-out and this much longer, in case the thread that restarts it dies."""
 
@@ -24,14 +26,21 @@ def present(target: ContainerSettings, context: ActionContext) -> ContainerFact:
 
 
 def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:
-    """SIGTERM, stop time-out, start again.
+    """The container's stop signal (SIGTERM unless it names another), its time to end, SIGKILL, start again.
 
     SIGTERM first matters to ROS: a node that ends by itself takes its DDS participant with it, a killed
     one lingers in the graph until its lease ends.
     """
     if fact.status == "paused":
         context.engine.unpause(fact.id)  # a frozen process cannot act on SIGTERM
-    context.engine.restart(fact.id, context.settings.recovery.stop_timeout)
+    context.engine.restart(fact.id, stop_timeout_s(fact, context))
+
+
+def stop_timeout_s(fact: ContainerFact, context: ActionContext) -> float:
+    """`recovery.stop_timeout`, or longer where the container itself asks for it, up to MOST_STOP_S."""
+    asked_s = fact.stop_timeout_s or 0.0
+    own_s = MOST_STOP_S if asked_s < 0 else min(asked_s, MOST_STOP_S)
+    return max(context.settings.recovery.stop_timeout, own_s)
 
 
 def restart_dependants(target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
@@ -66,7 +75,7 @@ def _follow(
     if not entry.recover:
         return f"{key} depends on it and has not opted in (recover: true): restart it by hand", False
     try:
-        with context.holding(key, fault, "restart", context.settings.recovery.stop_timeout + FOLLOW_S):
+        with context.holding(key, fault, "restart", stop_timeout_s(facts[key], context) + FOLLOW_S):
             left_alone = _restart_dependant(entry, "" if always else facts[key].life, context)
     except FlightCritical as error:
         return f"{key} depends on it: {error}; restart it by hand when that is safe", False

@@ -14,7 +14,7 @@ class Restart(Action):
     name = "restart"
     # An application that cannot start runs for a moment, too: seen 0.1 to 0.4 s.
     proof_s = 2.0
-    deadline_s = 180.0
+    deadline_s = 240.0
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         restart_gracefully(present(target, context), context)

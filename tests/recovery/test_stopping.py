@@ -1,0 +1,67 @@
+"""A container that somebody stops is not acted on before the time is over that it was given to end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from phm import testing
+from phm.facts import CannotTell
+from phm.model import Fault, Phase
+from phm.recovery.base import ActionContext
+from tests.recovery.agent import Agent, Containers, Of
+
+UNITS = {name: Of(name.partition("/")[2]) for name in ("health/app", "health/side")}
+
+
+@pytest.fixture
+def agent() -> Iterator[Agent]:
+    made = Agent(
+        UNITS, Containers("app", "side"), testing.FakeClock(), opted_in=("app", "side"), verify=5.0, backoff=0.1
+    )
+    yield made
+    made.stop()
+    made.clock.advance(1000)
+
+
+def test_a_fault_of_a_container_that_is_being_stopped_waits(agent: Agent) -> None:
+    """A restart would cut the time short that it was given, here a minute; when it has ended, or had it, it is acted on."""
+    agent.pipeline.expect_end("app", 60.0)
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: agent.opened() == ["health/app"], "the fault")
+    agent.rest(30.0)
+    assert agent.runs == []
+    agent.pipeline.ended("app")
+    agent.until(lambda: agent.runs == [("app", "health/app")], "the action")
+
+
+def test_a_stop_that_does_not_come_about_holds_nothing_for_ever(agent: Agent) -> None:
+    """The signal was caught, or the stop's SIGKILL was lost with the event stream."""
+    agent.pipeline.expect_end("app", 60.0)
+    agent.bad["health/app"] = "broken"
+    agent.rest(55.0)
+    assert agent.runs == []
+    agent.until(lambda: agent.runs, "the action")
+
+
+def test_a_dependant_that_is_being_stopped_is_not_restarted(agent: Agent) -> None:
+    """Neither for another's sake; the repair goes on without it."""
+    refused: list[str] = []
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        agent.containers.start(key)
+        agent.bad.clear()
+        try:
+            with context.holding("side", fault, "restart", 30.0):
+                agent.containers.start("side")
+        except CannotTell as error:
+            refused.append(str(error))
+
+    agent.behave = act
+    before = agent.containers.facts["side"]
+    agent.pipeline.expect_end("side", 60.0)
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: Phase.VERIFIED in agent.steps("app"), "the repair")
+    assert refused == ["side is being stopped"]
+    assert agent.containers.facts["side"] == before
