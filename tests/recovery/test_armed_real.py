@@ -1,0 +1,155 @@
+"""In the air on the real engine, with real MAVLink frames: what is flight-critical stays up until a fresh disarmed."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.daemon import Daemon
+from phm.model import ActionEvent, Event, Phase
+from phm.testing import settings
+from phm.transport.docker import Engine
+from tests.fakes.mavlink import Sender, free_port, heartbeat
+
+pytestmark = pytest.mark.engine
+
+LIMIT_S = 90.0
+NEEDED = "/needed"
+RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
+
+
+class Beats:
+    """Sends an autopilot's heartbeats to one UDP port, four a second, while `says` is not None: armed or not."""
+
+    def __init__(self, port: int) -> None:
+        self.says: bool | None = None
+        self._port, self._stop = port, threading.Event()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def _loop(self) -> None:
+        sender = Sender(7, 1)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+            while not self._stop.wait(0.25):
+                if self.says is not None:
+                    beat = heartbeat(5, kind=2, autopilot=3, base_mode=81 | (128 if self.says else 0))
+                    sock.sendto(sender.frame(beat), ("127.0.0.1", self._port))
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join(5.0)
+
+
+class Vehicle:
+    """`owner` lacks a file, which a restart would heal; `pilot` shares its network and is flight-critical."""
+
+    def __init__(self, real: Any, folder: Path) -> None:
+        self.folder = folder
+        owner = real.container(f"touch {NEEDED}; {RUN}")
+        pilot = real.container(RUN, network_mode=f"container:{owner.id}")
+        self.owner, self.pilot = owner, pilot
+        self.ports = {name: free_port() for name in ("fc", "ground")}
+        self.beats = {name: Beats(port) for name, port in self.ports.items()}
+        self.events: list[Event] = []
+        self.daemon: Daemon | None = None
+
+    def start(self) -> None:
+        containers = [
+            {"name": self.owner.name, "alias": "owner", "recover": True, "files": [{"path": NEEDED}]},
+            {"name": self.pilot.name, "alias": "pilot", "recover": True, "flight_critical": True},
+        ]
+        leads = {"fc": "autopilot", "ground": "ground"}
+        endpoints = [
+            {"url": f"udpin:127.0.0.1:{port}", "name": name, "leads_to": leads[name]}
+            for name, port in self.ports.items()
+        ]
+        folder = self.folder
+        made = settings(
+            agent={"id": 7}, interval=2, containers=containers, mavlink={"endpoints": endpoints},
+            recovery={"ladders": {"file_missing": ["restart"]}, "stop_timeout": "2s", "verify": "10s"},
+            state_dir=str(folder / "state"), run_dir=str(folder / "run"), log={"directory": str(folder / "log")},
+            checks={"host": {"enabled": False}},
+        )  # fmt: skip
+        self.events = []
+        self.daemon = Daemon(made)
+        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.start()
+
+    def stop(self) -> None:
+        if self.daemon is not None:
+            self.daemon.stop()
+            self.daemon = None
+
+    def actions(self) -> list[tuple[Phase, str]]:
+        return [(event.phase, event.detail) for event in list(self.events) if isinstance(event, ActionEvent)]
+
+    def advised(self, words: str) -> bool:
+        return any(phase is Phase.ADVISED and words in detail for phase, detail in self.actions())
+
+    def gate(self) -> str:
+        assert self.daemon is not None
+        return self.daemon.armed.now().why
+
+    def passes(self, number: int) -> None:
+        """PHM looks at everything again so many times, longer than any repeated decision takes."""
+        assert self.daemon is not None
+        daemon = self.daemon
+        seen = daemon.pipeline._pass_number
+        until(lambda: daemon.pipeline._pass_number >= seen + number, f"{number} passes")
+
+
+def until(condition: Callable[[], object], what: str) -> None:
+    end = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < end, f"waited {LIMIT_S:g} s for {what}"
+        threading.Event().wait(0.05)
+
+
+@pytest.fixture
+def vehicle(real: Any, tmp_path: Path) -> Iterator[Vehicle]:
+    made = Vehicle(real, tmp_path)
+    yield made
+    made.stop()
+    for beats in made.beats.values():
+        beats.close()
+
+
+def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehicle, engine: Engine) -> None:
+    """Armed, silent, a stranger's disarmed by the ground, PHM restarted: nothing; a fresh disarmed: both are restarted."""
+
+    def started() -> list[str]:
+        return [str(engine.inspect(made.id)["State"]["StartedAt"]) for made in (vehicle.owner, vehicle.pilot)]
+
+    before = started()
+    vehicle.beats["fc"].says = True
+    vehicle.start()
+    until(lambda: vehicle.gate() == "the autopilot is armed", "the armed heartbeat")
+    assert vehicle.owner.exec_run(["rm", NEEDED]).exit_code == 0
+    until(lambda: vehicle.advised("would take down pilot, which is flight-critical"), "the advice")
+
+    vehicle.beats["fc"].says = None
+    until(lambda: "silent" in vehicle.gate() and "was armed" in vehicle.gate(), "the silence")
+    vehicle.beats["ground"].says = False
+    until(lambda: any("come by ground" in text for text in vehicle.daemon.parts.world.links.problems()), "the stranger")  # type: ignore[union-attr]
+    vehicle.passes(3)
+    assert started() == before
+
+    vehicle.stop()
+    vehicle.start()
+    assert vehicle.gate() == "no heartbeat of the autopilot was received since PHM started, and it was armed before"
+    vehicle.passes(3)
+    assert started() == before
+    assert [phase for phase, _ in vehicle.actions() if phase is Phase.STARTED] == []
+
+    vehicle.beats["fc"].says = False
+    until(lambda: any(phase is Phase.VERIFIED for phase, _ in vehicle.actions()), "the repair on the ground")
+    after = started()
+    assert before[0] < after[0] < after[1]
+    spaces = {str(made.exec_run(["readlink", "/proc/1/ns/net"]).output) for made in (vehicle.owner, vehicle.pilot)}
+    assert len(spaces) == 1
