@@ -102,6 +102,8 @@ class ContainerFact:
     restart_count: int = 0
     restart_policy: str = "no"
     network_mode: str = "default"
+    pid_mode: str = ""
+    """As `network_mode`, of its PID namespace: `container:...` where it shares that of another."""
     networks: tuple[Attachment, ...] = ()
     mounts: tuple[Mount, ...] = ()
     devices: tuple[DeviceMapping, ...] = ()

@@ -79,6 +79,7 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         restart_count=_number(answer.get("RestartCount")),
         restart_policy=_text(_part(host, "RestartPolicy").get("Name")) or "no",
         network_mode=_text(host.get("NetworkMode")) or "default",
+        pid_mode=_text(host.get("PidMode")),
         networks=_networks(_part(_part(answer, "NetworkSettings"), "Networks")),
         mounts=_mounts(_several(answer, "Mounts"), _part(host, "Tmpfs")),
         devices=tuple(

@@ -1,4 +1,4 @@
-"""Which containers depend on another: by its network namespace, or by `after` in the configuration. Pure."""
+"""Which containers depend on another: by a namespace of it, or by `after` in the configuration. Pure."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def dependants(
 ) -> list[str]:
     """Keys of the configured containers to be restarted after the container `target`, in order, those of dependants included.
 
-    A container depends on another when it lives in its network namespace, which is a new one after each
-    start, or names it in `after`. One that depends on several comes after the last of them.
-    network_only: leave out those that depend on it by `after` alone.
+    A container depends on another when it lives in its network namespace, which is a new one after each start, or in its PID
+    namespace, whose processes end with the first one, or names it in `after`. One that depends on several comes after the
+    last of them. network_only: only by the network namespace.
     """
     needs = {
-        entry.key: {other for other in facts if shares_network(facts.get(entry.key), facts[other])}
+        entry.key: {other for other in facts if _shares(facts.get(entry.key), facts[other], network_only=network_only)}
         | (set() if network_only else set(entry.after))
         for entry in containers
     }
@@ -40,7 +40,14 @@ def dependants(
     return order[1:]
 
 
-def shares_network(fact: ContainerFact | None, owner: ContainerFact) -> bool:
-    """Whether `fact` lives in the network namespace of `owner`; the engine keeps what the user wrote, id or name."""
-    mode, _, ref = fact.network_mode.partition(":") if fact is not None else ("", "", "")
-    return mode == "container" and bool(ref) and (ref == owner.name or owner.id.startswith(ref))
+def _shares(fact: ContainerFact | None, owner: ContainerFact, *, network_only: bool) -> bool:
+    """Whether `fact` lives in a namespace of `owner`."""
+    if fact is None:
+        return False
+    return _names(fact.network_mode, owner) or (not network_only and _names(fact.pid_mode, owner))
+
+
+def _names(mode: str, owner: ContainerFact) -> bool:
+    """Whether `container:REF` means `owner`; the engine keeps what the user wrote, id or name."""
+    kind, _, ref = mode.partition(":")
+    return kind == "container" and bool(ref) and (ref == owner.name or owner.id.startswith(ref))

@@ -64,7 +64,7 @@ class Real:
             )
             made = self.client.containers.get(answer["Id"])
         else:
-            made = self.client.containers.create(self.image, argv, name=name, labels=labels, init=True, **more)
+            made = self.client.containers.create(self.image, argv, name=name, labels=labels, **{"init": True, **more})
         self._removals.append(lambda: made.remove(force=True, v=True))
         if start:
             made.start()

@@ -147,3 +147,14 @@ def test_dependants_follow_in_order_and_share_the_new_namespace(real: Any, engin
     assert inside(side, "readlink /proc/1/ns/net") == inside(app, "readlink /proc/1/ns/net")
     assert made.run(Start, "app", EXITED) == "app runs already"
     assert started() == after
+
+
+def test_a_dependant_in_its_pid_namespace_runs_again(real: Any, engine: Engine) -> None:
+    """It was killed with the first process of that namespace."""
+    app = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done")
+    side = real.container(pid_mode=f"container:{app.id}", init=False)
+    entries = [{"name": one.name, "alias": alias, "recover": True} for one, alias in ((side, "side"), (app, "app"))]
+    made = bench(engine, containers=entries)
+    assert made.run(Restart, "app", EXITED) == "restarted app; restarted side, which depends on it"
+    assert engine.inspect(side.id)["State"]["Running"]
+    assert inside(side, "readlink /proc/self/ns/pid") == inside(app, "readlink /proc/self/ns/pid")

@@ -114,6 +114,16 @@ def test_criticality_is_inherited_from_what_would_go_down(state: State, target: 
     assert scene.safeguard.forbids(target, reach) == ""
 
 
+def test_a_shared_pid_namespace_counts_like_a_shared_network() -> None:
+    """Its first process takes all processes in it down; a reconnection does not."""
+    scene = Scene()
+    fc_app = scene.facts["fc_app"]
+    scene.facts["fc_app"] = replace(fc_app, network_mode="bridge", pid_mode=f"container:{scene.facts['camera'].id}")
+    assert "would take down fc_app" in scene.safeguard.forbids("camera", Reach.CONTAINER)
+    assert scene.safeguard.forbids("camera", Reach.NETWORK) == ""
+    assert scene.safeguard.forbids("vpn", Reach.CONTAINER) == ""
+
+
 def test_when_armed_act_lets_the_user_decide_otherwise() -> None:
     """Some containers are worse down than restarted, and only their owner knows."""
     safeguard = Scene(when_armed="act").safeguard
