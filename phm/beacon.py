@@ -229,17 +229,18 @@ class _Hub:
 
     def add(self, node: Any, period_s: float, watch_executor: bool) -> _Life:
         """Call with `_lock` held."""
+        if self._thread.ident is None:
+            self._thread.start()  # raises at a limit of processes: then the next node tries again
         self._births += 1
         life = _Life(node, f"{self._witness}.{self._births}", watch_executor)
         self._lives.append(life)
         self._period_s = min(self._period_s, period_s)
-        if self._births == 1:
-            self._thread.start()
         return life
 
     def stop(self, patience_s: float) -> None:
         self._stop.set()
-        self._thread.join(patience_s)
+        if self._thread.ident is not None:
+            self._thread.join(patience_s)
 
     def _run(self) -> None:
         warned = False

@@ -11,6 +11,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 
+from phm import threads
 from phm.clock import Clock
 from phm.model import Event
 
@@ -46,7 +47,7 @@ class Subscription:
         self.errors = 0
         self.last_error = ""
         self._thread = threading.Thread(target=self._loop, name=f"phm-bus-{name}", daemon=True)
-        self._thread.start()
+        threads.start(self._thread)
 
     def put(self, event: Event) -> None:
         if self.kinds and not isinstance(event, self.kinds):
@@ -65,8 +66,7 @@ class Subscription:
         """Let the queue run empty, then end. False when the handler did not finish in time."""
         self._closing = True
         self._ready.set()
-        self._thread.join(timeout_s)
-        return not self._thread.is_alive()
+        return threads.join(self._thread, timeout_s)
 
     def _next(self) -> Event | None:
         with self._lock:

@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from phm import threads
 from phm.wire.control import DEADLINE_S, MAX_REQUEST, NAME, address
 from phm.wire.text import one_line
 
@@ -51,7 +52,7 @@ class Control:
         self._thread = threading.Thread(target=self._serve, name="phm-control", daemon=True)
 
     def start(self) -> None:
-        self._thread.start()
+        threads.start(self._thread)
 
     def problem(self) -> str:
         return self._problem
@@ -61,8 +62,7 @@ class Control:
         self._stop.set()
         with contextlib.suppress(OSError):  # closed before
             self._waker.send(b"x")
-        if self._thread.ident is not None:
-            self._thread.join(CLOSING_S)
+        threads.join(self._thread, CLOSING_S)
         self._waker.close()
         path = os.path.join(self._run_dir, NAME)
         with contextlib.suppress(OSError):

@@ -10,7 +10,7 @@ import uuid
 from types import FrameType
 from typing import Any
 
-from phm import registry
+from phm import registry, threads
 from phm.api import Check
 from phm.assembly import Parts, assemble
 from phm.bus import Bus
@@ -42,6 +42,8 @@ STALLED_BEAT_S = 3.0
 STOOD_STILL_S = 2.5
 """A pause of the heart, beyond the rest that it takes between two beats, that is told. Of one that its guard has ended it is told however short."""
 LOOK_S = 1.0
+GUARD_LOOKS = 30
+"""A guard that is missing is started again after so many looks."""
 CALM_S = 0.5
 """Between two beats while nothing waits: no unit settles, no action is at work. What changes that has the heart beat at once."""
 STALLED_END_S = 30.0
@@ -96,20 +98,24 @@ class Daemon:
         self._start_recovery()
         self._tell_what_could_not_load()
         self.parts.start()
-        threading.Thread(target=self._join_networks, name="phm-join", daemon=True).start()
+        threads.start(threading.Thread(target=self._join_networks, name="phm-join", daemon=True))
         self.engine.start()
-        self._heart.start()
+        threads.start(self._heart)
 
     def wait(self) -> bool:
         """Until `stop_soon` is called, e.g. by a signal: True. False when PHM has stalled and must be replaced.
 
         Looks are counted, not seconds: after a pause of the whole machine the first look is not held against us.
         """
-        stalled = 0
+        stalled = looks = 0
         while not self._stop.is_set():
             stalled = 0 if self.alive() else stalled + 1
             if stalled * LOOK_S >= STALLED_END_S:
                 return False
+            threads.retry()
+            looks += 1
+            if self._guard is not None and looks % GUARD_LOOKS == 0:
+                self._guard.revive()
             self.clock.wait(self._stop, LOOK_S)
         return True
 
@@ -186,6 +192,8 @@ class Daemon:
         problems += [part.problem() for part in parts if part is not None and part.problem()]
         if self._guard is not None and self._guard.problem:
             problems.append(self._guard.problem)
+        if missing := threads.problem():
+            problems.append(missing)
         now = self.clock.mono()
         still = self._stood_still
         return SelfFact(
@@ -261,6 +269,10 @@ class Daemon:
                 done = join(container, self._action_context())
             except CannotTell as error:
                 self.pipeline.note("PHM", f"could not join the networks of {container.key}: {error}")
+            except Exception as error:  # an answer of a kind that nobody foresaw must not keep ROS from starting
+                logger.exception("the networks of %s could not be joined", container.key)
+                words = f"could not join the networks of {container.key}: {type(error).__name__}: {error}"
+                self.pipeline.note("PHM", words)
             else:
                 if done:
                     self.pipeline.note("ACTION", done)
@@ -340,6 +352,7 @@ def once(settings: Settings, clock: Clock | None = None) -> tuple[UnitState, ...
         daemon.engine.start()
         tick = threading.Event()
         while clock.mono() < end:
+            threads.retry()
             daemon.engine.look_for_overdue()
             daemon.pipeline.tick()
             if not daemon.pipeline.undecided():

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from phm import threads
 from phm.api import CannotTell, Check, World, stale
 from phm.clock import Clock
 from phm.model import Result
@@ -65,7 +66,7 @@ class Worker:
         self._thread = threading.Thread(target=self._loop, name=f"phm-check-{self.units[0]}", daemon=True)
 
     def start(self) -> None:
-        self._thread.start()
+        threads.start(self._thread)
 
     def wake(self, reason: str) -> None:
         self._reason = reason
@@ -76,7 +77,7 @@ class Worker:
         self._wake.set()
 
     def join(self, timeout_s: float) -> None:
-        self._thread.join(timeout_s)
+        threads.join(self._thread, timeout_s)
 
     def overdue(self, now: float) -> bool:
         since = self.running_since

@@ -59,6 +59,12 @@ class Guard:
         os.set_blocking(process.stdout.fileno(), False)
         self._process = process
 
+    def revive(self) -> None:
+        """Start it again where it could not be started, or has died."""
+        if self.problem and self._process is None:
+            self.problem = ""
+            self.start()
+
     def beat(self) -> bool:
         """Called often; tells the guard at most twice in LOOK_S. Never blocks. True when the guard has let PHM go on since."""
         process, now = self._process, time.monotonic()

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import click
 
+from phm import threads
+
 if TYPE_CHECKING:
     from phm.clock import Clock
     from phm.gcs.serve import Server
@@ -174,6 +176,8 @@ def _running(station: Station, *others: _Part | None) -> Iterator[None]:
         part.start()
     station.start()
     try:
+        if missing := threads.problem():
+            raise click.ClickException(missing)
         yield
     finally:
         station.close()

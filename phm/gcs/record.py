@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import threading
 
+from phm import threads
 from phm.clock import Clock
 from phm.gcs.news import VERSION
 from phm.gcs.outlet import Outlet
@@ -36,7 +37,7 @@ class Record:
         station.subscribe(self._outlet)
 
     def start(self) -> None:
-        self._thread.start()
+        threads.start(self._thread)
 
     def about(self) -> str:
         """A sentence while the record is not complete, else empty."""

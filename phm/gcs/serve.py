@@ -13,6 +13,7 @@ import socket
 import threading
 from dataclasses import dataclass, field
 
+from phm import threads
 from phm.clock import Clock
 from phm.gcs.news import News
 from phm.gcs.outlet import Item, Outlet
@@ -92,7 +93,7 @@ class Server:
         station.subscribe(self._feed)
 
     def start(self) -> None:
-        self._thread.start()
+        threads.start(self._thread)
 
     def about(self) -> str:
         """Where it serves, and whom."""

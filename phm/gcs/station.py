@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from phm import __version__
+from phm import __version__, threads
 from phm.clock import Clock
 from phm.gcs import frames
 from phm.gcs.frames import Frame
@@ -85,7 +85,7 @@ class Station:
         with self._lock:
             self._publish([News(self._clock.stamp(), "start", body)])
         self._hub.start()
-        self._thread.start()
+        threads.start(self._thread)
 
     def close(self) -> None:
         """Ends within seconds whatever the links do."""

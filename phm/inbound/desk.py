@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from phm import threads
 from phm.clock import Clock
 from phm.inbound import answers
 from phm.inbound.gate import Gate, Memory
@@ -108,14 +109,13 @@ class Desk:
         port.listen(self.hear, (COMMAND_LONG, COMMAND_INT))
 
     def start(self) -> None:
-        self._thread.start()
+        threads.start(self._thread)
 
     def close(self) -> None:
         """End the thread; waits at most CLOSING_S."""
         self._stop.set()
         self._wake.set()
-        if self._thread.ident is not None:
-            self._thread.join(CLOSING_S)
+        threads.join(self._thread, CLOSING_S)
 
     # ------------------------------------------------------------ the endpoints' threads
 

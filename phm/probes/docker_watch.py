@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from phm import threads
 from phm.clock import Clock
 from phm.facts import CannotTell
 from phm.model import Stamp
@@ -126,7 +127,7 @@ class Watch:
 
     def start(self) -> None:
         for thread in self._threads:
-            thread.start()
+            threads.start(thread)
 
     def stop(self) -> None:
         """End both threads; waits at most for a call that is under way."""
@@ -136,8 +137,7 @@ class Watch:
         if stream is not None:
             stream.close()
         for thread in self._threads:
-            if thread.is_alive() and thread is not threading.current_thread():
-                thread.join(self._engine.timeout_s + 1)
+            threads.join(thread, self._engine.timeout_s + 1)
 
     def healthy(self) -> bool:
         """The stream is open, and the last comparison that succeeded is not older than three periods."""

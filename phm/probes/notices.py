@@ -17,6 +17,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from phm import threads
 from phm.clock import Clock, SystemClock
 
 logger = logging.getLogger(__name__)
@@ -138,7 +139,7 @@ class Notices:
         if descriptor < 0:
             return None  # no inotify here, or too many instances (fs.inotify.max_user_instances)
         self._libc, self._descriptor, self._wakeup = libc, descriptor, os.pipe()
-        threading.Thread(target=self._follow, name="phm-notices", daemon=True).start()
+        threads.start(threading.Thread(target=self._follow, name="phm-notices", daemon=True))
         return libc
 
     # ------------------------------------------------------------ what happens

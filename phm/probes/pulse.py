@@ -10,6 +10,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterable
 
+from phm import threads
 from phm.clock import Clock
 from phm.facts import CannotTell
 
@@ -40,7 +41,7 @@ class Pulse:
         self._thread = threading.Thread(target=self._loop, name="phm-pulse", daemon=True)
 
     def start(self) -> None:
-        self._thread.start()
+        threads.start(self._thread)
 
     def stop(self) -> None:
         self._stopping.set()

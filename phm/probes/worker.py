@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+from phm import threads
 from phm.facts import CannotTell
 
 T = TypeVar("T")
@@ -68,8 +69,10 @@ class Worker:
 
     def _start(self) -> None:
         if self._thread is None:
-            self._thread = threading.Thread(target=self._loop, name=f"phm-{self._name}", daemon=True)
-            self._thread.start()
+            thread = threading.Thread(target=self._loop, name=f"phm-{self._name}", daemon=True)
+            if not threads.start_now(thread):
+                raise CannotTell("no thread can be started: the limit of processes is reached")
+            self._thread = thread
 
     def _loop(self) -> None:
         while True:

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from phm import threads
 from phm.facts import CannotTell, NotPermitted
 from phm.model import Fault
 from phm.recovery.armed import State
@@ -46,28 +47,28 @@ class Acting:
         self._approved_at = approved_at
         self._shop, self._target, self._fault, self._action = shop, target, fault, action
         self._given_up = False
+        self._outcome: list[Done] = []
+        self._go, self._finished = threading.Event(), threading.Event()
 
     def begin(self) -> bool:
         """Take the target in hand; False when another container's repair is restarting it, or somebody is stopping it: it must
-        not be killed before the time is over that it was given to end."""
-        return not self._shop.pipeline.stopping(self._target.key) and self._shop.hands.take(self._target.key, self)
+        not be killed before the time is over that it was given to end. False also when no thread can be started: an action
+        that cannot even begin is no attempt.
+        """
+        if self._shop.pipeline.stopping(self._target.key) or not self._shop.hands.take(self._target.key, self):
+            return False
+        name = f"phm-act-{self._action.name}-{self._target.key}"
+        if threads.start_now(threading.Thread(target=self._in_thread, name=name, daemon=True)):
+            return True
+        self.let_go()
+        return False
 
     def run(self) -> Done:
         """Do it, and let the target go. A plug-in that hangs costs its deadline and no more."""
-        outcome: list[Done] = []
-        finished = threading.Event()
-
-        def work() -> None:
-            try:
-                outcome.append(self._work())
-            finally:
-                finished.set()
-
-        name = f"phm-act-{self._action.name}-{self._target.key}"
-        threading.Thread(target=work, name=name, daemon=True).start()
+        self._go.set()
         try:
-            if self._shop.clock.wait(finished, self._action.deadline_s):
-                return outcome[0]
+            if self._shop.clock.wait(self._finished, self._action.deadline_s):
+                return self._outcome[0]
             return Done(f"{self._action.name} has not come back within {self._action.deadline_s:g} s")
         finally:
             self.let_go()
@@ -75,7 +76,16 @@ class Acting:
     def let_go(self) -> None:
         """From now on, others may act on the target; what still runs begins nothing more."""
         self._given_up = True
+        self._go.set()
         self._shop.hands.let_go(self._target.key, self)
+
+    def _in_thread(self) -> None:
+        self._go.wait()
+        try:
+            if not self._given_up:
+                self._outcome.append(self._work())
+        finally:
+            self._finished.set()
 
     def _work(self) -> Done:
         engine = guarded(self._shop.context.engine, self._shop.safeguard, self._forbids)

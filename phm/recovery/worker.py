@@ -13,6 +13,7 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
+from phm import threads
 from phm.model import ActionEvent, Fault, Phase
 from phm.recovery import disks, links
 from phm.recovery.approvals import Approvals
@@ -58,7 +59,7 @@ class TargetWorker:
         self._wake = threading.Event()
         self._stopping = False
         self._thread = threading.Thread(target=self._loop, name=f"phm-heal-{target}", daemon=True)
-        self._thread.start()
+        threads.start(self._thread)
 
     def opened(self, fault: Fault) -> None:
         self._cases.opened(fault)

@@ -14,6 +14,7 @@ import socket
 import threading
 from collections.abc import Iterator
 
+from phm import threads
 from phm.clock import Clock
 
 _MAX_STALE = 256
@@ -111,7 +112,7 @@ class Watchdog:
             first = self._heap[0][2] is call
             if self._thread is None:
                 self._thread = threading.Thread(target=self._loop, name=self._name, daemon=True)
-                self._thread.start()
+                threads.start(self._thread)
         if first:
             self._wake.set()
 

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from phm import threads
 from phm.clock import Clock
 from phm.facts import LinkFact
 from phm.settings import EndpointSettings
@@ -67,7 +68,7 @@ class Endpoint:
         self._thread = threading.Thread(target=self._loop, name=f"phm-mavlink-{self.name}"[:60], daemon=True)
 
     def start(self) -> None:
-        self._thread.start()
+        threads.start(self._thread)
 
     def send(self, message: Any, kind: Class, key: str, urgency: int) -> None:
         """Queue; never blocks."""
@@ -117,8 +118,7 @@ class Endpoint:
         self._ring()
 
     def join(self, timeout_s: float) -> None:
-        if self._thread.ident is not None:
-            self._thread.join(timeout_s)
+        threads.join(self._thread, timeout_s)
 
     # ------------------------------------------------------------ the thread
 

@@ -22,6 +22,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from phm import threads
 from phm.clock import Clock
 
 SIGNATURE_BYTES = 13
@@ -104,7 +105,7 @@ class Signing:
 
     def start(self) -> None:
         self.save()
-        self._thread.start()
+        threads.start(self._thread)
 
     def close(self) -> None:
         """A last save."""

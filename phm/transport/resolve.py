@@ -9,6 +9,8 @@ import socket
 import threading
 from typing import Any
 
+from phm import threads
+
 Address = tuple[int, Any]
 """Address family and what `socket.connect` takes."""
 
@@ -37,9 +39,12 @@ class Resolver:
         """Begin a look-up unless one is under way; the event is set when `answer` has something to say."""
         with self._lock:
             if not self._running:
-                self._running = True
                 self._done = threading.Event()
-                threading.Thread(target=self._look_up, name=f"phm-resolve-{self._host}", daemon=True).start()
+                thread = threading.Thread(target=self._look_up, name=f"phm-resolve-{self._host}", daemon=True)
+                self._running = threads.start_now(thread)
+                if not self._running:
+                    self._problem = f"the name {self._host} cannot be looked up: no thread can be started"
+                    self._done.set()
             return self._done
 
     def answer(self) -> Address:
@@ -62,7 +67,7 @@ class Resolver:
         try:
             answers = socket.getaddrinfo(self._host, self._port, type=self._kind, flags=flags)
             found = (int(answers[0][0]), answers[0][4])
-        except (OSError, UnicodeError) as error:
+        except (OSError, UnicodeError, IndexError) as error:
             problem = f"the name {self._host} is not known: {getattr(error, 'strerror', None) or error}"
         with self._lock:
             # A name server that is lost in flight takes no address away that was good before.

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from phm import threads
 from phm.clock import Clock
 from phm.settings import FleetSettings
 from phm.transport import zenoh_config
@@ -72,7 +73,7 @@ class ZenohLink:
         self._thread = threading.Thread(target=self._loop, name="phm-fleet", daemon=True)
 
     def start(self) -> None:
-        self._thread.start()
+        threads.start(self._thread)
 
     def put(self, payload: bytes) -> None:
         """Have this published, now or as soon as there is a connection. What waits is replaced: only the newest counts."""
@@ -107,8 +108,7 @@ class ZenohLink:
             self.put(last)
         self._stopping.set()
         self._bell.set()
-        if self._thread.ident is not None:
-            self._thread.join(FAREWELL_S)
+        threads.join(self._thread, FAREWELL_S)
 
     # ------------------------------------------------------------ the thread
 

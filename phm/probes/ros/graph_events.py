@@ -31,7 +31,11 @@ class GraphEvents:
             return
         self.fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._thread = threading.Thread(target=self._run, name="phm-graph", daemon=True)
-        self._thread.start()
+        try:
+            self._thread.start()
+        except RuntimeError:  # the limit of processes: the looks of each tick have to do
+            os.close(self.fd)
+            self.fd = None
 
     def take(self) -> None:
         """The event has been seen."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import phm
+from phm import threads
 from phm.clock import Clock
 from phm.facts import CannotTell, RosFact
 from phm.probes.ros.ghosts import DOUBT_S, Ghosts
@@ -131,7 +132,7 @@ class RosProcess:
     def start(self) -> None:
         """Begin to look. Returns at once."""
         self._thread = threading.Thread(target=self._run, name="phm-ros", daemon=True)
-        self._thread.start()
+        threads.start(self._thread)
 
     @property
     def restarts(self) -> int:
@@ -184,7 +185,7 @@ class RosProcess:
             self._closing = True
         self._poke()
         if self._thread is not None:
-            self._thread.join(self._limits.farewell_s + 5.0)
+            threads.join(self._thread, self._limits.farewell_s + 5.0)
         if self._thread is None or not self._thread.is_alive():
             self._lose("the ROS probe is closed")
             os.close(self._wake)

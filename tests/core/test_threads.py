@@ -1,0 +1,214 @@
+"""A limit of processes: what cannot start a thread is consistent, says so, and goes on when there is room again."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm import api, testing, threads
+from phm.bus import Bus
+from phm.daemon import Daemon
+from phm.engine import Batch, Engine, Scheduled
+from phm.facts import CannotTell
+from phm.guard import Guard
+from phm.model import Event, Note, Phase, Stamp
+from phm.probes.worker import Worker
+from phm.testing import settings
+from phm.transport.resolve import Resolver
+from tests.core.test_engine import Scripted
+from tests.core.test_executor import World, make, worlds  # noqa: F401 - a fixture
+
+LIMIT_S = 20.0
+
+
+def until(wanted: Callable[[], object], what: str) -> None:
+    end = time.monotonic() + LIMIT_S
+    while not wanted():
+        assert time.monotonic() < end, what
+        time.sleep(0.005)
+
+
+class Full:
+    """While `full`, no thread whose name begins so can be started, as at a limit of processes."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.full = False
+        self.names = "phm-"
+        start = threading.Thread.start
+
+        def limited(thread: threading.Thread) -> None:
+            if self.full and thread.name.startswith(self.names):
+                raise RuntimeError("can't start new thread")
+            start(thread)
+
+        monkeypatch.setattr(threading.Thread, "start", limited)
+
+    def room(self) -> None:
+        self.full = False
+        threads.retry()
+
+
+@pytest.fixture
+def limit(monkeypatch: pytest.MonkeyPatch) -> Iterator[Full]:
+    full = Full(monkeypatch)
+    yield full
+    full.room()
+
+
+def test_a_thread_that_cannot_be_started_waits_and_is_reported(limit: Full) -> None:
+    """`retry` starts it as soon as there is room; until then the problem names it and what to do."""
+    ran = threading.Event()
+    limit.full = True
+    assert not threads.start(threading.Thread(target=ran.set, name="phm-x", daemon=True))
+    threads.retry()
+    assert "phm-x" in threads.problem() and "pids_limit" in threads.problem()
+    limit.room()
+    assert ran.wait(LIMIT_S)
+    assert "phm-x" not in threads.problem()
+
+
+def test_a_second_start_of_one_thread_is_an_error() -> None:
+    """Only a thread that was never started waits: a mistake of ours is not hidden."""
+    thread = threading.Thread(target=lambda: None)
+    threads.start(thread)
+    thread.join()
+    with pytest.raises(RuntimeError):
+        threads.start(thread)
+
+
+def test_events_wait_for_the_thread_of_their_subscriber(limit: Full) -> None:
+    """Nothing is lost that came before the thread, and closing without one does not raise."""
+    bus, seen = Bus(testing.FakeClock()), list[Event]()
+    limit.full = True
+    bus.subscribe("late", seen.append)
+    event = Note(Stamp(0.0, 0.0), "PHM", "early")
+    bus.publish(event)
+    limit.room()
+    until(lambda: seen == [event], "the event")
+    limit.full = True
+    bus.subscribe("never", seen.append)
+    bus.close(0.1)
+
+
+def test_a_check_without_a_thread_runs_when_there_is_room(limit: Full) -> None:
+    """The other checks run meanwhile, and stopping does not raise."""
+    clock, batches = testing.FakeClock(), list[Batch]()
+    checks = [Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b")]
+    engine = Engine([Scheduled(check, 20.0, 5.0) for check in checks], testing.world(), clock, batches.append)
+    limit.full, limit.names = True, "phm-check-a"
+    engine.start()
+    until(lambda: any("b" in batch.units for batch in batches), "the check that has a thread")
+    assert not any("a" in batch.units for batch in batches)
+    limit.room()
+    until(lambda: any("a" in batch.units for batch in batches), "the other one")
+    engine.stop(0.1)
+    clock.advance(1000)
+
+
+def test_a_fault_opened_at_the_limit_is_recovered_later(limit: Full, worlds: list[World]) -> None:  # noqa: F811
+    """The container's thread is missing when the fault opens; the fault waits for it."""
+    world = make(worlds)
+    limit.full, limit.names = True, "phm-heal-"
+    world.fail()
+    until(lambda: "phm-heal-app" in threads.problem(), "the fault having been handed over")
+    limit.room()
+    world.until(lambda: Phase.VERIFIED in world.phases())
+    assert world.runs == ["restart"]
+
+
+def test_an_action_that_cannot_have_a_thread_is_no_attempt(limit: Full, worlds: list[World]) -> None:  # noqa: F811
+    """It costs nothing of the budget, however often, and nothing of it stays in hand."""
+    world = make(worlds)
+    limit.full, limit.names = True, "phm-act-"
+    world.fail()
+    world.until(lambda: "phm-act-restart-app" in threads.problem())
+    began = world.clock.mono()
+    world.until(lambda: world.clock.mono() > began + 30.0)
+    assert world.phases() == []
+    limit.full = False
+    world.until(lambda: Phase.VERIFIED in world.phases())
+    assert world.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+
+
+def test_a_call_into_the_kernel_is_refused_and_works_again(limit: Full) -> None:
+    """No call is left to a thread that does not exist."""
+    worker = Worker("disk")
+    limit.full = True
+    for _ in range(2):
+        with pytest.raises(CannotTell, match="limit of processes"):
+            worker.call(lambda: 1, 1.0)
+    limit.full = False
+    assert worker.call(lambda: 1, LIMIT_S) == 1
+
+
+def test_a_name_is_looked_up_again_after_the_limit(limit: Full) -> None:
+    """A look-up that could not begin is not one under way."""
+    resolver = Resolver("127.0.0.1", 80, socket.SOCK_STREAM)
+    limit.full = True
+    assert resolver.ask().is_set()
+    with pytest.raises(OSError, match="no thread can be started"):
+        resolver.answer()
+    limit.full = False
+    assert resolver.ask().wait(LIMIT_S)
+    assert resolver.answer()[1] == ("127.0.0.1", 80)
+
+
+def test_a_guard_that_could_not_be_started_is_started_again() -> None:
+    """`problem` stands as long as there is none."""
+    guard = Guard(("/nonexistent",))
+    guard.start()
+    assert guard.problem
+    guard.revive()
+    assert guard.problem
+    guard._command = ("cat",)
+    guard.revive()
+    assert not guard.problem
+    guard.close()
+
+
+def quiet(tmp_path: Path, **more: Any) -> Any:
+    return settings(
+        state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"), log={"directory": str(tmp_path / "log")},
+        checks={"host": {"enabled": False}}, **more,
+    )  # fmt: skip
+
+
+def test_a_daemon_that_starts_at_the_limit_becomes_complete(limit: Full, tmp_path: Path) -> None:
+    """Every thread comes when there is room, the companion says what is missing meanwhile, and it stops in order."""
+    limit.full = True
+    daemon = Daemon(quiet(tmp_path))
+    daemon.start()
+    assert "threads cannot be started" in " ".join(daemon.health()["problems"])
+    limit.full = False
+    waiting = threading.Thread(target=daemon.wait, daemon=True)
+    waiting.start()
+    until(lambda: daemon.pipeline.complete, "a first report")
+    until(lambda: not threads.problem(), "every thread")
+    daemon.stop()
+    waiting.join(LIMIT_S)
+
+
+def test_ros_is_started_whatever_joining_a_network_comes_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An answer of the engine that nobody foresaw is noted, and the ROS child is started all the same."""
+    app = {"name": "app", "networks": ["n"]}
+    daemon = Daemon(quiet(tmp_path, containers=[app]))
+    started, notes = threading.Event(), list[str]()
+
+    def odd(target: object, context: object) -> str:
+        raise AttributeError("'list' object has no attribute 'get'")
+
+    monkeypatch.setattr("phm.daemon.join", odd)
+    monkeypatch.setattr(type(daemon.parts), "start_ros", lambda parts: started.set())
+    monkeypatch.setattr(daemon.pipeline, "note", lambda kind, text: notes.append(text))
+    thread = threading.Thread(target=daemon._join_networks)
+    thread.start()
+    thread.join(LIMIT_S)
+    assert started.is_set()
+    assert any("could not join the networks of app: AttributeError" in text for text in notes)
+    daemon.stop()
