@@ -48,8 +48,9 @@ class Myself:
 
     def look(self) -> SelfFact:
         fact = self.self_look()
-        restarts = self.ros.restarts if self.ros is not None else 0
-        return replace(fact, problems=(*fact.problems, *self.links.problems()), ros_restarts=restarts)
+        if self.ros is not None:
+            fact = replace(fact, problems=(*fact.problems, *self.ros.problems()), ros_restarts=self.ros.restarts)
+        return replace(fact, problems=(*fact.problems, *self.links.problems()))
 
 
 @dataclass(frozen=True)

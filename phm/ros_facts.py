@@ -137,12 +137,12 @@ class DiagnosticFact:
 class RosFact:
     """The newest picture of the ROS graph from the child process.
 
-    age_s: since the child sent it. up_s: how long this child has been looking; a graph that is only a
+    age_s: since the child made it, or found nothing changed. up_s: how long this child has been looking; a graph that is only a
     second old does not prove absence. nodes: full name -> how often it is listed. topics: those that
     the configuration names, by full name. beacons: by full node name, those heard since this child began.
     diagnostics: by the name of the status, likewise. others: topics that the configuration does not name, by full
     name, as of a few seconds ago; not all of them where there are very many. refused: messages on the beacons' topic that
-    were none, or were too many, since this child began.
+    were none, or were too many, since this child began. names_known: whether the names of nodes could be read.
     """
 
     age_s: float
@@ -153,6 +153,7 @@ class RosFact:
     diagnostics: Mapping[str, DiagnosticFact] = field(default_factory=dict)
     others: Mapping[str, NameFact] = field(default_factory=dict)
     refused: int = 0
+    names_known: bool = True
 
 
 class RosProbe(Protocol):

@@ -177,6 +177,8 @@ class Signs:
             self._listed_by_this_child, self._gone_since = True, None
             return Evidence(Kind.NAME, Says.ALIVE, "it is listed in the graph", fact.age_s)
         self.doubts.add("not listed")
+        if not fact.names_known:
+            return None
         if fact.up_s < self._grace_s and not self._listed_by_this_child:
             self._gone_since = None
             return None

@@ -3,7 +3,8 @@
     python tests/fakes/ros_child.py BEHAVIOUR [FOLDER]
 
 Behaviours: `good`; `garbage` (good, between lines that are no messages); `long` (good, after a line of
-several megabytes); `exit` (a picture, then code 3); `mute` (a picture, then nothing); `never` (nothing at all);
+several megabytes); `blind` (a picture, then nothing but such lines);
+`exit` (a picture, then code 3); `mute` (a picture, then nothing); `never` (nothing at all);
 `crash` (SIGSEGV after a picture); `twice` (good, and lists its node twice); `ghost` (the same, in the first child alone);
 `stubborn` (good, and ignores its closed input); `deaf` (good, and never reads).
 FOLDER gets a file per start.
@@ -33,6 +34,8 @@ def main(behaviour: str, folder: str = "") -> int:
     began_s = time.monotonic()
     while True:
         _picture(wanted, time.monotonic() - began_s, times)
+        if behaviour == "blind":
+            return _blind()
         if behaviour == "garbage":
             _write(b'[WARN] stray library output\n\xff\xfe\n["picture"]\n[1,2]\n["tick",[NaN,{}]]\n\n')
         elif behaviour == "exit":
@@ -54,13 +57,19 @@ def _picture(wanted: dict[str, object], up_s: float, times: int) -> None:
     topics = wanted["topics"]
     assert isinstance(topics, list)
     empty: list[object] = [[], [], None]
-    picture = ["picture", [up_s, {"/a/n": times}, {t["name"]: empty for t in topics}]]
+    picture = ["picture", [up_s, {"/a/n": times}, {t["name"]: empty for t in topics}, 1, True, []]]
     _write(json.dumps(picture).encode() + b"\n")
 
 
 def _write(data: bytes) -> None:
     while data:
         data = data[os.write(1, data) :]
+
+
+def _blind() -> int:
+    while not select.select([0], [], [], 0.1)[0]:
+        _write(b"x" * 1_500_000 + b'\n["tick",[1.0,{},1]]\n')
+    return 0
 
 
 def _wait_for_end() -> int:

@@ -3,7 +3,8 @@
 python tests/fakes/ros_discovery_forger.py COUNT [BAD]
 
 A node of its own exists, `/elsewhere/forger`, which has an endpoint. Its participant claims COUNT nodes in `/x`, and one whose
-name is no UTF-8 where BAD is given: `node`, or `topic`, which gives that name to the publisher of /agent_1/topic_1 too.
+name is no UTF-8 where BAD is given: `node`, or `topic`, which gives that name to the publisher of /agent_1/topic_1 too;
+with `name` a topic has such a name instead.
 
 rclpy offers no way to this topic, which has no `rt/` before its name: it is reached through rmw's C functions.
 """
@@ -62,8 +63,8 @@ class _Bytes(ctypes.Structure):
     )
 
 
-def forged_publisher(node: Any) -> Any:
-    """A function that publishes bytes as a sample of the discovery topic."""
+def forged_publisher(node: Any, topic: bytes = TOPIC) -> Any:
+    """A function that publishes bytes as a sample of this topic of DDS, by default the discovery topic."""
     rcl, rmw = ctypes.CDLL("librcl.so"), ctypes.CDLL("librmw_fastrtps_cpp.so")
     support = ctypes.CDLL("librmw_dds_common__rosidl_typesupport_c.so")
     type_support = (
@@ -85,7 +86,7 @@ def forged_publisher(node: Any) -> Any:
     publisher = rmw.rmw_create_publisher(
         rcl.rcl_node_get_rmw_handle(node.handle.pointer),
         type_support(),
-        TOPIC,
+        topic,
         ctypes.byref(quality),
         ctypes.byref(options),
     )
@@ -116,7 +117,9 @@ def main(count: str, bad: str = "") -> int:
     writer = next(gid_of(info) for info in infos if info.node_name == "forger")
     participant = Gid(data=[*writer.data[:12], 0, 0, 1, 0xC1, *[0] * (len(writer.data) - 16)])
     nodes = [NodeEntitiesInfo(node_namespace="/x", node_name=f"{'n' * 200}_{i}") for i in range(int(count))]
-    if bad:
+    if bad == "name":
+        forged_publisher(node, b"rt/" + NO_UTF8)
+    elif bad:
         nodes.append(
             NodeEntitiesInfo(
                 node_namespace="/x", node_name=PLACEHOLDER, writer_gid_seq=[writer] if bad == "topic" else []

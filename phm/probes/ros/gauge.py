@@ -27,6 +27,8 @@ MIXED_S = 60.0
 """How long numbers that were found mixed are sorted, whatever discovery says; then it is tried again."""
 COUNTED_LOOKS = 4
 """Without sequence numbers, a queue for as many looks as this at the expected rate, so for up to this times the rate."""
+TYPES = 3
+"""So many are named."""
 COUNTED, COUNTED_MOST = 10, 1000
 
 
@@ -101,7 +103,7 @@ class Gauge:
 
     def _follow(self, now_s: float, publishers: Sequence[EndpointFact], several: bool) -> None:
         """Have a reader that fits, unless this is the time between two windows."""
-        types = sorted({publisher.type for publisher in publishers})
+        types = sorted({publisher.type for publisher in publishers if publisher.type})
         if types and self._type not in types:
             self._close()
             self._type, self._unknown, self._open_at_s = types[0], "", -math.inf
@@ -149,9 +151,10 @@ class Gauge:
 
     def _problem(self, now_s: float, publishers: Sequence[EndpointFact], matched: int | None) -> str:
         """Why no rate can be told, whatever the samples say."""
-        types = sorted({publisher.type for publisher in publishers})
+        types = sorted({publisher.type for publisher in publishers if publisher.type})
         if len(types) > 1:
-            return f"ambiguous: published as {' and as '.join(types)}"
+            more = f" and {len(types) - TYPES} more" if len(types) > TYPES else ""
+            return f"ambiguous: published as {' and as '.join(types[:TYPES])}{more}"
         if self._unknown:
             return self._unknown
         if matched != 0 or not publishers:

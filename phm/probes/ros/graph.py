@@ -7,16 +7,22 @@ changed, and once a second.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 from phm.facts import EndpointFact
+from phm.probes.ros.caps import MAX_STRANGERS, Ends, kept_ends, kept_nodes
+from phm.probes.ros.raw_names import printable, raw_node_names, undecodable
 
 OWN = "_phm_"
 """Hidden nodes of this prefix are PHM's own, those of a child that was just replaced included."""
+NOT_UTF8 = "a node or topic in the ROS domain has a name that is not UTF-8: {}"
+MAX_PROBLEMS, MAX_TEXT = 5, 300
+MAX_CULPRITS = 8
 _ENDLESS_NS = 2**63 - 1
 """What the middleware says for `no deadline`; 0 is `not specified`, which has none either."""
 _HASH_SHOWN = 15
@@ -25,37 +31,69 @@ _UNKNOWN = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
 
 
 class Graph:
-    """The newest view. `nodes`: full name -> how often it is listed; `publishers`, `subscribers`: by topic."""
+    """The newest view. `nodes`: full name -> how often it is listed; `publishers`, `subscribers`: by topic.
 
-    def __init__(self, node: Any, topics: Sequence[str], full_s: float) -> None:
+    names_known: whether the names of nodes could be read at all. problems: sentences about what could not be read, or was
+    left out.
+    """
+
+    def __init__(self, node: Any, topics: Sequence[str], full_s: float, configured: Collection[str] = ()) -> None:
+        """configured: full names of nodes, which are kept whatever else there is."""
         self._node = node
         self._topics = tuple(topics)
         self._full_s = full_s
+        self._configured = frozenset(configured)
         self._next_full_s = 0.0
         self._counts: tuple[int, ...] = ()
         self._unsettled = False
+        self._of_names: dict[str, None] = {}
+        self._of_ends: dict[str, None] = {}
+        self.names_known = True
         self.nodes: dict[str, int] = {}
-        self.publishers: dict[str, tuple[EndpointFact, ...]] = dict.fromkeys(topics, ())
-        self.subscribers: dict[str, tuple[EndpointFact, ...]] = dict.fromkeys(topics, ())
+        self.publishers: Ends = dict.fromkeys(topics, ())
+        self.subscribers: Ends = dict.fromkeys(topics, ())
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        return tuple({**self._of_names, **self._of_ends})[:MAX_PROBLEMS]
 
     def look(self, now_s: float, *, told: bool = False) -> bool:
         """Read what may have changed; True when something did. told: the middleware says that something has."""
+        before = self.problems
         nodes = self._read_nodes()
         counts = self._read_counts()
         changed = nodes != self.nodes
+        self.nodes = nodes
         if told or changed or counts != self._counts or self._unsettled or now_s >= self._next_full_s:
             self._next_full_s = now_s + self._full_s
             changed = self._read_endpoints() or changed
-        self.nodes, self._counts = nodes, counts
-        return changed
+        self._counts = counts
+        return changed or self.problems != before
 
     def _read_nodes(self) -> dict[str, int]:
-        listed = Counter(
-            full_name(name, namespace)
-            for name, namespace in self._node.get_node_names_and_namespaces()
-            if not name.startswith(OWN)
-        )
-        return dict(sorted(listed.items()))
+        self._of_names = {}
+        try:
+            found = self._names()
+        except Exception as error:  # whatever rclpy and rcl raise, rates and beacons go on
+            self.names_known = False
+            self._of_names[f"the names of nodes cannot be read: {error}"[:MAX_TEXT]] = None
+            return {}
+        self.names_known = True
+        listed = Counter(printable(full_name(name, namespace)) for name, namespace in found if not name.startswith(OWN))
+        nodes, left_out = kept_nodes(listed, self._configured)
+        if left_out:
+            self._of_names[f"the ROS domain has more nodes than PHM keeps, {MAX_STRANGERS} that are not configured"] = (
+                None
+            )
+        return nodes
+
+    def _names(self) -> Sequence[tuple[str, str]]:
+        try:
+            found: Sequence[tuple[str, str]] = self._node.get_node_names_and_namespaces()
+        except UnicodeDecodeError as error:
+            self._of_names[NOT_UTF8.format(undecodable(error))] = None
+            found = raw_node_names(self._node)
+        return found
 
     def _read_counts(self) -> tuple[int, ...]:
         node = self._node
@@ -64,8 +102,17 @@ class Graph:
         )
 
     def _read_endpoints(self) -> bool:
-        publishers = self._ask(self._node.get_publishers_info_by_topic)
-        subscribers = self._ask(self._node.get_subscriptions_info_by_topic)
+        self._of_ends = {}
+        node = self._node
+        publishers = self._ask(
+            node.get_publishers_info_by_topic, node.get_publisher_names_and_types_by_node, node.count_publishers
+        )
+        subscribers = self._ask(
+            node.get_subscriptions_info_by_topic, node.get_subscriber_names_and_types_by_node, node.count_subscribers
+        )
+        (publishers, subscribers), left_out = kept_ends((publishers, subscribers), self._configured)
+        if left_out:
+            self._of_ends["the configured topics have more publishers and subscribers than PHM can pass on"] = None
         changed = (publishers, subscribers) != (self.publishers, self.subscribers)
         self.publishers, self.subscribers = publishers, subscribers
         # An endpoint may be known a moment before the name of its node: look again at the next tick.
@@ -73,8 +120,34 @@ class Graph:
         self._unsettled = any(not end.node for topic in ends for end in topic)
         return changed
 
-    def _ask(self, by_topic: Callable[[str], Iterable[Any]]) -> dict[str, tuple[EndpointFact, ...]]:
-        return {topic: endpoints(by_topic(topic)) for topic in self._topics}
+    def _ask(
+        self, by_topic: Callable[[str], Iterable[Any]], by_node: Callable[[str, str], Any], count: Callable[[str], int]
+    ) -> Ends:
+        found = {}
+        for topic in self._topics:
+            try:
+                found[topic] = endpoints(by_topic(topic))
+            except Exception as error:  # one bad name hides all ends of the topic; ask for the configured nodes instead
+                culprit = undecodable(error) if isinstance(error, UnicodeDecodeError) else ""
+                words = NOT_UTF8.format(culprit) if culprit else f"ends of {topic} cannot be read: {error}"[:MAX_TEXT]
+                self._of_ends[words] = None
+                found[topic] = self._by_node(topic, by_node, count(topic), culprit)
+        return found
+
+    def _by_node(
+        self, topic: str, by_node: Callable[[str, str], Any], count: int, culprit: str
+    ) -> tuple[EndpointFact, ...]:
+        """Ends of the configured nodes, without their quality; the others go by the name that is to blame."""
+        found = []
+        for name in self._configured & self.nodes.keys():
+            namespace, _, short = name.rpartition("/")
+            types = None
+            with contextlib.suppress(Exception):  # the node has left, or one of its types has a bad name
+                types = dict(by_node(short, namespace or "/")).get(topic)
+            if types:
+                found.append(EndpointFact(name, printable(types[0])))
+        rest = min(count - len(found), MAX_CULPRITS)
+        return tuple(sorted(found, key=lambda fact: fact.node)) + (EndpointFact(culprit, ""),) * rest
 
 
 def endpoints(infos: Iterable[Any]) -> tuple[EndpointFact, ...]:
@@ -87,8 +160,8 @@ def _endpoint(info: Any) -> EndpointFact:
     qos = info.qos_profile
     type_hash = str(getattr(info, "topic_type_hash", ""))  # not in Humble
     plain = EndpointFact(
-        node="" if info.node_name in _UNKNOWN else full_name(info.node_name, info.node_namespace),
-        type=info.topic_type,
+        node="" if info.node_name in _UNKNOWN else printable(full_name(info.node_name, info.node_namespace)),
+        type=printable(info.topic_type),
         type_hash=type_hash[:_HASH_SHOWN] if type_hash.startswith("RIHS") else "",
     )
     if not quality_matters():

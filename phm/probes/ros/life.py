@@ -62,6 +62,11 @@ class Life:
         """Whether the line that was handed over last is not yet with the child."""
         return bool(self._outgoing)
 
+    @property
+    def dropped(self) -> int:
+        """Lines of its output that were too long, so far."""
+        return self._out.dropped
+
     def hand(self, line: bytes) -> None:
         """Give the child one more line; `read` writes it as the pipe has room. Not while `writing`."""
         assert not self._outgoing

@@ -11,13 +11,18 @@ class Lines:
     def __init__(self) -> None:
         self._rest = b""
         self._dropping = False
+        self.dropped = 0
+        """Lines that were longer than the limit."""
 
     def add(self, piece: bytes) -> list[bytes]:
         """The lines that `piece` completes, without their ends."""
         *lines, rest = (self._rest + piece).split(b"\n")
         if lines and self._dropping:
             lines, self._dropping = lines[1:], False
+        kept = [line for line in lines if len(line) <= LINE_LIMIT]
+        self.dropped += len(lines) - len(kept)
         if self._dropping or len(rest) > LINE_LIMIT:
+            self.dropped += not self._dropping
             rest, self._dropping = b"", True
         self._rest = rest
-        return lines
+        return kept

@@ -8,11 +8,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import Any
 
-from phm.probes.ros.graph import endpoints
+from phm.probes.ros.graph import NOT_UTF8, endpoints
+from phm.probes.ros.raw_names import undecodable
 from phm.ros_facts import NameFact
 
 LOOK_S = 2.0
 MAX_TOPICS = 200
+MAX_NAMES_BYTES = 200_000
+"""For the names of topics and of their nodes together; the longest are left out."""
 MAX_NODES = 8
 """Of one side of one topic: who is many is not misspelt."""
 MAX_READS = 50
@@ -31,13 +34,20 @@ class Names:
         self._counts: dict[str, tuple[int, int]] = {}
         self._facts: dict[str, NameFact] = {}
         self.names: dict[str, NameFact] = {}
+        self.problem = ""
+        """What could not be read at the last look, in words."""
 
     def look(self, now_s: float) -> bool:
         """Every LOOK_S at most: read what has changed."""
         if now_s < self._next_s:
             return False
         self._next_s = now_s + LOOK_S
-        counts = self._read_counts()
+        try:
+            counts = self._read_counts()
+        except UnicodeDecodeError as error:
+            self.problem = NOT_UTF8.format(undecodable(error))
+            return False
+        self.problem = ""
         changed = [name for name, count in counts.items() if count != self._counts.get(name)]
         changed.sort(key=lambda name: name in self._facts)  # those of which nothing is known yet come first
         for name in changed[MAX_READS:]:
@@ -49,7 +59,10 @@ class Names:
                 counts[name] = _UNREAD  # the node's name comes a moment after its endpoint: look again
             self._facts[name] = NameFact(_named(fact.publishers), _named(fact.subscribers))
         self._counts = counts
-        before, self.names = self.names, {name: fact for name, fact in self._facts.items() if fact != NameFact()}
+        before, self.names = (
+            self.names,
+            _fitting({name: fact for name, fact in self._facts.items() if fact != NameFact()}),
+        )
         return self.names != before
 
     def _read_counts(self) -> dict[str, tuple[int, int]]:
@@ -65,9 +78,23 @@ class Names:
 
     def _read(self, name: str) -> NameFact:
         node = self._node
-        return NameFact(
-            _nodes(node.get_publishers_info_by_topic(name)), _nodes(node.get_subscriptions_info_by_topic(name))
-        )
+        try:
+            return NameFact(
+                _nodes(node.get_publishers_info_by_topic(name)), _nodes(node.get_subscriptions_info_by_topic(name))
+            )
+        except UnicodeDecodeError as error:
+            self.problem = NOT_UTF8.format(undecodable(error))
+            return NameFact()
+
+
+def _fitting(facts: dict[str, NameFact]) -> dict[str, NameFact]:
+    sizes = {name: len(name) + sum(map(len, (*fact.publishers, *fact.subscribers))) for name, fact in facts.items()}
+    left = MAX_NAMES_BYTES
+    for name in sorted(sizes, key=lambda name: sizes[name]):
+        left -= sizes[name]
+        if left < 0:
+            del facts[name]
+    return facts
 
 
 def _named(nodes: tuple[str, ...]) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from phm.probes.ros.life import Life
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
     INSTALLS,
+    LINE_LIMIT,
     Message,
     Missing,
     ProtocolError,
@@ -47,6 +48,11 @@ NOT_INSTALLED = (
 COMMAND = (sys.executable, "-m", "phm.probes.ros.child")
 SILENT_MISSES = 3.0
 """A beacon that has missed so many beats is no sign of life."""
+OVERLONG = (
+    f"a message of the ROS child was longer than {LINE_LIMIT // 1000} kB and was dropped: what it saw is not known"
+)
+TOLD_S = 30.0
+"""How long a message that was dropped is reported."""
 _REMARKS = 20
 """Different remarks of the child that are written to the log; each is written once."""
 
@@ -120,6 +126,7 @@ class RosProcess:
         self._post = b""
         self._unsent = 0
         self._remarks: set[str] = set()
+        self._dropped_s: float | None = None
         self._why = "the ROS child has not been started yet"
         self._renew = ""
         self._closing = False
@@ -152,8 +159,16 @@ class RosProcess:
             raise CannotTell(why)
         fact = view.fact(view.picture, self._clock.mono())
         if fact.age_s > self._limits.silent_s:
-            raise CannotTell(f"the ROS child has been silent for {fact.age_s:.1f} s and will be replaced")
+            raise CannotTell(f"the ROS child has sent no picture of the ROS graph for {fact.age_s:.1f} s")
         return fact
+
+    def problems(self) -> tuple[str, ...]:
+        """What keeps PHM from seeing all of the graph, in sentences."""
+        with self._lock:
+            picture, dropped_s = self._view.picture, self._dropped_s
+        found = picture.problems if picture is not None else ()
+        recent = dropped_s is not None and self._clock.mono() - dropped_s < TOLD_S
+        return (*found, OVERLONG) if recent else found
 
     def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
         """Have the child publish these on /diagnostics, by name; never blocks. Nothing while there is no child that answers.
@@ -239,11 +254,15 @@ class RosProcess:
         """Read until it must be replaced; returns why, or nothing when it ended by itself or on request."""
         heard_s = weighed_s = self._clock.mono()
         limit_s = self._limits.start_s
+        dropped = 0
         while not life.over and not self._closing and not self._renew:
             self._hand_post(life)
             lines = life.read(min(0.5, limit_s / 2), self._wake)
             self._drain()
             now_s = self._clock.mono()
+            if life.dropped > dropped:
+                dropped = life.dropped
+                self._lose_sight(now_s)
             for line in lines:
                 try:
                     message = decode(line)
@@ -305,6 +324,15 @@ class RosProcess:
         if changed:
             self._on_change()
 
+    def _lose_sight(self, now_s: float) -> None:
+        """A message was too long: whatever it said of the graph, the newest picture may not be true any more."""
+        with self._lock:
+            had_one = self._view.picture is not None
+            self._view, self._why, self._dropped_s = self._view.without_picture(), OVERLONG, now_s
+        self._told(OVERLONG)
+        if had_one:
+            self._on_change()
+
     def _lose(self, sentence: str) -> None:
         with self._lock:
             had_one = self._view.picture is not None
@@ -343,8 +371,16 @@ def wanted(settings: Settings) -> Wanted:
         WantedTopic(f"/{topic.name.lstrip('/')}", topic.rate, ros.silence if topic.silence is None else topic.silence)
         for topic in ros.topics
     )
-    nodes = tuple(f"/{node.name.lstrip('/')}" for node in ros.nodes)
-    return Wanted(agent=settings.agent.name, domain=ros.domain, topics=topics, listen=_listen(settings), nodes=nodes)
+    names = [node.name for node in ros.nodes]
+    names += [node for topic in ros.topics for node in (*topic.publishers, *topic.subscribers)]
+    return Wanted(
+        agent=settings.agent.name,
+        domain=ros.domain,
+        topics=topics,
+        listen=_listen(settings),
+        nodes=tuple(dict.fromkeys(f"/{name.lstrip('/')}" for name in names)),
+        watch=tuple(entry.name for entry in ros.diagnostics.watch),
+    )
 
 
 def _listen(settings: Settings) -> tuple[str, ...]:

@@ -43,7 +43,8 @@ class WantedTopic:
 class Wanted:
     """What the child is to look at. domain: None leaves it to ROS_DOMAIN_ID. tick_s: between two looks.
 
-    listen: topics of diagnostic_msgs/DiagnosticArray to read. nodes: full names of those that are configured.
+    listen: topics of diagnostic_msgs/DiagnosticArray to read. nodes: full names of those that are configured, as
+    nodes or as ends of topics. watch: patterns of the statuses that are configured.
     """
 
     agent: str
@@ -53,23 +54,34 @@ class Wanted:
     full_s: float = 1.0
     listen: tuple[str, ...] = ()
     nodes: tuple[str, ...] = ()
+    watch: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """The graph as it is now. up_s: how long the child's participant has existed."""
+    """The graph as it is now. up_s: how long the child's participant has existed. number: counts pictures of this child.
+
+    names_known: whether the names of nodes could be read. problems: sentences about what could not be read or was left out.
+    """
 
     up_s: float
     nodes: Mapping[str, int] = field(default_factory=dict)
     topics: Mapping[str, TopicFact] = field(default_factory=dict)
+    number: int = 0
+    names_known: bool = True
+    problems: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Nothing changed since the last picture but these: seconds of silence of the topics with a rate."""
+    """Nothing changed since the last picture but these: seconds of silence of the topics with a rate.
+
+    picture: the number of that picture. If it never arrived, nothing is known of the graph.
+    """
 
     up_s: float
     silent_s: Mapping[str, float | None] = field(default_factory=dict)
+    picture: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,8 +144,8 @@ def decode_wanted(line: bytes | str) -> Wanted:
     try:
         data = _parsed(line)
         topics = tuple(WantedTopic(**topic) for topic in data.pop("topics"))
-        listen, nodes = tuple(data.pop("listen")), tuple(data.pop("nodes"))
-        return Wanted(topics=topics, listen=listen, nodes=nodes, **data)
+        listen, nodes, watch = (tuple(data.pop(name)) for name in ("listen", "nodes", "watch"))
+        return Wanted(topics=topics, listen=listen, nodes=nodes, watch=watch, **data)
     except (AttributeError, KeyError, TypeError) as error:
         raise ProtocolError(f"not a configuration: {error}") from error
 

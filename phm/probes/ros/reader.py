@@ -30,7 +30,11 @@ class Reader:
         """Raises UnknownType."""
         self.quality = quality
         self._node = node
-        message = load_type(type_name, node.get_publishers_info_by_topic(topic))
+        try:
+            publishers = node.get_publishers_info_by_topic(topic)
+        except UnicodeDecodeError:  # the name of a stranger
+            publishers = ()
+        message = load_type(type_name, publishers)
         try:
             self._subscription = node.create_subscription(message, topic, _never_called, _profile(quality), raw=True)
         except Exception as error:  # rclpy raises its own and pybind's kinds for broken type support

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from phm.facts import RosFact, TopicFact
 from phm.probes.ros.hearsay import Hearsay
@@ -20,26 +20,31 @@ _with_age = changer(RateFact, "age_s")
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Immutable, so that it can be read without a lock. heard_s: of the newest message, monotonic seconds."""
+    """Immutable, so that it can be read without a lock. seen_s: when the picture was made or confirmed, monotonic seconds."""
 
     picture: Picture | None = None
-    heard_s: float = 0.0
+    seen_s: float = 0.0
     hearsay: Hearsay = field(default_factory=Hearsay)
     others: Mapping[str, NameFact] = field(default_factory=dict)
     silent_s: Mapping[str, float | None] = field(default_factory=dict)
-    """Of topics with a rate, as of `heard_s`, where that is newer than the picture."""
+    """Of topics with a rate, as of `seen_s`, where that is newer than the picture."""
 
     def with_message(self, message: Message, now_s: float) -> View:
         picture, hearsay, others, silent_s = self.picture, self.hearsay, self.others, self.silent_s
+        seen_s = self.seen_s
         if isinstance(message, Heard):
             hearsay = hearsay.with_news(message, now_s)
         elif isinstance(message, Others):
             others = message.names
         elif isinstance(message, Picture):
-            picture, silent_s = message, {}
-        elif isinstance(message, Tick) and picture is not None:
-            picture, silent_s = Picture(message.up_s, picture.nodes, picture.topics), message.silent_s
-        return View(picture, now_s, hearsay, others, silent_s)
+            picture, silent_s, seen_s = message, {}, now_s
+        elif isinstance(message, Tick) and picture is not None and message.picture == picture.number:
+            picture, silent_s, seen_s = replace(picture, up_s=message.up_s), message.silent_s, now_s
+        return View(picture, seen_s, hearsay, others, silent_s)
+
+    def without_picture(self) -> View:
+        """A message was lost, which may have been a picture."""
+        return replace(self, picture=None, silent_s={})
 
     def changed_by(self, message: Message) -> bool:
         """Whether checks are to look at once: nodes, endpoints, whether topics flow, beacons, a level in the diagnostics."""
@@ -49,10 +54,13 @@ class View:
 
     def fact(self, picture: Picture, now_s: float) -> RosFact:
         """As a fact, with ages as of `now_s`. picture: that of this view, which there must be."""
-        age_s = max(0.0, now_s - self.heard_s)
+        age_s = max(0.0, now_s - self.seen_s)
         topics = {name: self._aged(name, topic, age_s) for name, topic in picture.topics.items()}
         hearsay = self.hearsay.since(now_s)
-        return RosFact(age_s, picture.up_s + age_s, picture.nodes, topics, *hearsay, self.others, self.hearsay.refused)
+        return RosFact(
+            age_s, picture.up_s + age_s, picture.nodes, topics, *hearsay, self.others, self.hearsay.refused,
+            picture.names_known,
+        )  # fmt: skip
 
     def _aged(self, name: str, topic: TopicFact, age_s: float) -> TopicFact:
         rate = topic.rate

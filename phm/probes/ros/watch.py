@@ -40,7 +40,7 @@ class Watch:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         self._began_s = time.monotonic()
-        self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s)
+        self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
         self._gauges = {
             topic.name: Gauge(self._node, topic, wanted.tick_s) for topic in wanted.topics if topic.rate_hz is not None
         }
@@ -50,6 +50,8 @@ class Watch:
         self._events = GraphEvents(self._node, self._context)
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
+        self._number = 0
+        """Of the newest picture."""
         self._states: dict[str, tuple[float | None, bool, str]] = {}
 
     @property
@@ -80,7 +82,7 @@ class Watch:
         states = {name: flow(rate) for name, rate in rates.items()}
         up_s = round(now_s - self._began_s, 3)
         if not changed and states == self._states and now_s < self._next_full_s:
-            return Tick(up_s, {name: rate.silent_s for name, rate in rates.items()})
+            return Tick(up_s, {name: rate.silent_s for name, rate in rates.items()}, self._number)
         self._states = states
         self._next_full_s = now_s + self._full_s
         graph = self._graph
@@ -88,7 +90,9 @@ class Watch:
             name: TopicFact(publishers, graph.subscribers[name], rates.get(name))
             for name, publishers in graph.publishers.items()
         }
-        return Picture(up_s, graph.nodes, topics)
+        self._number += 1
+        problems = tuple(filter(None, (*graph.problems, self._names.problem)))
+        return Picture(up_s, graph.nodes, topics, self._number, graph.names_known, problems)
 
     def close(self) -> None:
         """Leave the graph politely, so that others forget this participant now and not after its lease."""
