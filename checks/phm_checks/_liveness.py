@@ -39,6 +39,8 @@ class Says(Enum):
 class State(Enum):
     ALIVE = "alive"
     HUNG = "hung"
+    UNANSWERING = "unanswering"
+    """It hangs or computes: its process could say which, and is not known well enough."""
     DEAD = "dead"
     NEVER_STARTED = "never started"
     DUPLICATE = "duplicate"
@@ -61,25 +63,30 @@ NEWER_S = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """age_s: since it was observed. lasted_s: for how long it has been so. words: a clause for the operator."""
+    """age_s: since it was observed. lasted_s: for how long it has been so. words: a clause for the operator. measured: of a
+    process, whether it is known if it computes."""
 
     kind: Kind
     says: Says
     words: str
     age_s: float = 0.0
     lasted_s: float = 0.0
+    measured: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Past:
     """alive: the node was judged alive just before. seen: it was alive in this life of its container. starting: it, or its
-    container, began a moment ago. twice: it has been listed more than once for longer than any lease.
+    container, began a moment ago. twice: it has been listed more than once for longer than any lease. contained: it runs in a
+    container whose processes the engine is asked for. unlisted: the engine could not list them.
     """
 
     alive: bool = True
     seen: bool = True
     starting: bool = False
     twice: bool = False
+    contained: bool = False
+    unlisted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +172,8 @@ def silent_beacon(case: Case) -> Verdict:
         return State.ALIVE, Kind.TOPICS
     if case.says(Kind.PROCESS, Says.BUSY):
         return State.ALIVE, Kind.PROCESS
-    if case.says(Kind.PROCESS, Says.ALIVE):
-        return (State.HUNG if beacon.lasted_s >= HANG_S else State.UNKNOWN), Kind.BEACON
+    if case.says(Kind.PROCESS, Says.ALIVE) or case.past.unlisted:
+        return _unanswering(case, beacon), Kind.BEACON
     return State.DEAD, Kind.BEACON
 
 
@@ -179,8 +186,18 @@ def late_beacon(case: Case) -> Verdict:
         return State.ALIVE, Kind.PROCESS
     if case.says(Kind.TOPICS, Says.ALIVE):
         return State.ALIVE, Kind.TOPICS
-    limit_s = HANG_S if case.says(Kind.PROCESS, Says.ALIVE) else BLIND_HANG_S
-    return (State.HUNG if beacon.lasted_s >= limit_s else State.UNKNOWN), Kind.BEACON
+    return _unanswering(case, beacon), Kind.BEACON
+
+
+def _unanswering(case: Case, beacon: Evidence) -> State:
+    """A process that is known not to compute hangs. Where nobody can tell, a node of a container is not taken for hung: a busy
+    one would be restarted for it."""
+    process = case.says(Kind.PROCESS, Says.ALIVE)
+    if process is not None and process.measured:
+        return State.HUNG if beacon.lasted_s >= HANG_S else State.UNKNOWN
+    if beacon.lasted_s < BLIND_HANG_S:
+        return State.UNKNOWN
+    return State.UNANSWERING if case.past.contained else State.HUNG
 
 
 def sign_of_life(case: Case) -> Verdict:

@@ -64,10 +64,17 @@ class Known:
             return
         self.state, self.command = process.state, process.command
         self.began_at = min(self.began_at, now - (process.age_s or 0.0))
-        if process.cpu_s is not None:
+        if process.cpu_s is None:
+            self.used.clear()  # what it used before says nothing about now
+        else:
             self.used.append((now, process.cpu_s))
             while len(self.used) > 2 and now - self.used[1][0] >= WINDOW_S:
                 self.used.popleft()
+
+    @property
+    def measured(self) -> bool:
+        """Whether it is known if it computes: its processor time was seen over WINDOW_S, or it is on a processor."""
+        return self.state == "R" or (len(self.used) > 1 and self.used[-1][0] - self.used[0][0] >= WINDOW_S)
 
     @property
     def busy(self) -> bool:
@@ -239,7 +246,12 @@ class Roster:
             return Evidence(Kind.PROCESS, Says.STOPPED, words, age_s)
         if known.busy:
             return Evidence(Kind.PROCESS, Says.BUSY, f"its process {known.pid} computes", age_s)
-        return Evidence(Kind.PROCESS, Says.ALIVE, f"its process {known.pid} runs", age_s)
+        words = f"its process {known.pid} runs"
+        if known.measured:
+            return Evidence(Kind.PROCESS, Says.ALIVE, words, age_s)
+        return Evidence(
+            Kind.PROCESS, Says.ALIVE, f"{words}, its use of the processor is unknown", age_s, measured=False
+        )
 
     def fit(self, name: str, now: float) -> int:
         """How many processes of the newest list may be the node's own, where it is more than one; 0: one, none, or no list."""
@@ -247,6 +259,11 @@ class Roster:
             return 0
         count = self._unclear.get(name, 0)
         return count if count > 1 else 0
+
+    @property
+    def unlisted(self) -> bool:
+        """Whether the engine could not list the processes when it was asked last, though the container runs."""
+        return self._status == "running" and self._listed_at is None
 
     def told(self, name: str) -> str:
         """How it is with the node's process, for the values of a result."""

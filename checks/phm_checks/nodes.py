@@ -47,15 +47,20 @@ class _Node:
         told = set() if well or self.state is None else {self.state.value}
         return {(self.wanted.name, why) for why in self.signs.doubts | told}
 
-    def judge(self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float, fit: int) -> Judgement:
+    def judge(
+        self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float, fit: int, *, unlisted: bool
+    ) -> Judgement:
         """fit: how many processes may be the node's own. While two that were told are there, the graph may be a new one that does
-        not list both yet (`phm.probes.ros.ghosts`)."""
+        not list both yet (`phm.probes.ros.ghosts`). unlisted: they cannot be listed."""
         both = fit > 1 and (self.signs.twofold or self.copies > 0)
         self._both_since = (self._both_since or now) if both else None
         lasts = self._both_since is not None and (self.signs.rivals > 0 or now - self._both_since >= BOTH_S)
         self.copies = fit if lasts else 0
         starting = now - began_at < grace_s
-        past = Past(self.state is State.ALIVE, self.seen, starting, self.copies > 0 or self.signs.twice(now))
+        past = Past(
+            self.state is State.ALIVE, self.seen, starting, self.copies > 0 or self.signs.twice(now),
+            contained=bool(self.wanted.container), unlisted=unlisted,
+        )  # fmt: skip
         judgement = fuse(evidence, past)
         self.state = judgement.state
         return judgement
@@ -169,7 +174,8 @@ class Nodes(api.Check):
         began_at, told, fit = NEVER, "", 0
         if roster is not None:
             began_at, told, fit = roster.began_at(name), roster.told(name), roster.fit(name, now)
-        judgement = node.judge(evidence, began_at, now, self._grace_s, fit)
+        unlisted = roster is not None and roster.unlisted
+        judgement = node.judge(evidence, began_at, now, self._grace_s, fit, unlisted=unlisted)
         node.live(roster, evidence, now)
         level, words, short, condition = self._words(node, judgement, fact, why)
         values: dict[str, api.Value] = {"listed": node.signs.count, "process": told}
@@ -212,6 +218,12 @@ class Nodes(api.Check):
             looked = f"PHM has looked at the graph for {span(fact.up_s)} only" if fact is not None else why
             words = f"it is not known yet whether node {name} is alive: {evidence or looked}"
             return Level.STALE, words, "", ""
+        if state is State.UNANSWERING:
+            words = (
+                f"node {name} does not answer{where}, and it is not known whether it hangs or computes: {evidence}. It was expected "
+                "to answer: look at its log and at `docker top`; nothing is restarted for it"
+            )
+            return Level.ERROR, words, "does not answer", "node_unanswering"
         if state is State.HUNG:
             words = f"Node {subject} hangs{where}: {evidence}. It was expected to answer: see its log, restart it"
             return Level.ERROR, words, "hung", "node_hung"

@@ -46,7 +46,7 @@ class Docker:
         self._generations = itertools.count(1)
         self._generation = 0
         self._my_id = ""
-        self._processes = Processes(engine)
+        self._processes = Processes(engine, clock)
         self._reach = reach.Reach()
         engine.on_change = self.invalidate
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from phm.clock import Clock
 from phm.facts import CannotTell, ProcessFact
 from phm.transport.docker import Engine, EngineBroken
 
@@ -17,6 +18,9 @@ LIMIT_S = 1.0
 FORMS = ("-ww -o pid,ppid,stat,times,etimes,args", "-o pid,ppid,stat,args")
 """Arguments for `ps`, the best first: not cut to the width of a terminal, for one. The second is for hosts with BusyBox,
 whose `ps` knows neither processor time nor age in seconds."""
+AGAIN_S, AGAIN_MOST_S = 5.0, 300.0
+"""A better form that the engine refused is tried again after this time, twice as long after each further refusal: HTTP 500 is its
+answer to a `ps` that does not know the form, and to one that a busy machine could not start."""
 MOST = 1000
 _COMMAND_CHARS = 4096
 _ENDED = ("Z", "X")
@@ -25,22 +29,24 @@ _ENDED = ("Z", "X")
 class Processes:
     """Asks for process lists, in the form that the host's `ps` understands."""
 
-    def __init__(self, engine: Engine) -> None:
-        self._engine = engine
-        self._form = 0
+    def __init__(self, engine: Engine, clock: Clock) -> None:
+        self._engine, self._clock = engine, clock
+        self._best_from, self._wait_s = float("-inf"), AGAIN_S
 
     def look(self, container_id: str) -> tuple[ProcessFact, ...]:
         """Raises CannotTell: the container does not run, or no answer came in time, or none that makes sense."""
-        for number in range(self._form, len(FORMS)):
+        best, simple = FORMS
+        if self._clock.mono() >= self._best_from:
             try:
-                answer = self._engine.top(container_id, FORMS[number], deadline_s=LIMIT_S)
+                found = processes(self._engine.top(container_id, best, deadline_s=LIMIT_S))
             except EngineBroken:
-                if number + 1 == len(FORMS):
-                    raise
-                continue
-            self._form = number
-            return processes(answer)
-        raise AssertionError("there is a form")
+                found = processes(self._engine.top(container_id, simple, deadline_s=LIMIT_S))
+                self._best_from = self._clock.mono() + self._wait_s
+                self._wait_s = min(2 * self._wait_s, AGAIN_MOST_S)
+            else:
+                self._wait_s = AGAIN_S
+            return found
+        return processes(self._engine.top(container_id, simple, deadline_s=LIMIT_S))
 
 
 def processes(answer: Mapping[str, Any]) -> tuple[ProcessFact, ...]:

@@ -123,6 +123,24 @@ def test_an_executor_that_does_not_turn_hangs_if_its_process_sleeps() -> None:
     assert state(late(60.0), FLOWS, RUNS, LISTED) is State.ALIVE
 
 
+@pytest.mark.parametrize("says", [Says.LATE, Says.SILENT])
+def test_what_may_be_busy_is_not_hung(says: Says) -> None:
+    """Its process runs and nobody knows whether it computes: a restart would hit a busy node."""
+    unmeasured = Evidence(Kind.PROCESS, Says.ALIVE, "runs", 0.1, measured=False)
+    contained = Past(contained=True)
+    assert state(piece(Kind.BEACON, says, HANG_S), unmeasured, LISTED, past=contained) is State.UNKNOWN
+    assert state(piece(Kind.BEACON, says, 600.0), unmeasured, LISTED, past=contained) is State.UNANSWERING
+    assert state(piece(Kind.BEACON, says, HANG_S), RUNS, LISTED, past=contained) is State.HUNG
+
+
+def test_processes_that_cannot_be_listed_are_no_death() -> None:
+    """A beacon may be silent because its process computes; whoever is gone leaves the graph, too."""
+    blind = Past(contained=True, unlisted=True)
+    assert state(piece(Kind.BEACON, Says.SILENT, 0.7), LISTED, past=blind) is State.UNKNOWN
+    assert state(piece(Kind.BEACON, Says.SILENT, 600.0), LISTED, past=blind) is State.UNANSWERING
+    assert state(piece(Kind.BEACON, Says.SILENT, 0.7), UNLISTED, past=blind) is State.DEAD
+
+
 @pytest.mark.parametrize("sign", [BEATS, FLOWS])
 def test_whoever_gives_signs_is_alive_whatever_the_graph_says(sign: Evidence) -> None:
     """A picture of the graph may be behind."""

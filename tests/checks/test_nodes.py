@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
+from phm.recovery.policy import LADDERS
 from phm_checks._liveness import GOODBYE_S, HANG_S, LOST_S
 from phm_checks._roster import BLIND_S, OLD_S, QUIET_S, SOON_S
 from phm_checks._signs import TWICE_S, UNNAMED_S
@@ -396,6 +397,32 @@ def test_a_silent_topic_of_a_living_node_is_not_the_nodes_fault() -> None:
     bench = rated()
     bench.after(3.0)
     assert bench.after(60.0, lambda passed: bench.ros.change(topics=flowing(passed))).level is api.Level.OK
+
+
+@pytest.mark.parametrize("figures", ["lost", "never there", "no list"])
+def test_a_node_is_not_hung_without_figures_of_its_process(figures: str) -> None:
+    """The engine no longer says how much processor time it uses, as after one HTTP 500: it may be busy, and is not restarted."""
+    bench = rated()
+    bench.ros.change(beacons=beating())
+    if figures == "never there":
+        bench.processes(MAIN, replace(ONE, cpu_s=None))
+    bench.after(12.0)
+    if figures == "lost":
+        bench.processes(MAIN, replace(ONE, cpu_s=None))
+    elif figures == "no list":
+        del bench.docker.lists["ros_app"]
+    seen: list[str] = []
+
+    def hang(passed: float) -> None:
+        bench.ros.change(topics=flowing(passed), beacons=beating(0.1, late_s=passed))
+        seen.append(bench.result().condition)
+
+    result = bench.after(60.0, hang)
+    assert (result.level, result.condition, result.brief) == (
+        api.Level.ERROR, "node_unanswering", "node_1 does not answer"
+    )  # fmt: skip
+    assert set(seen) == {"", "node_unanswering"}
+    assert "node_unanswering" not in LADDERS
 
 
 def test_a_process_that_cannot_be_told_is_no_dead_one() -> None:

@@ -11,8 +11,8 @@ import pytest
 from phm.clock import SystemClock
 from phm.facts import CannotTell, ProcessFact
 from phm.probes.docker import Docker
-from phm.probes.docker_processes import FORMS, Processes, processes
-from phm.testing import settings
+from phm.probes.docker_processes import AGAIN_MOST_S, AGAIN_S, FORMS, Processes, processes
+from phm.testing import FakeClock, settings
 from phm.transport.docker import Engine, EngineBroken
 from tests.fakes.engine import FakeEngine, Hang, Status, container
 
@@ -75,16 +75,33 @@ class OtherPs:
 
 
 def test_a_host_with_another_ps_is_asked_in_its_own_form() -> None:
-    """BusyBox refuses the first form; from then on it is asked in the second alone."""
-    engine = OtherPs(FORMS[1])
-    asking = Processes(engine)  # type: ignore[arg-type]
+    """BusyBox refuses the first form; after that it is asked in the second, and in the first less and less often."""
+    engine, clock = OtherPs(FORMS[1]), FakeClock()
+    asking = Processes(engine, clock)  # type: ignore[arg-type]
     assert asking.look("app") == asking.look("app") == (ProcessFact(7, 1, "S", None, "sh"),)
     assert engine.asked == [*FORMS, FORMS[1]]
+    for _ in range(10_000):
+        clock.advance(1.0)
+        asking.look("app")
+    assert 10_000 / AGAIN_MOST_S < engine.asked.count(FORMS[0]) < 10_000 / AGAIN_MOST_S + 10
+
+
+def test_one_refusal_does_not_cost_the_figures_for_ever() -> None:
+    """HTTP 500 also says that this one `ps` could not be started."""
+    engine, clock = OtherPs(FORMS[1]), FakeClock()
+    asking = Processes(engine, clock)  # type: ignore[arg-type]
+    asking.look("app")
+    engine.known = FORMS
+    engine.asked.clear()
+    clock.advance(AGAIN_S)
+    asking.look("app")
+    asking.look("app")
+    assert engine.asked == [FORMS[0], FORMS[0]]
 
 
 def test_a_host_without_ps_cannot_tell() -> None:
     """Each question is an answer of its own: a `ps` may be installed tomorrow."""
-    asking = Processes(OtherPs())  # type: ignore[arg-type]
+    asking = Processes(OtherPs(), FakeClock())  # type: ignore[arg-type]
     for _ in range(2):
         with pytest.raises(CannotTell):
             asking.look("app")
