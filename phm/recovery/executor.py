@@ -101,6 +101,9 @@ class Executor:
                 f"{what} was cut short when PHM ended: it counts as an attempt and is taken up again if needed"
             )
         self._shop.lives.restore(state.recovery.lives)
+        acting = {**state.recovery.unfinished, **{target: target for target in state.recovery.under_way}}
+        for key, who in acting.items():
+            self._shop.lives.unfinished(key, who)
         for fault in self._shop.pipeline.given_up():
             self._given_up[fault.unit] = fault
             if fault.result.target:
@@ -126,7 +129,8 @@ class Executor:
             if action is not None:
                 under_way[target] = action
         made = {target: tried for target, tried in attempts.items() if tried}
-        return RecoveryState(made, cases, under_way, self._shop.lives.kept())
+        lives = self._shop.lives
+        return RecoveryState(made, cases, under_way, lives.kept(), unfinished=lives.unfinished_now())
 
     # ------------------------------------------------------------ the operator's hand
 

@@ -9,7 +9,8 @@ container that ends again and again does not make PHM begin anew for ever:
 - **Started again**, with the same id: when this life has lasted for `recovery.verify` and the container still runs.
 - **By the engine's own restart policy** (its counter is above 0; a start by hand sets it to 0): never. It has done what
   PHM's restart would have done, and nothing was mended. It is watched: after it, units get their grace.
-- **By PHM**, for this container's sake or another's: never.
+- **By PHM**, for this container's sake or another's: never. Also when the engine does it late: after the call's deadline, or
+  after PHM itself has ended in the middle of it. A call without an answer is followed by at most one start that is PHM's.
 """
 
 from __future__ import annotations
@@ -21,10 +22,14 @@ from dataclasses import dataclass, replace
 
 from phm.clock import Clock
 from phm.facts import CannotTell, ContainerFact
+from phm.transport.docker import EngineTimeout, EngineUnreachable
 
 FOUND, ENGINE, OTHERS, RECREATED, COUNTED = "found", "engine", "others", "recreated", "counted"
 """Who began a life: it was there when first looked at; the restart policy; others; others, who made a new container; and
 others whose doing has been taken into account. PHM itself stands as `phm:` and the container for whose sake it acted."""
+UNFINISHED_S = 600.0
+"""A call without an answer may have its effect for so long; attempts older than this no longer count
+(`phm.recovery.policy.CLEAN_S`)."""
 SETTLED_S = 0.5
 """A change seen up to this long after an action of PHM began with it: what the probe says may be 0.2 s old."""
 
@@ -81,10 +86,20 @@ def counts_anew(life: Life, fact: ContainerFact, now: float, lasting_s: float) -
 
 @dataclass(slots=True)
 class _Actor:
-    """PHM is acting on a container for the sake of `who`; `ended` (monotonic seconds) until a look has shown the outcome."""
+    """PHM is acting on a container for the sake of `who`; `ended` (monotonic seconds) until a look has shown the outcome.
+
+    `unanswered` calls may still start the container, each once, until `until` (monotonic seconds).
+    """
 
     who: str
     ended: float | None = None
+    unanswered: int = 0
+    until: float = float("-inf")
+
+    def over(self, now: float) -> bool:
+        if self.ended is None or now - self.ended < SETTLED_S:
+            return False
+        return self.unanswered <= 0 or now >= self.until
 
 
 class Lives:
@@ -133,15 +148,31 @@ class Lives:
         actor = _Actor(who)
         with self._lock(key):
             self._see(key)  # what others did until now is theirs
+            before = self._actors.get(key)
+            if before is not None:
+                actor.unanswered, actor.until = before.unanswered, before.until
             self._actors[key] = actor
         try:
             yield
+        except (EngineTimeout, EngineUnreachable):
+            actor.unanswered, actor.until = actor.unanswered + 1, self._clock.mono() + UNFINISHED_S
+            raise
         finally:
             actor.ended = self._clock.mono()
 
-    def unfinished(self, key: str, at_most_s: float) -> None:
-        """An action on `key` was cut short when PHM ended; the engine may still finish it."""
-        self._actors[key] = _Actor(key, self._clock.mono() + at_most_s)
+    def unfinished(self, key: str, who: str) -> None:
+        """An action on `key` for the sake of `who` was cut short when PHM ended; the engine may finish it, or has. Before any look."""
+        now = self._clock.mono()
+        self._actors[key] = _Actor(who, now, 1, now + UNFINISHED_S)
+
+    def unfinished_now(self) -> dict[str, str]:
+        """On which containers PHM is acting, or has made a call without an answer, and for whose sake: for the next PHM."""
+        actors, now = dict(self._actors), self._clock.mono()
+        return {
+            key: actor.who
+            for key, actor in actors.items()
+            if actor.ended is None or (actor.unanswered > 0 and now < actor.until)
+        }
 
     def _lock(self, key: str) -> threading.Lock:
         return self._locks.setdefault(key, threading.Lock())
@@ -155,7 +186,11 @@ class Lives:
         if fact is None:
             return None
         phm_for = actor.who if actor is not None else ""
-        self._lives[key] = follow(self._lives.get(key), fact, self._clock.mono(), self._lasting_s, phm_for)
-        if actor is not None and actor.ended is not None and began - actor.ended >= SETTLED_S:
-            del self._actors[key]
+        old = self._lives.get(key)
+        life = self._lives[key] = follow(old, fact, self._clock.mono(), self._lasting_s, phm_for)
+        if actor is not None:
+            if life is not old and life.whose:
+                actor.unanswered -= 1
+            if actor.over(began):
+                del self._actors[key]
         return fact

@@ -54,7 +54,10 @@ class UnderWay:
 
 @dataclass(frozen=True, slots=True)
 class RecoveryState:
-    """Recovery's own part: attempts by target, cases by fault id, actions under way and lives of containers by target."""
+    """Recovery's own part: attempts by target, cases by fault id, actions under way and lives of containers by target.
+
+    unfinished: containers on which PHM was acting, dependants included, with the container for whose sake.
+    """
 
     attempts: Mapping[str, tuple[Attempt, ...]] = field(default_factory=dict)
     cases: Mapping[str, Case] = field(default_factory=dict)
@@ -62,6 +65,7 @@ class RecoveryState:
     lives: Mapping[str, Life] = field(default_factory=dict)
     armed: LastKnown | None = None
     """The last certain armed state of the vehicle."""
+    unfinished: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +105,7 @@ def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
         },
         "lives": {target: _life(life, now) for target, life in list(recovery.lives.items())[:MAX_TARGETS]},
         "armed": None if recovery.armed is None else _last_known(recovery.armed, now),
+        "unfinished": dict(list(recovery.unfinished.items())[:MAX_TARGETS]),
     }
 
 
@@ -159,6 +164,10 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
             },
             {str(target): life(body) for target, body in list(document.get("lives", {}).items())[:MAX_TARGETS]},
             last_known(document.get("armed")),
+            {
+                str(key)[:MAX_TEXT]: str(who)[:MAX_TEXT]
+                for key, who in list(document.get("unfinished", {}).items())[:MAX_TARGETS]
+            },
         )
         faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
         return State(faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery)

@@ -60,14 +60,16 @@ class Surroundings:
         return after_other if case.proof_from is None else max(after_other, case.proof_from)
 
     def _look_at_life(self, cases: Iterable[Case]) -> None:
-        """Others have started the container: the hold of a repair that was cut short ends, and its parts get their grace."""
+        """The container was started apart from an attempt: its parts get their grace. By others: the hold of a repair that was
+        cut short ends. By PHM: the engine has done late what an attempt had asked for."""
         before, self._life = self._life, self._shop.lives.look(self._target)
-        if self._life is None or before is None or self._life.same(before) or self._life.by == by_phm(self._target):
+        if self._life is None or before is None or self._life.same(before):
             return
-        now = self._shop.clock.mono()
+        now, mine = self._shop.clock.mono(), self._life.by == by_phm(self._target)
         for case in cases:
-            if case.cut_short:
+            if case.cut_short and not mine:
                 case.cut_short = False
                 self._shop.hands.release(self._target, case, worked=False)
-            if case.proof_from is None:
-                case.proof_from = now + self._shop.grace_s(case.fault.unit)
+            after_grace = now + self._shop.grace_s(case.fault.unit)
+            if case.proof_from is None or mine:
+                case.proof_from = max(after_grace, case.proof_from or after_grace)

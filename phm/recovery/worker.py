@@ -88,7 +88,6 @@ class TargetWorker:
         if case.approved:
             self._approvals.expire(mine, case.approved, "PHM has been restarted")
         if cut is not None:
-            self._shop.lives.unfinished(self._target, CUT_SHORT_S)
             self._shop.hands.hold(self._target, mine, fault.unit, cut.attempt.action, grace_s + CUT_SHORT_S)
         self._wake.set()
 

@@ -8,7 +8,20 @@ import pytest
 
 from phm import testing
 from phm.facts import CannotTell, ContainerFact
-from phm.recovery.lives import COUNTED, ENGINE, FOUND, OTHERS, RECREATED, Life, Lives, by_phm, counts_anew, follow
+from phm.recovery.lives import (
+    COUNTED,
+    ENGINE,
+    FOUND,
+    OTHERS,
+    RECREATED,
+    UNFINISHED_S,
+    Life,
+    Lives,
+    by_phm,
+    counts_anew,
+    follow,
+)  # fmt: skip
+from phm.transport.docker import EngineTimeout
 
 LASTING_S = 30.0
 FIRST = testing.container("app", id="one", started_at="t1")
@@ -156,14 +169,60 @@ def test_an_action_that_phms_end_cut_short_may_still_be_finished_by_the_engine()
     """A restart goes on without PHM: what comes of it in time is PHM's, what comes later is not."""
     watch = Watch()
     watch.anew()
-    watch.lives.unfinished("app", 20.0)
-    watch.clock.advance(5.0)
+    watch.lives.unfinished("app", "app")
+    watch.clock.advance(60.0)
     watch.change(started_at="t2")
     assert watch.by == by_phm("app")
     watch.clock.advance(20.0)
     assert watch.by == by_phm("app")
     watch.change(started_at="t3")
     assert watch.by == OTHERS
+
+
+def late(watch: Watch) -> None:
+    """An action whose call has no answer within its deadline."""
+    with pytest.raises(EngineTimeout), watch.lives.acting("app", "app"):
+        raise EngineTimeout("it did not answer within 20 s")
+
+
+def test_what_the_engine_does_after_the_deadline_is_phms_doing() -> None:
+    """Each call without an answer stands for one start, however late; the next one is somebody else's."""
+    watch = Watch()
+    watch.anew()
+    for _ in range(2):
+        late(watch)
+        watch.clock.advance(5.0)
+        assert watch.by == FOUND
+    for number in (2, 3):
+        watch.clock.advance(60.0)
+        watch.change(started_at=f"t{number}")
+        assert watch.by == by_phm("app")
+        assert not watch.anew(after_s=LASTING_S)
+    watch.change(started_at="t4")
+    assert watch.by == OTHERS
+
+
+def test_a_call_without_an_answer_is_not_waited_for_for_ever() -> None:
+    """Who starts it when attempts no longer count is somebody else."""
+    watch = Watch()
+    watch.anew()
+    late(watch)
+    assert watch.by == FOUND
+    watch.clock.advance(UNFINISHED_S)
+    assert watch.by == FOUND
+    watch.change(started_at="t2")
+    assert watch.by == OTHERS
+
+
+def test_what_is_unfinished_is_known_to_the_next_phm() -> None:
+    """While an action is at work and after a call without an answer, not after one that has come back."""
+    watch = Watch()
+    assert watch.lives.unfinished_now() == {}
+    with watch.lives.acting("app", "owner"):
+        assert watch.lives.unfinished_now() == {"app": "owner"}
+    assert watch.lives.unfinished_now() == {}
+    late(watch)
+    assert watch.lives.unfinished_now() == {"app": "app"}
 
 
 @pytest.mark.parametrize("what", ["silent", "missing"])

@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 
 from phm import testing
-from phm.model import ActionEvent, Phase
+from phm.model import ActionEvent, Fault, Phase
+from phm.recovery.base import ActionContext
+from phm.transport.docker import EngineTimeout
 from tests.recovery.agent import Agent, Containers, Of
 
 UNITS = {"health/app": Of("app", grace_s=2.0)}
@@ -242,3 +244,78 @@ def test_a_start_long_before_the_first_attempt_excuses_nothing(yard: Yard) -> No
     agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
     agent.rest(30.0)
     assert len(agent.runs) == 2
+
+
+def late(agent: Agent) -> None:
+    """The engine does not answer within the deadline, and restarts the container all the same, one at a time."""
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        raise EngineTimeout("the engine did not answer within 20 s")
+
+    agent.behave = act
+
+
+def test_a_restart_that_the_engine_finishes_late_excuses_no_attempt(yard: Yard) -> None:
+    """It is PHM's own: after three equal failures PHM gives up, and stays so however long the last life lasts."""
+    agent = yard.phm(same_failure=3, backoff=15.0, backoff_max=15.0)
+    agent.rest(3.0)
+    late(agent)
+    agent.bad["health/app"] = "broken"
+    for number in (1, 2, 3):
+        agent.until(lambda count=number: len(agent.runs) == count, f"attempt {number}")  # type: ignore[misc]
+        agent.rest(1.0)
+        yard.containers.end("app")
+        agent.rest(1.0)
+        yard.containers.start("app")
+        agent.rest(8.0)  # longer than `verify`
+    agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
+    agent.rest(60.0)
+    assert (len(agent.runs), agent.opened()) == (3, ["health/app"])
+    assert not any("somebody else" in note for note in agent.notes())
+
+
+@pytest.mark.parametrize("while_away", [True, False])
+def test_a_restart_that_phms_end_interrupted_excuses_no_attempt(yard: Yard, while_away: bool) -> None:
+    """The engine finishes it before the next PHM looks for the first time, or a minute after that: it is PHM's own."""
+    first = yard.phm(same_failure=3)
+    first.rest(3.0)
+    first.behave = lambda key, context, fault: first.pause(lambda: False)
+    first.bad["health/app"] = "broken"
+    first.until(lambda: first.runs, "the action")
+    first.stop()
+    if while_away:
+        yard.containers.start("app")
+    second = yard.phm(same_failure=3, backoff=60.0, backoff_max=60.0)
+    second.bad["health/app"] = "broken"
+    second.rest(40.0)
+    if not while_away:
+        yard.containers.start("app")
+    second.until(lambda: Phase.ESCALATED in second.steps(), "giving up")
+    second.rest(60.0)
+    assert (len(second.runs), second.opened()) == (2, [])
+    assert not any("somebody else" in note for note in second.notes())
+
+
+def test_a_dependants_restart_that_phms_end_interrupted_is_phms_own(yard: Yard) -> None:
+    """What PHM has tried on the dependant itself still counts."""
+    yard.containers.facts["side"] = testing.container("side")
+    units = {**UNITS, "health/side": Of("side", grace_s=2.0)}
+    first = yard.phm(units=units, opted_in=("app", "side"))
+    first.rest(3.0)
+    first.bad["health/side"] = "broken"
+    first.until(lambda: Phase.ESCALATED in first.steps("side"), "giving up on side")
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        with context.holding("side", fault, "restart", 30.0):
+            first.pause(lambda: False)
+
+    first.behave = act
+    first.bad["health/app"] = "broken"
+    first.until(lambda: first.executor.kept().unfinished == {"app": "app", "side": "app"}, "the action")
+    first.stop()
+    yard.containers.start("side")
+    second = yard.phm(units=units, opted_in=("app", "side"))
+    second.bad["health/side"] = "broken"
+    second.rest(60.0)
+    assert [target for target, _ in second.runs] == []
+    assert not any("somebody else" in note for note in second.notes())

@@ -53,6 +53,7 @@ FULL = State(
         {"app": UnderWay("ab12-1", attempt(99.0))},
         {"app": Life("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, OTHERS), "side": Life("id1", "t")},
         LastKnown(True, 91.0),
+        {"app": "app", "side": "app"},
     ),
 )
 
