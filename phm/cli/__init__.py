@@ -28,6 +28,7 @@ VERBS = {
     "faults": "List open and recent faults, or one with its timeline.",
     "approve": "Say yes to the action that PHM advises for an open fault.",
     "note": "Write a line into the running daemon's log.",
+    "proxy-rules": "Print proxy rules that allow only the calls PHM makes.",
     "gcs": "Show how all agents are, as a ground station hears them.",
 }
 VERB_GROUP = "phm.verbs"
@@ -43,7 +44,7 @@ class LazyGroup(click.Group):
         if cmd_name in VERBS:
             from importlib import import_module
 
-            loaded = import_module(f"phm.cli.{cmd_name}").command
+            loaded = import_module(f"phm.cli.{cmd_name.replace('-', '_')}").command
         else:
             point = _foreign_verbs().get(cmd_name)
             if point is None:

@@ -20,6 +20,7 @@ from docker import APIClient
 from docker.errors import create_api_error_from_http_exception
 from requests.models import Response
 
+from phm.transport import docker_bodies
 from phm.transport.docker_errors import (
     EngineBroken,
     EngineConflict,
@@ -150,7 +151,7 @@ class Engine(Session):
         iteration ends when the engine ends the stream or after `close`, and raises EngineError when it
         breaks or nothing came for EVENT_SILENCE_S; the caller reconnects.
         """
-        params = {"filters": json.dumps({key: list(values) for key, values in (filters or {}).items()})}
+        params = {"filters": docker_bodies.filters(filters or {})}
         if since:
             params["since"] = since
         with self.calling("follow events", None) as (client, call):
@@ -187,20 +188,13 @@ class Engine(Session):
 
     def disconnect(self, network: str, container: str, force: bool = False) -> None:
         """Take a container off a network; `force` also when the container is gone or half connected."""
-        self._act(
-            lambda client: client.disconnect_container_from_network(container, network, force=force),
-            f"disconnect {container} from {network}",
-        )
+        path, body = f"/networks/{quote(network, safe='')}/disconnect", docker_bodies.disconnect(container, force=force)
+        self._act(lambda client: _post(client, path, body), f"disconnect {container} from {network}")
 
     def connect(self, network: str, container: str, aliases: Sequence[str] = (), address: str = "") -> None:
         """Put a container on a network, with `aliases` and, when given, a fixed `address` (IPv4 or IPv6)."""
-        fixed: dict[str, Any] = {"ipv6_address" if ":" in address else "ipv4_address": address} if address else {}
-        self._act(
-            lambda client: client.connect_container_to_network(
-                container, network, aliases=list(aliases) or None, **fixed
-            ),
-            f"connect {container} to {network}",
-        )
+        path, body = f"/networks/{quote(network, safe='')}/connect", docker_bodies.connect(container, aliases, address)
+        self._act(lambda client: _post(client, path, body), f"connect {container} to {network}")
 
     def exec_detached(self, container: str, argv: Sequence[str], user: str = "") -> None:
         """Start a program in a running container, with its environment and as its user unless another is given.
@@ -209,8 +203,8 @@ class Engine(Session):
         """
 
         def ask(client: APIClient) -> None:
-            made = client.exec_create(container, list(argv), stdout=False, stderr=False, user=user)
-            client.exec_start(made["Id"], detach=True)
+            made = _post(client, f"/containers/{quote(container, safe='')}/exec", docker_bodies.exec_(argv, user))
+            _post(client, f"/exec/{quote(made.json()['Id'], safe='')}/start", docker_bodies.START_EXEC)
 
         self._act(ask, f"run {argv[0] if argv else 'nothing'} in {container}")
 
@@ -225,10 +219,8 @@ class Engine(Session):
         made = pack(posixpath.relpath(path, folder), FileCopy(data, mode, uid, gid), self._clock.utc())
 
         def ask(client: APIClient) -> None:
-            params = {"path": folder, "noOverwriteDirNonDir": "true"}
-            _raise_for_status(
-                client.put(_archive_url(client, container), params=params, data=made, timeout=client.timeout)
-            )
+            url, params = _archive_url(client, container), docker_bodies.upload(folder)
+            _raise_for_status(client.put(url, params=params, data=made, timeout=client.timeout))
 
         self._act(ask, f"put {path} into {container}")
 
@@ -261,6 +253,17 @@ def _whole(seconds: float) -> int:
 
 def _archive_url(client: APIClient, container: str) -> str:
     return f"{client.base_url}/v{client.api_version}/containers/{quote(container, safe='')}/archive"
+
+
+def _post(client: APIClient, path: str, body: str) -> Response:
+    response = client.post(
+        f"{client.base_url}/v{client.api_version}{path}",
+        data=body,
+        headers={"Content-Type": "application/json"},
+        timeout=client.timeout,
+    )
+    _raise_for_status(response)
+    return response
 
 
 def _raise_for_status(response: Response) -> None:

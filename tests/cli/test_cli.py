@@ -95,7 +95,7 @@ def running(run_dir: Path, *states: UnitState, alive: bool = True) -> Status:
 def test_help_of_each_verb_says_what_it_does_with_an_example() -> None:
     """The group's table agrees with the first line of each verb, and each verb shows an example."""
     for verb, line in VERBS.items():
-        command = import_module(f"phm.cli.{verb}").command
+        command = import_module(f"phm.cli.{verb.replace('-', '_')}").command
         assert (command.help or "").partition("\n")[0] == line
         shown = invoke(verb, "--help")
         assert shown.exit_code == 0
@@ -457,7 +457,7 @@ def test_the_page_names_every_verb_option_and_key(tmp_path: Path) -> None:
     page = (ROOT / "docs" / "cli.md").read_text()
     for verb in VERBS:
         assert f"\n## phm {verb}\n" in page
-        for parameter in import_module(f"phm.cli.{verb}").command.params:
+        for parameter in import_module(f"phm.cli.{verb.replace('-', '_')}").command.params:
             assert any(option in page for option in parameter.opts), f"{verb} {parameter.opts} is not described"
     running(tmp_path, WELL)
     keys = json.loads((tmp_path / "status.json").read_text())

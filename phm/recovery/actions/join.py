@@ -32,7 +32,7 @@ def join(target: ContainerSettings, context: ActionContext) -> str:
         if mine is not None:
             context.engine.disconnect(name, me.name, force=True)
         try:
-            context.engine.connect(network, me.id, aliases=(), address="")
+            context.engine.connect(network, me.name, aliases=(), address="")
         except NotPermitted:
             # The engine's answer, 403, also stands for `is on it already`: somebody was quicker, perhaps PHM itself.
             if me.id not in context.engine.inspect_network(network).get("Containers", {}):

@@ -1,0 +1,160 @@
+"""Which calls PHM makes to the Docker Engine with a configuration: the allow-list, without a word of any proxy's language.
+
+A container or network is a `Subject`: it may be called by its configured name, or by the id that the engine itself gave
+for that name. What PHM does is in `phm.probes` and `phm.recovery.actions`; a call that is added there is added here.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from phm.probes.docker_processes import FORMS
+from phm.probes.docker_watch import FILTERS
+from phm.probes.volume_path import normal
+from phm.settings import ContainerSettings, FileSettings, Settings
+from phm.transport import docker_bodies
+
+COMMAND_LINES = "-ef"
+"""Arguments for `ps` with which `relaunch` looks for its command (`phm.transport.docker.Engine.top`)."""
+_ID_PREFIX = re.compile(r"[0-9a-f]{1,64}")
+_ALIAS = r'"[A-Za-z0-9][A-Za-z0-9_.-]*"'
+_ALIASES = rf'"Aliases": \[{_ALIAS}(?:, {_ALIAS})*\]'
+_ADDRESS = r'"IPAMConfig": \{"IPv[46]Address": "[0-9A-Fa-f.:]+"\}'
+_ENDPOINT = rf"\{{(?:{_ALIASES}|{_ADDRESS}|{_ALIASES}, {_ADDRESS})?\}}"
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """A container or network. key: names it among the rules."""
+
+    kind: str
+    name: str
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """One kind of call.
+
+    path:    a regular expression of what follows the subject in path and query; without a subject, of all after the version.
+    body:    a regular expression of the body; empty: there is none; None: any, an upload.
+    learns:  the answer holds the id of the subject.
+    starts:  the answer holds the id of a program in the subject, which may be started.
+    """
+
+    why: str
+    method: str
+    path: str
+    subject: Subject | None = None
+    body: str | None = ""
+    learns: bool = False
+    starts: bool = False
+
+
+def calls(settings: Settings) -> list[Call]:
+    """All that PHM calls with these settings, which must have none of the `problems`."""
+    me = Subject("containers", str(settings.docker.container), "me")
+    made = [Call("events", "GET", r"/events" + exact(_events()) + r"(?:&since=[0-9.]+)?")]
+    made += _container(me, "PHM itself")
+    acted_on = [me.name]
+    for number, entry in enumerate(settings.containers):
+        subject = me if entry.name == me.name else Subject("containers", str(entry.name), f"c{number}")
+        made += [*_container(subject, entry.key), *_looks(subject, entry, settings)]
+        if entry.recover and settings.recovery.mode != "off":
+            made += _actions(subject, entry, settings)
+            acted_on.append(subject.name)
+    for number, name in enumerate(sorted({name for entry in settings.containers for name in entry.networks})):
+        members = [entry.name for entry in settings.containers if name in entry.networks and entry.name in acted_on]
+        made += _network(Subject("networks", name, f"n{number}"), [me.name, *map(str, members)])
+    return made
+
+
+def left_out(settings: Settings) -> list[str]:
+    """What the configuration asks for and no rule allows, as sentences."""
+    return [
+        f"{entry.key}: restore of {file.path} from the image will be refused, because it needs to create a container: "
+        "give the path of a golden copy"
+        for entry in settings.containers
+        for file in entry.files
+        if file.restore == "image"
+    ]
+
+
+def problems(settings: Settings) -> Iterator[str]:
+    """Why no exact rules can be made of these settings, and what to change."""
+    if settings.docker.container is None:
+        yield "docker.container: needed, so that the rules can name PHM's own container"
+    for entry in settings.containers:
+        if entry.name is None:
+            yield f"containers: {entry.key} is known by a label, which rules cannot check: give its `name`"
+    names = {"docker.container": [settings.docker.container], "name": [entry.name for entry in settings.containers]}
+    names["networks"] = [name for entry in settings.containers for name in entry.networks]
+    for key, values in names.items():
+        for name in sorted({value for value in values if value and _ID_PREFIX.fullmatch(value)}):
+            yield f"{key}: {name} could also be the beginning of an id: rename it, with a letter above f or a `-`"
+
+
+def exact(text: str) -> str:
+    """A regular expression that only this text matches. Less than `re.escape`: an auditor is to read the rules."""
+    return re.sub(r"[.^$*+?{}\[\]\\|()]", r"\\\g<0>", text)
+
+
+def _events() -> str:
+    return docker_bodies.query({"filters": docker_bodies.filters(FILTERS)})
+
+
+def _container(subject: Subject, title: str) -> list[Call]:
+    return [Call(f"{title}: its state", "GET", "/json", subject, learns=True)]
+
+
+def _looks(subject: Subject, entry: ContainerSettings, settings: Settings) -> Iterator[Call]:
+    nodes = {settings.container_of_node(node.name) for node in settings.ros.nodes}
+    topics = {settings.container_of_topic(topic) for topic in settings.ros.topics}
+    if entry.key in nodes | topics:
+        forms = "|".join(exact(docker_bodies.query({"ps_args": form})) for form in (*FORMS, COMMAND_LINES))
+        yield Call(f"{entry.key}: its processes", "GET", f"/top(?:{forms})", subject)
+    for file in entry.files:
+        yield Call(f"{entry.key}: is {_shown(file.path)} there", "HEAD", _archive(*_spellings(file)), subject)
+        if file.present and file.sha256:
+            yield Call(f"{entry.key}: content of {_shown(file.path)}", "GET", _archive(*_spellings(file)), subject)
+
+
+def _actions(subject: Subject, entry: ContainerSettings, settings: Settings) -> Iterator[Call]:
+    for verb, query in (("start", ""), ("unpause", ""), ("restart", r"(?:\?t=[0-9]{1,4})?")):
+        yield Call(f"{entry.key}: {verb}", "POST", f"/{verb}{query}", subject)
+    for node in settings.ros.nodes:
+        if node.relaunch and settings.container_of_node(node.name) == entry.key:
+            body = exact(docker_bodies.exec_(node.relaunch))
+            yield Call(f"{entry.key}: relaunch {node.name}", "POST", "/exec", subject, body, starts=True)
+    for file in entry.files:
+        if file.present and file.restore and file.restore != "image":
+            folder = posixpath.dirname(posixpath.normpath(file.path))
+            put = exact(docker_bodies.query(docker_bodies.upload(folder)))
+            yield Call(f"{entry.key}: the folder of {_shown(file.path)}", "HEAD", _archive(folder), subject)
+            yield Call(f"{entry.key}: restore {_shown(file.path)}", "PUT", f"/archive{put}", subject, body=None)
+
+
+def _network(subject: Subject, members: list[str]) -> Iterator[Call]:
+    yield Call(f"network {subject.name}", "GET", "", subject, learns=True)
+    for name in members:
+        off = "|".join(exact(docker_bodies.disconnect(name, force=force)) for force in (True, False))
+        on = exact(docker_bodies.connect(name)).replace(r"\{\}\}", _ENDPOINT + r"\}")
+        yield Call(f"network {subject.name}: disconnect {name}", "POST", "/disconnect", subject, f"(?:{off})")
+        yield Call(f"network {subject.name}: connect {name}", "POST", "/connect", subject, on)
+
+
+def _archive(*paths: str) -> str:
+    return "/archive(?:" + "|".join(exact(docker_bodies.query({"path": path})) for path in paths) + ")"
+
+
+def _spellings(file: FileSettings) -> list[str]:
+    """As the check and the action write its path."""
+    return sorted({normal(file.path), posixpath.normpath(file.path)})
+
+
+def _shown(path: str) -> str:
+    """A path for a comment of one line."""
+    return ascii(path)[1:-1]

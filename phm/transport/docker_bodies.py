@@ -1,0 +1,50 @@
+"""The bodies and queries of PHM's calls to the Docker Engine, as text.
+
+The client sends exactly these, and the rules of the socket proxy (`phm.proxy`) allow exactly these. Pure.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from requests.models import PreparedRequest
+
+START_EXEC = json.dumps({"Detach": True, "Tty": False})
+"""Start a program that was made by `exec`, without a connection to its streams."""
+
+
+def exec_(argv: Sequence[str], user: str = "") -> str:
+    """Make a program that is to run in a container, as its user unless another is given."""
+    return json.dumps({"Cmd": list(argv), "User": user})
+
+
+def disconnect(container: str, *, force: bool) -> str:
+    """Take a container off a network."""
+    return json.dumps({"Container": container, "Force": force})
+
+
+def connect(container: str, aliases: Sequence[str] = (), address: str = "") -> str:
+    """Put a container on a network, with aliases and, when given, a fixed address (IPv4 or IPv6)."""
+    endpoint: dict[str, Any] = {"Aliases": list(aliases)} if aliases else {}
+    if address:
+        endpoint["IPAMConfig"] = {"IPv6Address" if ":" in address else "IPv4Address": address}
+    return json.dumps({"Container": container, "EndpointConfig": endpoint})
+
+
+def filters(wanted: Mapping[str, Sequence[str]]) -> str:
+    """The value of the parameter `filters`."""
+    return json.dumps({key: list(values) for key, values in wanted.items()})
+
+
+def upload(folder: str) -> dict[str, str]:
+    """Parameters of an upload into `folder`, in which no folder is replaced."""
+    return {"path": folder, "noOverwriteDirNonDir": "true"}
+
+
+def query(params: Mapping[str, str]) -> str:
+    """`?name=value&...` as the client encodes it."""
+    request = PreparedRequest()
+    request.prepare_url("http://engine/", dict(params))
+    return request.path_url.removeprefix("/")

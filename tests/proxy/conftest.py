@@ -1,0 +1,24 @@
+"""The real engine, and proxies before it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.docker.conftest import engine, real, until
+from tests.proxy.haproxy import Proxies, short_folder
+
+__all__ = ["engine", "proxies", "real", "until"]
+
+
+@pytest.fixture
+def proxies(real: Any) -> Iterator[Proxies]:
+    """With a container that stands for PHM's own."""
+    folder = short_folder()
+    made = Proxies(folder, real.container().name)
+    yield made
+    made.end()
+    shutil.rmtree(folder)

@@ -1,0 +1,109 @@
+"""A real HAProxy before the real engine, with the rules of a configuration."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+
+from phm.proxy.haproxy import rules
+from phm.settings import Settings
+from phm.testing import settings
+from phm.transport.docker import Engine
+
+ENGINE = "/var/run/docker.sock"
+LIMIT_S = 30.0
+Answer = tuple[int, bytes]
+
+
+class Proxy:
+    """One process of HAProxy; its socket is where `docker.socket` of the settings points."""
+
+    def __init__(self, made: Settings) -> None:
+        program = shutil.which("haproxy", path="/usr/sbin:/usr/bin:/usr/local/sbin")
+        if program is None:
+            pytest.fail("there is no haproxy: run scripts/test, which installs it, or install the package haproxy")
+        self.path = made.docker.socket.removeprefix("unix://")
+        file = Path(self.path).with_name("haproxy.cfg")
+        file.write_text(rules(made, ENGINE), "utf-8")
+        self.said = Path(self.path).with_name("haproxy.log")
+        with self.said.open("wb") as log:
+            self.process = subprocess.Popen([program, "-db", "-f", str(file)], stdout=log, stderr=log)
+        end = time.monotonic() + LIMIT_S
+        while not self._listens():
+            if self.process.poll() is not None or time.monotonic() > end:
+                pytest.fail(f"haproxy does not start: {self.said.read_text('utf-8', 'replace')}")
+            threading.Event().wait(0.02)
+
+    def _listens(self) -> bool:
+        with socket.socket(socket.AF_UNIX) as door:
+            return door.connect_ex(self.path) == 0
+
+    def stop(self) -> None:
+        self.process.terminate()
+        self.process.wait(LIMIT_S)
+
+    def ask(
+        self, method: str, path: str, body: bytes = b"", *, more: Mapping[str, str] | None = None, length: int | None = None
+    ) -> Answer:  # fmt: skip
+        """Status and body of one request, sent word by word as it is given here."""
+        headers = {"Host": "engine", "Connection": "close", "Content-Type": "application/json", **(more or {})}
+        if (body or method in ("POST", "PUT")) and "Transfer-Encoding" not in headers:
+            headers["Content-Length"] = str(len(body) if length is None else length)
+        head = f"{method} {path} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in headers.items())
+        with socket.socket(socket.AF_UNIX) as door:
+            door.settimeout(LIMIT_S)
+            door.connect(self.path)
+            door.sendall(head.encode() + b"\r\n" + body)
+            answer = b""
+            while piece := door.recv(1 << 16):
+                answer += piece
+        return int(answer.split(b" ", 2)[1]), answer.partition(b"\r\n\r\n")[2]
+
+
+class Proxies:
+    """Makes proxies, and ends them."""
+
+    def __init__(self, folder: Path, myself: str) -> None:
+        self._folder, self._myself, self._made = folder, myself, 0
+        self._ends: list[Callable[[], None]] = []
+
+    def docker(self) -> dict[str, str]:
+        """The section `docker` of a configuration whose engine is behind a proxy."""
+        self._made += 1
+        place = self._folder / str(self._made)
+        place.mkdir()
+        return {"socket": f"unix://{place}/engine.sock", "container": self._myself}
+
+    def before(self, made: Settings) -> Proxy:
+        proxy = Proxy(made)
+        self._ends.append(proxy.stop)
+        return proxy
+
+    def client(self, made: Settings) -> Engine:
+        """PHM's client behind a proxy with the rules of these settings."""
+        self.before(made)
+        engine = Engine(made.docker.socket, timeout_s=10)
+        self._ends.append(engine.close)
+        return engine
+
+    def behind(self, **yaml_like: object) -> tuple[Engine, Settings]:
+        """Settings as in `phm.yaml`, and PHM's client behind their proxy."""
+        made = settings(**{**yaml_like, "docker": self.docker()})
+        return self.client(made), made
+
+    def end(self) -> None:
+        for end in self._ends[::-1]:
+            end()
+
+
+def short_folder() -> Path:
+    """The path of a unix socket has at most 107 bytes."""
+    return Path(tempfile.mkdtemp(prefix="phm-proxy-"))

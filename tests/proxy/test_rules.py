@@ -1,0 +1,131 @@
+"""`phm proxy-rules`: what it writes, and which configurations it refuses."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given, strategies as st
+
+from phm.cli import group
+from phm.proxy.calls import exact
+from phm.proxy.haproxy import NoRules, quoted, rules
+from phm.testing import settings
+from phm.transport.docker import Engine
+
+ENGINE = "/var/run/docker.sock"
+SOCKET = "unix:///run/phm-engine/docker.sock"
+DOCKER = {"socket": SOCKET, "container": "phm"}
+NEEDED = {
+    "call", "calling", "close", "version", "inspect", "inspect_network", "top", "stat_path", "read_file", "copy_file",
+    "events", "start", "restart", "unpause", "disconnect", "connect", "exec_detached", "put_file",
+}  # fmt: skip
+REFUSED = {
+    "ping", "list", "stop", "pause", "kill", "fetch_file", "create_from_image", "remove",
+}  # fmt: skip
+"""Used by tests and the simulation, for labels, or by `restore: image`."""
+
+
+def made(**yaml_like: Any) -> str:
+    return rules(settings(**{"docker": DOCKER, **yaml_like}), ENGINE)
+
+
+def refused(**yaml_like: Any) -> str:
+    with pytest.raises(NoRules) as caught:
+        made(**yaml_like)
+    return str(caught.value)
+
+
+def invoke(folder: Path, text: str, *more: str) -> Result:
+    file = folder / "phm.yaml"
+    file.write_text(text, "utf-8")
+    return CliRunner().invoke(group, ["proxy-rules", "-c", str(file), *more], prog_name="phm")
+
+
+def test_each_call_of_the_client_is_known_to_the_rules() -> None:
+    """A method that is added to the client is allowed by a rule, or stands among those that the proxy refuses."""
+    public = {name for name in dir(Engine) if not name.startswith("_") and callable(getattr(Engine, name))}
+    assert public == NEEDED | REFUSED
+
+
+def test_what_rules_cannot_name_exactly_is_refused_with_what_to_do() -> None:
+    """Labels, names that could be the beginning of an id, PHM's own container without a name, the engine's own socket."""
+    assert "give its `name`" in refused(containers=[{"label": "com.app=one"}])
+    assert "cafe could also be the beginning of an id" in refused(containers=[{"name": "cafe"}])
+    assert "networks: 0 could" in refused(containers=[{"name": "app", "networks": ["0"]}])
+    assert "docker.container: needed" in refused(docker={"socket": SOCKET})
+    assert "docker.container: phm" not in refused(docker={"socket": SOCKET, "container": "abba"})
+    for socket in (f"unix://{ENGINE}", "tcp://proxy:2375"):
+        assert "the proxy's own unix socket" in refused(docker={"socket": socket, "container": "phm"})
+    for socket in ("unix:///tmp/a b", "unix:///tmp/a,/tmp/b"):
+        assert "must be a path of letters" in refused(docker={"socket": socket, "container": "phm"})
+
+
+def test_only_what_the_configuration_needs_is_in_the_rules() -> None:
+    """No exec without `relaunch`, no archive without files, no `top` without nodes, no POST without `recover`."""
+    plain = made(containers=[{"name": "app"}])
+    assert not re.search(r"/exec|archive|/top|POST|PUT", "".join(re.findall(r"http-request allow.*", plain)))
+    assert "POST" in made(containers=[{"name": "app", "recover": True}])
+    assert "/top" in made(containers=[{"name": "app"}], ros={"nodes": [{"name": "/one"}]})
+    looked_at = made(containers=[{"name": "app", "recover": True, "files": [{"path": "/a"}]}])
+    assert "HEAD" in looked_at
+    assert "PUT" not in looked_at
+    restored = made(containers=[{"name": "app", "recover": True, "files": [{"path": "/a/b", "restore": "/golden"}]}])
+    assert "PUT" in restored
+
+
+def test_rules_carry_the_sockets() -> None:
+    """PHM calls at `docker.socket`; the engine is where the proxy sees it."""
+    text = rules(settings(docker=DOCKER), "/run/other.sock")
+    assert "bind unix@/run/phm-engine/docker.sock mode 660" in text
+    assert "server engine unix@/run/other.sock" in text
+
+
+@given(st.text())
+def test_a_quoted_word_has_no_end_but_its_own(text: str) -> None:
+    """In strong quotes, each quote of the text is closed, escaped and opened again."""
+    word = quoted(text)
+    assert word[0] == word[-1] == "'"
+    assert word[1:-1].replace(r"'\''", "\0quote\0").count("'") == 0
+    assert word[1:-1].replace(r"'\''", "'") == text or r"'\''" in text
+
+
+@given(st.text(), st.text())
+def test_an_exact_pattern_matches_its_text_alone(text: str, other: str) -> None:
+    """Whatever has a meaning in patterns is escaped."""
+    pattern = re.compile(exact(text))
+    assert pattern.fullmatch(text)
+    assert not pattern.fullmatch(other) or other == text
+
+
+def test_the_verb_writes_a_file_and_warns_of_what_will_be_refused(tmp_path: Path) -> None:
+    """`restore: image` needs a container to be created, which the proxy never allows."""
+    text = f"""
+docker: {{socket: '{SOCKET}', container: phm}}
+containers:
+  - {{name: app, recover: true, files: [{{path: /a, restore: image}}]}}
+"""
+    file = tmp_path / "haproxy.cfg"
+    result = invoke(tmp_path, text, "--output", str(file))
+    assert result.exit_code == 0
+    assert "restore of /a from the image will be refused" in result.output
+    assert file.read_text("utf-8").startswith("# Made by `phm proxy-rules`")
+    assert "backend engine" in invoke(tmp_path, text).output
+
+
+def test_the_verb_ends_with_78_and_every_problem(tmp_path: Path) -> None:
+    """As for any configuration that cannot be used; nothing is written."""
+    result = invoke(tmp_path, "containers: [{label: one}]\n", "--output", str(tmp_path / "haproxy.cfg"))
+    assert result.exit_code == 78
+    assert len(result.output.splitlines()) == 3
+    assert not (tmp_path / "haproxy.cfg").exists()
+
+
+def test_the_verb_says_in_a_sentence_that_it_cannot_write(tmp_path: Path) -> None:
+    """The path and the reason, and no traceback."""
+    result = invoke(tmp_path, f"docker: {{socket: '{SOCKET}', container: phm}}\n", "--output", "/nowhere/haproxy.cfg")
+    assert result.exit_code == 1
+    assert "/nowhere/haproxy.cfg cannot be written: No such file or directory" in result.output
