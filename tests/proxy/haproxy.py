@@ -9,6 +9,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -102,6 +103,22 @@ class Proxies:
     def end(self) -> None:
         for end in self._ends[::-1]:
             end()
+
+
+@dataclass(frozen=True)
+class Door:
+    """A daemon's way to the engine. section: `docker` of its configuration. open: to be called with that, before it starts."""
+
+    section: dict[str, str]
+    open: Callable[[Settings], object]
+
+
+class BehindProxy(Engine):
+    """The real engine for what a test does itself; PHM's client (`tests.recovery.bench`) is behind a proxy."""
+
+    def __init__(self, proxies: Proxies) -> None:
+        super().__init__(f"unix://{ENGINE}", timeout_s=10)
+        self.proxies = proxies
 
 
 def short_folder() -> Path:

@@ -17,6 +17,7 @@ from phm.recovery.guarded_engine import guarded
 from phm.settings import ContainerSettings, Settings
 from phm.testing import settings
 from phm.transport.docker import Engine
+from tests.proxy.haproxy import BehindProxy
 
 
 def fault(unit: str, condition: str, **values: Value) -> Fault:
@@ -67,4 +68,7 @@ class Bench:
 
 
 def bench(engine: Engine, **yaml_like: object) -> Bench:
+    """Around this engine, or around one behind a proxy with the rules of these settings."""
+    if isinstance(engine, BehindProxy):
+        return Bench(*engine.proxies.behind(**yaml_like))
     return Bench(engine, settings(**yaml_like))

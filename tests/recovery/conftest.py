@@ -7,10 +7,30 @@ from collections.abc import Iterator
 import pytest
 
 from phm.transport.docker import Engine
-from tests.docker.conftest import engine, fake, real, until
+from tests.docker.conftest import SOCKET, fake, real, until
 from tests.fakes.engine import FakeEngine
+from tests.proxy.conftest import proxies
+from tests.proxy.haproxy import BehindProxy, Door
 
-__all__ = ["ask", "engine", "fake", "real", "until"]
+__all__ = ["ask", "door", "engine", "fake", "proxies", "real", "until"]
+
+
+@pytest.fixture(params=["engine", "proxy"])
+def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
+    """PHM's own client of the real engine: straight to it, and behind a proxy with the rules of the test's settings."""
+    behind = request.param == "proxy"
+    made = BehindProxy(request.getfixturevalue("proxies")) if behind else Engine(SOCKET, timeout_s=10)
+    yield made
+    made.close()
+
+
+@pytest.fixture(params=["engine", "proxy"])
+def door(request: pytest.FixtureRequest) -> Door:
+    """The way of a daemon to the real engine: straight, and behind a proxy."""
+    if request.param == "engine":
+        return Door({"socket": SOCKET}, lambda made: None)
+    proxies = request.getfixturevalue("proxies")
+    return Door(proxies.docker(), proxies.before)
 
 
 @pytest.fixture

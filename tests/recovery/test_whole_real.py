@@ -13,6 +13,7 @@ import pytest
 from phm.daemon import Daemon
 from phm.model import ActionEvent, Event, FaultOpened, Level, Note, Phase
 from phm.testing import settings
+from tests.proxy.haproxy import Door
 
 pytestmark = pytest.mark.engine
 
@@ -28,12 +29,13 @@ RULES: dict[str, Any] = {
 class Phm:
     """A daemon, and what it said."""
 
-    def __init__(self, folder: Path, containers: list[dict[str, Any]], **recovery: Any) -> None:
+    def __init__(self, folder: Path, door: Door, containers: list[dict[str, Any]], **recovery: Any) -> None:
         self.events: list[Event] = []
         made = settings(
-            interval=2, containers=containers, recovery={**RULES, **recovery}, state_dir=str(folder / "state"),
+            interval=2, docker=door.section, containers=containers, recovery={**RULES, **recovery}, state_dir=str(folder / "state"),
             run_dir=str(folder / "run"), log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}},
         )  # fmt: skip
+        door.open(made)
         self.daemon = Daemon(made)
         self.daemon.bus.subscribe("test", self.events.append)
 
@@ -73,11 +75,11 @@ Start = Callable[..., Phm]
 
 
 @pytest.fixture
-def phm(tmp_path: Path) -> Iterator[Start]:
+def phm(tmp_path: Path, door: Door) -> Iterator[Start]:
     made: list[Phm] = []
 
     def start(containers: list[dict[str, Any]], **recovery: Any) -> Phm:
-        made.append(Phm(tmp_path, containers, **recovery))
+        made.append(Phm(tmp_path, door, containers, **recovery))
         made[-1].start()
         return made[-1]
 
