@@ -28,6 +28,7 @@ from phm.probes.docker_watch import DockerEvent
 from phm.recovery.actions import join
 from phm.recovery.armed import ArmedMonitor
 from phm.recovery.base import Action, ActionContext
+from phm.recovery.critical import critical_containers
 from phm.recovery.executor import Executor, NotNow
 from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
@@ -154,7 +155,8 @@ class Daemon:
 
     def health(self) -> dict[str, Any]:
         """PHM's own condition for `phm status`; JSON-able."""
-        fact = self.parts.world.myself.look()
+        fact, armed = self.parts.world.myself.look(), self.armed.now()
+        critical = {"containers": critical_containers(self.settings), "armed": armed.state.value, "why": armed.why}
         return {
             "started_utc": self._started.utc,
             "uptime_s": round(fact.uptime_s, 1),
@@ -162,6 +164,7 @@ class Daemon:
             "dropped": dict(fact.dropped),
             "problems": list(fact.problems),
             "ros_restarts": fact.ros_restarts,
+            **({"flight_critical": critical} if critical["containers"] else {}),
             "links": self.parts.link_reports(),
             "reporters": self.reporters.reports(),
         }

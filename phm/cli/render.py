@@ -180,6 +180,11 @@ def _health(health: Json) -> list[RenderableType]:
         state = "connected" if fleet["connected"] else f"not connected: {fleet['error']}"
         words = f"fleet {fleet['fleet']}: {state} ({fleet['published']} published, {fleet['bytes_out']} bytes)"
         parts.append(_plain(words, "" if fleet["connected"] else "yellow"))
+    critical = health.get("flight_critical")
+    if critical:
+        free = critical["armed"] == "disarmed"
+        words = f"flight-critical {', '.join(critical['containers'])}: {'may be recovered' if free else 'left alone'}"
+        parts.append(_plain(f"{words}, {critical['why']}", "" if free else "yellow"))
     dropped = ", ".join(f"{name} {count}" for name, count in health.get("dropped", {}).items())
     counters = f"events dropped: {dropped or 'none'}; ROS child restarts: {health.get('ros_restarts', 0)}"
     parts.append(_plain(counters))

@@ -28,6 +28,11 @@ class FlightCritical(CannotTell):
     """Not done, because something flight-critical would be disturbed while the vehicle may be armed."""
 
 
+def critical_containers(settings: Settings) -> tuple[str, ...]:
+    """Keys of the containers that are left alone unless the vehicle is disarmed."""
+    return tuple(entry.key for entry in settings.containers if entry.flight_critical and entry.when_armed == "advise")
+
+
 class Safeguard:
     """The one place that knows what is flight-critical now. armed: the state at the time of the call."""
 
@@ -39,9 +44,7 @@ class Safeguard:
         armed: Callable[[], Armed],
     ) -> None:
         self._settings, self._container, self._myself, self.armed = settings, container, myself, armed
-        self._critical = tuple(
-            entry.key for entry in settings.containers if entry.flight_critical and entry.when_armed == "advise"
-        )
+        self._critical = critical_containers(settings)
 
     def forbids(self, target: str, reach: Reach, approved_at: State | None = None) -> str:
         """Why nothing of this reach may be done to `target` now; empty: it may.

@@ -16,9 +16,10 @@ _LINK = {
     "name!": str, "open!": bool, "error!": str, "slowed": float, "bytes_out": int, "sent": Table(Table(int)),
 }  # fmt: skip
 _FLEET = {"fleet!": str, "connected!": bool, "error!": str, "published!": int, "bytes_out!": int}
+_CRITICAL = {"containers!": [str], "armed!": str, "why!": str}
 _HEALTH = {
     "uptime_s": _NUMBER, "links": [_LINK], "reporters": {"fleet": _FLEET}, "dropped": Table(int),
-    "overdue": [str], "problems": [str],
+    "overdue": [str], "problems": [str], "flight_critical": _CRITICAL,
 }  # fmt: skip
 SHAPE = {
     "checks": [_CHECK], "status_array": [(int, type(None))], "status_word": int,

@@ -34,6 +34,11 @@ HEALTH = {
     "dropped": {"log": 3},
     "problems": ["log: no space left"],
     "ros_restarts": 2,
+    "flight_critical": {
+        "containers": ["pilot", "vpn"],
+        "armed": "unknown",
+        "why": "the autopilot has been silent for 12 s",
+    },
     "links": [
         {"name": "gcs", "open": False, "error": "refused"},
         {
@@ -258,6 +263,7 @@ def test_status_shows_faults_first_then_units_links_and_counters(tmp_path: Path)
         "link gcs: closed: refused",
         "link fc: open (421 bytes sent; transition 3 sent, 1 coalesced; refresh 9 sent, 1 coalesced, 4 dropped; "
         "slowed down 2.5 times by its radio)",
+        "flight-critical pilot, vpn: left alone, the autopilot has been silent for 12 s",
         "events dropped: log 3; ROS child restarts: 2",
         "problem: log: no space left",
     ]

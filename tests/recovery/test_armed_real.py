@@ -15,6 +15,7 @@ from phm.daemon import Daemon
 from phm.model import ActionEvent, Event, Phase
 from phm.testing import settings
 from phm.transport.docker import Engine
+from phm.wire import control
 from tests.fakes.mavlink import Sender, free_port, heartbeat
 
 pytestmark = pytest.mark.engine
@@ -92,6 +93,9 @@ class Vehicle:
     def advised(self, words: str) -> bool:
         return any(phase is Phase.ADVISED and words in detail for phase, detail in self.actions())
 
+    def started(self, engine: Engine) -> list[str]:
+        return [str(engine.inspect(made.id)["State"]["StartedAt"]) for made in (self.owner, self.pilot)]
+
     def gate(self) -> str:
         assert self.daemon is not None
         return self.daemon.armed.now().why
@@ -123,10 +127,7 @@ def vehicle(real: Any, tmp_path: Path) -> Iterator[Vehicle]:
 def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehicle, engine: Engine) -> None:
     """Armed, silent, a stranger's disarmed by the ground, PHM restarted: nothing; a fresh disarmed: both are restarted."""
 
-    def started() -> list[str]:
-        return [str(engine.inspect(made.id)["State"]["StartedAt"]) for made in (vehicle.owner, vehicle.pilot)]
-
-    before = started()
+    before = vehicle.started(engine)
     vehicle.beats["fc"].says = True
     vehicle.start()
     until(lambda: vehicle.gate() == "the autopilot is armed", "the armed heartbeat")
@@ -138,18 +139,43 @@ def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehi
     vehicle.beats["ground"].says = False
     until(lambda: any("come by ground" in text for text in vehicle.daemon.parts.world.links.problems()), "the stranger")  # type: ignore[union-attr]
     vehicle.passes(3)
-    assert started() == before
+    assert vehicle.started(engine) == before
 
     vehicle.stop()
     vehicle.start()
-    assert vehicle.gate() == "no heartbeat of the autopilot was received since PHM started, and it was armed before"
+    why = "no heartbeat of the autopilot was received since PHM started, and it was armed before"
+    expected = {"containers": ("pilot",), "armed": "armed", "why": why}
+    assert vehicle.daemon is not None
+    assert vehicle.daemon.health()["flight_critical"] == expected
     vehicle.passes(3)
-    assert started() == before
+    assert vehicle.started(engine) == before
     assert [phase for phase, _ in vehicle.actions() if phase is Phase.STARTED] == []
 
     vehicle.beats["fc"].says = False
     until(lambda: any(phase is Phase.VERIFIED for phase, _ in vehicle.actions()), "the repair on the ground")
-    after = started()
+    after = vehicle.started(engine)
     assert before[0] < after[0] < after[1]
+    share_network(vehicle)
+
+
+def test_what_an_operator_approves_in_the_air_is_done_whole(vehicle: Vehicle, engine: Engine) -> None:
+    """By the control socket, as `phm approve` does it: also the flight-critical dependant that the advice names follows."""
+    before = vehicle.started(engine)
+    vehicle.beats["fc"].says = True
+    vehicle.start()
+    until(lambda: vehicle.gate() == "the autopilot is armed", "the armed heartbeat")
+    assert vehicle.owner.exec_run(["rm", NEEDED]).exit_code == 0
+    until(lambda: vehicle.advised("would take down pilot, which is flight-critical"), "the advice")
+    assert vehicle.daemon is not None
+    (fault,) = vehicle.daemon.pipeline.open_faults()
+    said = control.ask(str(vehicle.folder / "run"), {"do": "approve", "fault": fault.id}, timeout_s=30.0)
+    assert said == "approved: restart owner for files/owner"
+    until(lambda: any(phase is Phase.VERIFIED for phase, _ in vehicle.actions()), "the repair")
+    after = vehicle.started(engine)
+    assert before[0] < after[0] < after[1]
+    share_network(vehicle)
+
+
+def share_network(vehicle: Vehicle) -> None:
     spaces = {str(made.exec_run(["readlink", "/proc/1/ns/net"]).output) for made in (vehicle.owner, vehicle.pilot)}
     assert len(spaces) == 1
