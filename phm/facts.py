@@ -82,6 +82,27 @@ class DeviceMapping:
 
 
 @dataclass(frozen=True, slots=True)
+class HealthcheckFact:
+    """How the engine runs a container's HEALTHCHECK; the engine's own defaults where nothing is set."""
+
+    interval_s: float = 30.0
+    timeout_s: float = 30.0
+    start_period_s: float = 0.0
+    start_interval_s: float = 5.0
+    """Interval within the start period; engines before 25 use `interval_s` there as well."""
+    retries: int = 3
+
+    @property
+    def decides_s(self) -> float:
+        """From the start of the container, at most so long until the engine no longer says `starting`.
+
+        A probe that fails does not count when it began within the start period, and the last of these may take its time-out.
+        """
+        uncounted_s = self.start_period_s + self.start_interval_s + self.timeout_s
+        return uncounted_s + self.retries * (self.interval_s + self.timeout_s)
+
+
+@dataclass(frozen=True, slots=True)
 class ContainerFact:
     """State of one container, from the engine's inspect call."""
 
@@ -99,6 +120,8 @@ class ContainerFact:
     """none, starting, healthy or unhealthy."""
     health_streak: int = 0
     health_output: str = ""
+    healthcheck: HealthcheckFact | None = None
+    """None: the container has none."""
     restart_count: int = 0
     restart_policy: str = "no"
     network_mode: str = "default"

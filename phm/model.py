@@ -92,6 +92,8 @@ class Result:
     bypass:    the check had nothing to judge and counts as OK (logged as BYPASS).
     settle_s:  how long a bad result must last before it is told, where the check knows better than `Unit.settle_s`:
                shorter with evidence that nothing above it is the cause, longer for what was seen to mend itself.
+    decides_s: a STALE result that only time can change: from the start of its container it takes at most so many seconds
+               until it is OK or ERROR. The verification of an action waits for that.
     """
 
     level: Level
@@ -102,6 +104,7 @@ class Result:
     values: Mapping[str, Value] = field(default_factory=dict)
     bypass: bool = False
     settle_s: float | None = None
+    decides_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

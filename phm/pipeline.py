@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 
 from phm.bus import Bus
 from phm.clock import Clock
-from phm.model import Event, Fault, FaultClosed, Level, Note, Report, ReportStarted, Result, Stamp, UnitState
+from phm.model import Event, Fault, FaultClosed, Note, Report, ReportStarted, Result, Stamp, UnitState
 from phm.tracker import Step, Tracker
 
 WakeUnits = Callable[[Iterable[str], str], None]
@@ -107,6 +107,9 @@ class Pipeline:
     def release(self, target: str, *, worked: bool) -> None:
         self._apply(lambda now: self._tracker.release(target, now, worked=worked))
 
+    def discredit(self, unit: str) -> None:
+        self._apply(lambda now: self._tracker.discredit(unit))
+
     def expect_end(self, target: str, at_most_s: float) -> None:
         """The container has got a signal to end (`docker stop`): see `Tracker.expect_end`."""
         self._apply(lambda now: self._tracker.expect_end(target, now, at_most_s))
@@ -146,9 +149,14 @@ class Pipeline:
             return self._tracker.suffering(unit, mono)
 
     def bad_since(self, unit: str, mono: float) -> bool:
-        """Whether a run that began after `mono` still found the unit in ERROR."""
+        """Whether the unit is still in ERROR by a run that began after `mono`: see `Tracker.found_bad`."""
         with self._lock:
-            return self._tracker.state(unit).level is Level.ERROR and self._tracker.last_started(unit) >= mono
+            return self._tracker.found_bad(unit, mono)
+
+    def newest(self, unit: str, mono: float) -> Result | None:
+        """The unit's newest result, published or not, if its run began after `mono`."""
+        with self._lock:
+            return self._tracker.newest(unit, mono)
 
     # ------------------------------------------------------------ for reporters
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from phm import api
 from phm.api import Slot
 from phm_checks._per_container import PerContainer
-from phm_checks._words import brief, clean
+from phm_checks._words import brief, clean, span
 
 
 class Health(PerContainer):
@@ -46,7 +46,10 @@ class Health(PerContainer):
                 **values,
             )
         if fact.health == "starting":
-            return api.stale(f"health check of {self.key} has not decided yet (starting)", brief="", **values)
+            decides_s = fact.healthcheck.decides_s if fact.healthcheck is not None else None
+            within = f", which may take {span(decides_s)} from its start" if decides_s is not None else ""
+            words = f"health check of {self.key} has not decided yet (starting){within}"
+            return api.stale(words, brief="", decides_s=decides_s, **values)
         return self._none(values)
 
     def _none(self, values: dict[str, api.Value]) -> api.Result:

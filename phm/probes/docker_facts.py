@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from phm.clock import Clock
-from phm.facts import Attachment, CannotTell, ContainerFact, DeviceMapping, Mount
+from phm.facts import Attachment, CannotTell, ContainerFact, DeviceMapping, HealthcheckFact, Mount
 from phm.settings import ContainerSettings
 from phm.transport.docker import Engine, EngineMissing
 
@@ -76,6 +76,7 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         health=_text(health.get("Status")) or "none",
         health_streak=_number(health.get("FailingStreak")),
         health_output=_output(health),
+        healthcheck=_healthcheck(_part(_part(answer, "Config"), "Healthcheck")),
         restart_count=_number(answer.get("RestartCount")),
         restart_policy=_text(_part(host, "RestartPolicy").get("Name")) or "no",
         network_mode=_text(host.get("NetworkMode")) or "default",
@@ -111,6 +112,25 @@ def _signal(value: Any) -> int:
 
 def _seconds(value: Any) -> float | None:
     return float(value) if isinstance(value, int) else None
+
+
+def _healthcheck(given: Mapping[str, Any]) -> HealthcheckFact | None:
+    """Times are in nanoseconds; what is 0 or left out has the engine's default."""
+    test = given.get("Test") or []
+    if not test or test == ["NONE"]:
+        return None
+    default = HealthcheckFact()
+
+    def seconds(key: str, otherwise_s: float) -> float:
+        return _number(given.get(key)) / 1e9 or otherwise_s
+
+    return HealthcheckFact(
+        seconds("Interval", default.interval_s),
+        seconds("Timeout", default.timeout_s),
+        seconds("StartPeriod", default.start_period_s),
+        seconds("StartInterval", default.start_interval_s),
+        _number(given.get("Retries")) or default.retries,
+    )
 
 
 def _networks(networks: Mapping[str, Any]) -> tuple[Attachment, ...]:

@@ -12,7 +12,7 @@ from phm import threads
 from phm.facts import CannotTell, NotPermitted
 from phm.model import Fault
 from phm.recovery.armed import State
-from phm.recovery.base import Action, ActionFailed
+from phm.recovery.base import Action, ActionFailed, NotYet
 from phm.recovery.critical import FlightCritical, Reach
 from phm.recovery.guarded_engine import guarded
 from phm.recovery.hands import InOtherHands
@@ -27,12 +27,14 @@ class Done:
     """What came of it: a sentence for the log, whether the step was done, and whether PHM was told that it may not.
 
     forbidden: the vehicle was armed between the decision and the call to the engine.
+    postponed: nothing was done because something that it needs is not there.
     """
 
     detail: str
     ok: bool = False
     refused: bool = False
     forbidden: bool = False
+    postponed: bool = False
 
 
 class Acting:
@@ -97,6 +99,8 @@ class Acting:
             return Done(str(error), forbidden=True)
         except NotPermitted as error:
             return Done(f"healing not permitted: {error}; PHM only reports this fault", refused=True)
+        except NotYet as error:
+            return Done(str(error), postponed=True)
         except (ActionFailed, CannotTell) as error:
             return Done(str(error))
         except BaseException as error:  # plug-in code, which may also exit: its thread is ours, and the attempt failed

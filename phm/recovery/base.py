@@ -22,6 +22,13 @@ class ActionFailed(Exception):
     """The step could not be done; the message says why and what an operator can do."""
 
 
+class NotYet(ActionFailed):
+    """Something that the step needs is not there, and nothing was changed: it is done later, and this is no attempt.
+
+    The message says what is waited for.
+    """
+
+
 def _no_graph() -> Mapping[str, int]:
     raise CannotTell("no ROS graph is watched")
 
@@ -87,9 +94,13 @@ class Action(ABC):
         """Whether the configuration has what this step needs; a rung that does not apply is left out of the ladder."""
         return True
 
+    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        """What must be there before this step can be done and is not, as a sentence; empty: nothing. Raises CannotTell."""
+        return ""
+
     @abstractmethod
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        """Do it; return a sentence for the log. Raises ActionFailed, NotPermitted or CannotTell.
+        """Do it; return a sentence for the log. Raises ActionFailed, NotYet, NotPermitted or CannotTell.
 
         Called again after a failure or a restart of PHM: doing it twice must be harmless.
         """

@@ -26,11 +26,18 @@ class Case:
     cut_short: bool = False
     """Restored, with an action under way: the target is held until it is healed or acted on anew."""
 
+    def now_is(self, fault: Fault) -> None:
+        """What is wrong may be another thing by now, for which other actions are known."""
+        if fault.result.condition != self.fault.result.condition:
+            self.refused = False
+        self.fault = fault
+
 
 class Cases:
     """By unit. Thread-safe; what stands in a case is the thread's own."""
 
-    def __init__(self) -> None:
+    def __init__(self, target: str) -> None:
+        self._target = target
         self._of: dict[str, Case] = {}
         self._lock = threading.Lock()
 
@@ -39,7 +46,7 @@ class Cases:
         with self._lock:
             case = self._of.get(fault.unit)
             if case is not None and case.fault.id == fault.id:
-                case.fault = fault
+                case.now_is(fault)
             else:
                 self._of[fault.unit] = Case(fault)
 
@@ -51,14 +58,16 @@ class Cases:
         with self._lock:
             return self._of.pop(unit, None)
 
-    def only(self, open_faults: Callable[[], Iterable[Fault]]) -> list[Case]:
-        """Forget all but these; what is left, most upstream first.
+    def current(self, open_faults: Callable[[], Iterable[Fault]]) -> list[Case]:
+        """The cases as their faults are now, most upstream first. Forgets those that are over, or no longer this target's.
 
         They are asked for while no case can come: one that opens meanwhile would be forgotten for ever.
         """
         with self._lock:
-            faults = {fault.id for fault in open_faults()}
-            self._of = {unit: case for unit, case in self._of.items() if case.fault.id in faults}
+            mine = {fault.id: fault for fault in open_faults() if fault.result.target == self._target}
+            self._of = {unit: case for unit, case in self._of.items() if case.fault.id in mine}
+            for case in self._of.values():
+                case.now_is(mine[case.fault.id])
             return sorted(self._of.values(), key=lambda case: case.fault.slot)
 
     def find(self, fault_id: str) -> Case | None:

@@ -32,6 +32,8 @@ class Attempt:
     """Back-off does not wait because of it."""
     excused: bool = False
     """It is not counted as a failure of the target."""
+    partly: bool = False
+    """The unit itself came back, and not all that needs it."""
 
 
 @dataclass(slots=True)

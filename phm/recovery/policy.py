@@ -52,6 +52,11 @@ own restart policy is at work and is not fought, `dead` because the engine refus
 PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_twice"})
 """Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs, and a node may make
 its ends anew by itself, or be relieved by a copy that starts before it ends."""
+OUTSIDE = frozenset({"network_missing"})
+"""Conditions that come from outside of every container. An action after which a unit has one of them is not to blame."""
+AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
+"""Conditions that only the first step of the ladder can end: a restart connects nothing. The next step is for what needs the unit
+and has not come back after the unit itself did."""
 ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_twice"})
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
 namespace, a publisher that was made anew, a second node started by hand. Where it was well in this life, a restart brings
@@ -128,7 +133,7 @@ def decide(
     if hopeless:
         return Leave(hopeless)
     same = _same_failures(history, fault, now, settings.verify)
-    action = ladder[min(len(same), len(ladder) - 1)]
+    action = _rung(ladder, condition, same, settings)
     if action not in free_actions:
         if settings.mode == "off":
             return Leave("recovery is off")
@@ -158,6 +163,13 @@ def decide(
 def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:
     """The user's ladder for the condition, else the built-in one, else none."""
     return tuple(settings.ladders.get(condition, LADDERS.get(condition, ())))
+
+
+def _rung(ladder: tuple[str, ...], condition: str, same: list[Attempt], settings: RecoverySettings) -> str:
+    """The step that follows so many failed attempts."""
+    again = condition in AGAIN_WHILE_IT_LASTS and condition not in settings.ladders
+    failed = sum(attempt.partly for attempt in same) if again else len(same)
+    return ladder[min(failed, len(ladder) - 1)]
 
 
 def _once(condition: str, settings: RecoverySettings) -> bool:

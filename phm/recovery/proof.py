@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from phm.model import Fault
+from phm.model import Fault, Level, Result
 from phm.recovery.base import Action
 from phm.recovery.lives import ENGINE, Life, by_phm
+from phm.recovery.policy import OUTSIDE
 from phm.recovery.shop import Shop
 
 POLL_S = 0.05
@@ -23,9 +24,9 @@ class Seen(Protocol):
 
     def well_since(self, unit: str, mono: float) -> bool: ...
 
-    def bad_since(self, unit: str, mono: float) -> bool: ...
-
     def suffering(self, unit: str, mono: float) -> tuple[str, ...]: ...
+
+    def newest(self, unit: str, mono: float) -> Result | None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,20 +35,26 @@ class Proof:
 
     missing:   the first unit that has not come back.
     overtaken: who has started the container again meanwhile, in words; what was found then says little about the action.
-    excused:   it was PHM itself, for another container's sake: nobody is to blame for what was found then.
+    excused:   PHM itself has started it, for another container, or what is missing now is outside of every container: the action
+               is not to blame.
+    partly:    the unit itself is OK; what is missing is something that needs it.
+    undecided: only time can show whether the unit is OK (`Result.decides_s`): the action has neither helped nor failed.
     """
 
     missing: str = ""
     overtaken: str = ""
     excused: bool = False
+    partly: bool = False
+    undecided: bool = False
 
 
 @dataclass(slots=True)
 class Proving:
     """The proof of one action that was over at `done` (monotonic seconds). Pure.
 
-    The unit itself gets `verify_s`, less when it is surely still bad; what needs it gets its grace. Runs count that began
-    `proof_s` after the action, which is the action's own, as are `shows_s` and `follow_s` (`phm.recovery.base.Action`).
+    The unit itself gets `verify_s`, less when it is surely still bad, more while its check says that only time can tell
+    (a HEALTHCHECK that is `starting`); what needs it gets its grace. Runs count that began `proof_s` after the action, which is
+    the action's own, as are `shows_s` and `follow_s` (`phm.recovery.base.Action`).
     """
 
     unit: str
@@ -65,8 +72,13 @@ class Proving:
         self.waiting = (self.unit,)
         if not seen.well_since(self.unit, self.done):
             late = self.done + (self.grace_s(self.unit) + STILL_BAD_S if self.shows_s is None else self.shows_s)
-            over = now - self.done > self.verify_s or seen.bad_since(self.unit, late)
-            return Proof(missing=self.unit) if over else None
+            newest = seen.newest(self.unit, late)
+            if newest is not None and newest.level is Level.ERROR:
+                return Proof(missing=self.unit, excused=newest.condition in OUTSIDE)
+            decides_s = self.decides_s(seen)
+            if now - self.done <= self.verify_s + decides_s:
+                return None
+            return Proof(missing=self.unit, undecided=decides_s > 0)
         suffering = seen.suffering(self.unit, self.done + self.proof_s)
         if not suffering and seen.well_since(self.unit, self.done + self.proof_s):
             return Proof()
@@ -74,17 +86,38 @@ class Proving:
         longest_s = self.follow_s
         if longest_s is None:
             longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.proof_s
-        return Proof(missing=self.waiting[0]) if now - self.done > longest_s else None
+        over = now - self.done > longest_s
+        return Proof(missing=self.waiting[0], partly=self.waiting[0] != self.unit) if over else None
+
+    def decides_s(self, seen: Seen) -> float:
+        """How long the unit's check needs from the start of the container, as it now says; 0: it does not wait for time."""
+        newest = seen.newest(self.unit, self.done)
+        return (newest.decides_s or 0.0) if newest is not None and newest.level is Level.STALE else 0.0
 
 
-def prove(shop: Shop, fault: Fault, target: str, kind: type[Action], stopping: Callable[[], bool]) -> Proof:
+@dataclass(frozen=True, slots=True)
+class Meanwhile:
+    """What a long verification must not hold back.
+
+    stopping: PHM ends.
+    settled:  called once when `recovery.verify` is over and only time can tell about the unit: all else in the container is
+              judged by itself from now on.
+    wanted:   another fault of the container calls for an action; asked only after that.
+    """
+
+    stopping: Callable[[], bool]
+    settled: Callable[[], None] = lambda: None
+    wanted: Callable[[], bool] = lambda: False
+
+
+def prove(shop: Shop, fault: Fault, target: str, kind: type[Action], meanwhile: Meanwhile) -> Proof:
     """Wait for the verdict. A life of the container that is not this action's doing ends the wait."""
     clock, pipeline = shop.clock, shop.pipeline
     verify_s = shop.context.settings.recovery.verify
     proving = Proving(fault.unit, clock.mono(), kind.proof_s, verify_s, shop.grace_s, kind.shows_s, kind.follow_s)
     mine = shop.lives.look(target)
-    asked = float("-inf")
-    while not stopping():
+    asked, settled = float("-inf"), False
+    while not meanwhile.stopping():
         now = clock.mono()
         look_again = now - asked >= LOOK_AGAIN_S
         if look_again:
@@ -95,6 +128,11 @@ def prove(shop: Shop, fault: Fault, target: str, kind: type[Action], stopping: C
         proof = proving.verdict(pipeline, now)
         if proof is not None:
             return proof
+        if not settled and now - proving.done > verify_s and proving.decides_s(pipeline) > 0:
+            settled = True
+            meanwhile.settled()
+        if look_again and settled and meanwhile.wanted():
+            return Proof(missing=fault.unit, undecided=True)
         if look_again:
             pipeline.look_again(fault.unit, *proving.waiting)
         clock.wait(threading.Event(), POLL_S)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
+from phm.facts import CannotTell
 from phm.model import Fault, Phase
 from phm.recovery.acting import Acting
 from phm.recovery.armed import State
 from phm.recovery.base import Action
-from phm.recovery.proof import prove
+from phm.recovery.proof import Meanwhile, prove
 from phm.recovery.shop import Shop
 from phm.settings import ContainerSettings
 
@@ -25,6 +27,9 @@ class Verdict:
     overtaken: somebody else has started the container meanwhile: it gets its grace before the next attempt.
     excused:   the failure says nothing about the target (`phm.recovery.history`).
     forbidden: not done, because the vehicle was armed meanwhile.
+    postponed: nothing was done, since something that the step needs is not there: no attempt.
+    undecided: time will tell; until then it has not failed.
+    partly:    the unit itself came back, and not all that needs it.
     """
 
     worked: bool
@@ -33,6 +38,18 @@ class Verdict:
     overtaken: bool = False
     excused: bool = False
     forbidden: bool = False
+    postponed: bool = False
+    undecided: bool = False
+    partly: bool = False
+
+    @property
+    def phase(self) -> Phase:
+        """Where the action stands now."""
+        if self.worked:
+            return Phase.VERIFIED
+        if self.postponed or self.forbidden:
+            return Phase.REFUSED
+        return Phase.DONE if self.undecided else Phase.FAILED
 
 
 class Repair:
@@ -45,7 +62,16 @@ class Repair:
         """last: no rung of the ladder follows. approved_at: as of `Acting`."""
         self._shop, self._target, self._fault, self._kind, self._last = shop, target.key, fault, kind, last
         self._began = shop.clock.mono()
-        self._acting = Acting(shop, target, fault, kind(), approved_at)
+        action = kind()
+        self._missing = partial(action.waits_for, target, fault, shop.context)
+        self._acting = Acting(shop, target, fault, action, approved_at)
+
+    def waits_for(self) -> str:
+        """What must be there first and is not; empty also when nobody can tell: then the action says what is wrong."""
+        try:
+            return self._missing()
+        except CannotTell:
+            return ""
 
     def begin(self) -> bool:
         """Take the target in hand and hold it; False when another container's repair is restarting it."""
@@ -59,15 +85,26 @@ class Repair:
         """End the hold, and let the target go if that has not happened."""
         self._acting.let_go()
         self._shop.hands.release(self._target, self, worked=worked)
+        if not worked:
+            self._shop.pipeline.discredit(self._fault.unit)
 
-    def run(self, tell: Callable[[Phase, str], None], stopping: Callable[[], bool]) -> Verdict:
+    def run(
+        self,
+        tell: Callable[[Phase, str], None],
+        stopping: Callable[[], bool],
+        wanted: Callable[[], bool] = lambda: False,
+    ) -> Verdict:
+        """wanted: whether another fault of the container calls for an action (`phm.recovery.proof.Meanwhile`)."""
         name, unit = self._kind.name, self._fault.unit
         tell(Phase.STARTED, f"{name} {self._target} for: {self._fault.result.summary}")
         done = self._acting.run()
         if not done.ok:
-            return Verdict(False, done.detail, done.refused, excused=done.forbidden, forbidden=done.forbidden)
+            not_done = done.forbidden or done.postponed
+            return Verdict(
+                False, done.detail, done.refused, excused=not_done, forbidden=done.forbidden, postponed=done.postponed
+            )
         tell(Phase.DONE, done.detail)
-        proof = prove(self._shop, self._fault, self._target, self._kind, stopping)
+        proof = prove(self._shop, self._fault, self._target, self._kind, Meanwhile(stopping, self._settle, wanted))
         if proof.overtaken:
             words = f"{self._target} was started again by {proof.overtaken} before {name} was proven"
             return Verdict(False, words, overtaken=True, excused=proof.excused)
@@ -75,4 +112,10 @@ class Repair:
         if not proof.missing or (self._last and proof.missing != unit):
             took_s = self._shop.clock.mono() - self._began
             return Verdict(True, f"{unit} is OK again {took_s:.1f} s after the action began")
-        return Verdict(False, f"{name} of {self._target} did not bring {proof.missing} back")
+        if proof.undecided:
+            return Verdict(False, f"{name} of {self._target}: {unit} is not known yet, and PHM waits", undecided=True)
+        words = f"{name} of {self._target} did not bring {proof.missing} back"
+        return Verdict(False, words, excused=proof.excused, partly=proof.partly)
+
+    def _settle(self) -> None:
+        self._shop.hands.release(self._target, self, worked=True)

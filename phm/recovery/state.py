@@ -127,8 +127,8 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
         def attempt(body: Any) -> Attempt:
             when = carried(_read_stamp(body["at"]), max(window_s, CLEAN_S))
             unit, condition, action = (str(body[key]) for key in ("unit", "condition", "action"))
-            worked, eased, excused = (body.get(key) is True for key in ("worked", "eased", "excused"))
-            return Attempt(when.mono, unit, condition, action, worked, eased, excused)
+            flags = (body.get(key) is True for key in ("worked", "eased", "excused", "partly"))
+            return Attempt(when.mono, unit, condition, action, *flags)
 
         def fault(body: Any) -> Fault:
             return _read_fault(body, carried(_read_stamp(body["opened"]), FAULT_AGE_S))
@@ -220,6 +220,7 @@ def _attempt(attempt: Attempt, now: Stamp) -> dict[str, Any]:
         "worked": attempt.worked,
         "eased": attempt.eased,
         "excused": attempt.excused,
+        "partly": attempt.partly,
     }
 
 

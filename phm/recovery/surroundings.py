@@ -47,9 +47,24 @@ class Surroundings:
         self._look_at_life(cases)
         return True
 
-    def attempted(self) -> None:
-        """An attempt of the container's own is over: the life at hand now is no surprise."""
-        self._life = self._shop.lives.look(self._target)
+    def attempted(self, cases: Iterable[Case], mine: Case, before: Life | None, *, overtaken: bool) -> None:
+        """An attempt of the container's own, for the case `mine`, is over: the life at hand now is no surprise.
+
+        What was found until now says nothing about what to do next, for that case as for the others. These get the grace of
+        their units when the container is no longer in the life that it was in `before`.
+        """
+        now, self._life = self._shop.clock.mono(), self._shop.lives.look(self._target)
+        restarted = self._life is not None and not self._life.same(before)
+        for case in cases:
+            waits = overtaken or (restarted and case.fault.id != mine.fault.id)
+            proof_from = now + (self._shop.grace_s(case.fault.unit) if waits else 0.0)
+            case.proof_from = max(proof_from, case.proof_from or proof_from)
+
+    def unproven_from(self, case: Case) -> float | None:
+        """A run that begins after this must find the unit in ERROR before anything is done; None: one has."""
+        proof_from = self.proof_from(case)
+        known = proof_from is None or self._shop.pipeline.bad_since(case.fault.unit, proof_from)
+        return None if known else proof_from
 
     def proof_from(self, case: Case) -> float | None:
         """A run that began then must have found the unit in ERROR before anything is done; None: it is known."""

@@ -15,14 +15,14 @@ from functools import partial
 
 from phm import threads
 from phm.model import ActionEvent, Fault, Phase
-from phm.recovery import disks, links
+from phm.recovery.announcements import announce, in_words
 from phm.recovery.approvals import Approvals
 from phm.recovery.asked import NotAllowed, NotNow, permit, stand_in
 from phm.recovery.cases import Case, Cases
 from phm.recovery.history import Attempt, History
 from phm.recovery.policy import Act, Advise, Decision, GiveUp, Leave, Wait, decide
 from phm.recovery.proof import LOOK_AGAIN_S, POLL_S
-from phm.recovery.repair import Repair, Verdict
+from phm.recovery.repair import Repair
 from phm.recovery.shop import Shop
 from phm.recovery.state import Case as Kept, UnderWay
 from phm.recovery.surroundings import Surroundings
@@ -34,6 +34,8 @@ CUT_SHORT_S = 20.0
 """A target whose action was cut short is held this long, beyond the unit's grace, unless it is healed before."""
 PROOF_S = 0.5
 """A fault that is to be judged afresh is looked at again this often."""
+WAITS_S = 1.0
+"""While something that an action needs is not there, it is looked for this often; mostly its event comes first."""
 LIFE_S = 2.0
 """While attempts on the container count, it is looked at this often to see whether somebody else has started it again."""
 
@@ -53,7 +55,7 @@ class TargetWorker:
         self._history = history
         self._under_way: UnderWay | None = None
         self._asked: Case | None = None
-        self._cases, self._around = Cases(), Surroundings(target, shop, history)
+        self._cases, self._around = Cases(target), Surroundings(target, shop, history)
         self._approvals = Approvals(target, shop, self._publish)
         self._lock = threading.Lock()
         self._wake = threading.Event()
@@ -97,15 +99,16 @@ class TargetWorker:
 
     def approve(self, fault_id: str) -> str:
         """An operator approves what is advised: what will be done now. Raises NotApprovable, and NotNow when it may be later."""
+        self._current()
         case = self._cases.find(fault_id)
         if case is None:
             raise NotApprovable(f"{fault_id} is not in the hands of recovery")
         unbound = self._decide(case.fault, approved=False)
         if not isinstance(unbound, Advise) and not case.refused:
-            raise NotApprovable(f"nothing is advised for {fault_id}: {_in_words(unbound)}")
+            raise NotApprovable(f"nothing is advised for {fault_id}: {in_words(unbound)}")
         decision = self._decide(case.fault, approved=True)
         if isinstance(decision, (Leave, GiveUp)):
-            raise NotApprovable(f"{fault_id} cannot be helped by a yes: {_in_words(decision)}")
+            raise NotApprovable(f"{fault_id} cannot be helped by a yes: {in_words(decision)}")
         action = unbound.action if isinstance(unbound, Advise) else getattr(decision, "action", "recovery")
         approval = self._approvals.grant(action)
         if isinstance(decision, Wait) and decision.until >= approval.until:
@@ -176,8 +179,7 @@ class TargetWorker:
 
     def _next(self) -> float | None:
         """Do the most upstream thing there is to do; seconds to wait (0: look again now, None: until woken)."""
-        # The tracker knows first what is over; its event may still be on its way through the bus.
-        cases = self._cases.only(self._shop.pipeline.open_faults)
+        cases = self._current()
         waits = [LIFE_S] if self._around.take_note(cases) else []
         if self._asked is not None:
             return self._as_asked(self._asked)
@@ -185,8 +187,8 @@ class TargetWorker:
             waits += self._check_approval(case)
             if case.refused:
                 continue
-            proof_from = self._around.proof_from(case)
-            if proof_from is not None and not self._shop.pipeline.bad_since(case.fault.unit, proof_from):
+            proof_from = self._around.unproven_from(case)
+            if proof_from is not None:
                 waits.append(self._wait_for_proof(case.fault.unit, proof_from))
                 continue
             case.proof_from = None
@@ -205,11 +207,23 @@ class TargetWorker:
         decision = self._decide(case.fault, approved=True)
         return self._approvals.check(case, decision.action if isinstance(decision, Act) else "")
 
+    def _current(self) -> list[Case]:
+        """The tracker knows first what is over and what is wrong now; its event may still be on its way through the bus."""
+        return self._cases.current(self._shop.pipeline.open_faults)
+
+    def _another_calls(self, case: Case) -> bool:
+        """Whether there is something to do on the container that is not this case's."""
+        return any(
+            isinstance(self._decide(other.fault, approved=other.approval is not None), Act)
+            for other in self._current()
+            if other.fault.id != case.fault.id and not other.refused and self._around.unproven_from(other) is None
+        )
+
     def _wait_for_proof(self, unit: str, proof_from: float) -> float:
         left_s = proof_from - self._shop.clock.mono()
         if left_s > 0:
             return min(left_s, PROOF_S)
-        self._shop.pipeline.look_again(unit)
+        self._shop.pipeline.look_again(unit, *self._shop.pipeline.suffering(unit, proof_from))
         return PROOF_S
 
     def _decide(self, fault: Fault, *, approved: bool) -> Decision:
@@ -229,22 +243,15 @@ class TargetWorker:
 
     def _say(self, case: Case, decision: Decision) -> float | None:
         """Tell a decision that is not to act, once; when to look again, or None when only an event helps."""
-        if isinstance(decision, Advise):
-            self._once(
-                case, decision.action, Phase.ADVISED, f"advised: {decision.action} {self._target} ({decision.why})"
-            )
-            return decision.again_at
-        if isinstance(decision, Wait):
-            if decision.tell:
-                self._once(case, "wait", Phase.REFUSED, f"{self._target} is left alone for now: {decision.why}")
-            return decision.until
+        announced = announce(decision, self._target, self._container)
+        if announced is not None:
+            self._once(case, announced.action, announced.phase, announced.detail)
         if isinstance(decision, GiveUp):
-            named = self._container.name if self._container is not None else None
-            step = disks.by_hand(self._target) if disks.path_of(self._target) else links.by_hand(self._target, named)
-            self._once(case, decision.action, Phase.ESCALATED, f"gave up on {self._target}: {decision.why}; {step}")
             case.refused = True
             self._shop.pipeline.escalate(case.fault.id)
-        return None
+        if isinstance(decision, Wait):
+            return decision.until
+        return decision.again_at if isinstance(decision, Advise) else None
 
     def _once(self, case: Case, action: str, phase: Phase, detail: str) -> None:
         said = f"{phase.value} {action}"
@@ -263,46 +270,42 @@ class TargetWorker:
             self._once(case, act.action, Phase.FAILED, what)
             case.refused = True
             return 0
-        attempt = Attempt(shop.clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
         last = shop.is_last(self._container, fault, act.action)
         approved_at = case.approval.situation.armed if case.approval is not None else None
         repair = Repair(shop, self._container, fault, kind, last=last, approved_at=approved_at)
+        missing = repair.waits_for()
+        if missing:
+            self._once(case, act.action, Phase.REFUSED, f"{self._target} is left alone for now: {missing}")
+            return WAITS_S
+        attempt = Attempt(shop.clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
         if not repair.begin():
             return LOOK_AGAIN_S  # another container's repair restarts this one: decided afresh when that is over
         case.approval, case.cut_short = None, False
         self._under_way = UnderWay(fault.id, attempt)
-        worked = False
+        worked, life = False, shop.lives.look(self._target)
         try:
             tell = partial(self._publish, fault, act.action, attempt=act.attempt)
-            verdict = repair.run(tell, lambda: self._stopping)
+            verdict = repair.run(tell, lambda: self._stopping, lambda: self._another_calls(case))
             if self._stopping and not verdict.worked:
                 return 0  # cut short by the end of PHM: the state file still says that it was under way
-            worked = verdict.worked
-            self._learn(case, verdict)
-            self._end(replace(attempt, worked=worked, excused=verdict.excused))
-            failed = Phase.REFUSED if verdict.forbidden else Phase.FAILED
-            tell(Phase.VERIFIED if worked else failed, verdict.detail)
+            worked = verdict.worked or verdict.undecided
+            case.refused = verdict.refused
+            self._around.attempted(self._current(), case, life, overtaken=verdict.overtaken)
+            done = replace(attempt, worked=verdict.worked, excused=verdict.excused, partly=verdict.partly)
+            self._end(None if verdict.postponed else done)
+            tell(verdict.phase, verdict.detail)
         finally:
             if self._under_way is not None and not self._stopping:
                 self._end(attempt)
             repair.release(worked=worked)
         return 0
 
-    def _learn(self, case: Case, verdict: Verdict) -> None:
-        self._around.attempted()
-        case.refused = verdict.refused
-        if verdict.overtaken:
-            case.proof_from = self._shop.clock.mono() + self._shop.grace_s(case.fault.unit)
-
-    def _end(self, attempt: Attempt) -> None:
-        """Counted before it is told: whoever kills PHM in between loses no attempt."""
-        self._history.add(attempt)
+    def _end(self, attempt: Attempt | None) -> None:
+        """Counted before it is told: whoever kills PHM in between loses no attempt. None: nothing was tried."""
+        if attempt is not None:
+            self._history.add(attempt)
         self._under_way = None
 
     def _publish(self, fault: Fault, action: str, phase: Phase, detail: str, attempt: int = 1) -> None:
         stamp = self._shop.clock.stamp()
         self._shop.publish(ActionEvent(stamp, fault.id, fault.unit, action, self._target, phase, detail, attempt))
-
-
-def _in_words(decision: Decision) -> str:
-    return f"{decision.action} is about to be done" if isinstance(decision, Act) else decision.why

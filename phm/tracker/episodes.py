@@ -31,18 +31,23 @@ class Episodes:
                 step.events.append(FaultClosed(now, closed))
             elif entry.fault is None:
                 entry.fault = replace(fault, slot=entry.spec.slot, layer=entry.spec.layer)
+                entry.conditions.add(fault.result.condition)
                 _restored(entry, fault, fault.id)
         for fault in given_up:
             entry = self._scene.units.get(fault.unit)
             if entry is not None and entry.fault is None:
                 entry.escalated, entry.given_up = True, fault
+                entry.conditions.add(fault.result.condition)
                 _restored(entry, fault, "")
         return step
 
     def open(self, entry: Entry, result: Result, now: Stamp, step: Step) -> None:
-        """An alarm, unless recovery has given up on this unit and it has not been well since."""
-        if entry.fault is not None or entry.escalated:
+        """An alarm, unless recovery has given up on this unit and it has not been well since; what is wrong in another way than
+        before is a new one all the same, once for each condition."""
+        if entry.fault is not None or (entry.escalated and result.condition in entry.conditions):
             return
+        entry.escalated, entry.given_up = False, None
+        entry.conditions.add(result.condition)
         spec = entry.spec
         entry.fault = Fault(
             self._next_id(),

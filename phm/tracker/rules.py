@@ -124,8 +124,7 @@ def grace(look: Look) -> Verdict | None:
     """
     if not too_early(look.entry, look.now):
         return None
-    summary = f"not known yet: {look.result.summary}"
-    return Verdict(replace(look.result, level=Level.STALE, summary=summary, brief="", condition=""))
+    return Verdict(not_known_yet(look.result))
 
 
 def settled(look: Look) -> Verdict:
@@ -162,6 +161,11 @@ def settled(look: Look) -> Verdict:
 RULES: tuple[Callable[[Look], Verdict | None], ...] = (
     well, repair_at_work, consequence, not_known, being_stopped, grace, settled,
 )  # fmt: skip
+
+
+def not_known_yet(result: Result) -> Result:
+    """A bad result that may be incomplete."""
+    return replace(result, level=Level.STALE, summary=f"not known yet: {result.summary}", brief="", condition="")
 
 
 def too_early(entry: Entry, now: float) -> bool:

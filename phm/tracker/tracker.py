@@ -9,7 +9,7 @@ from phm.model import LIFE, Fault, Level, Outcome, Result, Stamp, Transition, Un
 from phm.needs import Needs
 from phm.tracker.episodes import Episodes
 from phm.tracker.lives import Lives
-from phm.tracker.rules import SURE_S, judge, too_early
+from phm.tracker.rules import SURE_S, judge, not_known_yet, too_early
 from phm.tracker.units import NEVER, Entry, Hold, Scene, Step, Tracked
 
 ITSELF = "itself"
@@ -58,20 +58,36 @@ class Tracker:
         entry = self._units[unit]
         return entry.raw is not None and entry.raw.level is Level.OK and entry.started >= mono
 
+    def newest(self, unit: str, mono: float) -> Result | None:
+        """The newest result, published or not, if its run began after `mono`."""
+        entry = self._units[unit]
+        return entry.raw if entry.started >= mono else None
+
+    def found_bad(self, unit: str, mono: float) -> bool:
+        """Whether the unit is ERROR and a run that began after `mono` has confirmed that: a run of its own check, or, while
+        its OK is kept back, one that found something in ERROR which needs it. What it found must be what is published."""
+        entry = self._units[unit]
+        if entry.told.level is not Level.ERROR or entry.started < mono:
+            return False
+        if entry.raw is None or entry.raw.level is not Level.OK:
+            return entry.failing and entry.raw is not None and entry.raw.condition == entry.told.result.condition
+        return any(self._units[name].failing and self._units[name].started >= mono for name in self._below(entry))
+
+    def _below(self, entry: Entry) -> list[str]:
+        """Units of the same target that need this one and have no fault of their own."""
+        return [
+            other.id
+            for other in self._scene.downstream(entry.id)
+            if other.target == entry.target and other.fault is None and not other.told_given_up
+        ]
+
     def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
         """Units of the same target that need `unit` and have not been found free of ERROR in a run since `mono`.
 
         Those with a fault of their own are not counted: it is not this repair that they wait for.
         """
-        target = self._units[unit].target
-        return tuple(
-            entry.id
-            for entry in self._scene.downstream(unit)
-            if entry.target == target
-            and entry.fault is None
-            and not entry.told_given_up
-            and (entry.failing or entry.started < mono)
-        )
+        below = (self._units[name] for name in self._below(self._units[unit]))
+        return tuple(entry.id for entry in below if entry.failing or entry.started < mono)
 
     def open_faults(self) -> tuple[Fault, ...]:
         return tuple(entry.fault for entry in self._units.values() if entry.fault is not None)
@@ -169,6 +185,13 @@ class Tracker:
                     entry.fault = replace(entry.fault, by="")
         return step
 
+    def discredit(self, unit: str) -> Step:
+        """The action for the unit's fault has not helped: what heals later is not its doing."""
+        entry = self._units[unit]
+        if entry.fault is not None:
+            entry.fault = replace(entry.fault, by="")
+        return Step()
+
     def expect_end(self, target: str, now: Stamp, at_most_s: float) -> Step:
         """The container has got a signal to end, and has so long to do it: its parts go first, and are no faults of their own.
 
@@ -212,8 +235,11 @@ class Tracker:
         step = Step()
         given_up = [self._units[name] for name in units if name in self._units and self._units[name].escalated]
         for entry in given_up:
-            entry.escalated, entry.given_up = False, None
+            entry.reconsider()
         self._give_grace([entry.id for entry in given_up], now, step)
+        for entry in given_up:
+            if entry.told.level is Level.ERROR:  # without a fault until it is known again
+                self._tell(entry, not_known_yet(entry.told.result), now, step)
         return step
 
     # ------------------------------------------------------------ what follows
@@ -242,7 +268,8 @@ class Tracker:
 
     def _came_well(self, entry: Entry, result: Result, now: Stamp, step: Step) -> None:
         recovered = entry.harmed or entry.told.level is Level.ERROR or bool(entry.told.blocked_by)
-        entry.harmed, entry.escalated, entry.given_up = False, False, None
+        entry.harmed = False
+        entry.reconsider()
         entry.well_since = now.mono if entry.well_since is None else entry.well_since
         if now.mono - entry.well_since >= max(SURE_S, entry.spec.unit.memory_s):
             entry.quiet_until = min(entry.quiet_until, now.mono)
@@ -292,8 +319,8 @@ class Tracker:
         since = now if changed else old.since
         if level is Level.ERROR:
             self._episodes.open(entry, result, now, step)
-        if reworded and entry.fault is not None:
-            entry.fault = replace(entry.fault, result=result)
+        if reworded:
+            entry.reword(result)
         if changed:
             entry.was_well_s = entry.well_in_life_s(now.mono)
         fault = entry.fault.id if entry.fault is not None else ""

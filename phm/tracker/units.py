@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from phm.api import Unit
 from phm.model import Event, Fault, Layer, Level, Result, Slot, UnitState
@@ -82,6 +82,8 @@ class Entry:
     escalated: bool = False
     given_up: Fault | None = None
     """The fault that recovery gave up on, while `escalated`."""
+    conditions: set[str] = field(default_factory=set)
+    """Those that its faults have had since it was last OK: giving up on one of them is no reason to ignore another."""
 
     @property
     def id(self) -> str:
@@ -96,6 +98,19 @@ class Entry:
         self.pending = self.well_since = None
         self.bad_in_a_row, self.counts_from = 0, now
         self.quiet_until = max(self.quiet_until, until)
+
+    def reword(self, result: Result) -> None:
+        """What is wrong has changed: the fault that is open, or was given up, now says so."""
+        self.conditions.add(result.condition)
+        if self.fault is not None:
+            self.fault = replace(self.fault, result=result)
+        elif self.given_up is not None:
+            self.given_up = replace(self.given_up, result=result)
+
+    def reconsider(self) -> None:
+        """It is OK, or there is a reason to try again: nothing is given up any more."""
+        self.escalated, self.given_up = False, None
+        self.conditions.clear()
 
     def begin_life(self, now: float) -> None:
         """Its container has been started: what was well before says nothing about this life."""

@@ -131,9 +131,17 @@ def test_the_configuration_may_replace_a_ladder() -> None:
 
 
 def test_the_next_rung_follows_a_failed_attempt() -> None:
-    """Reconnecting did not help, so restart."""
+    """The address is silent after a reconnection as well, so restart."""
+    history = attempts(900.0, condition="address_silent")
+    assert say(history, fault=fault("address_silent")) == Act("restart", 2)
+
+
+def test_a_container_that_is_still_disconnected_is_connected_again_and_not_restarted() -> None:
+    """A restart connects nothing; it follows when the container is connected and its nodes have not come back."""
     history = attempts(900.0, condition="disconnected")
-    assert say(history, fault=fault("disconnected")) == Act("restart", 2)
+    assert say(history, fault=fault("disconnected")) == Act("reconnect", 2)
+    partly = History([replace(each, partly=True) for each in history.attempts])
+    assert say(partly, fault=fault("disconnected")) == Act("restart", 2)
 
 
 def test_back_off_doubles_and_is_capped() -> None:

@@ -45,6 +45,7 @@ CAUSES = {
     "paused": ("container/ros_app", "paused"),
     "unhealthy": ("health/ros_app", "unhealthy"),
     "network": ("network/ros_app", "disconnected"),
+    "apart": ("network/ros_app", "sidecar_apart"),
     "file": ("files/ros_app", "file_missing"),
     "device": ("devices/ros_app", "device_missing"),
     "disk": ("host/disk", "disk_full"),
@@ -57,9 +58,10 @@ FIXES = {
     "start": {"container"},
     "unpause": {"paused"},
     "reconnect": {"network"},
+    "join": {"apart"},
     "restore": {"file"},
     "relaunch": {"node_1", "node_2", "node_3", "silent_1", "silent_2", "silent_3"},
-    "restart": set(CAUSES) - {"file", "device", "disk", "engine"},
+    "restart": set(CAUSES) - {"file", "device", "disk", "engine", "apart"},
 }
 LOST = "lost"
 """Not a cause: nodes that a repair has left cut off."""
@@ -123,7 +125,7 @@ class World:
         family, _, number = kind.partition("_")
         first = at + rnd.uniform(SILENCE_S, SILENCE_S + 0.5) if family == "silent" else at
         spans.append(Bad(unit, first, condition, rnd.uniform(0.3, 5.0) if family == "node" else 0.0))
-        if family in ("container", "paused", "network", "node"):
+        if family in ("container", "paused", "network", "apart", "node"):
             spans += self._ros(at, {int(number)} if family == "node" else set(NODES), spans[0], family)
         self.active[kind] = spans
         for span in spans:

@@ -27,7 +27,8 @@ from tests.fakes.agent_world import FIXES, Sim
 
 REAL_LIMIT_S = 20.0
 KINDS = {
-    kind.name: kind for kind in (real.Start, real.Restart, real.Unpause, real.Reconnect, real.Relaunch, real.Restore)
+    kind.name: kind
+    for kind in (real.Start, real.Restart, real.Unpause, real.Reconnect, real.Join, real.Relaunch, real.Restore)
 }
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from phm import testing
-from phm.api import Layer, Slot, Unit, error, ok
+from phm.api import Layer, Result, Slot, Unit, error, ok
 from phm.bus import Bus
 from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Note, Phase
 from phm.needs import Needs
@@ -72,12 +72,17 @@ class Agent:
     def __init__(
         self, units: Mapping[str, Of], containers: Containers, clock: testing.FakeClock, *,
         folder: Path | None = None, opted_in: tuple[str, ...] = ("app",),
-        critical: tuple[str, ...] = (), monitor: ArmedMonitor | None = None, **recovery: Any,
+        critical: tuple[str, ...] = (), monitor: ArmedMonitor | None = None,
+        actions: tuple[str, ...] = ("restart",), **recovery: Any,
     ) -> None:  # fmt: skip
         self.clock, self.containers = clock, containers
         self.events: list[Event] = []
         self.bad: dict[str, str] = {}
+        self.found: dict[str, Result] = {}
+        """What the check of a unit finds, for what `bad` cannot say."""
         self.runs: list[tuple[str, str]] = []
+        self.missing = ""
+        """What actions wait for, in words."""
         self.armed = False
         self._monitor = monitor
         self.acting: list[str] = []
@@ -107,7 +112,7 @@ class Agent:
         plan = Plan((), tracked, Needs({entry.unit.id: entry.needs for entry in tracked}))
         graces = {name: of.grace_s for name, of in units.items()}
         shop = Shop(
-            self.pipeline, self._publish, clock, {"restart": self._action()}, context, self._armed,
+            self.pipeline, self._publish, clock, {name: self._action(name) for name in actions}, context, self._armed,
             lambda unit: graces[unit], plan.below,
         )  # fmt: skip
         self.executor, self.hands = Executor(shop), shop.hands
@@ -115,12 +120,15 @@ class Agent:
             self.memory.resume(self.executor)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
 
-    def _action(self) -> type[Action]:
+    def _action(self, of: str) -> type[Action]:
         agent = self
 
-        class Restart(Action):
-            name = "restart"
+        class Simulated(Action):
+            name = of
             deadline_s = 100.0
+
+            def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+                return agent.missing
 
             def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
                 agent.runs.append((target.key, fault.unit))
@@ -131,7 +139,7 @@ class Agent:
                     agent.acting.remove(target.key)
                 return "restarted"
 
-        return Restart
+        return Simulated
 
     def _armed(self) -> Armed:
         if self._monitor is not None:
@@ -151,6 +159,7 @@ class Agent:
             condition = self.bad.get(unit)
             target = unit.partition("/")[2]
             found = error(condition, brief=condition, condition=condition, target=target) if condition else ok("well")
+            found = self.found.get(unit, found)
             self.pipeline.observe({unit: found}, self.clock.mono(), 0.0)
 
     def step(self) -> None:
@@ -207,6 +216,9 @@ class Agent:
 
     def steps(self, target: str = "app") -> list[Phase]:
         return [event.phase for event in self.of(ActionEvent) if event.target == target]
+
+    def acted(self, phase: Phase = Phase.STARTED) -> list[str]:
+        return [event.action for event in self.of(ActionEvent) if event.phase is phase]
 
     def notes(self) -> list[str]:
         return [event.text for event in self.of(Note)]

@@ -10,23 +10,41 @@ from phm.model import Fault, Stamp
 from phm.recovery.cases import Cases
 
 
-def fault(name: str) -> Fault:
-    found = error("bad", brief="bad", condition="broken", target="app")
+def fault(name: str, condition: str = "broken", target: str = "app") -> Fault:
+    found = error("bad", brief="bad", condition=condition, target=target)
     return Fault(name, f"health/{name}", Slot.CONTAINER, Layer.DOCKER, found, Stamp(0.0, 0.0))
 
 
 def test_what_is_over_is_forgotten() -> None:
     """Only what the tracker still has open is left."""
-    cases = Cases()
+    cases = Cases("app")
     cases.opened(fault("a"))
     cases.opened(fault("b"))
-    assert [case.fault.id for case in cases.only(lambda: [fault("b")])] == ["b"]
+    assert [case.fault.id for case in cases.current(lambda: [fault("b")])] == ["b"]
     assert cases.find("a") is None
+
+
+def test_a_case_is_as_its_fault_is_now() -> None:
+    """What is wrong may have changed, and its event may be on its way; what was refused was the action for another fault."""
+    cases = Cases("app")
+    cases.opened(fault("a"))
+    (case,) = cases.current(lambda: [fault("a")])
+    case.refused = True
+    assert cases.current(lambda: [fault("a")])[0].refused
+    (case,) = cases.current(lambda: [fault("a", "other")])
+    assert (case.fault.result.condition, case.refused) == ("other", False)
+
+
+def test_a_fault_that_no_longer_concerns_the_container_is_forgotten() -> None:
+    """A hung node that turns out to be unreachable has no target: nothing is restarted for it."""
+    cases = Cases("app")
+    cases.opened(fault("a"))
+    assert cases.current(lambda: [fault("a", "node_unheard", target="")]) == []
 
 
 def test_a_fault_that_opens_while_others_are_looked_through_is_kept() -> None:
     """It comes by another thread, after the tracker was asked: forgotten now, it would never be healed."""
-    cases, came = Cases(), threading.Event()
+    cases, came = Cases("app"), threading.Event()
     coming = threading.Thread(target=lambda: (cases.opened(fault("new")), came.set()))
 
     def open_faults() -> Iterable[Fault]:
@@ -34,6 +52,6 @@ def test_a_fault_that_opens_while_others_are_looked_through_is_kept() -> None:
         came.wait(0.2)  # for as long as it may come at all
         return []
 
-    assert cases.only(open_faults) == []
+    assert cases.current(open_faults) == []
     coming.join()
     assert cases.find("new") is not None

@@ -1,0 +1,147 @@
+"""Recovery decides on what is wrong now: ladder, target and refusals follow a fault whose condition changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from phm.api import error
+from phm.model import Fault, Level, Outcome, Phase
+from phm.recovery.base import ActionContext
+from phm.testing import FakeClock
+from tests.recovery.agent import Agent, Containers, Of
+
+UNITS = {"container/app": Of("app"), "network/app": Of("app", ("container/app",)), "nodes/one": Of("app")}
+HUNG = error("hung", brief="hung", condition="node_hung", target="app")
+UNHEARD = error("unheard", brief="unheard", condition="node_unheard")
+APART = error("PHM is not on the network", brief="apart", condition="sidecar_apart", target="app")
+OFF = error("app is not on the network", brief="off", condition="disconnected", target="app")
+Start = Callable[..., Agent]
+
+
+@pytest.fixture
+def start() -> Iterator[Start]:
+    made: list[Agent] = []
+
+    def begin(**more: Any) -> Agent:
+        actions = ("restart", "join", "reconnect")
+        made.append(Agent(UNITS, Containers("app"), FakeClock(), actions=actions, verify="5s", **more))
+        made[-1].rest(3.0)
+        return made[-1]
+
+    yield begin
+    for agent in made:
+        agent.stop()
+
+
+def visible(agent: Agent) -> bool:
+    """Whether each unit in ERROR has a fault, open or given up."""
+    bad = {state.unit for state in agent.pipeline.states() if state.level is Level.ERROR}
+    return bad <= {fault.unit for fault in (*agent.pipeline.open_faults(), *agent.pipeline.given_up())}
+
+
+def test_a_hung_node_that_turns_out_to_be_unreachable_is_not_restarted_after_landing(start: Start) -> None:
+    """`node_hung` is only advised in the air; it becomes `node_unheard`, for which nothing is restarted, also on the ground."""
+    agent = start(critical=("app",))
+    agent.armed = True
+    agent.found["nodes/one"] = HUNG
+    agent.until(lambda: agent.acted(Phase.ADVISED) == ["restart"], "the advice")
+    agent.found["nodes/one"] = UNHEARD
+    agent.rest(5.0)
+    agent.armed = False
+    agent.rest(30.0)
+    assert agent.acted() == []
+    assert visible(agent)
+    assert agent.opened() == ["nodes/one"]
+
+
+def test_an_unreachable_node_that_turns_out_to_be_hung_is_restarted(start: Start) -> None:
+    """The other way round: a fault that had no target gets one."""
+    agent = start()
+    agent.found["nodes/one"] = UNHEARD
+    agent.until(lambda: agent.opened() == ["nodes/one"], "the alarm")
+    agent.rest(5.0)
+    agent.found["nodes/one"] = HUNG
+    agent.until(lambda: agent.acted() == ["restart"], "the restart")
+
+
+def test_the_application_is_reconnected_once_phm_is_back_on_the_network(start: Start) -> None:
+    """Both lost it in the same second: PHM sees itself first, joins, and then acts for what is wrong now."""
+    agent = start()
+
+    def behave(key: str, context: ActionContext, fault: Fault) -> None:
+        agent.found.clear()
+        if fault.result.condition == "sidecar_apart":
+            agent.found["network/app"] = OFF
+
+    agent.behave = behave
+    agent.found["network/app"] = APART
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the application to be back")
+    assert agent.acted() == ["join", "reconnect"]
+    (closed,) = agent.closed()
+    assert (closed.fault.outcome, closed.fault.by) == (Outcome.RESOLVED, "reconnect")
+
+
+def test_what_was_given_up_is_acted_on_when_something_else_is_wrong(start: Start) -> None:
+    """PHM could not join and gave up; the application then loses the network itself. Each condition is reported once."""
+    agent = start()
+    agent.behave = lambda *_: None
+    agent.found["network/app"] = APART
+    agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
+    assert agent.acted() == ["join"] * 3
+    assert visible(agent)
+    agent.behave = lambda *_: agent.found.clear()
+    agent.found["network/app"] = OFF
+    agent.until(lambda: agent.acted()[-1] == "reconnect", "the reconnection")
+    agent.until(lambda: not agent.pipeline.open_faults(), "the end of the fault")
+    assert agent.opened() == ["network/app"] * 2
+
+
+def test_a_fault_that_goes_back_and_forth_is_given_up_once(start: Start) -> None:
+    """Two conditions in turn, both given up, do not raise one alarm after the other."""
+    agent = start()
+    agent.behave = lambda *_: None
+    agent.found["network/app"] = APART
+    agent.until(lambda: agent.steps().count(Phase.ESCALATED) == 1, "giving up")
+    agent.found["network/app"] = OFF
+    agent.until(lambda: agent.steps().count(Phase.ESCALATED) == 2, "giving up again")
+    told, acted = len(agent.opened()), len(agent.acted())
+    for found in (APART, OFF, APART, OFF):
+        agent.found["network/app"] = found
+        agent.rest(10.0)
+        assert visible(agent)
+        (fault,) = agent.pipeline.given_up()
+        assert fault.result.condition == found.condition
+    assert (len(agent.opened()), len(agent.acted())) == (told, acted)
+
+
+def test_after_one_fault_was_healed_the_others_are_looked_at_before_anything_is_done(start: Start) -> None:
+    """A restart for one fault heals the other as well, which takes a moment to show: it is not restarted a second time."""
+    agent = start(ladders={"broken": ["restart"]})
+    agent.bad.update({"container/app": "broken", "nodes/one": "broken"})
+
+    def behave(key: str, *_: object) -> None:
+        agent.containers.start(key)
+        agent.bad.pop("container/app", None)
+
+    agent.behave = behave
+    agent.until(lambda: Phase.DONE in agent.steps(), "the restart")
+    agent.until(lambda: Phase.VERIFIED in agent.steps() or len(agent.acted()) > 1, "its verification")
+    del agent.bad["nodes/one"]
+    agent.rest(20.0)
+    assert agent.acted() == ["restart"]
+
+
+def test_an_action_that_waits_for_something_is_no_attempt(start: Start) -> None:
+    """The network is missing: said once, and done when it is there, with all its attempts left."""
+    agent = start()
+    agent.behave = lambda *_: agent.found.clear()
+    agent.missing = "there is no network swarm"
+    agent.found["network/app"] = OFF
+    agent.rest(60.0)
+    assert agent.steps() == [Phase.REFUSED]
+    agent.missing = ""
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the reconnection")
+    assert agent.steps() == [Phase.REFUSED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
