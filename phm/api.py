@@ -213,12 +213,9 @@ def error(summary: str, *, brief: str, condition: str, target: str = "", **value
     return Result(Level.ERROR, summary, brief, condition, target, values)
 
 
-def stale(summary: str, *, brief: str = "", decides_s: float | None = None, **values: Value) -> Result:
-    """Could not tell. Never opens a fault and never triggers recovery.
-
-    decides_s: only time is needed, at most so many seconds from the start of the container; see `Result`.
-    """
-    return Result(Level.STALE, summary, brief, values=values, decides_s=decides_s)
+def stale(summary: str, *, brief: str = "", **values: Value) -> Result:
+    """Could not tell. Never opens a fault and never triggers recovery."""
+    return Result(Level.STALE, summary, brief, values=values)
 
 
 def worst(results: Iterable[Result]) -> Result:

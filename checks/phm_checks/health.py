@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Slot
@@ -49,7 +50,7 @@ class Health(PerContainer):
             decides_s = fact.healthcheck.decides_s if fact.healthcheck is not None else None
             within = f", which may take {span(decides_s)} from its start" if decides_s is not None else ""
             words = f"health check of {self.key} has not decided yet (starting){within}"
-            return api.stale(words, brief="", decides_s=decides_s, **values)
+            return replace(api.stale(words, brief="", **values), decides_s=decides_s)
         return self._none(values)
 
     def _none(self, values: dict[str, api.Value]) -> api.Result:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
+from phm.facts import HealthcheckFact
 from phm_checks._lives import BY_HAND, STEADY_S, WAIT_S
 from phm_checks.container import Container, code_in_words
 from phm_checks.engine import SETTLE_S, Engine
@@ -308,6 +309,20 @@ def test_docker_health_is_taken_over(health: str, streak: int, level: api.Level)
     """Starting is not known yet; unhealthy is an error, but not the engine's word for `not run since a pause`."""
     (check,) = build(Health)
     assert run(check, testing.container("ros_app", health=health, health_streak=streak)).level is level
+
+
+def test_how_long_docker_may_say_starting_depends_on_the_healthcheck() -> None:
+    """Its interval, time-out, start period and retries; an operator reads it, and recovery waits for it."""
+    (check,) = build(Health)
+    slow = HealthcheckFact(interval_s=60.0, timeout_s=10.0, start_period_s=20.0, retries=2)
+    assert slow.decides_s == 20.0 + 5.0 + 10.0 + 2 * 70.0
+    result = run(check, testing.container("ros_app", health="starting", healthcheck=slow))
+    assert result.decides_s == 175.0
+    assert "may take 175 s" in result.summary
+    assert (
+        run(check, testing.container("ros_app", health="unhealthy", health_streak=1, healthcheck=slow)).decides_s
+        is None
+    )
 
 
 def test_unhealthy_tells_streak_and_last_output() -> None:

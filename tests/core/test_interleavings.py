@@ -184,6 +184,33 @@ def test_recovery_respects_budget_hold_and_arming(
     assert sim.told(Level.OK) == {state.unit for state in sim.tracker.states()}
 
 
+CHANGING = ("network", "apart", "container", "paused", "node_1", *BY_OTHERS)
+"""What makes a unit bad in one way and then in another."""
+
+
+@examples(100)
+@given(
+    st.lists(st.tuples(st.sampled_from(CHANGING), st.floats(6.5, 60.0)), min_size=2, max_size=7), SEEDS, st.booleans()
+)
+def test_a_unit_in_error_always_has_a_visible_fault(
+    happenings: list[tuple[str, float]], seed: int, nothing_helps: bool
+) -> None:
+    """Open or given up, also when what is wrong changes before, during and after a repair; `Sim` asserts it at each tick."""
+    sim = Sim(seed)
+    rules = {"budget": 20, "window": 40.0, "same_failure": 2, "verify": 6.0}
+    with healing(sim, helps=0.0 if nothing_helps else 0.6, in_part=0.3, **rules):
+        for what, at in sorted(happenings, key=lambda happening: happening[1]):
+            sim.run(max(0.0, at - sim.now))
+            happen(sim, what)
+        sim.run(30.0)
+        for kind in list(sim.world.active):
+            sim.world.repair(kind, sim.now)
+        for state in sim.tracker.states():
+            sim.ask(state.unit)
+        sim.run(40.0)
+    assert sim.told(Level.OK) == {state.unit for state in sim.tracker.states()}
+
+
 def reasons_to_tell_again(sim: Sim) -> Counter[str]:
     """Each start was a moment in which the container did not run; a fault may be told again after it was found to follow
     from another, and after it was given up when somebody else began anew."""

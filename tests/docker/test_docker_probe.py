@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from phm.clock import SystemClock
-from phm.facts import CannotTell
+from phm.facts import CannotTell, HealthcheckFact
 from phm.probes.docker import Docker, own_ids
 from phm.probes.docker_facts import container_fact
 from phm.probes.reach import Reach
@@ -107,6 +107,35 @@ def test_a_full_answer_is_read_in_full() -> None:
     assert fact.networks[0].fixed_address == "10.9.0.2"
     assert (fact.mounts[0].name, fact.mounts[0].writable) == ("v", False)
     assert (fact.devices[0].host_path, fact.devices[0].container_path) == ("/dev/a", "/dev/b")
+
+
+SECOND = 10**9
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        (None, None),
+        ({}, None),
+        ({"Test": ["NONE"]}, None),
+        ({"Test": ["CMD", "true"]}, HealthcheckFact(30.0, 30.0, 0.0, 5.0, 3)),
+        ({"Test": ["CMD-SHELL", "x"], "Interval": 0, "Retries": 0}, HealthcheckFact(30.0, 30.0, 0.0, 5.0, 3)),
+        (
+            {
+                "Test": ["CMD", "x"], "Interval": 60 * SECOND, "Timeout": 2 * SECOND, "StartPeriod": 90 * SECOND,
+                "StartInterval": SECOND, "Retries": 5,
+            },
+            HealthcheckFact(60.0, 2.0, 90.0, 1.0, 5),
+        ),
+        ({"Test": ["CMD", "x"], "Interval": "often"}, HealthcheckFact()),
+    ],
+)  # fmt: skip
+def test_a_healthcheck_has_the_engines_defaults_where_nothing_is_set(
+    given: dict[str, Any] | None, read: HealthcheckFact | None
+) -> None:
+    """Nanoseconds; 0 stands for the default, and the test NONE for no health check."""
+    answer = {**container("app"), "Config": {"Healthcheck": given}}
+    assert container_fact(answer).healthcheck == read
 
 
 def test_an_answer_without_a_state_cannot_be_told() -> None:

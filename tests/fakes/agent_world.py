@@ -297,6 +297,15 @@ class Sim:
             self.take(self.tracker.tick(self.stamp()))
             for look in self.watch:
                 look()
+            self._assert_visible()
+
+    def _assert_visible(self) -> None:
+        """A unit in ERROR always has a fault that an operator sees, open or given up."""
+        seen = {fault.unit for fault in (*self.tracker.open_faults(), *self.tracker.given_up())}
+        hidden = [
+            state.unit for state in self.tracker.states() if state.level is Level.ERROR and state.unit not in seen
+        ]
+        assert not hidden, f"in ERROR without a fault at {self.now:.1f}: {hidden}"
 
     def _begin(self, index: int, at: float) -> None:
         took = self.random.uniform(0.001, 0.2)

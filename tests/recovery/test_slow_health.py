@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -16,7 +17,7 @@ LADDERS = {"unhealthy": ["restart"], "broken": ["restart"], "exited": ["restart"
 DECIDES_S = 275.0
 """A HEALTHCHECK every 60 s with Docker's other defaults."""
 UNHEALTHY = error("unhealthy", brief="unhealthy", condition="unhealthy", target="app")
-STARTING = stale("starting", decides_s=DECIDES_S)
+STARTING = replace(stale("starting"), decides_s=DECIDES_S)
 Start = Callable[[], Agent]
 
 
