@@ -209,7 +209,7 @@ class Healer:
             up = world.restart(self.sim.now)
         elif action in ("start", "restart") and not world.fact(up).running:
             world.begin_life(up)
-        in_part = action != "restart" and self.sim.random.random() < self.in_part
+        in_part = action not in ("restart", "join") and self.sim.random.random() < self.in_part
         for kind in sorted(FIXES[action].intersection(world.active)) if helps else ():
             (world.repair_in_part if in_part else world.repair)(kind, up)
             self.left_lost += in_part
