@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings as hypothesis_settings
 
 ROOT = Path(__file__).resolve().parent
 NEEDS = {"system": ("engine", "ros"), "ros": ("ros",), "interop": ("interop",)}
 """What all tests of a folder need; a test elsewhere carries its own mark. `scripts/test` runs those without any of these
 marks on every Python of the machine, with no ROS and no engine there."""
 SKIPPED_IS_FAILED = "tests were skipped: what a test needs is set up by scripts/test, so a skipped test is a failed one"
+
+# How long one example takes says something about the machine, not about PHM.
+hypothesis_settings.register_profile("phm", deadline=None)
+hypothesis_settings.load_profile("phm")
+
+
+def pytest_configure() -> None:
+    """Programs that tests start find no terminal width in their environment, in a terminal as in a pipe."""
+    os.environ.pop("COLUMNS", None)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import gc
+import logging
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import NoReturn
 
 import click
 
@@ -24,8 +28,7 @@ def uncollected() -> Iterator[None]:
 
 @click.command(epilog="Example: phm run -c /etc/phm/phm.yaml")
 @config_option
-@click.pass_context
-def command(ctx: click.Context, config: str | None) -> None:
+def command(config: str | None) -> None:
     """Run the daemon until SIGTERM.
 
     Reads the configuration, then checks, heals and tells until SIGTERM or SIGINT. A bad configuration ends
@@ -33,11 +36,18 @@ def command(ctx: click.Context, config: str | None) -> None:
     """
     with uncollected():
         settings = load_settings(config)
-        import logging
-
         logging.basicConfig(level=logging.WARNING, format="phm: %(levelname)s: %(name)s: %(message)s")
         from phm import daemon
 
     with loops_are_configuration_errors():
         code = daemon.run(settings)
-    ctx.exit(code)
+    leave(code)
+
+
+def leave(code: int) -> NoReturn:
+    """End the process without the interpreter's own finalization: all is closed, and a thread that is still inside a
+    library (Zenoh closing a session on a busy machine) would abort the process there with SIGABRT."""
+    logging.shutdown()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

@@ -417,6 +417,7 @@ def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_run_ends_with_the_daemons_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """What `phm.daemon.run` returns is the exit code."""
     with_daemon(monkeypatch, run=lambda settings: 3)
+    monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process stays
     assert invoke("run").exit_code == 3
 
 
