@@ -165,6 +165,7 @@ class Daemon:
             "problems": list(fact.problems),
             "ros_restarts": fact.ros_restarts,
             **({"flight_critical": critical} if critical["containers"] else {}),
+            "ros_sandbox": self.parts.ros.sandbox if self.parts.ros is not None else None,
             "links": self.parts.link_reports(),
             "reporters": self.reporters.reports(),
         }

@@ -188,6 +188,8 @@ def _health(health: Json) -> list[RenderableType]:
     dropped = ", ".join(f"{name} {count}" for name, count in health.get("dropped", {}).items())
     counters = f"events dropped: {dropped or 'none'}; ROS child restarts: {health.get('ros_restarts', 0)}"
     parts.append(_plain(counters))
+    if health.get("ros_sandbox"):
+        parts.append(_plain(f"ROS child not fully restricted: {health['ros_sandbox']}", "yellow"))
     parts += [_plain(f"overdue: {name}", "yellow") for name in health.get("overdue", ())]
     parts += [_plain(f"problem: {text}", "yellow") for text in health.get("problems", ())]
     return parts

@@ -82,6 +82,12 @@ def test_the_sidecar_finds_ros_and_every_check() -> None:
     assert [entry["problem"] for entry in entries if entry["problem"]] == []
 
 
+def test_the_ros_child_is_restricted_in_the_sidecar() -> None:
+    """With the engine's own seccomp profile, as an ordinary user and read-only, nothing of the restriction is missing."""
+    code = "from phm.probes.ros import sandbox; print(repr(sandbox.enter()))"
+    assert in_sidecar("python", "-c", code).strip() == "''"
+
+
 def test_the_application_can_be_made_unhealthy() -> None:
     """The demo application's health check is cheap, quick, and fails while the marker file exists."""
     check = image("phm-app:dev")["Healthcheck"]

@@ -24,12 +24,12 @@ HIDE = (
 """What Humble's rclpy is like: samples without sequence numbers."""
 SET = (
     "import os; from pathlib import Path; import phm.probes.ros.reader as r; plain = r._sample\n"
-    "off = lambda: int(float(Path(os.environ['CLOCK_OFF']).read_text()) * 1e9)\n"
+    "off = lambda: int(float(Path(os.environ['PHM_DEBUG_ROS_CLOCK']).read_text()) * 1e9)\n"
     "later = lambda taken: (taken[0], {**taken[1], 'source_timestamp': taken[1]['source_timestamp'] + off()})\n"
     "r._sample = lambda taken, now: plain(later(taken), now)\n"
     "from phm.probes.ros.child import main; raise SystemExit(main())"
 )
-"""A publisher whose clock is off by as many seconds as the file CLOCK_OFF says: no process can set the clock for itself alone."""
+"""A publisher whose clock is off by as many seconds as the file PHM_DEBUG_ROS_CLOCK says: no process can set the clock for itself alone."""
 NUMBERED: Sequence[str] = (sys.executable, "-m", "phm.probes.ros.child")
 HIDDEN: Sequence[str] = (sys.executable, "-c", HIDE)
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
@@ -170,7 +170,12 @@ def test_a_publishers_clock_that_is_set_bends_nothing(bench: Bench, tmp_path: Pa
     off.write_text("0", encoding="ascii")
     flows(bench, "source", path, "topic_1:20")
     command = (sys.executable, "-c", SET)
-    probe = bench.probe([{"name": TOPIC, "rate": 20}], command=command, environ={"CLOCK_OFF": str(off)})
+    probe = bench.probe(
+        [{"name": TOPIC, "rate": 20}],
+        command=command,
+        environ={"PHM_DEBUG_ROS_CLOCK": str(off)},
+        installs=[str(tmp_path)],
+    )
     seen(probe, lambda fact: right(fact, path), "a rate within 2 %")
     rates: list[RateFact] = []
     for seconds in (3600, -60):

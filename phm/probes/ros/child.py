@@ -13,12 +13,15 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from phm.probes.ros import sandbox
 from phm.probes.ros.lines import Lines
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
+    INSTALLS,
     Message,
     Missing,
     ProtocolError,
+    Sandbox,
     decode_order,
     decode_wanted,
     encode,
@@ -37,7 +40,6 @@ _PROFILE = b"""<?xml version="1.0" encoding="UTF-8"?>
 </discovery_config></builtin></rtps></participant>
 </profiles></dds>
 """
-_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 
 def main() -> int:
@@ -51,6 +53,7 @@ def main() -> int:
     except ProtocolError as error:
         sys.stderr.write(f"phm ros child: {error}\n")
         return 2
+    _send(out, _restrict())
     try:
         from phm.probes.ros.watch import Watch
 
@@ -64,6 +67,14 @@ def main() -> int:
         return 0
     watch.close()
     return 0
+
+
+def _restrict() -> Sandbox:
+    """Before anything is imported that is not PHM's own or Python's."""
+    # `python -m` puts the working directory first: it may be writable for others, and must hold no modules of ours.
+    named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    sys.path[:] = [folder for folder in sys.path if folder in named or folder not in ("", os.getcwd())]
+    return Sandbox(sandbox.enter(os.environ.get(INSTALLS, "").split(os.pathsep)))
 
 
 def _report(watch: Watch, out: int, tick_s: float) -> None:
@@ -141,11 +152,11 @@ def _announce_often() -> None:
     A node that starts (or was restarted) is seen once it has heard of us too: measured 0.5 s instead of up to
     4 s. The profile is a file in memory, as the sidecar's file system is read-only; a user's own one wins.
     """
-    if any(os.environ.get(name) for name in _PROFILE_VARIABLES):
+    if any(os.environ.get(name) for name in sandbox.PROFILE_VARIABLES):
         return
     file = os.memfd_create("phm-fastdds.xml")
     os.write(file, _PROFILE)
-    for name in _PROFILE_VARIABLES:
+    for name in sandbox.PROFILE_VARIABLES:
         os.environ[name] = f"/proc/self/fd/{file}"
 
 

@@ -30,6 +30,7 @@ from phm.probes.ros.protocol import (
     ProtocolError,
     Publish,
     Remark,
+    Sandbox,
     Wanted,
     WantedTopic,
     decode,
@@ -65,6 +66,13 @@ _ENVIRONMENT = {
     # The sidecar shares no /dev/shm with the application: over shared memory topics are listed and no data comes.
     "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
 }
+
+_VARIABLES = frozenset({"PATH", "HOME", "LANG", "LANGUAGE", "TZ", "CYCLONEDDS_URI", "OMP_NUM_THREADS"})
+_PREFIXES = (
+    "LC_", "LD_", "PYTHON", "ROS_", "RMW_", "RCL_", "RCUTILS_", "AMENT_", "COLCON_", "FASTDDS_", "FASTRTPS_", "ZENOH_",
+    "MALLOC_", "OPENBLAS_", "PHM_ROS_", "PHM_DEBUG_ROS_",
+)  # fmt: skip
+"""What the interpreter, ROS and the middleware read; nothing else of the daemon's environment reaches the child."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +140,7 @@ class RosProcess:
         self._closing = False
         self._restarts = 0
         self._pid = 0
+        self._sandbox: str | None = None
         self._last_note = ""
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._thread: threading.Thread | None = None
@@ -150,6 +159,11 @@ class RosProcess:
     def pid(self) -> int:
         """Of the child now; 0 when there is none."""
         return self._pid
+
+    @property
+    def sandbox(self) -> str | None:
+        """What the kernel did not offer to restrict the child with; empty: nothing is missing. None: not known yet."""
+        return self._sandbox
 
     def look(self) -> RosFact:
         """The newest picture. Raises CannotTell while there is none that is fresh."""
@@ -271,6 +285,8 @@ class RosProcess:
                 heard_s = now_s
                 if isinstance(message, Missing):
                     missing.append(message)
+                elif isinstance(message, Sandbox):
+                    self._note_sandbox(message)
                 else:
                     limit_s = self._limits.silent_s
                     self._take(message, now_s)
@@ -284,6 +300,11 @@ class RosProcess:
         if self._closing:
             self._say_goodbye(life)
         return ""
+
+    def _note_sandbox(self, message: Sandbox) -> None:
+        if message.missing and message.missing != self._sandbox:
+            self._on_note(f"the ROS child is not fully restricted: {message.missing}")
+        self._sandbox = message.missing
 
     def _doubt(self, now_s: float) -> None:
         """What is listed twice, or without a name, for too long may be a mistake of this participant: another one shows."""
@@ -388,8 +409,8 @@ def _listen(settings: Settings) -> tuple[str, ...]:
 
 
 def child_environ(settings: Settings, environ: Mapping[str, str]) -> dict[str, str]:
-    """The daemon's environment with what the child needs; variables that are set already win."""
-    merged = {**_ENVIRONMENT, **environ}
+    """What the child needs of the daemon's environment, which may hold secrets; variables that are set already win."""
+    merged = {**_ENVIRONMENT, **{name: value for name, value in environ.items() if _needed(name)}}
     if settings.ros.domain is not None:
         merged["ROS_DOMAIN_ID"] = str(settings.ros.domain)
     merged[INSTALLS] = os.pathsep.join(settings.ros.installs)
@@ -397,6 +418,10 @@ def child_environ(settings: Settings, environ: Mapping[str, str]) -> dict[str, s
     home = str(Path(phm.__file__).resolve().parent.parent)
     merged["PYTHONPATH"] = os.pathsep.join(part for part in (merged.get("PYTHONPATH", ""), home) if part)
     return merged
+
+
+def _needed(name: str) -> bool:
+    return name in _VARIABLES or name.startswith(_PREFIXES)
 
 
 def _missing_sentence(missing: Missing) -> str:

@@ -3,7 +3,7 @@
 The daemon writes one line, what it wants to know (`Wanted`), then `Publish` as often as it likes, and in the end closes
 the pipe. The child writes `Picture` when something changed and at least once a second, `Tick` in between, `Heard` when
 beacons or diagnostics came, `Others` when topics that nobody configured came or went, `Remark` for the log, and
-`Missing` once when there is no ROS to look at. This module is imported by the child: standard library and facts only.
+`Missing` once when there is no ROS to look at, and first of all `Sandbox`. This module is imported by the child: standard library and facts only.
 """
 
 from __future__ import annotations
@@ -120,6 +120,13 @@ class Missing:
 
 
 @dataclass(frozen=True, slots=True)
+class Sandbox:
+    """The child has restricted itself (`phm.probes.ros.sandbox`). missing: what the kernel does not offer; empty: nothing."""
+
+    missing: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Publish:
     """From the daemon: publish this on /diagnostics, now. utc_s: the array's stamp. statuses: by name; ages mean nothing."""
 
@@ -127,10 +134,11 @@ class Publish:
     statuses: Mapping[str, DiagnosticFact] = field(default_factory=dict)
 
 
-Message = Picture | Tick | Heard | Others | Remark | Missing
+Message = Picture | Tick | Heard | Others | Remark | Missing | Sandbox
 
 _KINDS: Mapping[str, type[Message]] = {
-    "picture": Picture, "tick": Tick, "heard": Heard, "others": Others, "remark": Remark, "missing": Missing
+    "picture": Picture, "tick": Tick, "heard": Heard, "others": Others, "remark": Remark, "missing": Missing,
+    "sandbox": Sandbox,
 }  # fmt: skip
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 
