@@ -101,6 +101,7 @@ class BeaconFact:
     views: what it says about its neighbours, by full node name. turns: how often its executor turned in this life; 0:
     never yet, or it is not watched, and late_s means nothing. witness: the process that speaks; its nodes hear as one.
     rivals: how many other processes beat under the same name, each and this one several times since it began.
+    copied_by: who else uses the identity of this process (name of a node, or of a writer); refused, but reported.
     """
 
     age_s: float
@@ -112,6 +113,7 @@ class BeaconFact:
     turns: int = 0
     witness: str = ""
     rivals: int = 0
+    copied_by: str = ""
 
     @property
     def missed(self) -> float:
@@ -143,6 +145,8 @@ class RosFact:
     diagnostics: by the name of the status, likewise. others: topics that the configuration does not name, by full
     name, as of a few seconds ago; not all of them where there are very many. refused: messages on the beacons' topic that
     were none, or were too many, since this child began. names_known: whether the names of nodes could be read.
+    lost_s: since more beacons came than PHM reads; None: never. A beacon that has been silent for longer is left out, since its
+    silence proves nothing.
     """
 
     age_s: float
@@ -154,6 +158,7 @@ class RosFact:
     others: Mapping[str, NameFact] = field(default_factory=dict)
     refused: int = 0
     names_known: bool = True
+    lost_s: float | None = None
 
 
 class RosProbe(Protocol):

@@ -20,6 +20,8 @@ LOST_S = 10.0
 """A beacon that is required and silent for longer, while its node is listed, is missing."""
 FRESH_S = 5.0
 """A diagnostic status younger than this is a sign of life; diagnostic_updater sends one a second."""
+CROWDED_S = 5.0
+"""So long after beacons were lost among too many messages nothing is said."""
 SETTLE_S = 3.0
 """After a death or a start the neighbours' views differ for a moment."""
 REMEDY = (
@@ -63,6 +65,8 @@ class Consensus(api.Check):
             return api.stale(str(reason))
         if fact.age_s > OLD_PICTURE_S:
             return api.stale(f"the newest picture of the ROS graph is {span(fact.age_s)} old, too old to judge by")
+        if fact.lost_s is not None and fact.lost_s <= CROWDED_S:
+            return api.stale("more messages come on /phm/beacon than PHM reads: which nodes are received is not known")
         beacons = {
             name: fact.beacons[name]
             for name in self._nodes
@@ -73,6 +77,9 @@ class Consensus(api.Check):
             return lacking
         if not beacons:
             return self._nobody(fact)
+        copied = _copied(fact, beacons)
+        if copied is not None:
+            return copied
         others = {name: hears(fact, name, self._nodes) for name in self._nodes if name not in beacons}
         return self._judge(agree(beacons, others, fact.age_s), fact, beacons)
 
@@ -135,6 +142,25 @@ class Consensus(api.Check):
             return api.Result(Level.WARN, joined([*dissents, REMEDY]), short, "dissent", "", values)
         stuck = f"; the executor of {_names(hung)} does not turn" if hung else ""
         return api.ok(f"{_agreed(agreement)}{_alone(agreement, beacons)}{stuck}", **values)
+
+
+def _copied(fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Result | None:
+    """A second publisher that speaks for a node. Where the graph lists two nodes of the name, the check of nodes says so."""
+    by = {name: beacon.copied_by for name, beacon in beacons.items() if beacon.copied_by}
+    twice = [name for name, beacon in beacons.items() if beacon.rivals and fact.nodes.get(name, 0) < 2]
+    if not by and not twice:
+        return None
+    names = list(dict.fromkeys((*by, *twice)))
+    who = f": {listed(dict.fromkeys(by.values()), 3)}" if by else ""
+    return api.warn(
+        f"beacons of {_names(names)} come from a second publisher, too{who}; PHM refuses them and listens to the first: look who "
+        "publishes on /phm/beacon. Any participant of the ROS domain can; SROS2 prevents it",
+        brief=brief(last(names[0]), "beacon copied"),
+        condition="beacon_copied",
+        target="",
+        copied=len(names),
+        refused=fact.refused,
+    )
 
 
 def hears(fact: api.RosFact, node: str, nodes: Iterable[str]) -> bool:

@@ -294,3 +294,23 @@ def test_beacons_of_another_version_are_a_warning() -> None:
     assert (result.level, result.condition) == (api.Level.WARN, "beacons_refused")
     assert "12 messages on /phm/beacon were refused" in result.summary
     assert judge(matrix(A, B, C), refused=12).level is api.Level.OK
+
+
+def test_a_second_publisher_of_a_beacon_is_reported() -> None:
+    """It is refused, so the agreement is not disturbed; who it is is said. A node that runs twice is another matter."""
+    beacons = matrix(A, B, C)
+    copied = judge({**beacons, A: beacon({B: True, C: True}, witness=A, copied_by="/elsewhere/forger")})
+    assert (copied.level, copied.condition, copied.target) == (api.Level.WARN, "beacon_copied", "")
+    assert (
+        "beacons of agent_1/a come from a second publisher, too: /elsewhere/forger; PHM refuses them" in copied.summary
+    )
+    rival = {**beacons, A: beacon({B: True, C: True}, witness=A, rivals=1)}
+    assert judge(rival).condition == "beacon_copied"
+    assert judge(rival, nodes={A: 2, B: 1, C: 1}).level is api.Level.OK
+
+
+def test_while_beacons_are_lost_nothing_is_said() -> None:
+    """Not even that a required beacon is missing."""
+    result = judge({}, lost_s=1.0)
+    assert result.level is api.Level.STALE and "more messages come on /phm/beacon than PHM reads" in result.summary
+    assert judge(matrix(A, B, C), lost_s=60.0).level is api.Level.OK

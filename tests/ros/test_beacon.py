@@ -16,6 +16,7 @@ from tests.fakes.ros_bench import ROOT, Bench, seen, until
 A, B, C = "/agent_1/a", "/agent_1/b", "/agent_1/c"
 SCRIPT = "ros_beaconed.py"
 HUNG_S = 1.5
+NODES = [{"name": f"/agent_1/{name}"} for name in ("a", "b", "c", "d", *(f"n{number}" for number in range(10)))]
 
 
 def beats(fact: RosFact, *names: str) -> bool:
@@ -41,7 +42,7 @@ def test_nodes_with_a_beacon_are_heard_and_hear_each_other(bench: Bench) -> None
     """One line in each node: PHM hears all, each hears the others, and a hidden node is all that is added to the graph."""
     for name in ("a", "b", "c"):
         bench.script(SCRIPT, name)
-    probe = bench.probe()
+    probe = bench.probe(nodes=NODES)
     fact = seen(probe, lambda fact: agree(fact, A, B, C) and fact, "three nodes that hear each other")
     assert set(fact.nodes) == {A, B, C}
     assert "/phm/beacon" not in fact.others and fact.refused == 0
@@ -54,7 +55,7 @@ def test_a_killed_node_falls_silent_and_checks_are_woken(bench: Bench) -> None:
     """SIGKILL: no beat comes any more; the probe says so by itself, and the neighbour says so too."""
     node = bench.script(SCRIPT, "a")
     bench.script(SCRIPT, "b")
-    probe = bench.probe()
+    probe = bench.probe(nodes=NODES)
     seen(probe, lambda fact: agree(fact, A, B), "both nodes")
     doubts: list[float] = []
     bench.on_change = lambda: doubts.append(beacon(probe, A).missed)
@@ -67,7 +68,7 @@ def test_a_killed_node_falls_silent_and_checks_are_woken(bench: Bench) -> None:
 def test_a_stopped_node_is_silent_and_goes_on_as_the_same(bench: Bench) -> None:
     """SIGSTOP and SIGCONT: silence, then the same life; the time that it stood still is not held against its executor."""
     node = bench.script(SCRIPT, "a")
-    probe = bench.probe()
+    probe = bench.probe(nodes=NODES)
     before = seen(probe, lambda fact: beats(fact, A) and fact.beacons[A], "the node")
     node.send_signal(signal.SIGSTOP)
     seen(probe, lambda fact: fact.beacons[A].age_s > 3.0, "its silence")
@@ -85,7 +86,7 @@ def test_a_deadlocked_executor_is_told_by_a_process_that_lives(bench: Bench, exe
     """A callback that never returns: beats go on, lateness grows, and the neighbour passes it on. The same with several threads."""
     node = bench.script(SCRIPT, "a", "--executor", executor)
     bench.script(SCRIPT, "b")
-    probe = bench.probe()
+    probe = bench.probe(nodes=NODES)
     seen(probe, lambda fact: agree(fact, A, B), "both nodes")
     node.send_signal(signal.SIGUSR1)
     fact = seen(probe, lambda fact: fact.beacons[A].late_s > HUNG_S and fact, "its lateness")
@@ -97,7 +98,7 @@ def test_a_deadlocked_executor_is_told_by_a_process_that_lives(bench: Bench, exe
 def test_a_hanging_callback_group_of_its_own_is_no_hanging_executor(bench: Bench) -> None:
     """With several threads, what hangs in a group of its own stops nobody else: the node's other callbacks run on."""
     node = bench.script(SCRIPT, "a", "--executor", "multi", "--hang", "own")
-    probe = bench.probe()
+    probe = bench.probe(nodes=NODES)
     seen(probe, lambda fact: beats(fact, A), "the node")
     node.send_signal(signal.SIGUSR1)
     turns = beacon(probe, A).turns
@@ -109,7 +110,7 @@ def test_a_restarted_node_has_another_birth(bench: Bench) -> None:
     """As a process, and as a node that is made anew in the same process: one more life, of the same witness there."""
     process = bench.script(SCRIPT, "a")
     bench.script(SCRIPT, "b", "c")
-    probe = bench.probe()
+    probe = bench.probe(nodes=NODES)
     before = seen(probe, lambda fact: agree(fact, A, B) and dict(fact.beacons), "both processes")
     process.kill()
     bench.script(SCRIPT, "a")
@@ -121,7 +122,7 @@ def test_a_restarted_node_has_another_birth(bench: Bench) -> None:
 def test_a_node_that_is_destroyed_falls_silent_and_its_successor_is_another(bench: Bench) -> None:
     """destroy_node ends its beacon, while the other node of the process beats on."""
     process = bench.script(SCRIPT, "a", "b")
-    probe = bench.probe()
+    probe = bench.probe(nodes=NODES)
     before = seen(probe, lambda fact: beats(fact, A, B) and dict(fact.beacons), "both nodes")
     assert before[A].witness == before[B].witness and before[A].birth != before[B].birth
     process.send_signal(signal.SIGUSR2)
@@ -137,7 +138,7 @@ def test_a_split_is_seen_by_those_who_are_split(bench: Bench) -> None:
         bench.script(SCRIPT, name)
     for name in ("c", "d"):
         bench.script(SCRIPT, name, "--hello", "/elsewhere")
-    probe = bench.probe()
+    probe = bench.probe(nodes=NODES)
     names = {A, B, C, "/agent_1/d"}
     fact = seen(probe, lambda fact: agree(fact, A, B) and agree(fact, C, "/agent_1/d") and fact, "two groups")
     assert set(fact.beacons) == names
@@ -148,7 +149,7 @@ def test_ten_nodes_hear_each_other(bench: Bench) -> None:
     """Five processes with two nodes each: everyone knows of everyone in another process."""
     for first in range(0, 10, 2):
         bench.script(SCRIPT, f"n{first}", f"n{first + 1}")
-    probe = bench.probe()
+    probe = bench.probe(nodes=NODES)
     names = [f"/agent_1/n{number}" for number in range(10)]
 
     def complete(fact: RosFact) -> bool:
@@ -169,7 +170,9 @@ def test_lifecycle_nodes_and_simulated_time_make_no_difference(bench: Bench, opt
     """An inactive lifecycle node lives and turns; and so does one whose clock stands still."""
     bench.script(SCRIPT, "a", option)
     seen(
-        bench.probe(), lambda fact: beats(fact, A) and fact.beacons[A].turns > 2 and fact.beacons[A].late_s == 0, option
+        bench.probe(nodes=NODES),
+        lambda fact: beats(fact, A) and fact.beacons[A].turns > 2 and fact.beacons[A].late_s == 0,
+        option,
     )
 
 
@@ -177,14 +180,18 @@ def test_lifecycle_nodes_and_simulated_time_make_no_difference(bench: Bench, opt
 def test_a_node_that_is_never_spun_or_not_watched_never_looks_hung(bench: Bench, option: str) -> None:
     """Its process is all that its beacon vouches for."""
     bench.script(SCRIPT, "a", option)
-    fact = seen(bench.probe(), lambda fact: A in fact.beacons and fact.beacons[A].beats > 10 and fact, option)
+    fact = seen(
+        bench.probe(nodes=NODES), lambda fact: A in fact.beacons and fact.beacons[A].beats > 10 and fact, option
+    )
     assert (fact.beacons[A].turns, fact.beacons[A].late_s) == (0, 0.0)
 
 
 def test_other_periods_are_told_and_kept(bench: Bench) -> None:
     """A slow beacon is not silent between its beats."""
     bench.script(SCRIPT, "a", "--period", "1.0")
-    fact = seen(bench.probe(), lambda fact: A in fact.beacons and fact.beacons[A].beats > 3 and fact, "the node")
+    fact = seen(
+        bench.probe(nodes=NODES), lambda fact: A in fact.beacons and fact.beacons[A].beats > 3 and fact, "the node"
+    )
     assert fact.beacons[A].period_s == 1.0
     assert fact.beacons[A].missed < 2
 
@@ -246,7 +253,7 @@ def test_the_file_stands_alone(bench: Bench, tmp_path: Path) -> None:
     """Copied beside a node it is all that is needed: neither PHM nor std_msgs is imported."""
     process = alone(bench, tmp_path, "wait")
     try:
-        seen(bench.probe(), lambda fact: beats(fact, "/alone"), "the node")
+        seen(bench.probe(nodes=NODES), lambda fact: beats(fact, "/alone"), "the node")
     finally:
         process.kill()
         process.communicate()
@@ -264,7 +271,7 @@ def test_the_environment_turns_it_off(bench: Bench, tmp_path: Path) -> None:
     """PHM_BEACON=off: the node runs without."""
     process = alone(bench, tmp_path, "wait", PHM_BEACON="off")
     try:
-        probe = bench.probe()
+        probe = bench.probe(nodes=NODES)
         seen(probe, lambda fact: "/alone" in fact.nodes and fact.up_s > 5, "the node")
         assert not probe.look().beacons
     finally:
@@ -287,7 +294,7 @@ def test_a_forked_process_does_not_join_the_parents_beacon(bench: Bench, tmp_pat
 def test_what_strangers_send_is_refused_and_counted(bench: Bench) -> None:
     """Other texts, other types of content, forged names of living nodes: nothing breaks and nobody is displaced."""
     bench.script(SCRIPT, "a")
-    probe = bench.probe()
+    probe = bench.probe(nodes=NODES)
     before = seen(probe, lambda fact: beats(fact, A) and fact.beacons[A], "the node")
     forger = bench.script("ros_forger.py", A)
     fact = seen(probe, lambda fact: fact.refused > 20 and fact, "refused messages")
@@ -295,3 +302,35 @@ def test_what_strangers_send_is_refused_and_counted(bench: Bench) -> None:
     assert set(fact.beacons) == {A}
     assert fact.beacons[A].birth == before.birth
     assert beats(probe.look(), A)
+
+
+def test_a_copied_identity_is_refused_and_reported_with_its_publisher(bench: Bench) -> None:
+    """The first writer goes on to count while it beats; when it is killed, its copy does not keep it alive."""
+    node = bench.script("ros_beaconed.py", "a")
+    probe = bench.probe(nodes=[{"name": A}])
+    seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].beats > 5, "its beacon")
+    bench.script("ros_copycat.py", A, "copy")
+    fact = seen(probe, lambda fact: fact.beacons[A].copied_by and fact, "the report")
+    assert fact.beacons[A].copied_by == "/elsewhere/copycat"
+    assert fact.beacons[A].late_s < 99.0 and fact.beacons[A].missed < 3.0
+    node.kill()
+    seen(probe, lambda fact: fact.beacons[A].missed > 6.0 and fact.beacons[A].late_s < 99.0, "its silence")
+    bench.script("ros_beaconed.py", "a")
+    seen(probe, lambda fact: fact.beacons[A].missed < 3.0 and fact.beacons[A].birth != "", "the next one of its name")
+
+
+def test_large_beacons_of_strangers_displace_no_honest_one(bench: Bench) -> None:
+    """However much they say, it fits into messages, and the configured node beats on."""
+    bench.script("ros_beaconed.py", "a")
+    probe = bench.probe(nodes=[{"name": A}])
+    seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].beats > 5, "its beacon")
+    bench.script("ros_copycat.py", A, "crowd")
+    began = seen(probe, lambda fact: len(fact.beacons) > 100 and fact, "the crowd").beacons[A].beats
+
+    def beats_on(fact: RosFact) -> bool:
+        assert fact.beacons[A].missed < 20.0, "it was displaced"
+        return fact.beacons[A].age_s < 0.6 and fact.up_s > first_s + 5.0
+
+    first_s = probe.look().up_s
+    seen(probe, beats_on, "honest beats beside the crowd", 60.0)
+    assert probe.restarts == 0 and not probe.problems() and began

@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 
 from phm.beacon import BEACON_FORMAT, HELLO_FORMAT, MAX_NEIGHBOURS, MAX_NODES, _Neighbours
-from phm.probes.ros.beacons import FORGET_S, MAX_RIVALS, MAX_STRANGERS, Ledger, beacons_in, log_texts
-from phm.probes.ros.hearsay import Hearsay
-from phm.probes.ros.protocol import Heard
+from phm.probes.ros.beacon_text import beacons_in, log_texts
+from phm.probes.ros.beacons import MAX_BYTES, OTHERS_BYTES, choose
+from phm.probes.ros.hearsay import MAX_NAMES, Hearsay, Own
+from phm.probes.ros.ledger import FORGET_S, MAX_RIVALS, MAX_STRANGERS, Ledger, portions
+from phm.probes.ros.protocol import LINE_LIMIT, Heard, encode
 from phm.ros_facts import BeaconFact, NeighbourFact
 
 A, B = "/agent_1/a", "/agent_1/b"
@@ -99,7 +101,7 @@ def test_news_is_told_whole(news: str) -> None:
 
 def test_a_view_is_kept_until_the_next() -> None:
     """Views come once a second, beats five times."""
-    book = ledger(A)
+    book = ledger(A, B)
     book.add(BEACON_FORMAT, text(views=VIEWS), 1.0)
     book.add(BEACON_FORMAT, text(), 1.2)
     assert set(heard(book, 1.2).beacons[A].views) == {B}
@@ -276,6 +278,126 @@ def test_rivals_without_end_are_capped() -> None:
         book.add(BEACON_FORMAT, text(), 1.0)
         book.add(BEACON_FORMAT, text(witness=f"v{number}"), 1.0)
     assert len(book._heard[A].rivals) == MAX_RIVALS
+
+
+ONE, TWO = b"1" * 16, b"2" * 16
+
+
+def listing(*writers: bytes) -> Any:
+    return lambda: {writer: "/elsewhere/forger" if writer == TWO else "/_phm_beacon" for writer in writers}
+
+
+def test_an_identity_belongs_to_the_writer_that_used_it_first() -> None:
+    """What another one says in its name is refused, and who that is is reported; the first one goes on to count."""
+    book = Ledger(frozenset({A}), listing(ONE, TWO))
+    book.add(BEACON_FORMAT, text(), 1.0, ONE)
+    book.news(1.0)
+    book.add(BEACON_FORMAT, text({A: node(late_s=99.0)}), 1.1, TWO)
+    fact = heard(book, 1.2).beacons[A]
+    assert (fact.late_s, fact.age_s, fact.copied_by, book.refused) == (0.0, 0.2, "/elsewhere/forger", 1)
+    book.add(BEACON_FORMAT, text(), 1.2, ONE)
+    assert book.news(1.2) == Heard(ages={A: 0.0}, refused=1)
+    book.add(BEACON_FORMAT, text(), 20.0, ONE)
+    assert heard(book, 20.0).beacons[A].copied_by == ""
+
+
+def test_a_copied_identity_does_not_keep_a_dead_node_alive() -> None:
+    """Its first writer is listed until its lease ends: so long the silence is what it is."""
+    book = Ledger(frozenset({A}), listing(ONE, TWO))
+    book.add(BEACON_FORMAT, text(), 1.0, ONE)
+    for number in range(1, 20):
+        book.add(BEACON_FORMAT, text(), 1.0 + number / 10, TWO)
+    assert heard(book, 3.0).beacons[A].age_s == 2.0
+
+
+def test_a_copied_identity_adds_no_nodes_to_a_process() -> None:
+    """The message is refused as one."""
+    book = Ledger(frozenset({A, B}), listing(ONE, TWO))
+    book.add(BEACON_FORMAT, text(), 1.0, ONE)
+    book.add(BEACON_FORMAT, text({B: node()}), 1.0, TWO)
+    assert set(heard(book, 1.0).beacons) == {A}
+
+
+@pytest.mark.parametrize("listed", [(TWO,), (ONE, TWO)])
+def test_an_identity_is_free_again_when_its_writer_is_silent_and_gone(listed: tuple[bytes, ...]) -> None:
+    """As behind a bridge that was restarted. Neither will do alone: PHM may have lost a lease, and a node may be stopped."""
+    book = Ledger(frozenset({A}), listing(*listed))
+    book.add(BEACON_FORMAT, text(), 1.0, ONE)
+    book.add(BEACON_FORMAT, text(), 1.3, TWO)
+    assert heard(book, 1.3).beacons[A].age_s == 0.3
+    book.add(BEACON_FORMAT, text(), 2.0, TWO)
+    news = heard(book, 2.0)
+    age_s = news.beacons[A].age_s if A in news.beacons else news.ages[A]
+    assert age_s == (1.0 if ONE in listed else 0.0)
+
+
+def test_a_node_that_was_started_again_is_taken_at_once() -> None:
+    """It is another process with another writer; the first one, which is silent, may be listed for as long as its lease."""
+    book = Ledger(frozenset({A}), listing(ONE, TWO))
+    book.add(BEACON_FORMAT, text(), 1.0, ONE)
+    book.add(BEACON_FORMAT, text(witness="v"), 1.7, TWO)
+    fact = heard(book, 1.7).beacons[A]
+    assert (fact.birth, fact.age_s, fact.copied_by) == ("v.1", 0.0, "")
+
+
+def test_writers_that_are_bound_are_no_more_than_nodes() -> None:
+    """Names of processes come from outside without end."""
+    book = Ledger(frozenset({A}), listing())
+    for number in range(MAX_STRANGERS * 3):
+        book.add(BEACON_FORMAT, text({f"/x{number}": node()}, witness=f"w{number}"), 1.0, ONE)
+    book.news(1.0)
+    assert len(book._writers) <= MAX_STRANGERS
+    book.news(2.0 + FORGET_S)
+    assert not book._writers
+
+
+def test_messages_of_configured_nodes_are_read_first() -> None:
+    """Others share what is left, each in its turn, the short ones first; nothing is read of what is too long."""
+    large, short = b"x" * 70_000, b"x" * 500
+    flood = [(large, TWO, number) for number in range(100)]
+    honest = [(short, ONE, 200), (short, b"3" * 16, 201), (b"x" * (MAX_BYTES + 1), ONE, 202), (short, ONE, 203)]
+    chosen = choose([*flood, *honest], {ONE})
+    assert [number for _, _, number in chosen[:3]] == [200, 203, 201]
+    assert sum(len(data) for data, _, _ in chosen[2:]) <= OTHERS_BYTES
+    assert choose([(short, ONE, number) for number in range(20)], {ONE})[0][2] == 0
+    assert len(choose([(large, ONE, number) for number in range(100)], {ONE})) == 1 + OTHERS_BYTES // len(large)
+
+
+def test_news_of_any_size_fit_into_messages_and_begin_with_the_configured_nodes() -> None:
+    """As many neighbours as a beacon may name, with the longest names there may be."""
+    names = [f"/{'n' * 250}{number:03}" for number in range(400)]
+    views = {name: NeighbourFact(alive=True, age_s=123456.789, late_s=123456.789) for name in names[:MAX_NEIGHBOURS]}
+    beacons = {name: BeaconFact(0.1, 0.2, birth="w" * 60, witness="\u00e9" * 60, views=views) for name in names}
+    messages = portions(Heard(beacons=beacons, ages=dict.fromkeys(map(str, range(2500)), 0.1), lost=True), {names[-1]})
+    assert next(iter(messages[0].beacons)) == names[-1]
+    assert {name for message in messages for name in message.beacons} == set(names)
+    assert sum(len(message.ages) for message in messages) == 2500
+    assert all(len(encode(message)) < LINE_LIMIT and message.lost for message in messages)
+
+
+def test_what_strangers_say_of_strangers_is_dropped() -> None:
+    """Nothing asks for it, and it is what makes messages long."""
+    book = ledger(A)
+    book.add(BEACON_FORMAT, text({A: node(), "/x": node()}, views={**VIEWS, A: VIEWS[B]}), 1.0)
+    beacons = heard(book, 1.0).beacons
+    assert set(beacons[A].views) == {A} and beacons["/x"].views == {}
+
+
+def test_strangers_displace_no_configured_node_in_the_daemon() -> None:
+    """The oldest of the configured ones is kept: a dead node is known by its silence."""
+    kept = Hearsay(own=Own(frozenset({A}))).with_news(Heard(beacons={A: BeaconFact(0.1, 0.2)}), 1.0)
+    for number in range(3 * MAX_NAMES):
+        kept = kept.with_news(Heard(beacons={f"/x{number}": BeaconFact(0.1, 0.2)}), 2.0 + number)
+    assert A in kept.beacons and len(kept.beacons) == MAX_NAMES + 1
+
+
+def test_silence_while_beacons_are_lost_proves_nothing() -> None:
+    """Whoever has been silent since before the loss is not known; one that beat after it is."""
+    kept = Hearsay().with_news(Heard(beacons={A: BeaconFact(0.0, 0.2), B: BeaconFact(0.0, 0.2)}), 10.0)
+    kept = kept.with_news(Heard(lost=True), 12.0)
+    kept = kept.with_news(Heard(ages={B: 0.0}), 13.0)
+    assert set(kept.since(15.0)[0]) == {B}
+    assert kept.with_news(Heard(ages={A: 0.0}), 15.0).since(18.0)[0].keys() == {A, B}
 
 
 def test_a_rival_is_news_worth_a_look() -> None:

@@ -13,7 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from phm.facts import DiagnosticFact, RosFact
+from phm.probes.ros.diagnostics import MAX_TEXT, MAX_VALUES, portions
+from phm.probes.ros.hearsay import MAX_NAMES, Hearsay, Own
 from phm.probes.ros.process import RosProcess
+from phm.probes.ros.protocol import LINE_LIMIT, Heard, encode
 from phm.wire import journal
 from tests.fakes.ros_bench import ROOT, Bench, seen, until
 
@@ -270,3 +273,23 @@ def test_a_running_daemon_judges_what_it_hears_and_is_seen_by_others(bench: Benc
         daemon.terminate()
         assert daemon.wait(30) == 0
     until(lambda: monitor.heard[unit][:2] == [3, "PHM has ended"], "the farewell")
+
+
+def test_statuses_of_any_size_fit_into_messages() -> None:
+    """As many, and as long, as are read; characters that JSON writes with six bytes."""
+    text = "\u20ac" * MAX_TEXT
+    fact = DiagnosticFact(0.0, 2, text, text, {f"{number:03}{text[3:]}": text for number in range(MAX_VALUES)})
+    messages = portions([(f"{number:03}{text[3:]}", fact) for number in range(50)])
+    assert sum(len(message.diagnostics) for message in messages if isinstance(message, Heard)) == 50
+    assert all(len(encode(message)) < LINE_LIMIT for message in messages)
+    assert portions([]) == []
+
+
+def test_strangers_displace_no_status_that_is_watched() -> None:
+    """The daemon keeps what is configured, by name or pattern, however long ago it was heard."""
+    kept = Hearsay(own=Own(statuses=("camera: *",))).with_news(
+        Heard(diagnostics={"camera: a": DiagnosticFact(0.0, 0)}), 1.0
+    )
+    for number in range(3 * MAX_NAMES):
+        kept = kept.with_news(Heard(diagnostics={f"x{number}": DiagnosticFact(0.0, 0)}), 2.0 + number)
+    assert "camera: a" in kept.diagnostics and len(kept.diagnostics) == MAX_NAMES + 1

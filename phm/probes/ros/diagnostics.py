@@ -6,7 +6,7 @@ Names and texts come from outside and are data: counted, cut and passed on, neve
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from phm.probes.ros.protocol import Heard, Message, Publish, Remark
@@ -20,6 +20,10 @@ MAX_TAKES = 50
 MAX_BYTES = 200_000
 """Longest array that is read: 500 statuses of a few hundred bytes. Python needs about 10 ms for one."""
 MAX_STATUSES = 500
+PORTION = 140_000
+"""Characters in one message to the daemon."""
+_REST = 10
+"""Of a text, beside itself."""
 MAX_TEXT = 255
 MAX_VALUES = 32
 _FRAME = b"phm"
@@ -36,8 +40,10 @@ class Diagnostics:
     None of them is in an executor: the queue is emptied once a tick.
     """
 
-    def __init__(self, node: Any, listen: Sequence[str]) -> None:
+    def __init__(self, node: Any, listen: Sequence[str], is_own: Callable[[str], bool] = lambda name: False) -> None:
+        """is_own: whether a status of this name is configured; these are kept first."""
         self._node = node
+        self._is_own = is_own
         self._remarks: list[Message] = []
         self._said: set[str] = set()
         self._readers: dict[str, Any] = {}
@@ -58,9 +64,8 @@ class Diagnostics:
                     if status.name and not status.name.startswith(OWN):
                         heard[status.name[:MAX_TEXT]] = _fact(status)
         messages, self._remarks = self._remarks, []
-        if heard:
-            messages.append(Heard(diagnostics=dict(list(heard.items())[:MAX_STATUSES])))
-        return messages
+        kept = sorted(heard.items(), key=lambda item: not self._is_own(item[0]))[:MAX_STATUSES]
+        return [*messages, *portions(kept)]
 
     def publish(self, order: Publish) -> None:
         """Publish PHM's own state, reliable and with a queue of one as diagnostic_updater does."""
@@ -146,6 +151,22 @@ class Diagnostics:
         return self._kinds.DiagnosticStatus(
             level=level, name=name, message=fact.message, hardware_id=fact.hardware_id, values=values
         )
+
+
+def portions(statuses: Sequence[tuple[str, DiagnosticFact]]) -> list[Message]:
+    """The same in messages of which none is too long: a character takes six bytes there at most."""
+    messages: list[Message] = []
+    part: dict[str, DiagnosticFact] = {}
+    size = 0
+    for name, fact in statuses:
+        own = _REST + len(name) + len(fact.message) + len(fact.hardware_id)
+        own += sum(_REST + len(key) + len(value) for key, value in fact.values.items())
+        if part and size + own > PORTION:
+            messages.append(Heard(diagnostics=part))
+            part, size = {}, 0
+        part[name] = fact
+        size += own
+    return [*messages, Heard(diagnostics=part)] if part else messages
 
 
 def _fact(status: Any) -> DiagnosticFact:

@@ -20,6 +20,7 @@ from phm import threads
 from phm.clock import Clock
 from phm.facts import CannotTell, RosFact
 from phm.probes.ros.ghosts import DOUBT_S, Ghosts
+from phm.probes.ros.hearsay import SILENT_MISSES, Hearsay, Own
 from phm.probes.ros.life import Life
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
@@ -47,13 +48,12 @@ NOT_INSTALLED = (
     "on x86-64 install phm-sidecar[ros], elsewhere use an image FROM a ROS base"
 )
 COMMAND = (sys.executable, "-m", "phm.probes.ros.child")
-SILENT_MISSES = 3.0
-"""A beacon that has missed so many beats is no sign of life."""
 OVERLONG = (
     f"a message of the ROS child was longer than {LINE_LIMIT // 1000} kB and was dropped: what it saw is not known"
 )
+CROWDED = "more messages come on /phm/beacon than PHM reads: beacons may be lost; see which nodes publish there"
 TOLD_S = 30.0
-"""How long a message that was dropped is reported."""
+"""How long a loss is reported."""
 _REMARKS = 20
 """Different remarks of the child that are written to the log; each is written once."""
 
@@ -124,13 +124,14 @@ class RosProcess:
         looked_for = wanted(settings)
         self._first_line = encode_wanted(looked_for)
         self._nodes = frozenset(looked_for.nodes)
+        self._blank = View(hearsay=Hearsay(own=Own(self._nodes, looked_for.watch)))
         self._max_memory = settings.ros.max_memory
         self._command = tuple(command)
         self._limits = limits
         self._ghosts = Ghosts(limits.doubt_s)
         self._unnamed = Unnamed(limits.unnamed_s)
         self._lock = threading.Lock()
-        self._view = View()
+        self._view = self._blank
         self._post = b""
         self._unsent = 0
         self._remarks: set[str] = set()
@@ -179,10 +180,10 @@ class RosProcess:
     def problems(self) -> tuple[str, ...]:
         """What keeps PHM from seeing all of the graph, in sentences."""
         with self._lock:
-            picture, dropped_s = self._view.picture, self._dropped_s
-        found = picture.problems if picture is not None else ()
-        recent = dropped_s is not None and self._clock.mono() - dropped_s < TOLD_S
-        return (*found, OVERLONG) if recent else found
+            view, times = self._view, {OVERLONG: self._dropped_s, CROWDED: self._view.hearsay.lost_at}
+        found = view.picture.problems if view.picture is not None else ()
+        now_s = self._clock.mono()
+        return (*found, *(words for words, at in times.items() if at is not None and now_s - at < TOLD_S))
 
     def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
         """Have the child publish these on /diagnostics, by name; never blocks. Nothing while there is no child that answers.
@@ -357,7 +358,7 @@ class RosProcess:
     def _lose(self, sentence: str) -> None:
         with self._lock:
             had_one = self._view.picture is not None
-            self._view, self._post = View(), b""
+            self._view, self._post = self._blank, b""
             self._why = sentence
         if had_one and not self._closing:
             self._on_change()

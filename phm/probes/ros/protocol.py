@@ -88,13 +88,15 @@ class Tick:
 class Heard:
     """What the application said of itself since the last message of this kind; whoever said nothing is left out.
 
-    ages: of beacons about which there is nothing else that is new. refused: see RosFact, so far.
+    ages: of beacons about which there is nothing else that is new. refused: see RosFact, so far. lost: more beacons came
+    than are read.
     """
 
     beacons: Mapping[str, BeaconFact] = field(default_factory=dict)
     diagnostics: Mapping[str, DiagnosticFact] = field(default_factory=dict)
     ages: Mapping[str, float] = field(default_factory=dict)
     refused: int = 0
+    lost: bool = False
 
 
 @dataclass(frozen=True, slots=True)

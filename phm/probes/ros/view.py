@@ -59,7 +59,7 @@ class View:
         hearsay = self.hearsay.since(now_s)
         return RosFact(
             age_s, picture.up_s + age_s, picture.nodes, topics, *hearsay, self.others, self.hearsay.refused,
-            picture.names_known,
+            picture.names_known, None if self.hearsay.lost_at is None else now_s - self.hearsay.lost_at,
         )  # fmt: skip
 
     def _aged(self, name: str, topic: TopicFact, age_s: float) -> TopicFact:

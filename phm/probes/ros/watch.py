@@ -18,6 +18,7 @@ from phm.probes.ros.diagnostics import Diagnostics
 from phm.probes.ros.gauge import Gauge
 from phm.probes.ros.graph import Graph
 from phm.probes.ros.graph_events import GraphEvents
+from phm.probes.ros.hearsay import Own
 from phm.probes.ros.names import Names
 from phm.probes.ros.protocol import Message, Others, Picture, Publish, Tick, Wanted
 from phm.probes.ros.view import flow
@@ -45,7 +46,7 @@ class Watch:
             topic.name: Gauge(self._node, topic, wanted.tick_s) for topic in wanted.topics if topic.rate_hz is not None
         }
         self._names = Names(self._node, {topic.name for topic in wanted.topics})
-        self._diagnostics = Diagnostics(self._node, wanted.listen)
+        self._diagnostics = Diagnostics(self._node, wanted.listen, Own(statuses=wanted.watch).is_status)
         self._beacons = Beacons(self._node, frozenset(wanted.nodes))
         self._events = GraphEvents(self._node, self._context)
         self._full_s = wanted.full_s

@@ -1,0 +1,108 @@
+"""Takes messages of one subscription as bytes, each with the identity (gid) of its writer.
+
+rclpy gives that identity from Kilted on. Before, rmw knows it all the same, and it is read through rcl's C function. Where
+neither does, there is none. Runs in the child alone.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from typing import Any
+
+Taken = tuple[bytes, bytes | None, int]
+"""The serialized message, its writer, and when the middleware received it: nanoseconds of the system clock."""
+GID_BYTES = 16
+_TAKE_FAILED = 401
+"""RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message."""
+_KEPT_BYTES = 200_000
+"""A buffer that a longer message made grow is given back."""
+
+
+class _Info(ctypes.Structure):
+    """rmw_message_info_t as it has been since Galactic, with room for what may be added."""
+
+    _fields_ = (
+        ("source_ns", ctypes.c_int64),
+        ("received_ns", ctypes.c_int64),
+        ("publication", ctypes.c_uint64),
+        ("reception", ctypes.c_uint64),
+        ("implementation", ctypes.c_char_p),
+        ("gid", ctypes.c_uint8 * GID_BYTES),
+        ("room", ctypes.c_uint8 * 192),
+    )
+
+
+class _Allocator(ctypes.Structure):
+    """rcutils_allocator_t: four functions and a state."""
+
+    _fields_ = (("parts", ctypes.c_void_p * 5),)
+
+
+class _Message(ctypes.Structure):
+    """rcl_serialized_message_t."""
+
+    _fields_ = (
+        ("buffer", ctypes.c_void_p),
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+        ("allocator", _Allocator),
+    )
+
+
+class Taker:
+    """Of a raw subscription, which no executor spins."""
+
+    def __init__(self, subscription: Any) -> None:
+        self._subscription = subscription
+        self._by_rcl: Callable[[], Taken | None] | None = None
+        self._tried = False
+
+    def take(self) -> Taken | None:
+        """The oldest message that waits; None: none does."""
+        if self._by_rcl is not None:
+            return self._by_rcl()
+        taken = self._subscription.handle.take_message(self._subscription.msg_type, True)
+        if taken is None:
+            return None
+        data, info = taken
+        gid = info.get("publisher_gid")
+        if isinstance(gid, dict):
+            gid = gid.get("data")
+        if not gid and not self._tried:
+            self._tried = True
+            self._by_rcl = by_rcl(self._subscription.handle.pointer)
+        return data, bytes(gid)[:GID_BYTES] if gid else None, int(info["received_timestamp"])
+
+
+def by_rcl(subscription: int) -> Callable[[], Taken | None] | None:
+    """The same through the C function, given rcl's pointer; None where the libraries are not as known."""
+    try:
+        rcl, rcutils = ctypes.CDLL("librcl.so"), ctypes.CDLL("librcutils.so")
+        ask, begin, end = (
+            rcl.rcl_take_serialized_message,
+            rcutils.rcutils_uint8_array_init,
+            rcutils.rcutils_uint8_array_fini,
+        )
+        default = rcutils.rcutils_get_default_allocator
+    except (OSError, AttributeError):
+        return None
+    ask.restype, ask.argtypes = ctypes.c_int, (ctypes.c_void_p,) * 4
+    begin.argtypes, end.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p), (ctypes.c_void_p,)
+    default.restype = _Allocator
+    allocator = default()
+    message, info = _Message(), _Info()
+    if begin(ctypes.byref(message), 0, ctypes.byref(allocator)):
+        return None
+
+    def take() -> Taken | None:
+        code = ask(subscription, ctypes.byref(message), ctypes.byref(info), None)
+        if code:
+            return None
+        data = ctypes.string_at(message.buffer, message.length)
+        if message.capacity > _KEPT_BYTES:
+            end(ctypes.byref(message))
+            begin(ctypes.byref(message), 0, ctypes.byref(allocator))
+        return data, bytes(info.gid), int(info.received_ns)
+
+    return take
