@@ -87,6 +87,10 @@ class Parts:
     def links(self) -> tuple[LinkFact, ...]:
         return self.mavlink.links() if self.mavlink is not None else ()
 
+    def link(self, name: str) -> LinkFact | None:
+        """The MAVLink endpoint of this name, with its traffic."""
+        return next((link for link in self.world.links.links() if link.name == name), None)
+
     def reopen(self, link: str, timeout_s: float) -> bool:
         """See `MavlinkHub.reopen`."""
         return self.mavlink is not None and self.mavlink.reopen(link, timeout_s)

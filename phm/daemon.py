@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import os
 import signal
@@ -242,6 +243,10 @@ class Daemon:
         self.desk.start()
 
     def _action_context(self) -> ActionContext:
+        autopilot = self.parts.world.links.autopilot
+        return dataclasses.replace(self._docker_context(), link=self.parts.link, autopilot=autopilot, clock=self.clock)
+
+    def _docker_context(self) -> ActionContext:
         docker = self.parts.world.docker
         return ActionContext(
             self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,

@@ -56,6 +56,8 @@ class AutopilotFact:
     """The same of one that said disarmed."""
     stalled_s: float | None = None
     """Since PHM last read again after it had been suspended: what it reads then may be old. None: never."""
+    boot_age_s: float | None = None
+    """Since it reported its time since boot; None: never."""
 
 
 @dataclass(frozen=True, slots=True)

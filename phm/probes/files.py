@@ -25,6 +25,8 @@ MAX_BYTES = 1 << 30
 DIGEST_S = 15.0
 """For reading a whole file; the rest of a look has the engine's time-out."""
 _SUMS = 256
+_TOO_LARGE = "too large"
+"""Kept in the place of a sum: the file is not read again until it has changed."""
 _PIECE = 1 << 20
 _GO_DIRECTORY, _GO_LINK, _GO_OTHER = 1 << 31, 1 << 27, 1 << 26 | 1 << 25 | 1 << 24 | 1 << 21 | 1 << 19
 _GO_SPECIAL = ((1 << 23, stat.S_ISUID), (1 << 22, stat.S_ISGID), (1 << 20, stat.S_ISVTX))
@@ -119,6 +121,8 @@ class Files:
         """SHA-256 of an open path. Raises Outside when PHM may not read it: the engine may."""
         key = (info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
         known = self._known(key)
+        if info.st_size > MAX_BYTES or known == _TOO_LARGE:
+            raise _too_large(path, info.st_size)
         if known:
             return known
         until = self._clock.mono() + DIGEST_S
@@ -130,7 +134,8 @@ class Files:
                     total.update(piece)
                     size += len(piece)
                     if size > MAX_BYTES or self._clock.mono() > until:
-                        raise CannotTell(f"{path} is too large to be read: {size >> 20} MiB or more")
+                        self._keep(key, _TOO_LARGE)
+                        raise _too_large(path, size)
                 now = os.fstat(content.fileno())
         except OSError as error:
             raise Outside(f"{path}: {error}") from error
@@ -149,6 +154,8 @@ class Files:
         mode = _posix_mode(int(told.get("mode", 0)))
         size = int(told.get("size", 0))
         wanted = digest and stat.S_ISREG(mode)
+        if wanted and size > MAX_BYTES:
+            raise _too_large(path, size)
         sha256 = self._sum_by_engine(fact, real, (size, str(told.get("mtime", "")))) if wanted else ""
         return _file_fact(path, mode, size, sha256, "engine")
 
@@ -210,6 +217,10 @@ class Files:
             while len(self._sums) > _SUMS:
                 self._sums.popitem(last=False)
         return sha256
+
+
+def _too_large(path: str, size: int) -> CannotTell:
+    return CannotTell(f"{path} is too large to be read: {size >> 20} MiB or more")
 
 
 def _my_view(mount: Mount, mine: tuple[Mount, ...]) -> str:

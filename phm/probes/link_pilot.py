@@ -106,6 +106,7 @@ class Pilot:
             self.boot_s(now), self.reboots, now - self._seen[-1] if rebooted else None, rebooted and self._rebooted_armed,
             self._cadence.due_s(), self._overdue(read_at(link)), now - self._spoke,
             ages.get(True), ages.get(False), None if self._stalled is None else now - self._stalled,
+            None if self._boot is None else now - self._boot[0],
         )  # fmt: skip
 
     def _overdue(self, read_at: float | None) -> bool:

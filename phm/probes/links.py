@@ -33,9 +33,12 @@ USERS_S = 1.0
 """Deadline of a look at who has a port open."""
 STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
 BOOTED = (
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    mavlink.MAVLINK_MSG_ID_TIMESYNC,
 )  # fmt: skip
-"""Messages of an autopilot that carry `time_boot_ms`."""
+"""Messages of an autopilot that carry its time since boot."""
+LONGEST_MS = 2**32
+"""A TIMESYNC with more than `time_boot_ms` could hold is of a clock that does not begin at boot."""
 
 
 class Links:
@@ -217,13 +220,14 @@ class Links:
         self.look()
 
     def _hear_time(self, message: Any, link: str) -> None:
-        if self._is_pilot(message):
+        boot_ms = _boot_ms(message)
+        if boot_ms is not None and self._is_pilot(message):
             with self._lock:
                 if link not in self._pilot_links:
-                    self._strays.booted(self._clock.mono(), message.time_boot_ms / 1000.0, link)
+                    self._strays.booted(self._clock.mono(), boot_ms / 1000.0, link)
                     return
                 before = self._pilot.reboots
-                self._pilot.booted(self._clock.mono(), message.time_boot_ms)
+                self._pilot.booted(self._clock.mono(), boot_ms)
                 rebooted = self._pilot.reboots != before
             if rebooted:
                 self.look()
@@ -231,6 +235,18 @@ class Links:
     def _is_pilot(self, message: Any) -> bool:
         own = message.get_srcSystem() == self._system
         return bool(own and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1)
+
+
+def _boot_ms(message: Any) -> int | None:
+    """How long the sender has been running; None: the message does not say it.
+
+    A TIMESYNC that asks carries its sender's clock in `ts1`, one that answers in `tc1`, in nanoseconds: of ArduPilot and PX4 that
+    since boot.
+    """
+    if message.get_msgId() != mavlink.MAVLINK_MSG_ID_TIMESYNC:
+        return int(message.time_boot_ms)
+    boot_ms = (message.tc1 or message.ts1) // 1_000_000
+    return int(boot_ms) if 0 < boot_ms < LONGEST_MS else None
 
 
 def _gone(link: LinkFact) -> bool:

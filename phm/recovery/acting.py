@@ -12,7 +12,7 @@ from phm import threads
 from phm.facts import CannotTell, NotPermitted
 from phm.model import Fault
 from phm.recovery.armed import State
-from phm.recovery.base import Action, ActionFailed, NotYet
+from phm.recovery.base import Action, ActionFailed, NotYet, Unneeded
 from phm.recovery.critical import FlightCritical, Reach
 from phm.recovery.guarded_engine import guarded
 from phm.recovery.hands import InOtherHands
@@ -21,6 +21,9 @@ from phm.settings import ContainerSettings
 
 logger = logging.getLogger(__name__)
 
+ASK_S = 5.0
+"""An action says within this time what else has helped."""
+
 
 @dataclass(frozen=True, slots=True)
 class Done:
@@ -28,6 +31,7 @@ class Done:
 
     forbidden: the vehicle was armed between the decision and the call to the engine.
     postponed: nothing was done because something that it needs is not there.
+    unneeded:  there was nothing to do.
     """
 
     detail: str
@@ -35,6 +39,7 @@ class Done:
     refused: bool = False
     forbidden: bool = False
     postponed: bool = False
+    unneeded: bool = False
 
 
 class Acting:
@@ -75,6 +80,20 @@ class Acting:
         finally:
             self.let_go()
 
+    def not_its_doing(self) -> str:
+        """What else has made the unit OK, see `Action.not_its_doing`. A plug-in that hangs or crashes costs ASK_S, and says nothing."""
+        said: list[str] = []
+
+        def ask() -> None:
+            with contextlib.suppress(CannotTell):
+                said.append(self._action.not_its_doing(self._target, self._fault, self._shop.context))
+
+        name = f"phm-credit-{self._action.name}-{self._target.key}"
+        thread = threading.Thread(target=ask, name=name, daemon=True)
+        thread.start()
+        thread.join(ASK_S)
+        return said[0] if said else ""
+
     def let_go(self) -> None:
         """From now on, others may act on the target; what still runs begins nothing more."""
         self._given_up = True
@@ -94,7 +113,8 @@ class Acting:
         context = replace(self._shop.context, engine=engine, holding=self._holding)
         try:
             with self._shop.lives.acting(self._target.key, self._target.key):
-                return Done(self._action.run(self._target, self._fault, context), ok=True)
+                said = self._action.run(self._target, self._fault, context)
+            return Done(str(said), ok=True, unneeded=isinstance(said, Unneeded))
         except FlightCritical as error:
             return Done(str(error), forbidden=True)
         except NotPermitted as error:

@@ -8,14 +8,22 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
-from phm.facts import Attachment, CannotTell, ContainerFact
+from phm.clock import Clock, SystemClock
+from phm.facts import Attachment, AutopilotFact, CannotTell, ContainerFact, LinkFact
 from phm.model import Fault
 from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings, Settings
 from phm.transport.docker import Engine
+
+
+class Unneeded(str):
+    """What `Action.run` returns when it has changed nothing, because what it is for was there already: what is OK afterwards is
+    not credited to it."""
+
+    __slots__ = ()
 
 
 class ActionFailed(Exception):
@@ -41,6 +49,14 @@ def _no_link(link: str, timeout_s: float) -> bool:
     return False
 
 
+def _no_link_fact(link: str) -> LinkFact | None:
+    return None
+
+
+def _no_autopilot() -> AutopilotFact | None:
+    return None
+
+
 def _no_hold(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractContextManager[None]:
     return nullcontext()
 
@@ -54,6 +70,8 @@ class ActionContext:
     myself:     PHM's own container, or None when it runs on the host.
     remembered: how a container was attached to a network when that was last seen.
     listed_nodes: ROS nodes in the graph now, with how often each is listed. Raises CannotTell.
+    link:       the MAVLink endpoint of this name now, or None when there is none.
+    autopilot:  the vehicle's autopilot now, or None when it was never received.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
     age_s:      seconds since something was stamped (UTC), whatever the clock did since; None: not possible (`phm.clock.Steps`).
     holding:    while it is entered, what breaks in that other container follows from this fault's repair.
@@ -65,6 +83,9 @@ class ActionContext:
     myself: Callable[[], ContainerFact | None]
     remembered: Callable[[str, str], Attachment | None]
     listed_nodes: Callable[[], Mapping[str, int]] = _no_graph
+    link: Callable[[str], LinkFact | None] = _no_link_fact
+    autopilot: Callable[[], AutopilotFact | None] = _no_autopilot
+    clock: Clock = field(default_factory=SystemClock)
     age_s: Callable[[float], float | None] = _unknown_age
     reopen: Callable[[str, float], bool] = _no_link
     holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
@@ -102,5 +123,13 @@ class Action(ABC):
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         """Do it; return a sentence for the log. Raises ActionFailed, NotYet, NotPermitted or CannotTell.
 
-        Called again after a failure or a restart of PHM: doing it twice must be harmless.
+        Called again after a failure or a restart of PHM: doing it twice must be harmless. An action that has found nothing to
+        do returns its sentence as `Unneeded`.
         """
+
+    def not_its_doing(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        """Asked once the unit is OK again after `run`, of the same object: what else has made it OK, as a clause for the log.
+
+        Empty: nothing speaks against the action. Raises CannotTell, which counts as empty.
+        """
+        return ""

@@ -61,7 +61,7 @@ class Repair:
     ) -> None:  # fmt: skip
         """last: no rung of the ladder follows. approved_at: as of `Acting`."""
         self._shop, self._target, self._fault, self._kind, self._last = shop, target.key, fault, kind, last
-        self._began = shop.clock.mono()
+        self._began, self._credited = shop.clock.mono(), True
         action = kind()
         self._missing = partial(action.waits_for, target, fault, shop.context)
         self._acting = Acting(shop, target, fault, action, approved_at)
@@ -84,6 +84,8 @@ class Repair:
     def release(self, *, worked: bool) -> None:
         """End the hold, and let the target go if that has not happened."""
         self._acting.let_go()
+        if worked and not self._credited:
+            self._shop.pipeline.discredit(self._fault.unit)
         self._shop.hands.release(self._target, self, worked=worked)
         if not worked:
             self._shop.pipeline.discredit(self._fault.unit)
@@ -111,7 +113,10 @@ class Repair:
         # On the last rung nothing more can be done for what has not come back: it is told as faults of its own.
         if not proof.missing or (self._last and proof.missing != unit):
             took_s = self._shop.clock.mono() - self._began
-            return Verdict(True, f"{unit} is OK again {took_s:.1f} s after the action began")
+            words = f"{unit} is OK again {took_s:.1f} s after the action began"
+            other = "there was nothing to do for it" if done.unneeded else self._acting.not_its_doing()
+            self._credited = not other
+            return Verdict(True, f"{words}, and not by {name}: {other}" if other else words)
         if proof.undecided:
             return Verdict(False, f"{name} of {self._target}: {unit} is not known yet, and PHM waits", undecided=True)
         words = f"{name} of {self._target} did not bring {proof.missing} back"

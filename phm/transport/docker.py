@@ -42,6 +42,8 @@ __all__ = [
 
 ACT_MARGIN_S = 10.0
 """Allowed to calls that change something, beyond the time-out: the engine waits this long for a kill to take."""
+NOT_MODIFIED = 304
+"""The engine's answer when a container is as it is asked to be."""
 EVENT_SILENCE_S = 60.0
 """An event stream that is silent for longer is given up, so that a half-open TCP connection ends."""
 
@@ -164,9 +166,16 @@ class Engine(Session):
 
     # ------------------------------------------------------------ acting
 
-    def start(self, ref: str) -> None:
-        """Start a container; one that runs is left as it is."""
-        self._act(lambda client: client.start(ref), f"start {ref}")
+    def start(self, ref: str) -> bool:
+        """Start a container; one that runs is left alone. Whether this call has started it."""
+
+        def ask(client: APIClient) -> bool:
+            url = f"{client.base_url}/v{client.api_version}/containers/{quote(ref, safe='')}/start"
+            response = client.post(url, timeout=client.timeout)
+            _raise_for_status(response)
+            return bool(response.status_code != NOT_MODIFIED)
+
+        return bool(self._act(ask, f"start {ref}"))
 
     def restart(self, ref: str, stop_timeout_s: float = 5.0) -> None:
         """SIGTERM, SIGKILL after `stop_timeout_s` (rounded up to whole seconds), start again."""
@@ -240,9 +249,9 @@ class Engine(Session):
         """Remove a container that does not run, with its nameless volumes."""
         self._act(lambda client: client.remove_container(ref, v=True), f"remove {ref}")
 
-    def _act(self, fn: Callable[[APIClient], Any], what: str, grace_s: float = 0.0) -> None:
+    def _act(self, fn: Callable[[APIClient], Any], what: str, grace_s: float = 0.0) -> Any:
         try:
-            self.call(fn, deadline_s=self.timeout_s + grace_s + ACT_MARGIN_S, what=what)
+            return self.call(fn, deadline_s=self.timeout_s + grace_s + ACT_MARGIN_S, what=what)
         finally:
             self.on_change()
 

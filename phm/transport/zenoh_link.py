@@ -182,9 +182,15 @@ class ZenohLink:
             declared.publish(payload)
             self._published += 1
             self._bytes_out += len(payload)
-        while self._queries:
+        self._answer(declared)
+
+    def _answer(self, declared: Declared) -> None:
+        """At most MAX_QUERIES in one turn: whoever asks all the time must not keep the status from being published."""
+        for _ in range(min(len(self._queries), MAX_QUERIES)):
             declared.answer(self._queries.popleft(), self._newest if self._present else b"")
             self._answered += 1
+        if self._queries:
+            self._bell.set()
 
     def _nobody(self) -> str:
         return (

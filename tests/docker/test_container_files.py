@@ -6,12 +6,13 @@ import hashlib
 import os
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
-from phm.probes.files import Files
+from phm.probes.files import MAX_BYTES, Files
 from phm.probes.notices import Notices
 from phm.probes.volume_path import Outside, resolve
 from phm.testing import FakeClock, FakeDocker, container as fact, settings
@@ -105,6 +106,25 @@ def test_a_sum_is_read_again_only_when_the_file_changed(place: Place) -> None:
     before = list(place.fake.calls).count("GET /containers/c1/archive")
     place.look("/opt/app", digest=True)
     assert list(place.fake.calls).count("GET /containers/c1/archive") == before
+
+
+def test_what_is_too_large_is_refused_before_it_is_read(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its size is known: to read a gibibyte every few seconds would wear the card. One that is too slow is not read again."""
+    file = place.here / "bag.mcap"
+    file.touch()
+    os.truncate(file, MAX_BYTES + 1)
+    read: list[bytes] = []
+    sha256 = hashlib.sha256
+    monkeypatch.setattr(hashlib, "sha256", lambda: SimpleNamespace(update=read.append, hexdigest=sha256().hexdigest))
+    with pytest.raises(CannotTell, match="too large to be read: 1024 MiB or more"):
+        place.look("/data/bag.mcap", digest=True)
+    assert read == []
+    os.truncate(file, 1 << 20)
+    monkeypatch.setattr("phm.probes.files.DIGEST_S", -1.0)
+    for _ in range(3):
+        with pytest.raises(CannotTell, match="too large"):
+            place.look("/data/bag.mcap", digest=True)
+    assert len(read) == 1
 
 
 def test_a_link_within_the_volume_is_followed(place: Place) -> None:

@@ -9,6 +9,7 @@ import select
 import socket
 import termios
 import threading
+import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,13 +18,21 @@ import pytest
 
 from phm.clock import SystemClock
 from phm.daemon import Daemon
+from phm.facts import AutopilotFact
 from phm.model import ActionEvent, Event, FaultClosed, FaultOpened, Phase
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
+from phm_checks import autopilot
 from tests.fakes.mavlink import Sender, free_port, heartbeat, until
 
+PILOT_FACT = AutopilotFact(0.0, False)
 PILOT = heartbeat(5, kind=mavlink.MAV_TYPE_QUADROTOR, autopilot=3, base_mode=81)
+
+
+def timesync(boot_s: float) -> mavlink.MAVLink_timesync_message:
+    """A question of an autopilot that has been running for so long."""
+    return mavlink.MAVLink_timesync_message(0, int(boot_s * 1e9))
 
 
 class Stale:
@@ -36,6 +45,8 @@ class Stale:
         self.port = int(self._listener.getsockname()[1])
         self.accepted = 0
         self.deaf = False
+        self.booted: float | None = None
+        """When it has begun to run, on the monotonic clock; None: it does not say."""
         self._speaks: list[socket.socket] = []
         self._all: list[socket.socket] = []
         self._stopping = threading.Event()
@@ -45,6 +56,10 @@ class Stale:
     def mute(self, *, deaf: bool = False) -> None:
         self.deaf = deaf
         self._speaks = []
+
+    def speak(self) -> None:
+        """By the newest connection."""
+        self._speaks, self.deaf = self._all[-1:], False
 
     def _loop(self) -> None:
         sender = Sender(7, 1)
@@ -58,6 +73,8 @@ class Stale:
             for client in self._speaks:
                 with contextlib.suppress(OSError):
                     client.send(sender.frame(PILOT))
+                    if self.booted is not None:
+                        client.send(sender.frame(timesync(time.monotonic() - self.booted)))
 
     def close(self) -> None:
         self._stopping.set()
@@ -176,6 +193,29 @@ def test_an_open_and_silent_link_is_healed(tmp_path: Path, stale: Stale, mode: s
         assert aboard.opened() == ["autopilot"]
         assert aboard.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
         assert stale.accepted == 2
+    finally:
+        aboard.daemon.stop()
+
+
+@pytest.mark.parametrize("what", ["rebooted", "ran on", "came back late"])
+def test_only_what_a_reopening_has_helped_is_credited_to_it(
+    tmp_path: Path, stale: Stale, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    """A reboot shows in TIMESYNC, and what answers late has come back by itself."""
+    monkeypatch.setattr(autopilot, "TOLD_S", 1.0)  # how long the reboot is reported before the unit is OK
+    stale.booted = time.monotonic() - 1000.0
+    aboard = Aboard(tmp_path, stale.port)
+    try:
+        until(aboard.heard)
+        until(lambda: (aboard.daemon.parts.world.links.autopilot() or PILOT_FACT).boot_s)
+        stale.mute(deaf=what == "came back late")
+        if what == "rebooted":
+            stale.booted = time.monotonic()
+        if what == "came back late":
+            until(lambda: Phase.DONE in aboard.phases(), "the reopening")
+            stale.speak()
+        until(aboard.closed, "the fault being over")
+        assert aboard.closed() == [("autopilot", "resolved", "reopen" if what == "ran on" else "itself")]
     finally:
         aboard.daemon.stop()
 

@@ -17,7 +17,7 @@ from phm.needs import Needs
 from phm.pipeline import Pipeline
 from phm.plan import Plan
 from phm.recovery.armed import Armed, ArmedMonitor, State
-from phm.recovery.base import Action, ActionContext
+from phm.recovery.base import Action, ActionContext, Unneeded
 from phm.recovery.executor import Executor
 from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
@@ -87,6 +87,7 @@ class Agent:
         self._monitor = monitor
         self.acting: list[str] = []
         self._at_work: set[str] = set()
+        self.not_its_doing: Callable[[], str] = lambda: ""
         self.behave: Callable[[str, ActionContext, Fault], object] = lambda key, context, fault: containers.start(key)
         entries = [
             ContainerSettings(name=key, recover=key in opted_in, flight_critical=key in critical)
@@ -134,10 +135,13 @@ class Agent:
                 agent.runs.append((target.key, fault.unit))
                 agent.acting.append(target.key)
                 try:
-                    agent.behave(target.key, context, fault)
+                    said = agent.behave(target.key, context, fault)
                 finally:
                     agent.acting.remove(target.key)
-                return "restarted"
+                return said if isinstance(said, Unneeded) else "restarted"
+
+            def not_its_doing(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+                return agent.not_its_doing()
 
         return Simulated
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from phm.facts import NotPermitted
 from phm.probes.docker import Docker
 from phm.recovery.actions import Relaunch, Restart, Restore, Start
-from phm.recovery.base import ActionFailed
+from phm.recovery.base import ActionFailed, Unneeded
 from phm.testing import FakeClock
 from phm.transport.docker import Engine, EngineBroken, EngineTimeout
 from tests.fakes.engine import FakeEngine, Hang, Status, container
@@ -154,6 +155,21 @@ def test_arming_is_asked_when_the_dependant_is_in_hand(fake: FakeEngine, ask: En
     assert "side depends on it: restart of side was not done: flight-critical" in words
 
 
+def test_a_container_that_somebody_else_has_started_is_not_credited(
+    fake: FakeEngine, ask: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before PHM looks, or between that and its call: the engine says whether it was this call that has started it."""
+    made = stack(fake, ask)
+    assert isinstance(made.run(Start, "app", EXITED), Unneeded)
+    running = made.fact("app")
+    assert running is not None
+    monkeypatch.setattr(Bench, "fact", lambda self, key: replace(running, status="exited"))
+    said = made.run(Start, "app", EXITED)
+    assert isinstance(said, Unneeded) and "by somebody else" in said
+    fake.set("app", status="exited", exit_code=1)
+    assert not isinstance(made.run(Start, "app", EXITED), Unneeded)
+
+
 @pytest.mark.parametrize(("asked", "given"), [(None, 5), (2, 5), (30, 30), (3600, 120), (-1, 120)])
 def test_a_container_gets_the_time_to_end_that_it_asks_for(
     fake: FakeEngine, ask: Engine, monkeypatch: pytest.MonkeyPatch, asked: int | None, given: int
@@ -262,7 +278,8 @@ def test_a_file_is_put_back(
     assert app["_modes"][PATH] == (plain | 0o111 if wanted.get("executable") else plain)
     assert list(fake.containers) == ["app"]
     calls = len([call for call in fake.calls if call.startswith(("PUT", "POST"))])
-    assert "as they must be" in made.run(Restore, "app", fault("files/app", "file_missing"))
+    again = made.run(Restore, "app", fault("files/app", "file_missing"))
+    assert "as they must be" in again and isinstance(again, Unneeded)
     assert len([call for call in fake.calls if call.startswith(("PUT", "POST"))]) == calls
 
 
@@ -292,6 +309,28 @@ def test_a_golden_copy_must_be_a_regular_file_of_fair_size(
         monkeypatch.setattr("phm.recovery.actions.restore.LIMIT", 10)
     with pytest.raises(ActionFailed, match=str(golden)):
         files(fake, ask, None, restore=str(golden)).run(Restore, "app", fault("files/app", "file_missing"))
+
+
+@pytest.mark.parametrize("where", ["the file", "its folder", "a folder above"])
+def test_a_golden_copy_behind_a_link_is_refused(fake: FakeEngine, ask: Engine, tmp_path: Path, where: str) -> None:
+    """The application may write where it lies: PHM would copy into the container what only PHM may read."""
+    secret = tmp_path / "phm" / "keys" / "golden"
+    secret.parent.mkdir(parents=True)
+    secret.write_bytes(b"the signing key")
+    volume = tmp_path / "volume"
+    golden = volume / "keys" / "golden"
+    if where == "a folder above":
+        volume.symlink_to(secret.parent.parent, target_is_directory=True)
+    elif where == "its folder":
+        volume.mkdir()
+        golden.parent.symlink_to(secret.parent, target_is_directory=True)
+    else:
+        golden.parent.mkdir(parents=True)
+        golden.symlink_to(secret)
+    assert golden.read_bytes() == b"the signing key"
+    with pytest.raises(ActionFailed, match=r"no regular file|behind a link"):
+        files(fake, ask, None, restore=str(golden)).run(Restore, "app", fault("files/app", "file_missing"))
+    assert PATH not in fake.containers["app"]["_files"]
 
 
 def test_a_folder_in_place_of_the_file_is_not_replaced(fake: FakeEngine, ask: Engine) -> None:

@@ -147,6 +147,16 @@ def test_links_are_not_followed(disk: Path, tmp_path_factory: pytest.TempPathFac
     assert elsewhere.exists()
 
 
+def test_a_folder_behind_a_link_is_not_entered(disk: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Also where the link is above the folder that the configuration names."""
+    elsewhere = put(tmp_path_factory.mktemp("elsewhere") / "bags/a.mcap", 10)
+    put(disk / "new.txt", 98_000)
+    (disk / "run").symlink_to(elsewhere.parent.parent, target_is_directory=True)
+    with pytest.raises(ActionFailed, match="removed 0 old files"):
+        run(disk, {"path": str(disk / "run/bags"), "files": ["*"]})
+    assert elsewhere.exists()
+
+
 def test_a_folder_put_in_place_of_another_meanwhile_is_not_entered(
     disk: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -274,6 +274,21 @@ def test_a_restart_that_the_engine_finishes_late_excuses_no_attempt(yard: Yard) 
     assert not any("somebody else" in note for note in agent.notes())
 
 
+def test_a_container_that_comes_up_late_gets_its_grace(yard: Yard) -> None:
+    """The engine finishes the first attempt's restart after its deadline: it is not restarted a second time while it comes up."""
+    agent = yard.phm(units={"health/app": Of("app", grace_s=6.0)}, backoff=4.0)
+    agent.rest(10.0)
+    late(agent)
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: Phase.FAILED in agent.steps(), "the deadline")
+    agent.rest(3.0)
+    yard.containers.start("app")
+    agent.rest(5.0)
+    agent.bad.clear()
+    agent.until(lambda: not agent.pipeline.open_faults(), "its being OK")
+    assert len(agent.runs) == 1
+
+
 @pytest.mark.parametrize("while_away", [True, False])
 def test_a_restart_that_phms_end_interrupted_excuses_no_attempt(yard: Yard, while_away: bool) -> None:
     """The engine finishes it before the next PHM looks for the first time, or a minute after that: it is PHM's own."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from phm.facts import NotPermitted
 from phm.model import Fault
-from phm.recovery.base import Action, ActionContext
+from phm.recovery.base import Action, ActionContext, Unneeded
 from phm.settings import ContainerSettings
 
 
@@ -15,7 +15,7 @@ class Join(Action):
     on_myself = True
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        return join(target, context) or f"PHM is on the networks of {target.key} already"
+        return join(target, context) or Unneeded(f"PHM is on the networks of {target.key} already")
 
 
 def join(target: ContainerSettings, context: ActionContext) -> str:

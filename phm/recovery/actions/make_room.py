@@ -13,7 +13,8 @@ from pathlib import PurePosixPath
 
 from phm.disk_space import space
 from phm.model import Fault
-from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.actions._paths import FOLDER, open_plain
+from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.critical import Reach
 from phm.recovery.disks import path_of
 from phm.settings import ContainerSettings, RoomSettings, Settings
@@ -27,7 +28,6 @@ MOST_SEEN = 1_000_000
 DEPTH = 8
 MOST_REFUSED = 3
 """So many files of a folder that cannot be removed say that none can."""
-_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 @dataclass(frozen=True, order=True)
@@ -64,7 +64,8 @@ class MakeRoom(Action):
         if used >= goal:
             why = "; ".join(problems) or "nothing else that host.make_room names is old enough"
             raise ActionFailed(f"{did}, and {disk} is at {used:.0f} % still, below {goal:.0f} % is the goal: {why}")
-        return f"{did}: {disk} is at {used:.0f} %"
+        said = f"{did}: {disk} is at {used:.0f} %"
+        return said if removed else Unneeded(said)
 
 
 def used_percent(path: str) -> float:
@@ -82,7 +83,7 @@ def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str], con
     if used_percent(disk) < goal:
         return
     try:
-        folder = os.open(place.path, _FOLDER)
+        folder = open_plain(place.path, FOLDER)
     except OSError as error:
         problems.append(f"{place.path}: {error.strerror or error}")
         return
@@ -134,7 +135,7 @@ def _entries(folder: int, home: int, path: str = "", depth: int = DEPTH) -> Iter
             yield below, entry
             with contextlib.suppress(OSError):  # removed meanwhile, or not PHM's to read
                 if depth and entry.is_dir(follow_symlinks=False):
-                    inner = os.open(entry.name, _FOLDER, dir_fd=folder)
+                    inner = os.open(entry.name, FOLDER, dir_fd=folder)
                     try:
                         if os.fstat(inner).st_dev == home:
                             yield from _entries(inner, home, below, depth - 1)
@@ -148,7 +149,7 @@ def _unlink(folder: int, path: str) -> None:
     handle = os.dup(folder)
     try:
         for parent in parents:
-            inner = os.open(parent, _FOLDER, dir_fd=handle)
+            inner = os.open(parent, FOLDER, dir_fd=handle)
             os.close(handle)
             handle = inner
         os.unlink(name, dir_fd=handle)

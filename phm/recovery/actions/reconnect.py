@@ -5,7 +5,7 @@ from __future__ import annotations
 from phm.facts import Attachment, ContainerFact
 from phm.model import Fault
 from phm.recovery.actions._common import present
-from phm.recovery.base import Action, ActionContext
+from phm.recovery.base import Action, ActionContext, Unneeded
 from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings
 
@@ -42,7 +42,9 @@ class Reconnect(Action):
             before = context.remembered(target.key, name) or now
             context.engine.connect(network, fact.name, aliases=_aliases(before, fact), address=_address(before))
             done.append(name)
-        return f"reconnected {target.key} to {', '.join(done)}" if done else f"{target.key} is connected already"
+        if not done:
+            return Unneeded(f"{target.key} is connected already")
+        return f"reconnected {target.key} to {', '.join(done)}"
 
 
 def _aliases(before: Attachment | None, fact: ContainerFact) -> tuple[str, ...]:

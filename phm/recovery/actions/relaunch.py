@@ -5,7 +5,7 @@ from __future__ import annotations
 from phm.facts import CannotTell
 from phm.model import Fault
 from phm.recovery.actions._common import present
-from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings, NodeSettings, Settings
 
@@ -33,7 +33,7 @@ class Relaunch(Action):
         name = f"/{node.name.lstrip('/')}"
         if self._listed(name, fault, context):
             if fault.result.condition == "node_missing":
-                return f"{name} is listed again"
+                return Unneeded(f"{name} is listed again")
             raise ActionFailed(f"{name} is still running, and a second copy would disturb it: relaunch does not help")
         fact = present(target, context)
         if _runs(" ".join(node.relaunch), fact.id, context):

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+import threading
+
+from phm.facts import AutopilotFact
 from phm.model import Fault
-from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.links import name_of
 from phm.settings import ContainerSettings
 
 OPEN_S = 8.0
 """A connection is given up after 5 s."""
+FLOWS_S = 1.0
+"""Where something came within this time, the endpoint is not silent."""
+PROMPT_S = 2.0
+"""Whoever is there sends within this time of the connection being open: an autopilot a heartbeat a second. What comes later has
+come back by itself."""
+RADIO_S = 11.0
+BOOT_S = 3.0
+"""An autopilot reports its time since boot within this time, if it does."""
+BEHIND_S = 2.0
+"""An autopilot whose time since boot is behind by more than this has rebooted, or did not run meanwhile."""
+POLL_S = 0.05
 
 
 class Reopen(Action):
@@ -17,7 +31,14 @@ class Reopen(Action):
 
     name = "reopen"
     on_myself = True
-    deadline_s = OPEN_S + 4.0
+    deadline_s = OPEN_S + RADIO_S + 4.0
+
+    def __init__(self) -> None:
+        self._began = 0.0
+        self._prompt = False
+        """Something came by the new connection soon."""
+        self._pilot: AutopilotFact | None = None
+        """As it was known before."""
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         link = name_of(target.key)
@@ -25,8 +46,54 @@ class Reopen(Action):
             raise ActionFailed(
                 f"reopen is for MAVLink endpoints, and {target.key} is a container: correct recovery.ladders"
             )
+        if _flows(link, context, FLOWS_S):
+            return Unneeded(f"data come by {link} again")
+        self._began, self._pilot = context.clock.mono(), context.autopilot()
         if not context.reopen(link, OPEN_S):
             raise ActionFailed(
                 f"the MAVLink endpoint {link} did not open again within {OPEN_S:g} s; PHM goes on trying"
             )
+        self._prompt = self._answers(link, _prompt_s(fault, context), context)
         return f"reopened the MAVLink endpoint {link}"
+
+    def not_its_doing(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        """A reboot, or a stall, of the autopilot explains its silence, and so does an answer that came late."""
+        if not self._prompt:
+            return "nothing came soon after it was opened, and the other side has come back by itself"
+        before = self._pilot
+        if before is None or before.boot_s is None or before.link != name_of(target.key):
+            return ""
+        return self._behind(before, before.boot_s, context)
+
+    def _answers(self, link: str, within_s: float, context: ActionContext) -> bool:
+        opened = context.clock.mono()
+        while context.clock.mono() - opened < within_s:
+            context.clock.wait(threading.Event(), POLL_S)
+            if _flows(link, context, context.clock.mono() - opened):
+                return True
+        return False
+
+    def _behind(self, before: AutopilotFact, boot_s: float, context: ActionContext) -> str:
+        """Compares how long the autopilot has run with how long it should have, once it has reported that."""
+        end = context.clock.mono() + BOOT_S
+        while context.clock.mono() < end:
+            now, elapsed_s = context.autopilot(), context.clock.mono() - self._began
+            if now is not None and now.boot_s is not None and (now.boot_age_s or 0.0) < elapsed_s:
+                if now.reboots > before.reboots:
+                    return f"the autopilot has rebooted, and has been running for {now.boot_s:.0f} s"
+                behind_s = boot_s + elapsed_s - now.boot_s
+                return f"the autopilot did not run for {behind_s:.0f} s" if behind_s > BEHIND_S else ""
+            context.clock.wait(threading.Event(), POLL_S)
+        return ""
+
+
+def _prompt_s(fault: Fault, context: ActionContext) -> float:
+    """A radio reports once for each heartbeat that it is given to send."""
+    if fault.result.condition != "radio_silent":
+        return PROMPT_S
+    return max(PROMPT_S, min((context.settings.mavlink.heartbeat or 0.0) + 1.0, RADIO_S))
+
+
+def _flows(link: str, context: ActionContext, within_s: float) -> bool:
+    fact = context.link(link)
+    return fact is not None and fact.open and fact.rx_age_s is not None and fact.rx_age_s < within_s

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
 import posixpath
@@ -11,7 +12,8 @@ import stat
 from phm.facts import ContainerFact
 from phm.model import Fault
 from phm.recovery.actions._common import present
-from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.actions._paths import open_plain
+from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings, FileSettings, Settings
 from phm.transport.docker import Engine, EngineMissing, FileCopy
@@ -54,9 +56,9 @@ class Restore(Action):
                 problems.append(str(error))
         if problems:
             raise ActionFailed("; ".join([*problems, *(f"restored {words}" for words in done)]))
-        return (
-            f"restored in {target.key}: {', '.join(done)}" if done else f"the files of {target.key} are as they must be"
-        )
+        if not done:
+            return Unneeded(f"the files of {target.key} are as they must be")
+        return f"restored in {target.key}: {', '.join(done)}"
 
 
 def put_back(file: FileSettings, fact: ContainerFact, engine: Engine) -> bool:
@@ -133,15 +135,23 @@ def _from_image(engine: Engine, fact: ContainerFact, path: str) -> FileCopy:
 
 
 def _golden(path: str) -> FileCopy:
-    """The copy that PHM sees at `path`. Raises ActionFailed when it is not there, no regular file or too big."""
+    """The copy that PHM sees at `path`. Raises ActionFailed when it is not there, behind a link, no regular file or too big."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(descriptor, "rb") as file:
-            seen = os.fstat(descriptor)
+        # Without rights to the content at first: to open a device may do something.
+        place = open_plain(path, os.O_PATH)
+        try:
+            seen = os.fstat(place)
             if not stat.S_ISREG(seen.st_mode):
                 raise ActionFailed(f"the golden copy {path} is no regular file")
-            data = file.read(LIMIT + 1)
+            with open(f"/proc/self/fd/{place}", "rb") as file:
+                data = file.read(LIMIT + 1)
+        finally:
+            os.close(place)
     except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENOTDIR):
+            raise ActionFailed(
+                f"the golden copy {path} is behind a link or no file: give its own path in `restore`"
+            ) from error
         raise ActionFailed(f"the golden copy {path} cannot be read: {error.strerror or error}") from error
     if len(data) > LIMIT:
         raise ActionFailed(f"the golden copy {path} has more than the {LIMIT >> 20} MiB that PHM puts back")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from phm.model import Fault
 from phm.recovery.actions._common import present, restart_dependants
-from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings
 
@@ -23,6 +23,7 @@ class Start(Action):
         if fact.status == "paused":
             raise ActionFailed(f"{target.key} is paused, not stopped: unpause it")
         if fact.running:
-            return f"{target.key} runs already"
-        context.engine.start(fact.id)
+            return Unneeded(f"{target.key} runs already")
+        if not context.engine.start(fact.id):
+            return Unneeded(f"{target.key} was started by somebody else meanwhile")
         return f"started {target.key}{restart_dependants(target, fault, context)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from phm.model import Fault
 from phm.recovery.actions._common import present
-from phm.recovery.base import Action, ActionContext
+from phm.recovery.base import Action, ActionContext, Unneeded
 from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings
 
@@ -18,6 +18,6 @@ class Unpause(Action):
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
         if fact.status != "paused":
-            return f"{target.key} is no longer paused"
+            return Unneeded(f"{target.key} is no longer paused")
         context.engine.unpause(fact.id)
         return f"unpaused {target.key}"
