@@ -107,17 +107,23 @@ class Parts:
     def remembered(self, container: str, network: str) -> Attachment | None:
         return self.docker.remembered(container, network)
 
-    def close(self) -> None:
-        if self.watch is not None:
-            self.watch.stop()
-        if self.pulse is not None:
-            self.pulse.stop()
-        self.notices.close()
-        if self.ros is not None:
-            self.ros.close()
+    def closers(self) -> tuple[tuple[str, Callable[[], None]], ...]:
+        """What ends each part, by name: those that have somebody to say goodbye to come first."""
+        found: list[tuple[str, Callable[[], None]]] = []
         if self.mavlink is not None:
-            self.mavlink.close()
-        self.engine.close()
+            found.append(("mavlink", self.mavlink.close))
+        if self.ros is not None:
+            found.append(("ros", self.ros.close))
+        if self.pulse is not None:
+            found.append(("pulse", self.pulse.stop))
+        found += [("notices", self.notices.close), ("engine", self.engine.close)]
+        if self.watch is not None:
+            found.append(("watch", self.watch.stop))
+        return tuple(found)
+
+    def close(self) -> None:
+        for _name, close in self.closers():
+            close()
 
 
 def assemble(

@@ -1,14 +1,13 @@
-"""The daemon: builds the parts, keeps the beat, and ends in order. `run` is `phm run`, `once` is `phm once`."""
+"""The daemon: builds the parts, keeps the beat, and ends in order. `once` is `phm once`; `phm run` is `phm.service`."""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
-import os
-import signal
 import threading
 import uuid
-from types import FrameType
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from phm import registry, threads
@@ -16,6 +15,7 @@ from phm.api import Check
 from phm.assembly import Parts, assemble
 from phm.bus import Bus
 from phm.clock import Clock, SystemClock
+from phm.closing import Closing
 from phm.control import Control
 from phm.engine import WATCH_S, Batch, Engine
 from phm.facts import CannotTell, SelfFact
@@ -46,6 +46,8 @@ STOOD_STILL_S = 2.5
 LOOK_S = 1.0
 GUARD_LOOKS = 30
 """A guard that is missing is started again after so many looks."""
+STOP_S = 5.0
+"""For all of `stop`: Docker sends SIGKILL 10 s after SIGTERM unless it was asked to wait longer."""
 CALM_S = 0.5
 """Between two beats while nothing waits: no unit settles, no action is at work. What changes that has the heart beat at once."""
 STALLED_END_S = 30.0
@@ -88,6 +90,9 @@ class Daemon:
         timeout_s = settings.mavlink.autopilot_timeout
         self.armed = ArmedMonitor(self.parts.world.links.autopilot, timeout_s, self.clock)
         self.memory = Memory(settings, self.pipeline, self.bus, self.clock, self.armed)
+        self._looks = self._stalled = 0
+        self.own_problems: list[Callable[[], str]] = [threads.problem]
+        """What else is wrong with this process, each asked for a sentence."""
         self._stop, self._soon = threading.Event(), threading.Event()
         self._heart = threading.Thread(target=self._beat_on, name="phm-heart", daemon=True)
 
@@ -104,50 +109,45 @@ class Daemon:
         self.engine.start()
         threads.start(self._heart)
 
-    def wait(self) -> bool:
-        """Until `stop_soon` is called, e.g. by a signal: True. False when PHM has stalled and must be replaced.
+    def look(self) -> bool:
+        """To be called every LOOK_S; False when PHM has stalled for STALLED_END_S and must be replaced.
 
         Looks are counted, not seconds: after a pause of the whole machine the first look is not held against us.
         """
-        stalled = looks = 0
-        while not self._stop.is_set():
-            stalled = 0 if self.alive() else stalled + 1
-            if stalled * LOOK_S >= STALLED_END_S:
-                return False
-            threads.retry()
-            looks += 1
-            if self._guard is not None and looks % GUARD_LOOKS == 0:
-                self._guard.revive()
-            self.clock.wait(self._stop, LOOK_S)
-        return True
-
-    def stop_soon(self) -> None:
-        self._stop.set()
+        self._looks += 1
+        self._stalled = 0 if self.alive() else self._stalled + 1
+        threads.retry()
+        if self._guard is not None and self._looks % GUARD_LOOKS == 0:
+            self._guard.revive()
+        return self._stalled * LOOK_S < STALLED_END_S
 
     def beat_soon(self) -> None:
-        """Have the heart beat now: there is something to wait for, or PHM was stopped and goes on.
-
-        Also called by a signal's handler, so never by the main thread itself, which the handler would find holding the event.
-        """
+        """Have the heart beat now: there is something to wait for, or PHM was stopped and goes on."""
         self._soon.set()
 
-    def stop(self) -> None:
+    def stop(self) -> tuple[str, ...]:
+        """End every part in order, within STOP_S for all together; the names of those that hang."""
+        closing = Closing(self.clock, STOP_S)
         self._stop.set()
+        closing.step("marker", self._last_end.end, 0.5)  # an end that was asked for, however it goes on
         if self._guard is not None:
-            self._guard.close()
+            closing.step("guard", self._guard.close, 0.5)
         self.pipeline.note("PHM", "PHM is stopping")
-        if self.control is not None:
-            self.control.close()
-        if self.desk is not None:
-            self.desk.close()
+        for name, part in (("control", self.control), ("commands", self.desk)):
+            if part is not None:
+                closing.step(name, part.close, 0.5)
         if self.executor is not None:
             self.executor.stop()
-        self.engine.stop()
-        self.bus.close()
-        self.memory.close()
-        self.reporters.close()
-        self.parts.close()
-        self._last_end.end()
+        self.engine.end()
+        self.parts.engine.close()  # cuts the calls that checks and actions wait for
+        closing.step("checks", partial(self.engine.stop, 1.0), 1.5)
+        closing.step("events", partial(self.bus.close, 1.0), 1.5)
+        for name, close in self.reporters.closers():
+            closing.step(name, close, 1.0)
+        closing.step("state", self.memory.close, 1.0)
+        for name, close in self.parts.closers():
+            closing.step(name, close, 1.5)
+        return tuple(closing.hung)
 
     def alive(self) -> bool:
         """The dead man's switch of heartbeats and of `phm status --healthy`: beating, and checks come back."""
@@ -197,8 +197,7 @@ class Daemon:
         problems += [part.problem() for part in parts if part is not None and part.problem()]
         if self._guard is not None and self._guard.problem:
             problems.append(self._guard.problem)
-        if missing := threads.problem():
-            problems.append(missing)
+        problems += [problem for ask in self.own_problems if (problem := ask())]
         now = self.clock.mono()
         still = self._stood_still
         return SelfFact(
@@ -320,29 +319,6 @@ class Daemon:
             wait_s = WATCH_S if self.pipeline.waiting else max(WATCH_S, calm_s)
             self.clock.wait(self._soon, wait_s)
             self._soon.clear()
-
-
-def run(settings: Settings) -> int:
-    """Run until SIGTERM or SIGINT; 0 after an orderly end. Handlers only set a flag.
-
-    Ends the process with 70 (EX_SOFTWARE) when the engine has stalled: restart policies act on that.
-    """
-    guard = Guard()
-    daemon = Daemon(settings, guard=guard)
-
-    def end(number: int, frame: FrameType | None) -> None:
-        daemon.stop_soon()
-
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, end)
-    signal.signal(signal.SIGCONT, lambda number, frame: daemon.beat_soon())
-    daemon.start()
-    guard.start()
-    if not daemon.wait():
-        logger.critical("PHM has stalled for %.0f s and ends itself, to be started anew", STALLED_END_S)
-        os._exit(os.EX_SOFTWARE)  # an orderly end would wait for what hangs
-    daemon.stop()
-    return os.EX_OK
 
 
 def once(settings: Settings, clock: Clock | None = None) -> tuple[UnitState, ...]:

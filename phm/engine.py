@@ -178,9 +178,14 @@ class Engine:
         now = self._clock.mono()
         return tuple(worker.units[0] for worker in self.workers if worker.overdue(now))
 
-    def stop(self, timeout_s: float = 2.0) -> None:
-        """End all threads; one that hangs is left to the process's end (they are daemon threads)."""
+    def end(self) -> None:
+        """Have all threads end; what a run gives from now on is not delivered. Waits for nothing."""
         for worker in self.workers:
             worker.stop()
+
+    def stop(self, timeout_s: float = 2.0) -> None:
+        """`end`, and wait for all together; one that hangs is left to the process's end (they are daemon threads)."""
+        self.end()
+        until = self._clock.mono() + timeout_s
         for worker in self.workers:
-            worker.join(timeout_s / max(1, len(self.workers)))
+            worker.join(max(0.01, until - self._clock.mono()))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 import click
 
 from phm import threads
+from phm.signals import Signals
 
 if TYPE_CHECKING:
     from phm.clock import Clock
@@ -188,19 +189,27 @@ def _running(station: Station, *others: _Part | None) -> Iterator[None]:
 @contextmanager
 def _ending() -> Iterator[threading.Event]:
     """An event that Ctrl-C and SIGTERM set, so that the end is orderly; a second one does not wait for that."""
-    stop = threading.Event()
+    stop, over = threading.Event(), threading.Event()
+    seen: list[int] = []
 
     def end(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
+        seen.append(number)
+        if len(seen) > 1:
             raise KeyboardInterrupt
-        stop.set()
 
-    before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    def follow(signals: Signals) -> None:
+        while not over.is_set():
+            if signals.wait(LOOK_S):
+                stop.set()
+
+    with Signals(signal.SIGTERM, signal.SIGINT, handler=end) as signals:
+        thread = threading.Thread(target=follow, args=(signals,), name="phm-gcs-signals", daemon=True)
+        threads.start(thread)
+        try:
+            yield stop
+        finally:
+            over.set()
+            threads.join(thread, 2 * LOOK_S)
 
 
 def _settings(urls: tuple[str, ...], baud: int, key: str | None, unsigned: str) -> MavlinkSettings:

@@ -32,21 +32,26 @@ def command(config: str | None) -> None:
     """Run the daemon until SIGTERM.
 
     Reads the configuration, then checks, heals and tells until SIGTERM or SIGINT. A bad configuration ends
-    it with exit code 78 before anything is opened.
+    it with exit code 78 before anything is opened, another PHM with the same state_dir or run_dir with 75.
     """
     with uncollected():
         settings = load_settings(config)
         logging.basicConfig(level=logging.WARNING, format="phm: %(levelname)s: %(name)s: %(message)s")
-        from phm import daemon
+        from phm import service
+        from phm.instance_lock import AlreadyRunning
 
-    with loops_are_configuration_errors():
-        code = daemon.run(settings)
+    try:
+        with loops_are_configuration_errors():
+            code = service.run(settings)
+    except AlreadyRunning as error:
+        click.echo(f"phm run: {error}", err=True)
+        code = os.EX_TEMPFAIL
     leave(code)
 
 
 def leave(code: int) -> NoReturn:
-    """End the process without the interpreter's own finalization: all is closed, and a thread that is still inside a
-    library (Zenoh closing a session on a busy machine) would abort the process there with SIGABRT."""
+    """End the process without the interpreter's own finalization: all is closed or given up, and a thread that is still
+    inside a library (Zenoh closing a session on a busy machine) would abort the process there with SIGABRT."""
     logging.shutdown()
     sys.stdout.flush()
     sys.stderr.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import Any
 
 from phm import registry
@@ -44,10 +45,6 @@ class Installed:
         """By name, of those that have something to say."""
         return {reporter.name: report for reporter in self._reporters if (report := reporter.report())}
 
-    def close(self) -> None:
-        """After the bus, which hands out what is queued."""
-        for reporter in self._reporters:
-            try:
-                reporter.close()
-            except Exception:  # the others are still to be closed
-                logger.exception("reporter %s did not close", reporter.name)
+    def closers(self) -> tuple[tuple[str, Callable[[], None]], ...]:
+        """What ends each, by name: to be called after the bus, which hands out what is queued."""
+        return tuple((reporter.name, reporter.close) for reporter in self._reporters)

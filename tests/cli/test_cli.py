@@ -415,8 +415,9 @@ def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_run_ends_with_the_daemons_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What `phm.daemon.run` returns is the exit code."""
-    with_daemon(monkeypatch, run=lambda settings: 3)
+    """What `phm.service.run` returns is the exit code."""
+    with_daemon(monkeypatch)
+    monkeypatch.setattr("phm.service.run", lambda settings: 3)
     monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process stays
     assert invoke("run").exit_code == 3
 
@@ -451,7 +452,8 @@ def test_needs_in_a_circle_end_like_a_bad_configuration(verb: str, monkeypatch: 
     def loop(settings: Settings) -> int:
         raise NeedsLoop(["a", "b", "a"])
 
-    with_daemon(monkeypatch, **{verb: loop})
+    with_daemon(monkeypatch, once=loop)
+    monkeypatch.setattr("phm.service.run", loop)
     result = invoke(verb)
     assert (result.exit_code, result.stderr) == (78, "checks: needs run in a circle: a -> b -> a\n")
 

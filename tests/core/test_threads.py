@@ -186,12 +186,9 @@ def test_a_daemon_that_starts_at_the_limit_becomes_complete(limit: Full, tmp_pat
     daemon.start()
     assert "threads cannot be started" in " ".join(daemon.health()["problems"])
     limit.full = False
-    waiting = threading.Thread(target=daemon.wait, daemon=True)
-    waiting.start()
-    until(lambda: daemon.pipeline.complete, "a first report")
-    until(lambda: not threads.problem(), "every thread")
-    daemon.stop()
-    waiting.join(LIMIT_S)
+    until(lambda: daemon.look() and daemon.pipeline.complete, "a first report")
+    until(lambda: daemon.look() and not threads.problem(), "every thread")
+    assert daemon.stop() == ()
 
 
 def test_ros_is_started_whatever_joining_a_network_comes_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ import pytest
 from phm import registry
 from phm.bus import Bus
 from phm.clock import SystemClock
+from phm.closing import Closing
 from phm.model import Event, Note
 from phm.registry import Found
 from phm.reporters.base import Reporter, ReporterContext
@@ -69,9 +70,11 @@ def test_a_reporter_that_fails_costs_the_others_nothing(
     bus.close()
     assert len(Plain.heard) == 2
     assert reporters.problems() == ["plain has a problem"] * 2
-    reporters.close()
+    closing = Closing(SystemClock(), 60.0)
+    for name, close in reporters.closers():
+        closing.step(name, close, 60.0)
     assert Plain.closed == 1
     assert [record.message for record in caplog.records] == [
         "reporter a_broken could not be built",
-        "reporter plain did not close",
+        "plain did not close",
     ]

@@ -1,0 +1,88 @@
+"""One PHM for one state and run directory: two would overwrite each other's state and answer for each other.
+
+A lock of the kernel (flock) on a file in each directory: it ends with the process, however that ends, so nothing is ever left locked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import platform
+
+NAME = "phm.lock"
+
+
+class AlreadyRunning(Exception):
+    """Another PHM uses one of the directories; the message says which one, who, and what to do."""
+
+
+class InstanceLock:
+    """Held until `release` or the end of the process; child processes do not inherit it."""
+
+    def __init__(self, *directories: str) -> None:
+        self._directories = tuple(dict.fromkeys(os.path.realpath(directory) for directory in directories))
+        self._held: list[int] = []
+        self.problem = ""
+        """A sentence when a directory could not be locked, e.g. a read-only one: no reason not to run."""
+
+    def acquire(self) -> None:
+        """Lock every directory, or none. Raises AlreadyRunning."""
+        for directory in self._directories:
+            try:
+                self._lock(directory)
+            except AlreadyRunning:
+                self.release()
+                raise
+            except OSError as error:
+                reason = error.strerror or error
+                self.problem = (
+                    f"cannot lock {directory}: {reason}; a second PHM with the same directory would not be noticed"
+                )
+
+    def release(self) -> None:
+        while self._held:
+            os.close(self._held.pop())
+
+    def _lock(self, directory: str) -> None:
+        os.makedirs(directory, exist_ok=True)
+        path = os.path.join(directory, NAME)
+        while True:
+            lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o600)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if _is_there(lock, path):
+                    break
+                os.close(lock)  # removed in between: another one is the lock now
+            except BlockingIOError:
+                holder = _text(lock)
+                os.close(lock)
+                raise AlreadyRunning(
+                    f"another PHM{f' ({holder})' if holder else ''} uses {directory}: stop it first, or give this one a "
+                    "state_dir and a run_dir of its own"
+                ) from None
+            except OSError:
+                os.close(lock)
+                raise
+        self._held.append(lock)
+        with contextlib.suppress(OSError):  # a full disk: the lock holds without the words
+            os.ftruncate(lock, 0)
+            os.pwrite(lock, f"process {os.getpid()} on {platform.node()}\n".encode(), 0)
+
+
+def _is_there(lock: int, path: str) -> bool:
+    mine = os.fstat(lock)
+    try:
+        there = os.stat(path, follow_symlinks=False)
+    except FileNotFoundError:
+        return False
+    return (mine.st_dev, mine.st_ino) == (there.st_dev, there.st_ino)
+
+
+def _text(lock: int) -> str:
+    """What the holder wrote; only what is printable, since it is shown to the operator."""
+    try:
+        found = os.pread(lock, 200, 0).decode("utf-8", "replace").strip()
+    except OSError:
+        return ""
+    return found if found.isprintable() else ""

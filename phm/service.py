@@ -1,0 +1,52 @@
+"""The process of `phm run`: one PHM for its directories, signals, and an end within the time that Docker gives."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+
+from phm.daemon import LOOK_S, STALLED_END_S, Daemon
+from phm.guard import Guard
+from phm.instance_lock import InstanceLock
+from phm.settings import Settings
+from phm.signals import Signals
+
+logger = logging.getLogger(__name__)
+
+ENDING = frozenset((signal.SIGTERM, signal.SIGINT))
+
+
+def run(settings: Settings) -> int:
+    """Run until SIGTERM or SIGINT; 0 after an orderly end. Raises AlreadyRunning.
+
+    Ends the process with 70 (EX_SOFTWARE) when the engine has stalled: restart policies act on that.
+    """
+    lock = InstanceLock(settings.state_dir, settings.run_dir)
+    lock.acquire()
+    guard = Guard()
+    daemon = Daemon(settings, guard=guard)
+    daemon.own_problems.append(lambda: lock.problem)
+    with Signals(*ENDING, signal.SIGCONT) as signals:
+        daemon.start()
+        guard.start()
+        _serve(daemon, signals)
+        hung = daemon.stop()
+        lock.release()
+        if hung:
+            logger.critical("PHM ends without waiting any longer for: %s", ", ".join(hung))
+    return os.EX_OK
+
+
+def _serve(daemon: Daemon, signals: Signals) -> None:
+    """Until a signal ends it."""
+    while True:
+        if not daemon.look():
+            logger.critical("PHM has stalled for %.0f s and exits so that it is restarted", STALLED_END_S)
+            logging.shutdown()
+            os._exit(os.EX_SOFTWARE)  # an orderly end would wait for what hangs
+        for number in signals.wait(LOOK_S):
+            if number in ENDING:
+                return
+            if number == signal.SIGCONT:
+                daemon.beat_soon()

@@ -1,0 +1,279 @@
+"""The process of `phm run`: one PHM for its directories, signals, and an end that nothing holds up."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.closing import Closing
+from phm.daemon import Daemon
+from phm.instance_lock import NAME, AlreadyRunning, InstanceLock
+from phm.last_end import NAME as MARKER
+from phm.signals import Signals
+from phm.testing import FakeClock, settings
+from phm.wire import control
+
+ROOT = Path(__file__).parents[2]
+LIMIT_S = 60.0
+
+# Whenever the main thread waits for an event, a SIGTERM comes while it holds the event's lock, as it may by chance.
+UNLUCKY = """
+import os, signal, sys, threading
+wait = threading.Event.wait
+def unlucky(event, timeout=None):
+    if timeout is not None and threading.current_thread() is threading.main_thread():
+        with event._cond:
+            os.kill(os.getpid(), signal.SIGTERM)
+            for _ in range(1000): pass
+    return wait(event, timeout)
+threading.Event.wait = unlucky
+from phm.cli import main
+main(sys.argv[1:])
+"""
+
+
+def until(wanted: Callable[[], object], what: str) -> None:
+    end = time.monotonic() + LIMIT_S
+    while not wanted():
+        assert time.monotonic() < end, what
+        time.sleep(0.02)
+
+
+class Running:
+    """`phm run` with a configuration of its own."""
+
+    def __init__(self, folder: Path, *before: str, **more: Any) -> None:
+        self.folder = folder
+        places = {
+            "state_dir": str(folder / "state"),
+            "run_dir": str(folder / "run"),
+            "log": {"directory": str(folder / "log")},
+        }
+        (folder / "phm.yaml").write_text(
+            json.dumps({"agent": {"id": 1}, "checks": {"host": {"enabled": False}}, **places, **more})
+        )
+        self.process = self.another(*before)
+
+    def another(self, *before: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, *(before or ("-m", "phm.cli")), "run", "-c", str(self.folder / "phm.yaml")],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_GUARD": "off"},
+            text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+
+    @property
+    def marker(self) -> Path:
+        return self.folder / "state" / MARKER
+
+    def ready(self) -> None:
+        until(lambda: (self.folder / "run" / control.NAME).exists() and self.marker.exists(), "the daemon")
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Running]]:
+    made: list[Running] = []
+
+    def begin(*before: str, **more: Any) -> Running:
+        made.append(Running(tmp_path, *before, **more))
+        return made[-1]
+
+    yield begin
+    for running in made:
+        if running.process.poll() is None:
+            running.process.kill()
+        running.process.communicate()
+
+
+# ---------------------------------------------------------------- one for its directories
+
+
+def test_a_second_phm_with_the_same_directories_is_refused(start: Callable[..., Running]) -> None:
+    """Exit code 75 and a sentence with the directory, the process and what to do; the first goes on, and a killed one locks nobody out."""
+    first = start()
+    first.ready()
+    second = first.another()
+    output, errors = second.communicate(timeout=LIMIT_S)
+    assert (second.returncode, output) == (75, "")
+    assert str(first.folder / "state") in errors
+    assert f"process {first.process.pid} on " in errors
+    assert "stop it first" in errors
+    assert control.ask(str(first.folder / "run"), {"do": "ping"}) == "PHM is here"
+    first.process.kill()
+    first.process.wait()
+    again = Running(first.folder)
+    try:
+        until(lambda: _answers(first.folder), "the next one")
+    finally:
+        again.process.terminate()
+        again.process.communicate(timeout=LIMIT_S)
+    assert again.process.returncode == 0
+
+
+def _answers(folder: Path) -> bool:
+    try:
+        return control.ask(str(folder / "run"), {"do": "ping"}) == "PHM is here"
+    except control.NoAnswer:
+        return False
+
+
+def test_either_directory_is_enough_to_be_refused(tmp_path: Path) -> None:
+    """State or run directory, by whatever path; a refusal locks nothing."""
+    first = InstanceLock(str(tmp_path / "state"), str(tmp_path / "run"))
+    first.acquire()
+    (tmp_path / "link").symlink_to(tmp_path / "run")
+    with pytest.raises(AlreadyRunning, match="run: stop it first"):
+        InstanceLock(str(tmp_path / "other"), str(tmp_path / "link")).acquire()
+    InstanceLock(str(tmp_path / "other")).acquire()
+    first.release()
+    both = InstanceLock(str(tmp_path), str(tmp_path))
+    both.acquire()
+    both.release()
+
+
+def test_a_lock_file_that_was_removed_is_made_again(tmp_path: Path) -> None:
+    """Who locks a file that is no longer there has locked nothing: the file at the path counts."""
+    first = InstanceLock(str(tmp_path))
+    first.acquire()
+    (tmp_path / NAME).unlink()
+    second = InstanceLock(str(tmp_path))
+    second.acquire()
+    with pytest.raises(AlreadyRunning):
+        InstanceLock(str(tmp_path)).acquire()
+
+
+def test_a_directory_that_cannot_be_locked_is_a_problem_and_no_end(tmp_path: Path) -> None:
+    """PHM runs on a read-only disk, too, and says what it cannot promise."""
+    (tmp_path / "file").touch()
+    lock = InstanceLock(str(tmp_path / "file" / "below"))
+    lock.acquire()
+    assert "would not be noticed" in lock.problem
+
+
+# ---------------------------------------------------------------- signals
+
+
+def test_a_signal_that_comes_while_an_event_is_locked_is_read_later(tmp_path: Path) -> None:
+    """The handler takes no lock; numbers come in their order, and others keep their handlers."""
+    event = threading.Event()
+    before = signal.getsignal(signal.SIGUSR1)
+    with Signals(signal.SIGUSR1, signal.SIGUSR2) as signals:
+        assert signals.wait(0.0) == ()
+        with event._cond:
+            signal.raise_signal(signal.SIGUSR1)
+            signal.raise_signal(signal.SIGUSR2)
+        assert signals.wait(LIMIT_S) == (signal.SIGUSR1, signal.SIGUSR2)
+        assert signals.wait(0.0) == ()
+    assert signal.getsignal(signal.SIGUSR1) == before
+
+
+def test_a_sigterm_at_the_worst_moment_ends_the_daemon(start: Callable[..., Running], tmp_path: Path) -> None:
+    """Also while the main thread holds the lock of the event that it waits for."""
+    script = tmp_path / "unlucky.py"
+    script.write_text(UNLUCKY)
+    running = start(str(script))
+    running.ready()
+    running.process.send_signal(signal.SIGTERM)
+    _, errors = running.process.communicate(timeout=LIMIT_S)
+    assert (running.process.returncode, errors) == (0, "")
+
+
+def test_a_sigterm_at_the_worst_moment_ends_the_ground_station(tmp_path: Path) -> None:
+    """`phm gcs --once` waits for an event in the main thread."""
+    script = tmp_path / "unlucky.py"
+    script.write_text(UNLUCKY)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    done = subprocess.run(
+        [sys.executable, str(script), "gcs", f"udpin:127.0.0.1:{port}", "--once", "--for", "600"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=LIMIT_S, capture_output=True, check=False,
+    )  # fmt: skip
+    assert done.returncode in (1, 130)
+
+
+# ---------------------------------------------------------------- the end
+
+
+@pytest.fixture
+def hung_engine(tmp_path: Path) -> Iterator[str]:
+    """An engine that takes every call and never answers."""
+    path = str(tmp_path / "engine.sock")
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(path)
+        listener.listen(200)
+        yield f"unix://{path}"
+
+
+def test_a_hung_engine_does_not_hold_up_the_end(start: Callable[..., Running], hung_engine: str) -> None:
+    """Calls under way are cut, not waited for; the next start finds an orderly end."""
+    running = start(docker={"socket": hung_engine, "timeout": "60s"}, containers=[{"name": "app", "networks": ["n"]}])
+    running.ready()
+    running.process.terminate()
+    running.process.communicate(timeout=45)  # the engine's own deadline would come after 60 s
+    assert running.process.returncode == 0
+    assert not running.marker.exists()
+
+
+def test_an_end_that_was_asked_for_is_marked_before_anything_can_hang(tmp_path: Path) -> None:
+    """A disk that hangs in the middle of it is named, costs its own share, and is no crash at the next start."""
+    daemon = Daemon(settings(
+        state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"), log={"directory": str(tmp_path / "log")},
+        checks={"host": {"enabled": False}},
+    ))  # fmt: skip
+    daemon.start()
+    released, marked = threading.Event(), list[bool]()
+
+    def hang() -> None:
+        marked.append((tmp_path / "state" / MARKER).exists())
+        released.wait()
+
+    daemon.memory.close = hang  # type: ignore[method-assign]
+    assert daemon.stop() == ("state",)
+    assert marked == [False]
+    released.set()
+
+
+def test_steps_that_hang_share_one_budget() -> None:
+    """Each has its own limit, all together the budget; what comes after still gets its turn, and what raises is no end."""
+    clock, never, ran = FakeClock(), threading.Event(), list[str]()
+    closing = Closing(clock, 5.0)
+    over = threading.Event()
+
+    def tick() -> None:
+        while not over.is_set():
+            if clock.sleepers:
+                clock.advance(0.05)
+            time.sleep(0.001)
+
+    ticker = threading.Thread(target=tick, daemon=True)
+    ticker.start()
+    began = clock.mono()
+    for number in range(4):
+        closing.step(f"h{number}", never.wait, 2.0)
+    closing.step("raises", lambda: 1 / 0, 2.0)
+    closing.step("last", lambda: ran.append("last"), 2.0)
+    over.set()
+    ticker.join()
+    assert clock.mono() - began <= 5.0 + 6 * 0.15
+    assert [name for name in closing.hung if name.startswith("h")] == ["h0", "h1", "h2", "h3"]
+    until(lambda: ran == ["last"], "the last step")
+    never.set()
+
+
+def test_what_ends_in_time_is_not_waited_for_longer() -> None:
+    """No step costs more than it takes."""
+    closing = Closing(SystemClock(), 3600.0)
+    closing.step("quick", lambda: None, 3600.0)
+    assert closing.hung == []
