@@ -87,7 +87,7 @@ def test_a_stopped_child_is_replaced(bench: Bench) -> None:
 def test_a_ghost_in_the_graph_is_gone_with_the_child_that_saw_it(bench: Bench, tmp_path: Path) -> None:
     """A node that one participant lists twice for longer than any lease is looked at by another, which is no fault of the child."""
     limits = replace(FAST, doubt_s=0.3)
-    probe = bench.probe(command=fake("ghost", tmp_path), limits=limits)
+    probe = bench.probe(command=fake("ghost", tmp_path), limits=limits, nodes=[{"name": "/a/n"}])
     seen(probe, lambda fact: fact.nodes == {"/a/n": 2}, "the ghost")
     seen(probe, lambda fact: fact.nodes == {"/a/n": 1}, "one node")
     assert bench.notes == ["the ROS child is renewed: /a/n has been listed more than once for 0.3 s"]
@@ -96,7 +96,7 @@ def test_a_ghost_in_the_graph_is_gone_with_the_child_that_saw_it(bench: Bench, t
 
 def test_a_node_that_does_run_twice_is_looked_at_anew_once(bench: Bench, tmp_path: Path) -> None:
     """Two nodes of one name are no reason to start child after child."""
-    probe = bench.probe(command=fake("twice", tmp_path), limits=replace(FAST, doubt_s=0.2))
+    probe = bench.probe(command=fake("twice", tmp_path), limits=replace(FAST, doubt_s=0.2), nodes=[{"name": "/a/n"}])
     until(lambda: len(list(tmp_path.iterdir())) == 2, "a second child")
     seen(
         probe,
@@ -104,6 +104,15 @@ def test_a_node_that_does_run_twice_is_looked_at_anew_once(bench: Bench, tmp_pat
         "a second child that has looked for long enough",
     )
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_stranger_that_is_listed_twice_has_no_child_replaced(bench: Bench, tmp_path: Path) -> None:
+    """Anyone can announce name after name twice: only the configured nodes are worth another participant."""
+    probe = bench.probe(
+        command=fake("twice", tmp_path), limits=replace(FAST, doubt_s=0.1), nodes=[{"name": "/a/other"}]
+    )
+    seen(probe, lambda fact: fact.up_s > 2.0, "a child that has looked for long enough")
+    assert len(list(tmp_path.iterdir())) == 1 and not bench.notes
 
 
 def test_a_killed_child_is_replaced(bench: Bench) -> None:

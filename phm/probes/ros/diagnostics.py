@@ -24,6 +24,7 @@ PORTION = 140_000
 """Characters in one message to the daemon."""
 _REST = 10
 """Of a text, beside itself."""
+MAX_REMARKS = 20
 MAX_TEXT = 255
 MAX_VALUES = 32
 _FRAME = b"phm"
@@ -90,8 +91,8 @@ class Diagnostics:
         return self._kinds is not None
 
     def _say(self, text: str) -> None:
-        """For the log, each text once. There are no more texts than topics."""
-        if text not in self._said:
+        """For the log, each text once, and not without end: some quote what came."""
+        if text not in self._said and len(self._said) < MAX_REMARKS:
             self._said.add(text)
             self._remarks.append(Remark(text))
 

@@ -18,6 +18,8 @@ MAX_NAMES_BYTES = 200_000
 """For the names of topics and of their nodes together; the longest are left out."""
 MAX_NODES = 8
 """Of one side of one topic: who is many is not misspelt."""
+MAX_COUNTED = 2000
+"""Topics whose ends are counted: that takes some 20 ms."""
 MAX_READS = 50
 """Topics whose endpoints are read in one look; the rest has its turn in the next."""
 _UNREAD = (-1, -1)
@@ -67,7 +69,7 @@ class Names:
 
     def _read_counts(self) -> dict[str, tuple[int, int]]:
         node = self._node
-        names = sorted(name for name, _ in node.get_topic_names_and_types() if self._is_other(name))
+        names = sorted(name for name, _ in node.get_topic_names_and_types() if self._is_other(name))[:MAX_COUNTED]
         counts = {name: (node.count_publishers(name), node.count_subscribers(name)) for name in names}
         # Used from one side only, subscribers first: of very many topics these are the ones to keep.
         kept = sorted(names, key=lambda name: (counts[name][0] > 0, counts[name][1] > 0, name))[:MAX_TOPICS]

@@ -312,7 +312,8 @@ class RosProcess:
         picture = self._view.picture
         if picture is None:
             return
-        ghosts = self._ghosts.look(picture.nodes, now_s)
+        # Strangers cannot have the child replaced.
+        ghosts = self._ghosts.look({name: picture.nodes.get(name, 0) for name in self._nodes}, now_s)
         fact = self._view.fact(picture, now_s)
         beating = {name for name in self._nodes if name in fact.beacons and fact.beacons[name].missed < SILENT_MISSES}
         unnamed = self._unnamed.look(fact.topics, now_s, beating - fact.nodes.keys())
