@@ -143,15 +143,22 @@ def _configured(place: View, known: Mapping[str, View]) -> bool:
 
 
 def flight_critical_is_known_to_be(root: View) -> None:
-    """Without a link to the autopilot nothing ever says that the vehicle is disarmed, and PHM would never act."""
-    endpoints = root.get("mavlink", "endpoints").records()
-    if any(entry.get("leads_to").value not in ("ground", "peers") for entry in endpoints):
-        return
-    for container in root.get("containers").records():
-        if container.get("flight_critical").value is True:
-            container.get("flight_critical").complain(
+    """Without a link to the autopilot nothing ever says that the vehicle is disarmed, and PHM would never act; and of several
+    links those that lead elsewhere must say so, since a disarmed heartbeat counts on the others."""
+    places = (container.get("flight_critical") for container in root.get("containers").records())
+    critical = [place for place in places if place.value is True]
+    endpoints = list(root.get("mavlink", "endpoints").records())
+    if all(entry.get("leads_to").value in ("ground", "peers") for entry in endpoints):
+        for place in critical:
+            place.complain(
                 "is true, but no MAVLink endpoint leads to the autopilot, so nothing could report whether it is armed: add one to "
                 "'mavlink.endpoints' with 'leads_to' autopilot, router or both, or remove this"
+            )
+    for entry in endpoints if critical and len(endpoints) > 1 else ():
+        if not entry.get("leads_to").given:
+            entry.complain(
+                "has no 'leads_to', so any sender there could report the vehicle as disarmed, which matters because of "
+                f"flight_critical (line {critical[0].line}): write what is at its other end, e.g. 'leads_to: ground'"
             )
 
 

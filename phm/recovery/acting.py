@@ -45,7 +45,7 @@ class Done:
 class Acting:
     """One action on `target` for `fault`. Its owner has the target in hand; dependants are taken as they are needed.
 
-    approved_at: the armed state at which an operator has approved it; None: nobody has.
+    approved_at: the armed state at which an operator has approved it; None: not approved.
     """
 
     def __init__(

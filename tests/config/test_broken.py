@@ -227,6 +227,12 @@ BROKEN = [
         "containers:\n  - {name: app, flight_critical: true}\n", 6, "containers[0].flight_critical",
         ("no MAVLink endpoint leads to the autopilot",),
     ),
+    Broken(
+        "critical, and a link to anywhere",
+        "mavlink:\n  endpoints:\n    - {url: 'tcp:a:1', leads_to: autopilot}\n    - {url: 'tcp:a:2'}\n"
+        "containers:\n  - {name: app, flight_critical: true}\n", 4, "mavlink.endpoints[1]",
+        ("has no 'leads_to'", "flight_critical (line 6)", "'leads_to: ground'"),
+    ),
     Broken("autopilot's number", "mavlink:\n  component_id: 1\n", 2, "mavlink.component_id", ("allowed is 2 to 250",)),
     # pairs
     Broken("own diagnostics", "ros:\n  topics:\n  - {name: diagnostics, rate: 1Hz}\n", 3, "ros.topics[0].rate",
