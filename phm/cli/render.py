@@ -145,11 +145,13 @@ def _faults(opened: Sequence[Json], closed: Sequence[Json]) -> RenderableType:
         what = _plain(fault["summary"])
         if fault["blocks"]:
             what.append("\n" + one_line(f"blocks {', '.join(fault['blocks'])}"))
-        table.add_row(fault["fault"], _plain(fault["unit"]), fault["opened"], Text("open", "bold red"), what)
+        name, unit, since = (_plain(fault[key]) for key in ("fault", "unit", "opened"))
+        table.add_row(name, unit, since, Text("open", "bold red"), what)
     for fault in reversed(closed[-5:]):
         outcome = f"{fault['outcome']}{' by ' + fault['by'] if fault['by'] else ''} in {fault['duration_s']} s"
         shown = _plain(outcome, "red" if fault["outcome"] == "escalated" else "green")
-        table.add_row(fault["fault"], _plain(fault["unit"]), fault["opened"], shown, _plain(fault["brief"]))
+        name, unit, since = (_plain(fault[key]) for key in ("fault", "unit", "opened"))
+        table.add_row(name, unit, since, shown, _plain(fault["brief"]))
     return table
 
 
@@ -158,7 +160,7 @@ def _units(rows: Iterable[Json]) -> Table:
     for row in sorted(rows, key=lambda row: int(row["slot"])):
         level = str(row["level"])
         what = f"blocked by {row['blocked_by']}" if row["blocked_by"] else row["summary"]
-        table.add_row(str(row["slot"]), _plain(row["id"]), Text(level, _STYLES.get(level, "")), _plain(what))
+        table.add_row(str(row["slot"]), _plain(row["id"]), _plain(level, _STYLES.get(level, "")), _plain(what))
     return table
 
 

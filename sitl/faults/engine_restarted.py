@@ -29,7 +29,7 @@ class Injection(Fault):
     needs = frozenset({"configuration"})
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
-        return {"\n  socket: unix:///var/run/docker.sock": f"\n  socket: unix:///var/log/phm/{SOCKET}"}
+        return {"\n  socket: ${PHM_ENGINE:-unix:///var/run/docker.sock}": f"\n  socket: unix:///var/log/phm/{SOCKET}"}
 
     def prepare(self, agent: Agent) -> None:
         put_up(self._door(agent))

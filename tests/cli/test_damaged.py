@@ -73,6 +73,17 @@ def test_a_damaged_status_file_is_answered_with_a_sentence(
     assert status_file.main([str(tmp_path)]) in (0, 1)
 
 
+def test_every_text_of_a_status_file_can_be_printed(whole: dict[str, Any], tmp_path: Path) -> None:
+    """A lone surrogate, which no encoding knows, comes out as an escape, wherever it is."""
+    for number in range(len(places(whole))):
+        found = copy.deepcopy(whole)
+        holder, key = places(found)[number]
+        if isinstance(holder[key], str):
+            holder[key] = "\ud800"
+            (tmp_path / "status.json").write_text(json.dumps(found))
+            answered(CliRunner().invoke(group, ["status", "--run-dir", str(tmp_path)]))
+
+
 @pytest.mark.parametrize(
     "text",
     [
