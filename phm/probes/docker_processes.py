@@ -51,10 +51,12 @@ class Processes:
 
 def processes(answer: Mapping[str, Any]) -> tuple[ProcessFact, ...]:
     """The facts in an answer of the engine; the last column is the command, whatever it is called."""
-    titles = answer.get("Titles")
-    if not isinstance(titles, list) or "PID" not in titles:
+    titles, listed = answer.get("Titles"), answer.get("Processes") or []
+    if not isinstance(titles, list) or "PID" not in titles or not all(isinstance(title, str) for title in titles):
         raise CannotTell("the Docker Engine listed processes without their numbers")
-    rows = [row for row in answer.get("Processes") or () if isinstance(row, list) and len(row) == len(titles)]
+    if not isinstance(listed, list):
+        raise CannotTell("the Docker Engine listed processes in no list")
+    rows = [row for row in listed if isinstance(row, list) and len(row) == len(titles)]
     found = (_process(dict(zip(titles[:-1], row, strict=False)), str(row[-1])) for row in rows[:MOST])
     return tuple(fact for fact in found if fact.pid and fact.state not in _ENDED)
 

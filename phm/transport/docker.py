@@ -64,37 +64,33 @@ class Engine(Session):
 
     def version(self) -> Answer:
         """GET /version: Version, ApiVersion, MinAPIVersion, ..."""
-        return mapping(self.call(lambda client: client.version(api_version=False), what="read its version"))
+        return self._ask(lambda client: client.version(api_version=False), None, "read its version")
 
     def list(self, *, label: str = "", deadline_s: float | None = None) -> Sequence[Answer]:
         """Summaries of all containers, stopped ones included; with `label` those that carry it."""
         filters = {"label": [label]} if label else None
-        found = self.call(
-            lambda client: client.containers(all=True, filters=filters), deadline_s=deadline_s, what="list containers"
-        )
-        return [mapping(entry) for entry in found]
+
+        def ask(client: APIClient) -> Sequence[Answer]:
+            return [mapping(entry) for entry in client.containers(all=True, filters=filters)]
+
+        return self.call(ask, deadline_s=deadline_s, what="list containers")
 
     def inspect(self, ref: str, *, deadline_s: float | None = None) -> Answer:
         """All about one container."""
-        return mapping(
-            self.call(lambda client: client.inspect_container(ref), deadline_s=deadline_s, what=f"inspect {ref}")
-        )
+        return self._ask(lambda client: client.inspect_container(ref), deadline_s, f"inspect {ref}")
 
     def inspect_network(self, ref: str, *, deadline_s: float | None = None) -> Answer:
         """All about one network."""
-        return mapping(
-            self.call(lambda client: client.inspect_network(ref), deadline_s=deadline_s, what=f"inspect network {ref}")
-        )
+        return self._ask(lambda client: client.inspect_network(ref), deadline_s, f"inspect network {ref}")
 
     def top(self, container: str, ps_args: str = "-ef", *, deadline_s: float | None = None) -> Answer:
         """The processes of a running container: Titles and Processes, as the host's `ps` prints them."""
-        return mapping(
-            self.call(
-                lambda client: client.top(container, ps_args=ps_args),
-                deadline_s=deadline_s,
-                what=f"list processes of {container}",
-            )
-        )
+        what = f"list processes of {container}"
+        return self._ask(lambda client: client.top(container, ps_args=ps_args), deadline_s, what)
+
+    def _ask(self, fn: Callable[[APIClient], Any], deadline_s: float | None, what: str) -> Answer:
+        """One JSON object; anything else is an answer that makes no sense, EngineBroken."""
+        return self.call(lambda client: mapping(fn(client)), deadline_s=deadline_s, what=what)
 
     def stat_path(self, container: str, path: str, *, deadline_s: float | None = None) -> Answer:
         """`name`, `size`, `mode` (Go's FileMode), `mtime` and `linkTarget` of a path in a container.

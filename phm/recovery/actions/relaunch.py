@@ -70,5 +70,7 @@ def _node(target: ContainerSettings, fault: Fault, settings: Settings) -> NodeSe
 
 def _runs(command: str, container: str, context: ActionContext) -> bool:
     """Whether some process of the container has this command line; an interpreter may stand before it."""
-    processes = context.engine.top(container).get("Processes") or []
-    return any(f" {command}" in f" {row[-1]}" for row in processes if row)
+    rows = context.engine.top(container).get("Processes") or []
+    if not isinstance(rows, list):
+        raise CannotTell("the Docker Engine listed processes in no list")
+    return any(f" {command}" in f" {row[-1]}" for row in rows if isinstance(row, list) and row)

@@ -1,0 +1,55 @@
+"""What a fuzz target is: a check that takes whatever its strategies make. Each is one small file beside this one.
+
+pytest runs a few hundred cases of each; `scripts/fuzz MINUTES` runs them for as long as it is told, with new seeds.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from hypothesis import HealthCheck, Phase, given, seed, settings, strategies as st
+
+CASES = int(os.environ.get("PHM_FUZZ_CASES", "150"))
+_QUIET = list(HealthCheck)
+
+
+@dataclass
+class Target:
+    """cases: how many it was given so far in this process."""
+
+    name: str
+    check: Callable[..., None]
+    strategies: dict[str, st.SearchStrategy[Any]]
+    cases: int = 0
+
+    def run(self, number: int, cases: int) -> None:
+        """Give it so many cases made from a seed. Raises what the check raises, with the smallest case that does in its notes."""
+
+        def counted(**made: Any) -> None:
+            self.cases += 1
+            self.check(**made)
+
+        chosen = settings(
+            max_examples=cases, deadline=None, database=None, suppress_health_check=_QUIET, print_blob=False,
+            phases=(Phase.generate, Phase.shrink),
+        )  # fmt: skip
+        counted.__name__ = self.check.__name__
+        seed(number)(chosen(given(**self.strategies)(counted)))()
+
+
+TARGETS: dict[str, Target] = {}
+
+
+def fuzzed(name: str, **strategies: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Makes a target of a check, and a test of it."""
+
+    def wrap(check: Callable[..., None]) -> Callable[..., None]:
+        TARGETS[name] = Target(name, check, strategies)
+        chosen = settings(max_examples=CASES, deadline=None, suppress_health_check=_QUIET)
+        test: Callable[..., None] = chosen(given(**strategies)(check))
+        return test
+
+    return wrap

@@ -1,0 +1,60 @@
+"""Beacons from anybody in the DDS domain: CDR, text, the ledger, and the pipe to the daemon."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import struct
+
+from hypothesis import strategies as st
+
+from phm.beacon import BEACON_FORMAT
+from phm.probes.ros.beacons import Ledger, log_texts
+from phm.probes.ros.hearsay import Hearsay
+from phm.probes.ros.protocol import LINE_LIMIT, Heard, decode, encode
+from tests.fuzz.hostile import messages, torn
+from tests.fuzz.targets import fuzzed
+
+NODE = {"birth": "w.1", "beats": 5, "turns": 3, "late_s": 0.0}
+SAID = {
+    "witness": "w", "period_s": 0.2, "nodes": {"/agent_1/a": NODE, "/agent_1/b": NODE},
+    "views": {"/agent_1/b": {"alive": True, "age_s": 0.4, "late_s": 0.0}},
+}  # fmt: skip
+
+
+def cdr(name: str, text: str, order: str = "<") -> bytes:
+    """A serialized rcl_interfaces/msg/Log as far as the child reads it."""
+    data = (b"\0\1" if order == "<" else b"\0\0") + b"\0\0" + bytes(9)
+    for word in (name.encode(), text.encode()):
+        data += bytes(-len(data) % 4) + struct.pack(f"{order}I", len(word) + 1) + word + b"\0"
+    return data
+
+
+WHOLE = [cdr(BEACON_FORMAT, json.dumps(SAID)), cdr(BEACON_FORMAT, json.dumps(SAID), ">")]
+
+
+@fuzzed("beacon CDR", data=st.sampled_from(WHOLE).flatmap(torn) | st.binary(max_size=300))
+def test_any_bytes_are_two_texts_or_refused(data: bytes) -> None:
+    """With ValueError or struct.error, which the child counts."""
+    with contextlib.suppress(ValueError, struct.error):
+        texts = log_texts(data)
+        assert all(isinstance(text, str) for text in texts)
+        assert sum(map(len, texts)) <= len(data)
+
+
+@fuzzed("beacon", said=st.lists(st.tuples(messages(SAID), st.floats(0, 100)), max_size=6))
+def test_any_beacon_is_counted_or_told(said: list[tuple[bytes, float]]) -> None:
+    """Nothing raises, and what is told goes through the pipe and is kept by the daemon."""
+    ledger, kept = Ledger(frozenset({"/agent_1/a"})), Hearsay()
+    for text, at_s in said:
+        ledger.add(BEACON_FORMAT, text.decode("utf-8", "replace"), at_s)
+        news = ledger.news(at_s)
+        if news is not None:
+            line = encode(news)
+            assert len(line) <= LINE_LIMIT
+            back = decode(line)
+            assert isinstance(back, Heard)
+            assert back.beacons == news.beacons
+            kept.differs(back)
+            kept = kept.with_news(back, at_s)
+            kept.since(at_s + 1)

@@ -1,0 +1,64 @@
+"""The port of `phm gcs --serve`: whatever is sent, in whatever pieces, the next client gets its snapshot."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+from functools import cache
+from itertools import pairwise
+from typing import Any, cast
+
+from hypothesis import strategies as st
+
+from phm.clock import SystemClock
+from phm.gcs.serve import MAX_REQUEST, Server
+from tests.fuzz.hostile import torn
+from tests.fuzz.targets import fuzzed
+from tests.gcs.test_serve import Source
+
+LIMIT_S = 30.0
+ASKED = [
+    b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", b"GET /snapshot HTTP/1.1\r\nHost: 127.0.0.1:80\r\n\r\n",
+    b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 3\r\n\r\nabc", b"GET /snapshot?x=1 HTTP/1.0\n\n",
+    b"GET /snapshot HTTP/1.1\r\nHost: " + b"x" * MAX_REQUEST + b"\r\n\r\n", b"GET /x HTTP/1.1\r\nHost: [::1]:80\r\n\r\n",
+]  # fmt: skip
+STATUSES = (b"200", b"403", b"404", b"405", b"408", b"431", b"503")
+
+
+@cache
+def _server() -> Server:
+    made = Server("127.0.0.1", 0, cast(Any, Source()), SystemClock())
+    made.start()
+    return made
+
+
+def _read(server: Server, pieces: list[bytes]) -> bytes:
+    """All that comes until the server ends the connection or has said its first line."""
+    answer = b""
+    with socket.create_connection(server.address, LIMIT_S) as client, contextlib.suppress(OSError):
+        for piece in pieces:
+            client.sendall(piece)
+        client.shutdown(socket.SHUT_WR)
+        while b"\n{" not in answer and not answer.startswith(b"{") and (got := client.recv(65536)):
+            answer += got
+    return answer
+
+
+@fuzzed(
+    "HTTP of --serve",
+    asked=st.sampled_from(ASKED).flatmap(torn) | st.sampled_from(ASKED) | st.binary(max_size=300),
+    cuts=st.lists(st.integers(0, 300), max_size=4),
+)
+def test_any_request_gets_an_answer_and_the_next_client_its_snapshot(asked: bytes, cuts: list[int]) -> None:
+    """A known status, the news, or the end of the connection."""
+    server, ends = _server(), sorted({*cuts, 0, len(asked)})
+    pieces = [asked[start:end] for start, end in pairwise(ends)]
+    answer = _read(server, pieces)
+    if answer.startswith(b"HTTP/"):
+        assert answer.split()[1] in STATUSES
+    else:
+        assert not answer or isinstance(json.loads(answer.splitlines()[0]), dict)
+    good = _read(server, [ASKED[1]])
+    assert good.startswith(b"HTTP/1.1 200")
+    assert isinstance(json.loads(good.partition(b"\r\n\r\n")[2]), dict)

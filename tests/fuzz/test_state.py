@@ -1,0 +1,53 @@
+"""`state.json` after power cuts, failing disks and other hands."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+from hypothesis import strategies as st
+
+from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.recovery.history import Attempt
+from phm.recovery.lives import Life
+from phm.recovery.state import Case, RecoveryState, State, UnderWay, decode, encode
+from phm.recovery.state_file import NAME, StateFile
+from phm.testing import FakeClock
+from tests.fuzz.hostile import messages
+from tests.fuzz.targets import fuzzed
+
+NOW = Stamp(1_800_000_000.0, 1000.0)
+FAULT = Fault(
+    "ab12-1", "container/app", Slot.CONTAINER, Layer.DOCKER, Result(Level.ERROR, "words", "brief", "exited", "app"),
+    Stamp(NOW.utc - 5, 995.0), blocks=("nodes/a",), consequences=("F2",),
+)  # fmt: skip
+ATTEMPT = Attempt(990.0, "container/app", "exited", "start", False, False, False)
+STATE = State(
+    (FAULT,), (FAULT,),
+    RecoveryState(
+        {"app": (ATTEMPT,)}, {"ab12-1": Case(True, ("told",))}, {"app": UnderWay("ab12-1", ATTEMPT)},
+        {"app": Life("id", "2026", 990.0, None)},
+    ),
+)  # fmt: skip
+DOCUMENT = encode(STATE, "boot", NOW)
+
+
+@fuzzed("state.json", data=messages(DOCUMENT), boot=st.sampled_from(["boot", "another", ""]))
+def test_any_file_is_read_or_set_aside(data: bytes, boot: str) -> None:
+    """PHM starts; what was believed can be written and believed again, and a file that was not is kept for people."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / NAME
+        path.write_bytes(data)
+        clock = FakeClock(mono=NOW.mono, utc=NOW.utc)
+        file = StateFile(folder, clock, boot)
+        state, problem = file.load(600.0)
+        assert problem.isprintable()
+        if problem:
+            assert state == State()
+            assert not path.exists()
+            return
+        again = json.loads(json.dumps(encode(state, boot, NOW), allow_nan=False))
+        decode(again, boot, NOW, 600.0)
+        file.save(state)
+        assert file.load(600.0)[1] == ""
