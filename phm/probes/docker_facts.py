@@ -91,7 +91,7 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
             )
             for device in _several(host, "Devices")
         ),
-        device_rules=tuple(_text(rule) for rule in host.get("DeviceCgroupRules") or ()),
+        device_rules=_texts(host, "DeviceCgroupRules"),
         privileged=bool(host.get("Privileged")),
         stop_signal=_signal(_part(answer, "Config").get("StopSignal")),
         stop_timeout_s=_seconds(_part(answer, "Config").get("StopTimeout")),
@@ -144,7 +144,7 @@ def _networks(networks: Mapping[str, Any]) -> tuple[Attachment, ...]:
                 network_id=_text(attached.get("NetworkID")),
                 address=_text(attached.get("IPAddress")) or _text(attached.get("GlobalIPv6Address")),
                 gateway=_text(attached.get("Gateway")),
-                aliases=tuple(_text(alias) for alias in attached.get("Aliases") or ()),
+                aliases=_texts(attached, "Aliases"),
                 fixed_address=_text(fixed.get("IPv4Address")) or _text(fixed.get("IPv6Address")),
             )
         )
@@ -180,6 +180,11 @@ def _part(answer: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 def _several(answer: Mapping[str, Any], key: str) -> Sequence[Mapping[str, Any]]:
     found = answer.get(key)
     return [entry for entry in found if isinstance(entry, Mapping)] if isinstance(found, list) else []
+
+
+def _texts(answer: Mapping[str, Any], key: str) -> tuple[str, ...]:
+    found = answer.get(key)
+    return tuple(_text(value) for value in found) if isinstance(found, list) else ()
 
 
 def _text(value: Any) -> str:

@@ -171,7 +171,7 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
         )
         faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
         return State(faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise Unbelievable(f"a part of it is wrong: {type(error).__name__}: {str(error)[:80]}") from None
 
 

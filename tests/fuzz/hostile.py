@@ -34,6 +34,10 @@ JSON = st.recursive(
 ) | st.sampled_from([100, 400, 900]).map(nested)  # fmt: skip
 
 
+DEEP = [b"[" * 50_000, *(b'{"Id": ' + b"[" * depth + b"]" * depth + b"}" for depth in range(880, 1000, 4))]
+"""Deeper than the reader of JSON goes, and hardly less deep: then what handles the outcome is too deep."""
+
+
 @st.composite
 def damaged(draw: st.DrawFn, document: Any) -> Any:
     """The document with up to four of its parts exchanged, removed or doubled."""
@@ -70,7 +74,7 @@ def written(document: Any) -> bytes:
     try:
         return json.dumps(document).encode("utf-8", "surrogatepass")
     except (RecursionError, ValueError):  # too deep, or a number too long for its digits
-        return b"[" * 100_000
+        return b"[" * 50_000
 
 
 @st.composite
@@ -95,4 +99,10 @@ def torn(draw: st.DrawFn, data: bytes) -> bytes:
 
 def messages(document: Any) -> st.SearchStrategy[bytes]:
     """Bytes that are to be read as JSON: this document damaged, any JSON, and this document torn."""
-    return damaged(document).map(written) | JSON.map(written) | torn(written(document)) | st.binary(max_size=200)
+    return (
+        st.sampled_from(DEEP)
+        | damaged(document).map(written)
+        | JSON.map(written)
+        | torn(written(document))
+        | st.binary(max_size=200)
+    )

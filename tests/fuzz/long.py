@@ -17,6 +17,8 @@ from tests.fuzz.targets import TARGETS, Target
 
 ROUND = 500
 """Cases of one seed."""
+WITH_ROS = "tests.ros.test_beacon_fuzz"
+"""Imports messages of ROS, so it is not among those that run on every Python."""
 MAX_FAILURES = 3
 """Of one target, after which it is left: most are the same."""
 
@@ -27,8 +29,8 @@ def main() -> int:
     parser.add_argument("--only", action="append", default=[], metavar="TARGET", help="may be given several times")
     parser.add_argument("--seed", type=int, help="one round of each target with this seed, to see a failure again")
     options = parser.parse_args()
-    for file in sorted(Path(__file__).parent.glob("test_*.py")):
-        importlib.import_module(f"tests.fuzz.{file.stem}")
+    for module in (WITH_ROS, *(f"tests.fuzz.{file.stem}" for file in sorted(Path(__file__).parent.glob("test_*.py")))):
+        importlib.import_module(module)
     unknown = sorted(set(options.only) - TARGETS.keys())
     if unknown:
         parser.error(f"there is no target {', '.join(unknown)}; there are: {', '.join(TARGETS)}")

@@ -12,7 +12,7 @@ from typing import Any
 
 from hypothesis import HealthCheck, Phase, given, seed, settings, strategies as st
 
-CASES = int(os.environ.get("PHM_FUZZ_CASES", "150"))
+CASES = int(os.environ.get("PHM_FUZZ_CASES", "100"))
 _QUIET = list(HealthCheck)
 
 

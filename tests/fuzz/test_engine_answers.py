@@ -13,6 +13,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any, cast
 
+import pytest
 from hypothesis import strategies as st
 
 from phm.facts import CannotTell, ContainerFact
@@ -24,7 +25,7 @@ from phm.testing import FakeClock, settings
 from phm.transport.docker import Engine
 from phm.transport.docker_session import FAILURES
 from phm.transport.docker_tar import FileCopy, pack, unpack
-from tests.fuzz.hostile import JSON, damaged, torn, written
+from tests.fuzz.hostile import DEEP, JSON, damaged, torn, written
 from tests.fuzz.targets import fuzzed
 
 ID = "ab" * 32
@@ -79,6 +80,26 @@ def test_any_inspect_answer_is_a_fact_or_none(answer: Any) -> None:
         assert isinstance(fact.exit_code, int)
         hash(fact)
         differences(Expected.of(container_fact(INSPECT)), Expected.of(fact))
+
+
+FOUND: list[dict[str, Any]] = [
+    {**INSPECT, "HostConfig": {"DeviceCgroupRules": True}},
+    {**INSPECT, "NetworkSettings": {"Networks": {"net": {"Aliases": 7}}}},
+]
+"""What made it stumble once."""
+
+
+@pytest.mark.parametrize("answer", FOUND)
+def test_lists_that_are_none_are_empty(answer: dict[str, Any]) -> None:
+    """In a part of the answer that nobody needs."""
+    assert container_fact(answer).id == ID
+
+
+@pytest.mark.parametrize("answer", [{**TOP, "Processes": 7}, {**TOP, "Titles": ["PID", []]}])
+def test_a_process_list_of_another_shape_is_refused(answer: dict[str, Any]) -> None:
+    """With CannotTell, as any answer that makes no sense."""
+    with pytest.raises(CannotTell):
+        processes(answer)
 
 
 @fuzzed("process list", answer=damaged(TOP) | JSON)
@@ -163,6 +184,18 @@ def _stranger() -> tuple[_Stranger, Engine]:
     return made, Engine(f"unix://{made.path}", timeout_s=20)
 
 
+@pytest.mark.parametrize("says", [_http(b"[1]"), _http(DEEP[0])])
+def test_an_answer_that_is_no_object_is_an_error_of_the_engine(says: bytes) -> None:
+    """It is not left to the check that asked, nor is one that is nested deeper than can be read."""
+    stranger, engine = _stranger()
+    stranger.says = says
+    for ask in (engine.inspect, engine.inspect_network, engine.top):
+        with pytest.raises(CannotTell):
+            ask("app")
+    with pytest.raises(CannotTell):
+        engine.list()
+
+
 def _events(engine: Engine) -> object:
     with engine.events() as stream:
         return list(stream)
@@ -183,6 +216,7 @@ CALLS: list[Callable[[Engine], object]] = [
     | damaged(STAT).map(
         lambda stat: _http(b"", f"X-Docker-Container-Path-Stat: {base64.b64encode(written(stat)[:9000]).decode()}")
     )
+    | st.sampled_from(DEEP).map(_http)
     | st.binary(max_size=300),
     call=st.sampled_from(range(len(CALLS))),
 )

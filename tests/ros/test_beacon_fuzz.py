@@ -6,14 +6,18 @@ import contextlib
 import json
 import struct
 
+import pytest
 from hypothesis import strategies as st
 
 from phm.beacon import BEACON_FORMAT
-from phm.probes.ros.beacons import Ledger, log_texts
+from phm.probes.ros.beacon_text import log_texts
 from phm.probes.ros.hearsay import Hearsay
+from phm.probes.ros.ledger import Ledger, portions
 from phm.probes.ros.protocol import LINE_LIMIT, Heard, decode, encode
 from tests.fuzz.hostile import messages, torn
 from tests.fuzz.targets import fuzzed
+
+pytestmark = pytest.mark.ros
 
 NODE = {"birth": "w.1", "beats": 5, "turns": 3, "late_s": 0.0}
 SAID = {
@@ -30,6 +34,7 @@ def cdr(name: str, text: str, order: str = "<") -> bytes:
     return data
 
 
+WRITERS = st.sampled_from([None, b"1", b"2"])
 WHOLE = [cdr(BEACON_FORMAT, json.dumps(SAID)), cdr(BEACON_FORMAT, json.dumps(SAID), ">")]
 
 
@@ -42,19 +47,20 @@ def test_any_bytes_are_two_texts_or_refused(data: bytes) -> None:
         assert sum(map(len, texts)) <= len(data)
 
 
-@fuzzed("beacon", said=st.lists(st.tuples(messages(SAID), st.floats(0, 100)), max_size=6))
-def test_any_beacon_is_counted_or_told(said: list[tuple[bytes, float]]) -> None:
+@fuzzed("beacon", said=st.lists(st.tuples(messages(SAID), st.floats(0, 100), WRITERS), max_size=6))
+def test_any_beacon_is_counted_or_told(said: list[tuple[bytes, float, bytes | None]]) -> None:
     """Nothing raises, and what is told goes through the pipe and is kept by the daemon."""
-    ledger, kept = Ledger(frozenset({"/agent_1/a"})), Hearsay()
-    for text, at_s in said:
-        ledger.add(BEACON_FORMAT, text.decode("utf-8", "replace"), at_s)
+    nodes = frozenset({"/agent_1/a"})
+    ledger, kept = Ledger(nodes, lambda: {b"1": "/agent_1/a"}), Hearsay()
+    for text, at_s, writer in said:
+        ledger.add(BEACON_FORMAT, text.decode("utf-8", "replace"), at_s, writer)
         news = ledger.news(at_s)
-        if news is not None:
-            line = encode(news)
+        for part in portions(news, nodes) if news is not None else ():
+            line = encode(part)
             assert len(line) <= LINE_LIMIT
             back = decode(line)
             assert isinstance(back, Heard)
-            assert back.beacons == news.beacons
+            assert back == part
             kept.differs(back)
             kept = kept.with_news(back, at_s)
             kept.since(at_s + 1)
