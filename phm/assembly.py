@@ -17,7 +17,7 @@ from phm.probes.devices import Devices
 from phm.probes.docker import Docker
 from phm.probes.docker_watch import DockerEvent, Watch
 from phm.probes.files import Files
-from phm.probes.host import Host
+from phm.probes.host import Host, clock_synchronized
 from phm.probes.links import Links
 from phm.probes.notices import Notices
 from phm.probes.pulse import Pulse
@@ -147,7 +147,7 @@ def assemble(
     watch = Watch(engine, settings, clock, happened, lambda: wake("engine")) if settings.containers else None
     pulse = Pulse(clock, asked.answering, asked.knock, lambda: wake("network")) if _addressed(settings) else None
     notices = Notices(clock)
-    hub = MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir)
+    hub = MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir, clock_synchronized)
     links = Links(hub, settings, clock, lambda: wake("link"))
     swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"), links.deaf)
     ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None

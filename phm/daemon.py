@@ -236,7 +236,7 @@ class Daemon:
             pipeline.states, pipeline.open_faults, pipeline.recent_faults, lambda: pipeline.complete, self.alive,
             look=lambda: pipeline.look_again(*(state.unit for state in pipeline.states())),
             approve=executor.approve, restart=executor.restart, note=pipeline.note, later=NotNow,
-            remember=self.parts.mavlink.remember,
+            remember=self.parts.mavlink.remember, clock_problem=self.parts.mavlink.clock_problem,
         )  # fmt: skip
         self.desk = Desk(self.parts.mavlink, powers, self.settings, self.clock)
         self.desk.start()

@@ -313,6 +313,8 @@ class SigningSettings(Section):
     """File with the key, 32 bytes or 64 hexadecimal digits, that only its owner can read. Default: signing is off."""
     unsigned: Literal["vehicle", "all", "none"] = "vehicle"
     """What is believed without a signature, with signing on; commands never are."""
+    command_age: Annotated[Seconds, Field(ge=1, le=300)] = 10.0
+    """A signed command is refused when it was signed longer ago."""
 
 
 class MavlinkSettings(Section):

@@ -9,16 +9,16 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 from phm import threads
 from phm.clock import Clock
 from phm.inbound import answers
 from phm.inbound.gate import Gate, Memory
 from phm.inbound.judge import Do, Ignore, Refuse, addressed, judge
-from phm.model import Fault, UnitState
+from phm.inbound.powers import Port, Powers
+from phm.model import Fault
 from phm.settings import Settings
 from phm.transport.mavlink_budget import Class
 from phm.wire import command
@@ -26,6 +26,7 @@ from phm.wire.command import (
     COMMAND_INT,
     COMMAND_LONG,
     HEARTBEAT,
+    READS,
     Approve,
     Asked,
     Look,
@@ -36,6 +37,8 @@ from phm.wire.command import (
     Tell,
     Wish,
 )  # fmt: skip
+
+__all__ = ["Desk", "Port", "Powers"]
 
 logger = logging.getLogger(__name__)
 
@@ -48,46 +51,6 @@ HEARTBEAT_EVERY_S = 1.0
 DROPS_TOLD_EVERY_S = 60.0
 IDLE_S = 1.0
 CLOSING_S = 2.0
-
-
-class Port(Protocol):
-    """The MAVLink endpoints (`phm.transport.mavlink.MavlinkHub`)."""
-
-    system_id: int
-    component_id: int
-
-    @property
-    def signs(self) -> bool:
-        """Signing is on: only what is signed is obeyed."""
-
-    def send(
-        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
-    ) -> None: ...
-
-    def listen(self, callback: Callable[[Any, str], None], ids: Iterable[int]) -> None: ...
-
-
-@dataclass(frozen=True)
-class Powers:
-    """What commands may reach; each answers at once, in words or with an exception that says why not.
-
-    complete: whether a first report is done. alive: whether the engine lives.
-    approve:  the fault's id. restart: the container's key, and who asks.
-    later:    what `approve` and `restart` raise when the same may be asked again later.
-    remember: called before a signed command is obeyed, so that it is not obeyed again after a restart of PHM.
-    """
-
-    states: Callable[[], tuple[UnitState, ...]]
-    open_faults: Callable[[], tuple[Fault, ...]]
-    recent_faults: Callable[[], tuple[Fault, ...]]
-    complete: Callable[[], bool]
-    alive: Callable[[], bool]
-    look: Callable[[], None]
-    approve: Callable[[str], str]
-    restart: Callable[[str, str], str]
-    note: Callable[[str, str], None]
-    later: type[Exception]
-    remember: Callable[[], None] = lambda: None
 
 
 class Desk:
@@ -127,9 +90,10 @@ class Desk:
             return
         asked = Asked(
             message.command, (message.param1, message.param2), getattr(message, "confirmation", 0), *sender, link,
-            bool(message.get_signed()), whole=message.target_component == 0,
+            bool(message.get_signed()), whole=message.target_component == 0, age_s=getattr(message, "_age_s", 0.0),
         )  # fmt: skip
-        verdict = judge(asked, self._allowed, signing=self._port.signs)
+        limit_s = self._settings.mavlink.signing.command_age
+        verdict = judge(asked, self._allowed, signing=self._port.signs, command_age_s=limit_s)
         if isinstance(verdict, Ignore):
             return
         with self._lock:
@@ -188,7 +152,9 @@ class Desk:
     def _carry_out(self, wish: Wish, asked: Asked) -> tuple[Result, str]:
         """Do it; the result and what to note. Whatever goes wrong is FAILED, with the reason."""
         try:
-            if asked.signed:
+            if asked.signed and command.word(wish) not in READS:
+                if problem := self._powers.clock_problem():
+                    return Result.TEMPORARILY_REJECTED, problem
                 self._powers.remember()
             return self._do(wish, asked)
         except self._powers.later as error:

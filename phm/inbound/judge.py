@@ -37,8 +37,8 @@ def addressed(target_system: int, target_component: int, system: int, component:
     return target_system == system and target_component in (0, component)
 
 
-def judge(asked: Asked, allowed: Collection[str], *, signing: bool) -> Verdict:
-    """signing: on, so that only a signed command is obeyed."""
+def judge(asked: Asked, allowed: Collection[str], *, signing: bool, command_age_s: float = 10.0) -> Verdict:
+    """signing: on, so that only a signed command is obeyed, and only for so long."""
     try:
         wish: Wish | None = command.understand(asked.command, asked.params)
         wrong = ""
@@ -53,6 +53,12 @@ def judge(asked: Asked, allowed: Collection[str], *, signing: bool) -> Verdict:
         return Ignore()
     if signing and not asked.signed:
         return Refuse(Result.DENIED, "it is not signed")
+    if signing and asked.age_s > command_age_s:
+        return Refuse(
+            Result.DENIED,
+            f"it was signed {asked.age_s:.0f} s ago by the newest time known here, allowed are {command_age_s:g} s "
+            "(mavlink.signing.command_age): it was recorded, or the clock of its sender is behind",
+        )
     if wish is None:
         return Refuse(Result.DENIED, wrong)
     needed: Word = command.word(wish)

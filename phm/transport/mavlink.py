@@ -31,8 +31,13 @@ CLOSE_LIMIT_S = 1.0
 class MavlinkHub:
     """All endpoints of one agent. Making it opens nothing; `start` does."""
 
-    def __init__(self, settings: MavlinkSettings, system_id: int, clock: Clock, state_dir: str | None = None) -> None:
-        """state_dir: where the time of signing is kept; None: nowhere. Raises KeyProblem."""
+    def __init__(
+        self, settings: MavlinkSettings, system_id: int, clock: Clock, state_dir: str | None = None,
+        synchronized: Callable[[], bool | None] = lambda: None,
+    ) -> None:  # fmt: skip
+        """state_dir: where the time of signing is kept; None: nowhere. synchronized: whether the machine's clock is; None: it is not
+        known. Raises KeyProblem."""
+        self._synchronized, self._command_age_s = synchronized, settings.signing.command_age
         self.system_id, self.component_id = system_id, settings.component_id
         key = settings.signing.key if settings.endpoints else None
         self._signing = Signing(read_key(key), clock, state_dir) if key is not None else None
@@ -54,9 +59,22 @@ class MavlinkHub:
         return self._signing is not None
 
     def remember(self) -> None:
-        """Keep what was heard, so that a signed frame is not believed again after a restart of PHM. Waits for the disk."""
-        if self._signing is not None:
-            self._signing.save()
+        """Keep what was heard, so that a signed frame is not believed again after a restart of PHM. Waits for the disk. Raises
+        OSError with a sentence when it is not kept."""
+        if self._signing is not None and (problem := self._signing.save()):
+            raise OSError(problem)
+
+    def clock_problem(self) -> str:
+        """Why it is not known how old signed frames are, else empty. A clock that is behind what was signed is either wrong, and
+        then frames that were recorded since look new; or it is right, and another one is ahead: only a clock that is known
+        to be synchronized tells the two apart."""
+        ahead_s = self._signing.ahead_s() if self._signing is not None else 0.0
+        if ahead_s <= self._command_age_s or self._synchronized():
+            return ""
+        return (
+            f"signed frames are {ahead_s:.0f} s ahead of this computer's clock, which is not known to be synchronized, so "
+            "an old command could not be told from a new one: set this computer's clock, or the sender's"
+        )
 
     def problem(self) -> str:
         """A sentence when something is wrong with signing, else empty."""

@@ -5,7 +5,8 @@ compared the hash: one forged frame from the year 2100 would shut the true sende
 a frame that does not match it changes nothing.
 
 A frame whose time is ahead of ours is believed, as the standard wants, and our time follows: a companion without a clock of its
-own starts in the past, and would otherwise refuse its operator. Only who has the key can do that.
+own starts in the past, and would otherwise refuse its operator. Such a frame is signed with the key, but it may have been recorded
+long ago; so commands that change something wait until the clock is set (`MavlinkHub.clock_problem`).
 """
 
 from __future__ import annotations
@@ -126,7 +127,7 @@ class Signing:
         if not hmac.compare_digest(expected, bytes(frame[-6:])):
             self._forged_at = self._clock.mono()
             return Seal.FORGED
-        time, stream = int.from_bytes(frame[-12:-6], "little"), (frame[-13], frame[5], frame[6])
+        time, stream = _time_of(frame), (frame[-13], frame[5], frame[6])
         with self._lock:
             heard = self._streams.get(stream)
             least = max(self._now(), self._time) - round(LATE_S * TICKS) if heard is None else heard + 1
@@ -139,6 +140,16 @@ class Signing:
                 del self._streams[min(self._streams, key=self._streams.__getitem__)]
         return Seal.GOOD
 
+    def age_s(self, frame: bytes | bytearray) -> float:
+        """How long ago a frame that is GOOD was signed, by the newest time that is known here."""
+        with self._lock:
+            return (max(self._now(), self._time) - _time_of(frame)) / TICKS
+
+    def ahead_s(self) -> float:
+        """By how much the newest time heard or kept is ahead of this computer's clock; 0: it is not."""
+        with self._lock:
+            return max(0, self._time - self._now()) / TICKS
+
     def problem(self) -> str:
         """A sentence when something is wrong now, else empty."""
         if self._clock.mono() - self._forged_at <= FORGED_TOLD_S:
@@ -147,16 +158,16 @@ class Signing:
 
     # ------------------------------------------------------------ over a restart
 
-    def save(self) -> None:
-        """Keep the time and who was heard, now. Waits for the disk; what fails is told by `problem`."""
+    def save(self) -> str:
+        """Keep the time and who was heard, now; a sentence when that failed, which `problem` says as well. Waits for the disk."""
         if self._path is None:
-            return
+            return ""
         with self._lock:
             newest = sorted(self._streams.items(), key=lambda item: item[1])[-KEPT_STREAMS:]
             state = {"v": 1, "time": self._time, "streams": [[*stream, time] for stream, time in newest]}
         with self._file:
             if state == self._saved:
-                return
+                return ""
             try:
                 _write(self._path, json.dumps(state).encode("ascii"))
             except OSError as error:
@@ -164,8 +175,9 @@ class Signing:
                 self._problem = (
                     f"cannot write {self._path}: {reason}; signed frames could be replayed after a restart of PHM"
                 )
-            else:
-                self._saved, self._problem = state, ""
+                return self._problem
+            self._saved, self._problem = state, ""
+            return ""
 
     def _keep(self) -> None:
         while not self._clock.wait(self._stop, SAVE_S):
@@ -214,10 +226,10 @@ class Signer:
         mav.signing.secret_key, mav.signing.link_id, mav.signing.sign_outgoing = self.signing.key, self.link_id, True
 
     def passes(self, message: Any, frame: bytes | bytearray, number: int) -> bool:
-        """Whether a decoded message is passed on; says in it whether it is signed."""
+        """Whether a decoded message is passed on; says in it whether it is signed, and then how long ago, `_age_s`."""
         seal = self.signing.check(frame)
         if seal is Seal.GOOD:
-            message._signed, message._link_id = True, frame[-13]
+            message._signed, message._link_id, message._age_s = True, frame[-13], self.signing.age_s(frame)
             return True
         if seal is Seal.FORGED:
             self.refused["forged"] += 1
@@ -245,6 +257,11 @@ def unsigned_of(mode: str) -> Callable[[int], bool]:
     return lambda number: number not in refused
 
 
+def _time_of(frame: bytes | bytearray) -> int:
+    """The time in the signature of a signed frame."""
+    return int.from_bytes(frame[-12:-6], "little")
+
+
 def _ticks(value: object) -> int:
     if type(value) is not int or not 0 <= value <= LAST:
         raise ValueError("a time is no time")
@@ -266,3 +283,8 @@ def _write(path: Path, data: bytes) -> None:
         stream.flush()
         os.fsync(stream.fileno())
     temporary.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

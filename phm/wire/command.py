@@ -57,7 +57,8 @@ READS = frozenset((Word.STATUS, Word.DETAILS))
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """One command as it came. `whole`: addressed to all components of this system and not to this one alone."""
+    """One command as it came. `whole`: addressed to all components of this system and not to this one alone. `age_s`: how long
+    ago it was signed, seconds."""
 
     command: int
     params: tuple[float, float]
@@ -67,6 +68,7 @@ class Asked:
     link: str
     signed: bool
     whole: bool = False
+    age_s: float = 0.0
 
     @property
     def sender(self) -> str:

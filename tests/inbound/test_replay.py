@@ -1,0 +1,233 @@
+"""Recorded commands, played again over a real socket with pymavlink's own frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink import mavutil
+
+from phm.clock import SystemClock
+from phm.inbound.desk import Desk, Powers
+from phm.settings import MavlinkSettings
+from phm.testing import settings
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink import MavlinkHub
+from phm.transport.mavlink_signing import EPOCH_S, NAME, TICKS
+from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat, until
+
+# With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
+mavutil.set_dialect("common")
+KEY = bytes(range(1, 33))
+RESTART, STATUS = (31010, 3, 1), (512, 253, 0)
+MAV = mavlink
+Start = Callable[..., "Aboard"]
+Ask = Callable[..., "Ground"]
+
+
+class SetClock(SystemClock):
+    """The machine's clocks, its date set by the test."""
+
+    ahead_s = 0.0
+
+    def utc(self) -> float:
+        return super().utc() + self.ahead_s
+
+
+class Aboard:
+    """Agent 7 with a key, listening by UDP; `did` is what was done."""
+
+    def __init__(self, key: Path, state: Path | None, clock: SetClock, *, synchronized: bool | None = None) -> None:
+        self.port = free_port()
+        chosen = settings(
+            agent={"id": 7}, containers=[{"name": "app"}],
+            mavlink={
+                "endpoints": [{"url": f"udpin:127.0.0.1:{self.port}", "budget": 0}],
+                "commands": ["status", "restart"], "signing": {"key": str(key)},
+            },
+        )  # fmt: skip
+        assert isinstance(chosen.mavlink, MavlinkSettings)
+        self.did: list[str] = []
+        self.notes: list[str] = []
+        self.hub = MavlinkHub(
+            chosen.mavlink, 7, clock, str(state) if state is not None else None, synchronized=lambda: synchronized
+        )
+        self.heard: list[Any] = []
+        self.hub.listen(lambda message, link: self.heard.append(message), (0,))
+        powers = Powers(
+            tuple, tuple, tuple, lambda: True, lambda: True, look=lambda: None, approve=str, restart=self._restart,
+            note=lambda kind, text: self.notes.append(text), later=TimeoutError, remember=self.hub.remember,
+            clock_problem=self.hub.clock_problem,
+        )  # fmt: skip
+        self.desk = Desk(self.hub, powers, chosen, clock)
+        self.hub.start()
+        self.desk.start()
+        until(self.hub.links, "the port opening")
+
+    def _restart(self, key: str, by: str) -> str:
+        self.did.append(by)
+        return key
+
+    def close(self) -> None:
+        self.desk.close()
+        self.hub.close()
+
+
+class Ground:
+    """A ground station with the key whose clock the test sets; it can record a command instead of sending it."""
+
+    def __init__(self, port: int, utc: float) -> None:
+        self.link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255, source_component=190)
+        self.link.setup_signing(KEY, link_id=9)
+        self.at(utc)
+
+    def at(self, utc: float) -> None:
+        self.link.mav.signing.timestamp = round((utc - EPOCH_S) * TICKS)
+
+    def record(self, command: int, first: float, second: float) -> bytes:
+        """The frame of a command, as it would have left."""
+        message = MAV.MAVLink_command_long_message(7, 193, command, 0, first, second, 0, 0, 0, 0, 0)
+        frame: bytes = message.pack(self.link.mav)
+        self.link.mav.seq = (self.link.mav.seq + 1) % 256
+        return frame
+
+    def play(self, frame: bytes) -> int:
+        """The result with which it is acknowledged."""
+        while self.link.recv_match(blocking=False) is not None:
+            pass
+        self.link.write(frame)
+        ack = self.link.recv_match(type="COMMAND_ACK", blocking=True, timeout=LIMIT_S)
+        assert ack is not None
+        return int(ack.result)
+
+    def beat(self) -> None:
+        self.link.mav.send(heartbeat(kind=MAV.MAV_TYPE_GCS))
+
+
+@pytest.fixture
+def key(tmp_path: Path) -> Path:
+    path = tmp_path / "key"
+    path.write_bytes(KEY)
+    path.chmod(0o600)
+    return path
+
+
+@pytest.fixture
+def start(key: Path) -> Iterator[Start]:
+    """Starts agents, and closes them at the end."""
+    made: list[Aboard] = []
+
+    def begin(state: Path | None, clock: SetClock, **named: Any) -> Aboard:
+        made.append(Aboard(key, state, clock, **named))
+        return made[-1]
+
+    yield begin
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def ask() -> Iterator[Ask]:
+    """Makes ground stations of an agent, and closes them at the end."""
+    made: list[Ground] = []
+
+    def begin(agent: Aboard, utc: float) -> Ground:
+        made.append(Ground(agent.port, utc))
+        return made[-1]
+
+    yield begin
+    for one in made:
+        one.link.close()
+
+
+def test_a_delayed_command_of_a_known_sender_is_too_old(start: Start, ask: Ask, tmp_path: Path) -> None:
+    """It was kept from arriving, and is newer than all that was heard of its sender; six hours later it is denied."""
+    clock = SetClock()
+    agent = start(tmp_path, clock)
+    ground = ask(agent, clock.utc())
+    ground.beat()
+    until(lambda: agent.heard, "the heartbeat")
+    delayed = ground.record(*RESTART)
+    clock.ahead_s = 6 * 3600.0
+    assert ground.play(delayed) == MAV.MAV_RESULT_DENIED
+    assert agent.did == []
+    assert "was signed 21600 s ago" in until(lambda: agent.notes, "the note")[0]
+    ground.at(clock.utc())
+    assert ground.play(ground.record(*RESTART)) == MAV.MAV_RESULT_ACCEPTED
+    assert agent.did == ["255/190"]
+
+
+def test_a_slow_radio_makes_no_command_too_old(start: Start, ask: Ask, tmp_path: Path) -> None:
+    """Seconds on the way, and clocks that differ by seconds, are allowed."""
+    clock = SetClock()
+    agent = start(tmp_path, clock)
+    ground = ask(agent, clock.utc() - 5.0)
+    assert ground.play(ground.record(*RESTART)) == MAV.MAV_RESULT_ACCEPTED
+    assert agent.did == ["255/190"]
+
+
+def test_a_command_whose_time_cannot_be_kept_is_refused(start: Start, ask: Ask, tmp_path: Path) -> None:
+    """It could be obeyed again after a restart of PHM; what only reads changes nothing, and is answered."""
+    (tmp_path / "file").write_text("")
+    clock = SetClock()
+    agent = start(tmp_path / "file", clock)
+    ground = ask(agent, clock.utc())
+    assert ground.play(ground.record(*RESTART)) == MAV.MAV_RESULT_FAILED
+    assert ground.play(ground.record(*STATUS)) == MAV.MAV_RESULT_ACCEPTED
+    assert agent.did == []
+    assert "cannot write" in until(lambda: agent.notes, "the note")[0]
+    (tmp_path / "file").unlink()
+    assert ground.play(ground.record(*RESTART)) == MAV.MAV_RESULT_ACCEPTED
+    assert agent.did == ["255/190"]
+    assert (tmp_path / "file" / NAME).exists()
+
+
+def test_without_a_clock_a_recorded_command_changes_nothing(start: Start, ask: Ask, tmp_path: Path) -> None:
+    """A year-old frame sets our time, so what it asks for waits until the clock is set; then the recorded frame is old."""
+    clock = SetClock()
+    true_utc = clock.utc()
+    clock.ahead_s = -true_utc  # 1970
+    agent = start(tmp_path, clock)
+    ground = ask(agent, true_utc - 365 * 86400.0)
+    ground.beat()
+    first, second, read = ground.record(*RESTART), ground.record(*RESTART), ground.record(*STATUS)
+    assert [ground.play(frame) for frame in (first, second)] == [MAV.MAV_RESULT_TEMPORARILY_REJECTED] * 2
+    assert ground.play(read) == MAV.MAV_RESULT_ACCEPTED
+    assert agent.did == []
+    assert "set this computer's clock" in until(lambda: agent.notes, "the note")[0]
+    third = ground.record(*RESTART)
+    clock.ahead_s = 0.0
+    assert ground.play(third) == MAV.MAV_RESULT_DENIED
+    ground.at(true_utc)
+    assert ground.play(ground.record(*RESTART)) == MAV.MAV_RESULT_ACCEPTED
+    assert agent.did == ["255/190"]
+
+
+def test_after_a_restart_without_a_clock_commands_wait(start: Start, ask: Ask, tmp_path: Path) -> None:
+    """The time that was kept is older than now, and what was recorded since is newer than it."""
+    clock = SetClock()
+    true_utc = clock.utc()
+    agent = start(tmp_path, clock)
+    ground = ask(agent, true_utc)
+    assert ground.play(ground.record(*RESTART)) == MAV.MAV_RESULT_ACCEPTED
+    agent.close()
+    ground.at(true_utc + 3600.0)
+    recorded = ground.record(*RESTART)
+    clock.ahead_s = -true_utc
+    again = start(tmp_path, clock)
+    assert ask(again, 0.0).play(recorded) == MAV.MAV_RESULT_TEMPORARILY_REJECTED
+    assert again.did == []
+
+
+def test_a_synchronized_clock_is_right_whatever_is_heard(start: Start, ask: Ask, tmp_path: Path) -> None:
+    """A ground station whose clock is ahead is obeyed: nobody can have recorded what has not been signed yet."""
+    clock = SetClock()
+    agent = start(tmp_path, clock, synchronized=True)
+    ground = ask(agent, clock.utc() + 3600.0)
+    assert ground.play(ground.record(*RESTART)) == MAV.MAV_RESULT_ACCEPTED
+    unsure = start(None, clock)
+    ground = ask(unsure, clock.utc() + 3600.0)
+    assert ground.play(ground.record(*RESTART)) == MAV.MAV_RESULT_TEMPORARILY_REJECTED
+    assert (agent.did, unsure.did) == (["255/190"], [])
