@@ -48,6 +48,8 @@ class SwarmFact:
     """How long this agent has listened: absence proves nothing before."""
     links: tuple[str, ...] = ()
     """Names of the links on which another agent was heard lately."""
+    strangers: tuple[int, ...] = ()
+    """Ids heard lately that are not among `swarm.agents`, where that is set: they count for nothing."""
 
 
 class SwarmProbe(Protocol):

@@ -58,6 +58,8 @@ class Peers(api.Check):
             others = sorted(settled.difference(self._agents))
             found = [result for agent in others if (result := _agent(agent, fact)).level.bad]
         values: dict[str, api.Value] = {"members": fact.members, "living": fact.living, "speaker": fact.speaker}
+        if fact.strangers:
+            values["not_listed"] = _names(fact.strangers)
         if found:
             first = api.worst(found)
             words = joined([result.summary for result in found])

@@ -36,6 +36,7 @@ class Beat:
     base_mode: int
     custom_mode: int
     state: int
+    signed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,7 @@ class Said:
     component: int
     severity: int
     text: str
+    signed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +83,12 @@ def read(message: Any) -> Frame | None:
     if number == HEARTBEAT:
         return Beat(
             system, component, message.type, message.autopilot, message.base_mode, message.custom_mode,
-            message.system_status,
+            message.system_status, bool(message.get_signed()),
         )  # fmt: skip
     if number == STATUSTEXT:
-        return Said(system, component, message.severity, one_line(_text(message.text))[:MAX_TEXT])
+        return Said(
+            system, component, message.severity, one_line(_text(message.text))[:MAX_TEXT], bool(message.get_signed())
+        )
     if number == TUNNEL:
         return Payload(system, component, message.payload_type, bytes(message.payload[: message.payload_length]))
     if number == RADIO_STATUS:

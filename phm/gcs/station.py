@@ -66,7 +66,9 @@ class Station:
         self.ids = (system, settings.component_id)
         self.run = uuid.uuid4().hex[:12]
         self._urls, self._clock, self._silent = [entry.key for entry in settings.endpoints], clock, silent
-        self._store, self._hub = Store(expected, self.ids), MavlinkHub(settings, system, clock)
+        # Each PHM with the key signs all that it sends.
+        signed = settings.signing.key is not None and settings.signing.unsigned != "all"
+        self._store, self._hub = Store(expected, self.ids, signed=signed), MavlinkHub(settings, system, clock)
         self._waiting: deque[_Heard] = deque()
         self._meter, self._copies = Meter(), Copies()
         self._outlets: tuple[Outlet, ...] = ()

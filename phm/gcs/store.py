@@ -28,9 +28,10 @@ AUTOPILOT = 1
 class Store:
     """Not thread-safe: the caller's lock."""
 
-    def __init__(self, expected: Iterable[int] = (), own: tuple[int, int] = (0, 0)) -> None:
-        """expected: agents that are missed before they were ever heard. own: our own MAVLink ids, not judged here."""
-        self.fleet, self._own = Fleet(expected), own
+    def __init__(self, expected: Iterable[int] = (), own: tuple[int, int] = (0, 0), *, signed: bool = False) -> None:
+        """expected: agents that are missed before they were ever heard. own: our own MAVLink ids, not judged here. signed: what is
+        not signed is no PHM's."""
+        self.fleet, self._own, self._signed = Fleet(expected), own, signed
 
     def hear(self, frame: Frame, link: str, at: Stamp) -> list[News]:
         """One frame that came by a link; what is new by it."""
@@ -86,7 +87,7 @@ class Store:
         elif beat.autopilot != NO_AUTOPILOT:
             if beat.component == AUTOPILOT:
                 yield from self._pilot(beat, at)
-        elif _is_phm(beat):
+        elif _is_phm(beat) and (beat.signed or not self._signed):
             agent = self.fleet.agent(beat.system, beat.component, at.mono)
             if agent is not None:
                 yield from self._agent(agent, beat, link, at)
@@ -137,7 +138,7 @@ class Store:
     def _said(self, said: Said, link: str, at: Stamp) -> Iterator[News]:
         line, agent = lines.read(said.text), self.fleet.agents.get((said.system, said.component))
         repeat = False
-        if line is not None and _believed(said, line, agent):
+        if line is not None and (said.signed or not self._signed) and _believed(said, line, agent):
             agent = agent or self.fleet.agent(said.system, said.component, at.mono)
             if agent is not None:
                 repeat = agent.repeats(line, said.text, at.mono)

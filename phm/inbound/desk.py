@@ -17,6 +17,7 @@ from phm.clock import Clock
 from phm.inbound import answers
 from phm.inbound.gate import Gate, Memory
 from phm.inbound.judge import Do, Ignore, Refuse, addressed, judge
+from phm.inbound.ledger import Ledger
 from phm.inbound.powers import Port, Powers
 from phm.model import Fault
 from phm.settings import Settings
@@ -44,11 +45,12 @@ logger = logging.getLogger(__name__)
 
 KIND = "COMMAND"
 MAX_WAITING = 64
+"""Of those that are signed, and of those that are not: these must not keep the others out."""
 MAX_REPEATS = 64
 CHECK_EVERY_S = 2.0
 HEARTBEAT_EVERY_S = 1.0
 """HEARTBEATs are not held back by the budget, so asking for them must not become a way around it."""
-DROPS_TOLD_EVERY_S = 60.0
+UNSIGNED_LAST = 9
 IDLE_S = 1.0
 CLOSING_S = 2.0
 
@@ -60,9 +62,9 @@ class Desk:
         self._port, self._powers, self._settings, self._clock = port, powers, settings, clock
         self._allowed = frozenset(settings.mavlink.commands)
         self._gate, self._memory = Gate(), Memory()
-        self._waiting: deque[tuple[Asked, bytes, Do | Refuse]] = deque()
-        self._dropped = self._dropped_told = 0
-        self._told_at = float("-inf")
+        self._waiting: dict[bool, deque[tuple[Asked, bytes, Do | Refuse]]] = {True: deque(), False: deque()}
+        """Signed ones, which are answered first, and others."""
+        self._ledger = Ledger()
         self._repeats: dict[tuple[str, int], tuple[float, float, Asked]] = {}
         """By link and message: seconds between, when it is due, and who asked."""
         self._looked = self._beat = float("-inf")
@@ -98,10 +100,11 @@ class Desk:
             return
         with self._lock:
             lets = self._gate.lets(link, *sender, asked.signed, self._clock.mono())
-            if not lets or len(self._waiting) >= MAX_WAITING:
-                self._dropped += 1
+            waiting = self._waiting[asked.signed]
+            if not lets or len(waiting) >= MAX_WAITING:
+                self._ledger.dropped()
                 return
-            self._waiting.append((asked, bytes(message.get_msgbuf()), verdict))
+            waiting.append((asked, bytes(message.get_msgbuf()), verdict))
         self._wake.set()
 
     # ------------------------------------------------------------ the desk's thread
@@ -120,11 +123,15 @@ class Desk:
         """Answer what waits and send what is due; seconds until something is due again."""
         while not self._stop.is_set():
             with self._lock:
-                if not self._waiting:
+                waiting = self._waiting[True] or self._waiting[False]
+                if not waiting:
                     break
-                asked, frame, verdict = self._waiting.popleft()
+                asked, frame, verdict = waiting.popleft()
             self._answer(asked, frame, verdict)
-        self._tell_drops()
+        with self._lock:
+            lines = self._ledger.due(self._clock.mono())
+        for line in lines:
+            self._powers.note(KIND, line)
         return self._repeat()
 
     def _answer(self, asked: Asked, frame: bytes, verdict: Do | Refuse) -> None:
@@ -139,15 +146,19 @@ class Desk:
             result, words = self._carry_out(verdict.wish, asked)
         self._memory.did(asked, frame, result, now)
         self._acknowledge(asked, result)
-        signed = "signed" if asked.signed else "unsigned"
-        self._powers.note(
-            KIND,
-            f"{result.name.lower()}: {_shown(asked, verdict)} from {asked.sender} by {asked.link}, {signed}: {words}",
-        )
+        acts = isinstance(verdict, Do) and isinstance(verdict.wish, (Approve, Restart))
+        with self._lock:
+            logs = self._ledger.logs(asked, result, now, acts=acts)
+        if logs:
+            signed = "signed" if asked.signed else "unsigned"
+            shown = f"{result.name.lower()}: {_shown(asked, verdict)}"
+            self._powers.note(KIND, f"{shown} from {asked.sender} by {asked.link}, {signed}: {words}")
 
     def _acknowledge(self, asked: Asked, result: Result) -> None:
-        key = f"ack {asked.sender} {asked.command}"
-        self._port.send(answers.ack(asked, result), Class.REQUEST, key=key, link=asked.link)
+        # Where the link has room for few answers, those to senders that anybody can make up come last.
+        urgency = UNSIGNED_LAST if self._port.signs and not asked.signed else 0
+        key = f"ack {asked.sender} {asked.command} {asked.signed}"
+        self._port.send(answers.ack(asked, result), Class.REQUEST, key=key, urgency=urgency, link=asked.link)
 
     def _carry_out(self, wish: Wish, asked: Asked) -> tuple[Result, str]:
         """Do it; the result and what to note. Whatever goes wrong is FAILED, with the reason."""
@@ -244,12 +255,6 @@ class Desk:
             else:
                 self._send(message, link)
         return max(0.0, min([IDLE_S, *(due - now for _every_s, due, _asked in self._repeats.values())]))
-
-    def _tell_drops(self) -> None:
-        now, dropped = self._clock.mono(), self._dropped
-        if dropped > self._dropped_told and now - self._told_at >= DROPS_TOLD_EVERY_S:
-            count, self._dropped_told, self._told_at = dropped - self._dropped_told, dropped, now
-            self._powers.note(KIND, f"{count} commands were dropped unread: too many came at once")
 
 
 def _numbered(faults: Iterable[Fault], number: int) -> list[Fault]:

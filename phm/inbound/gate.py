@@ -60,14 +60,15 @@ class _Done:
 
 
 class Memory:
-    """What was done lately, so that it is not done twice."""
+    """What was done lately, so that it is not done twice. Signed commands have a memory of their own, so that no flood of others
+    makes it forget one."""
 
     def __init__(self) -> None:
-        self._done: OrderedDict[tuple[object, ...], _Done] = OrderedDict()
+        self._done: dict[bool, OrderedDict[tuple[object, ...], _Done]] = {True: OrderedDict(), False: OrderedDict()}
 
     def before(self, asked: Asked, frame: bytes, now: float) -> Result | None:
         """The result of the same command when this is it again, else None."""
-        done = self._done.get(_key(asked))
+        done = self._done[asked.signed].get(_key(asked))
         if done is None:
             return None
         again = asked.confirmation > 0 and now - done.at <= REPEAT_S
@@ -75,14 +76,14 @@ class Memory:
         return done.result if again or copy else None
 
     def did(self, asked: Asked, frame: bytes, result: Result, now: float) -> None:
-        key = _key(asked)
-        self._done.pop(key, None)
-        self._done[key] = _Done(now, result, frame)
-        if len(self._done) > MAX_DONE:
-            self._done.popitem(last=False)
+        key, of_kind = _key(asked), self._done[asked.signed]
+        of_kind.pop(key, None)
+        of_kind[key] = _Done(now, result, frame)
+        if len(of_kind) > MAX_DONE:
+            of_kind.popitem(last=False)
 
 
 def _key(asked: Asked) -> tuple[object, ...]:
-    # Not the link: a ground station may ask again by another one. Signed ones apart: their answer is no others'.
+    # Not the link: a ground station may ask again by another one.
     params = tuple(repr(value) for value in asked.params)  # NaN equals nothing, its words do
-    return asked.system, asked.component, asked.command, params, asked.signed
+    return asked.system, asked.component, asked.command, params

@@ -10,6 +10,7 @@ from phm.clock import Clock
 from phm.settings import Settings
 from phm.swarm.consensus import Consensus, agree, without_ground
 from phm.swarm.peers import Peers
+from phm.swarm.share import Share
 from phm.swarm.speaker import Election
 from phm.swarm_facts import PeerFact, SwarmFact
 from phm.transport.dialect import mavlink
@@ -45,7 +46,12 @@ class Swarm:
         self._gcs_timeout_s = settings.mavlink.gcs_timeout
         expected = settings.swarm.agents
         self._heartbeat_s = settings.mavlink.heartbeat
-        self._peers = Peers(self._own, self._period_s(len(expected)), expected)
+        # Each PHM with a key signs its heartbeats. Others, an autopilot's and a ground station's, are none of this probe's.
+        self._signed = settings.mavlink.signing.key is not None and settings.mavlink.signing.unsigned != "all"
+        self._agents = len({*expected, self._own})
+        """How many share the links, this one included."""
+        self._peers = Peers(self._own, self._period_s(self._agents), expected)
+        self._share = Share(self._agents, clock.mono())
         self._election = Election()
         self._links: dict[str, float] = {}
         self._began = clock.mono()
@@ -55,7 +61,7 @@ class Swarm:
         self._since: dict[int, tuple[str, float]] = {}
         """Each agent's state, and since when it is so."""
         self._lock = threading.Lock()
-        hub.share(len({*expected, self._own}))
+        hub.share(self._agents)
         hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_TUNNEL))
         hub.watch(self.wake_if_changed)
 
@@ -73,13 +79,14 @@ class Swarm:
         now, gcs = self._clock.mono(), self._hears_ground()
         closed = {link.name for link in self._hub.links() if not link.open}
         with self._lock:
-            period_s = self._period_s(1 + sum(not peer.leaving for peer in self._peers.all().values()))
+            self._agents = self._share.follow(self._peers.sharing(now), now)
+            period_s = self._period_s(self._agents)
             self._fresh_s = min(FRESH_S, FRESH_PERIODS * period_s)
             hears = not any(name in closed and now - at <= LINK_S for name, at in self._links.items())
             self._peers.watch(now, period_s, hears=hears)
             agreed = agree(self._peers, now, gcs)
             speaker = self._election.speaker(agreed, gcs, now)
-            clashing = self._peers.clashing(now)
+            clashing, strangers = self._peers.clashing(now), self._peers.strangers(now)
             links = tuple(sorted(name for name, at in self._links.items() if now - at <= LINK_S))
             self._since = {
                 agent: self._since_when(agent, verdict.state.value, now) for agent, verdict in agreed.verdicts.items()
@@ -87,13 +94,13 @@ class Swarm:
             peers = {agent: self._peer(agent, agreed, now) for agent in agreed.verdicts}
         return SwarmFact(
             self._own, agreed.members, len(agreed.living), peers, agreed.split, without_ground(agreed, gcs), clashing,
-            speaker, gcs, now - self._began, links,
+            speaker, gcs, now - self._began, links, strangers,
         )  # fmt: skip
 
     def wake_if_changed(self) -> None:
         """Look. The number of agents sets the links' budgets."""
         fact = self.look()
-        self._hub.share(fact.members, speaks=fact.speaker == self._own)
+        self._hub.share(self._agents, speaks=fact.speaker == self._own)
 
     def _compare(self, fact: SwarmFact) -> None:
         picture = (
@@ -110,6 +117,8 @@ class Swarm:
     def _hear(self, message: Any, link: str) -> None:
         agent = message.get_srcSystem()
         if agent == self._own or message.get_srcComponent() != self._component:
+            return
+        if self._signed and not message.get_signed():
             return
         beat = message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT
         heard = self._heartbeat(agent, message, link) if beat else self._tunnel(agent, message)

@@ -75,7 +75,7 @@ class Swarm(Reporter):
             self._told_line, self._relayed = "", {}
         elif speaks and not self._spoke:
             # What the last speaker may have been lost with, untold, is told; the rest would be repeated aloud.
-            untold_s = UNTOLD_HEARTBEATS * self._heartbeat_s(fact)
+            untold_s = UNTOLD_HEARTBEATS * self._heartbeat_s()
             self._relayed = {agent: told for agent, told in self._relayed.items() if now - told[1] > untold_s}
         self._appeared.clear()
         self._spoke = speaks
@@ -90,8 +90,8 @@ class Swarm(Reporter):
         if self._stations.appears(message, self._context.clock.mono()):
             self._appeared.set()
 
-    def _heartbeat_s(self, fact: SwarmFact) -> float:
-        return self._context.settings.mavlink.heartbeat or periods(fact.members)[0]
+    def _heartbeat_s(self) -> float:
+        return self._context.settings.mavlink.heartbeat or periods(self._port.agents)[0]
 
     # ------------------------------------------------------------ to the agents
 
@@ -99,7 +99,7 @@ class Swarm(Reporter):
         pilot, radio = (ask is not None and ask() for ask in (self._context.pilot, self._context.radio))
         seen = {agent: _seen(peer.state, self._agent in peer.heard_by) for agent, peer in fact.peers.items()}
         said = (fact.gcs, pilot, radio, tuple(sorted(seen.items())))
-        heartbeat_s = self._heartbeat_s(fact)
+        heartbeat_s = self._heartbeat_s()
         since_s = now - self._view_at
         if said == self._viewed:
             if since_s < (heartbeat_s if self._again else VIEW_HEARTBEATS * heartbeat_s):
@@ -123,7 +123,7 @@ class Swarm(Reporter):
         levels = digest.levels(agreed, word, fact.deaf)
         self._tell(self._relay(fact, now), fact, now)
         line = digest.line(levels)
-        refresh_s = self._context.settings.mavlink.refresh or periods(fact.members)[1]
+        refresh_s = self._context.settings.mavlink.refresh or periods(self._port.agents)[1]
         since_s = now - self._line_at
         if since_s < CALM_S or (line == self._told_line and since_s < refresh_s):
             return

@@ -3,8 +3,8 @@
 Each agent computes it for itself from the same views, with no leader and no rounds: views are small, sent often, and
 old ones do not count. An observer is an agent that this one hears and whose view is young, and this one itself.
 An agent is *lost* when more observers have lost it than hear it, and *unheard by some* otherwise; who hears it and who
-does not is told in both cases. In a split network each side sees the other as lost, which is what either can know; it
-says so as a split when several vanish together.
+does not is told in both cases. No vote of others makes an agent lost that this one hears itself. In a split network each
+side sees the other as lost, which is what either can know; it says so as a split when several vanish together.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def _verdict(agent: int, how: Seen, views: Mapping[int, View], peers: Peers, now
             view.peers.get(agent, Seen.NEVER) is not Seen.NEVER for view in views.values()
         )
         return Verdict(State.LOST if ever else State.NEVER, *words)
-    if len(unheard) > len(heard):
+    if len(unheard) > len(heard) and how is not Seen.ALIVE:
         return Verdict(State.LOST, *words)
     if unheard:
         return Verdict(State.PARTLY, *words)

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from phm.swarm.pulse import Pulse
+from phm.swarm.share import RECENT_S, STEADY
 from phm.swarm.vanished import NEARLY, gravest, silences, vanished
 from phm.wire.tunnel import Seen, View
 
@@ -96,15 +97,18 @@ class Peer:
 class Peers:
     """All other agents. Not thread-safe.
 
-    expected: agent ids of the fleet, each of which counts as a member before it was ever heard, and others only while they
-    are heard: of another fleet that passes by nobody is missed. Without them the members are those that were heard.
+    expected: agent ids of the fleet, each of which counts as a member before it was ever heard; others count for nothing, be
+    they of another fleet or made up. Without them the members are those that were heard.
     period_s: our own heartbeat's, the first guess for everyone's.
     """
 
     def __init__(self, own: int, period_s: float, expected: Iterable[int] = ()) -> None:
         self.own = own
         self._period_s = period_s
-        self._expected = frozenset(expected) - {own}
+        self._listed = frozenset(expected)
+        self._expected = self._listed - {own}
+        self._strangers: dict[int, float] = {}
+        """Agents that are not listed, and when they were heard."""
         self._peers = {agent: Peer(agent, period_s) for agent in sorted(self._expected)}
         self._watched: float | None = None
         self._blind_until = float("-inf")
@@ -118,7 +122,7 @@ class Peers:
 
         frame: the sequence number of its MAVLink frame, which counts all that this sender sends on the link.
         """
-        if agent == self.own:
+        if agent == self.own or self._strange(agent, now):
             return False
         peer = self._peer(agent)
         if frame is not None:
@@ -138,7 +142,7 @@ class Peers:
 
     def told(self, agent: int, view: View, now: float) -> bool:
         """A view of another agent. True when it says something else than the one before."""
-        if agent == self.own:
+        if agent == self.own or self._strange(agent, now):
             return False
         peer = self._peer(agent)
         old = peer.view
@@ -174,9 +178,6 @@ class Peers:
 
     def seen(self, now: float) -> dict[int, Seen]:
         """How each member but ourselves is seen, by agent id."""
-        for agent in [agent for agent in self._peers if self._expected and agent not in self._expected]:
-            if self._peers[agent].seen(now) is Seen.LOST:
-                del self._peers[agent]
         return {agent: peer.seen(now) for agent, peer in sorted(self._peers.items())}
 
     def peer(self, agent: int) -> Peer | None:
@@ -184,6 +185,22 @@ class Peers:
 
     def all(self) -> Mapping[int, Peer]:
         return self._peers
+
+    def sharing(self, now: float) -> int:
+        """How many agents use the links, this one included: those that are listed, or those that were heard lately and steadily."""
+        if self._listed:
+            return len(self._listed | {self.own})
+        return 1 + sum(
+            not peer.leaving
+            and len(peer.beats) >= STEADY
+            and peer.heard_s is not None
+            and now - peer.heard_s <= RECENT_S
+            for peer in self._peers.values()
+        )
+
+    def strangers(self, now: float) -> tuple[int, ...]:
+        """Agents heard lately that are not listed, where some are."""
+        return tuple(sorted(agent for agent, heard_s in self._strangers.items() if now - heard_s <= RECENT_S))
 
     def clashing(self, now: float) -> tuple[int, ...]:
         """Ids that two agents use: the sequence of their frames falls back again and again."""
@@ -218,6 +235,12 @@ class Peers:
         group = gravest(silences(self._listened(now), now))
         if group is not None and group.weight >= NEARLY and peer.agent in group.agents:
             self._fades.append((now, now - group.since_s))
+
+    def _strange(self, agent: int, now: float) -> bool:
+        if not self._listed or agent in self._listed:
+            return False
+        self._strangers[agent] = now  # a system id has one byte
+        return True
 
     def _peer(self, agent: int) -> Peer:
         peer = self._peers.get(agent)

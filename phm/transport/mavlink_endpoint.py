@@ -50,7 +50,7 @@ class Endpoint:
         changed: Callable[[], None],
     ) -> None:
         self.name, self.container = settings.key, settings.container
-        self.to_peers = settings.leads_to == "peers"
+        self.to_peers, self._radio = settings.leads_to == "peers", settings.radio != "off"
         self.codec = codec
         self._clock, self._deliver, self._changed = clock, deliver, changed
         self._outbox = Outbox(clock, settings.budget or None)
@@ -185,6 +185,8 @@ class Endpoint:
                 self._heard = self._clock.mono()
                 self._tell(is_open=True)
                 if message.get_msgId() == RADIO_STATUS:
+                    if not self._radio:
+                        continue  # there is no radio that could have sent it
                     self._outbox.txbuf(message.txbuf)
                 self._deliver(message, self.name)
         self._read_at = self._clock.mono()

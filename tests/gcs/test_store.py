@@ -8,8 +8,9 @@ import pytest
 
 from phm.gcs.frames import Beat, Payload, Radio, Said
 from phm.gcs.news import encode, timed
-from phm.model import Level, Slot
-from phm.wire import tunnel
+from phm.gcs.store import Store
+from phm.model import Level, Slot, Stamp
+from phm.wire import status_word, tunnel
 from phm.wire.tunnel import Digest, Seen, View, Words
 from tests.gcs.bench import EMERGENCY, HEALTHY, Ground, beat, events, pilot, said, told
 
@@ -227,6 +228,21 @@ def test_a_line_that_comes_before_the_first_heartbeat_is_not_lost(ground: Ground
         "UNKNOWN",
         "never heard",
     )
+
+
+def test_with_the_key_unsigned_frames_are_no_phms() -> None:
+    """A made-up agent has no row, and a made-up line of a true one is shown as its sender's and changes nothing."""
+    store = Store(signed=True)
+    word = status_word.encode({Slot.NODES: Level.OK})
+    store.hear(Beat(7, 193, 18, 8, 0, word, 4, signed=True), "link", Stamp(0.0, 0.0))
+    store.hear(Beat(8, 193, 18, 8, 0, word, 4), "link", Stamp(0.0, 0.0))
+    store.hear(Beat(7, 193, 18, 8, 0, word, 7), "link", Stamp(0.1, 0.1))
+    (news,) = store.hear(Said(7, 193, 2, "A07 FAIL 6 node_1 dead"), "link", Stamp(0.2, 0.2))
+    (agent,) = store.snapshot(Stamp(0.3, 0.3))["agents"]
+    assert (agent["name"], agent["presence"], agent["bad"]) == ("A07", "alive", [])
+    assert news.body["phm"] is False
+    (news,) = store.hear(Said(7, 193, 2, "A07 FAIL 6 node_1 dead", signed=True), "link", Stamp(0.4, 0.4))
+    assert news.body["phm"] is True
 
 
 def test_text_cannot_steer_a_terminal(ground: Ground) -> None:

@@ -10,6 +10,7 @@ from phm.facts import DiskFact
 from phm.inbound import answers
 from phm.inbound.desk import CHECK_EVERY_S, MAX_WAITING, Desk, Powers
 from phm.inbound.gate import BURST
+from phm.inbound.ledger import ONE_BY_ONE, PERIOD_S
 from phm.model import Fault, Layer, Level, Result as Found, Slot, Stamp, UnitState
 from phm.testing import FakeClock, FakeHost, settings, world
 from phm.transport.dialect import mavlink
@@ -39,6 +40,7 @@ class Scene:
     def __init__(self, *allowed: str, signs: bool = False) -> None:
         self.clock, self.sent, self.did, self.notes = FakeClock(), [], [], []  # type: ignore[var-annotated]
         self.system_id, self.component_id, self.signs = 7, 193, signs
+        self.urgencies: list[int] = []
         self.faults: tuple[Fault, ...] = ()
         self.raises: Exception | None = None
         self.lives = True
@@ -76,6 +78,7 @@ class Scene:
     ) -> None:
         assert kind is Class.REQUEST
         self.sent.append((message, link))
+        self.urgencies.append(urgency)
 
     def listen(self, callback: Any, ids: Any) -> None:
         assert set(ids) == {75, 76}
@@ -326,11 +329,58 @@ def test_a_flood_is_bounded_and_told_once() -> None:
     scene = Scene("status")
     for n in range(1000):
         scene.desk.hear(scene.ground.received(long(512, 253, n)), "radio")
-    assert len(scene.desk._waiting) == BURST <= MAX_WAITING
+    assert len(scene.desk._waiting[False]) == BURST <= MAX_WAITING
     scene.desk.turn()
     assert [note for note in scene.notes if "dropped unread" in note] == [
         "COMMAND: 990 commands were dropped unread: too many came at once"
     ]
+
+
+def test_a_flood_that_is_refused_leaves_the_rest_of_the_log() -> None:
+    """A few lines a minute at most, whoever sends and whatever the result; what was counted adds up."""
+    scene = Scene("status")
+    for n in range(10 * 60):
+        scene.clock.advance(0.1)
+        scene.ask(long(512, 253) if n % 2 else long(31010, 3, 1), by=Sender(1 + n % 250, n // 250))
+    scene.clock.advance(PERIOD_S)
+    scene.desk.turn()
+    assert len(scene.notes) <= ONE_BY_ONE + 3
+    counted = [note for note in scene.notes if "not logged one by one" in note]
+    assert sum(int(note.split()[1]) for note in counted) + ONE_BY_ONE == 600
+    assert max(map(len, scene.notes)) < 250
+
+
+def test_a_command_that_acts_is_logged_in_any_flood() -> None:
+    """So is each one that is signed, with its reason."""
+    scene = Scene("restart", signs=False)
+    for n in range(30):
+        scene.clock.advance(0.5)
+        scene.ask(long(31010, 1, n), by=Sender(n + 1, 190))
+    scene.ask(long(31010, 3, 1))
+    assert scene.notes[-1].startswith("COMMAND: accepted: Restart")
+    signed = Scene("status", signs=True)
+    for n in range(30):
+        signed.clock.advance(1.0)
+        signed.ask(long(31010, 3, 1), by=Sender(n + 1, 190))
+    signed.ask(long(31010, 3, 1), signed=True)
+    assert signed.notes[-1].startswith("COMMAND: denied: command 31010 (3.0, 1.0) from 255/190 by radio, signed")
+
+
+def test_a_signed_command_is_answered_before_unsigned_ones() -> None:
+    """However many of these wait, and for an answer's place on the link, too."""
+    scene = Scene("restart", signs=True)
+    for n in range(MAX_WAITING + 10):
+        scene.clock.advance(1.0)
+        scene.desk.hear(Sender(n + 1, 190).received(long(31010, 3, 1)), "radio")
+    heard = scene.ground.received(long(31010, 3, 1))
+    heard._signed = True
+    scene.desk.hear(heard, "radio")
+    scene.desk.turn()
+    acks = [message.result for message, _link in scene.sent]
+    assert acks[0] == Result.ACCEPTED
+    assert set(acks[1:]) == {Result.DENIED}
+    assert len(acks) == MAX_WAITING + 1
+    assert scene.urgencies[0] < min(scene.urgencies[1:])
 
 
 def test_the_desk_answers_from_its_own_thread() -> None:

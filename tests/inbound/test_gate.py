@@ -69,4 +69,13 @@ def test_the_memory_is_bounded() -> None:
     memory = Memory()
     for n in range(1000):
         memory.did(replace(ASKED, params=(3.0, float(n))), b"", Result.ACCEPTED, 0.0)
-    assert len(memory._done) == MAX_DONE
+    assert len(memory._done[False]) == MAX_DONE
+
+
+def test_unsigned_commands_make_no_signed_one_forgotten() -> None:
+    """Its acknowledgement was lost; asked again after a flood of others, it is not done twice."""
+    memory, signed = Memory(), replace(ASKED, signed=True)
+    memory.did(signed, b"one", Result.ACCEPTED, 0.0)
+    for n in range(10 * MAX_DONE):
+        memory.did(replace(ASKED, params=(3.0, float(n))), b"", Result.DENIED, 0.0)
+    assert memory.before(replace(signed, confirmation=1), b"two", 1.0) is Result.ACCEPTED

@@ -286,3 +286,29 @@ def _flood(port: int, host: str, stop: threading.Event) -> None:
         stop.wait(0.05)
     for sock in open_now:
         sock.close()
+
+
+def test_where_there_is_no_radio_none_slows_the_link_down(udp: Callable[..., socket.socket]) -> None:
+    """RADIO_STATUS can be made up by anybody; with `radio: off` it is not read."""
+    full = mavlink.MAVLink_radio_status_message(100, 100, 5, 30, 30, 0, 0)
+    slowed = {}
+    for radio in ("off", "auto"):
+        ground = udp()
+        url = f"udpout:127.0.0.1:{ground.getsockname()[1]}"
+        hub = MavlinkHub(
+            MavlinkSettings.model_validate({"endpoints": [{"url": url, "radio": radio}]}), 7, SystemClock()
+        )
+        heard: list[Any] = []
+        hub.listen(lambda message, link, to=heard: to.append(message), (0,))  # type: ignore[misc]
+        hub.start()
+        try:
+            hub.send(text("hello"))
+            _data, ours = ground.recvfrom(300)
+            sender = Sender(51, 68)
+            for message in (full, heartbeat()):
+                ground.sendto(sender.frame(message), ours)
+            until(lambda seen=heard: seen)  # type: ignore[misc]
+            slowed[radio] = hub.budgets()[url][1]
+        finally:
+            hub.close()
+    assert slowed["off"] == 1.0 < slowed["auto"]

@@ -11,6 +11,7 @@ from phm.model import Level, Slot
 from phm.swarm import digest
 from phm.swarm.consensus import Consensus, State, Verdict, agree, without_ground
 from phm.swarm.peers import LATE_PERIODS, LOST_PERIODS, Peers
+from phm.swarm.share import Share
 from phm.swarm.speaker import STEADY_S, Election
 from phm.wire import status_word
 from phm.wire.tunnel import Seen, View
@@ -110,7 +111,8 @@ def test_a_split_network_is_told_on_both_sides_and_heals() -> None:
 
 
 def test_what_is_heard_did_not_vanish() -> None:
-    """A split heals, and the other half hears one agent of ours; its views still say that the rest of us is lost."""
+    """A split heals, and the other half hears one agent of ours; its views still say that the rest of us is lost, which
+    no one believes that hears them."""
     swarm = Swarm(range(1, 9))
     swarm.run(20)
     swarm.separate((1, 2, 3), (4, 5, 6, 7, 8))
@@ -118,7 +120,8 @@ def test_what_is_heard_did_not_vanish() -> None:
     swarm.cut = {(a, b) for a, b in swarm.cut if a < 4 and a != 1}
     swarm.run(PERIOD_S)
     agreed = swarm.agreed(1)
-    assert agreed.lost == (2, 3)
+    assert agreed.lost == ()
+    assert {agreed.verdicts[agent].state for agent in (2, 3)} == {State.PARTLY}
     assert agreed.split == ()
 
 
@@ -161,16 +164,53 @@ def test_who_was_stopped_on_purpose_has_left() -> None:
     assert swarm.agreed(1).members == 2
 
 
-def test_an_agent_that_is_not_listed_is_not_missed() -> None:
-    """It counts while it is heard, and where no agent is listed it counts for good."""
+def test_an_agent_that_is_not_listed_counts_for_nothing() -> None:
+    """It is named as a stranger while it is heard; where no agent is listed it is a member like any other."""
     listed, open_ = Peers(1, PERIOD_S, [1, 2, 3]), Peers(1, PERIOD_S)
     for peers in (listed, open_):
         for at in range(0, 20, 2):
-            peers.heartbeat(2, WELL, float(at))
-            peers.heartbeat(77, WELL, float(at))
-        assert peers.seen(20.0)[77] is Seen.ALIVE
-    assert listed.seen(60.0) == {2: Seen.LOST, 3: Seen.NEVER}
+            peers.heartbeat(2, WELL, float(at), frame=at)
+            peers.heartbeat(77, WELL, float(at), frame=at)
+            peers.told(77, View(at, True, True, True, {2: Seen.LOST}), float(at))
+    assert listed.seen(20.0) == {2: Seen.ALIVE, 3: Seen.NEVER}
+    assert (listed.strangers(20.0), listed.sharing(20.0)) == ((77,), 3)
+    assert (open_.strangers(20.0), open_.sharing(20.0)) == ((), 3)
     assert open_.seen(60.0) == {2: Seen.LOST, 77: Seen.LOST}
+    assert listed.strangers(200.0) == ()
+
+
+def test_a_list_of_this_agent_alone_is_a_list() -> None:
+    """It flies without others, and nobody may join it."""
+    peers = Peers(1, PERIOD_S, [1])
+    peers.heartbeat(2, WELL, 0.0, frame=1)
+    assert (peers.seen(0.0), peers.sharing(0.0), peers.strangers(0.0)) == ({}, 1, (2,))
+
+
+def test_votes_of_others_make_nobody_lost_that_is_heard() -> None:
+    """However many observers say so; for who does not hear it itself, the majority counts as ever."""
+    swarm = Swarm(range(1, 7))
+    swarm.run(20)
+    swarm.cut = {(3, hearer) for hearer in (1, 2, 4, 6)}
+    swarm.run(20)
+    assert swarm.agreed(5).verdicts[3].state is State.PARTLY
+    assert swarm.agreed(1).verdicts[3].state is State.LOST
+
+
+def test_the_share_changes_slowly_and_comes_back() -> None:
+    """A burst of made-up senders does nothing, a steady flood of them twice as much a minute, and its end undoes it."""
+    share = Share(1, 0.0)
+    assert [share.follow(count, float(at)) for at, count in enumerate((1, 8, 3))] == [1, 8, 7]
+    share, now = Share(3, 0.0), 0.0
+    while now < 60.0:
+        now += 0.5
+        assert share.follow(250, now) <= 16
+    assert share.follow(250, 300.0) == 250
+    assert share.follow(3, 360.0) == 125
+    assert share.follow(3, 3600.0) == 3
+    peers = Peers(1, PERIOD_S)
+    for agent in range(2, 250):
+        peers.heartbeat(agent, WELL, 0.0, frame=1)
+    assert peers.sharing(1.0) == 1
 
 
 def test_a_member_that_never_came_is_never_seen() -> None:

@@ -1,0 +1,142 @@
+"""Made-up agents on a real socket, with pymavlink's own frames: what they change in a swarm that is listed, and in one that signs."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.model import Level, Slot
+from phm.probes.swarm import Swarm
+from phm.settings import MavlinkSettings
+from phm.testing import settings
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink import MavlinkHub
+from phm.transport.mavlink_budget import SIZES, periods
+from phm.transport.mavlink_signing import EPOCH_S, TICKS
+from phm.wire import status_word, tunnel
+from phm.wire.tunnel import Seen, View
+from tests.fakes.mavlink import free_port, heartbeat, until
+
+KEY = bytes(range(1, 33))
+WELL = status_word.encode(dict.fromkeys(list(Slot)[:8], Level.OK))
+OURS = (1, 2, 3)
+Start = Callable[..., "Aboard"]
+
+
+class Aboard:
+    """Agent 1 of a swarm of three on a socket of loopback, and whoever sends to it."""
+
+    def __init__(self, agents: list[int], key: Path | None) -> None:
+        self.port, self.clock = free_port(socket.SOCK_DGRAM), SystemClock()
+        chosen = settings(
+            agent={"id": 1}, swarm={"agents": agents},
+            mavlink={
+                "endpoints": [{"url": f"udpin:127.0.0.1:{self.port}", "budget": 0}],
+                "signing": {"key": str(key) if key else None},
+            },
+        )  # fmt: skip
+        assert isinstance(chosen.mavlink, MavlinkSettings)
+        self.hub = MavlinkHub(chosen.mavlink, 1, self.clock)
+        self.swarm = Swarm(self.hub, chosen, self.clock, lambda: None, lambda: None)
+        self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sent = 0
+        self._senders: dict[tuple[int, bool], Any] = {}
+        self.hub.start()
+        until(self.hub.links, "the port opening")
+
+    def send(self, agent: int, *messages: Any, signed: bool = False) -> None:
+        sender = self._senders.setdefault((agent, signed), mavlink.MAVLink(None, srcSystem=agent, srcComponent=193))
+        if signed:
+            sender.signing.secret_key, sender.signing.sign_outgoing = KEY, True
+            now = round((self.clock.utc() - EPOCH_S) * TICKS)
+            sender.signing.timestamp = max(sender.signing.timestamp + 1, now)
+        for message in messages:
+            self._out.sendto(message.pack(sender), ("127.0.0.1", self.port))
+            sender.seq = (sender.seq + 1) % 256
+            self._sent += 1
+            if self._sent % 50 == 0:
+                self.read()  # more would not fit into the socket's buffer
+
+    def read(self) -> None:
+        """Wait until all that was sent has been read."""
+        (counters,) = self.hub.counters().values()
+        until(lambda: counters.received >= self._sent, f"{self._sent} frames")
+
+    def close(self) -> None:
+        self.hub.close()
+        self._out.close()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Starts agents, and closes them at the end."""
+    made: list[Aboard] = []
+
+    def begin(agents: list[int], *, signs: bool = False) -> Aboard:
+        key = tmp_path / "key"
+        key.write_bytes(KEY)
+        key.chmod(0o600)
+        made.append(Aboard(agents, key if signs else None))
+        return made[-1]
+
+    yield begin
+    for one in made:
+        one.close()
+
+
+def view(gcs: bool, peers: dict[int, Seen]) -> Any:
+    payload = tunnel.encode(View(1, gcs, True, True, peers))
+    return mavlink.MAVLink_tunnel_message(0, 0, tunnel.PAYLOAD_TYPE, len(payload), list(payload.ljust(128, b"\0")))
+
+
+LOST = view(True, {2: Seen.LOST, 3: Seen.LOST})
+
+
+def test_made_up_agents_count_for_nothing_where_the_agents_are_listed(start: Start) -> None:
+    """Not for the heartbeat's period and the budget, not as votes, not as speaker; they are named."""
+    agent = start([*OURS])
+    for _turn in range(3):
+        for forged in range(4, 251):
+            agent.send(forged, heartbeat(WELL), LOST)
+        for ours in (2, 3):
+            agent.send(ours, heartbeat(WELL), view(False, {1: Seen.ALIVE, 5 - ours: Seen.ALIVE}))
+        agent.read()
+    agent.swarm.wake_if_changed()
+    fact = agent.swarm.look()
+    assert agent.hub.agents == 3
+    assert periods(agent.hub.agents) == SIZES[0][1:]
+    assert {number: peer.state for number, peer in fact.peers.items()} == {2: "alive", 3: "alive"}
+    assert (fact.members, fact.speaker, len(fact.strangers)) == (3, None, 247)
+
+
+def test_made_up_agents_slow_nobody_down_at_once(start: Start) -> None:
+    """Where no agents are listed, a flood of them does not hide a loss by a period that jumps."""
+    agent = start([])
+    for _turn in range(4):
+        for forged in range(2, 251):
+            agent.send(forged, heartbeat(WELL))
+        agent.read()
+        agent.swarm.wake_if_changed()
+    assert agent.hub.agents < 30
+    assert periods(agent.hub.agents)[0] <= SIZES[1][1]
+
+
+def test_with_signing_an_unsigned_frame_is_no_agents(start: Start) -> None:
+    """A forged farewell of a live agent, and heartbeats of agents that are not there, change nothing."""
+    agent = start([*OURS], signs=True)
+    farewell = mavlink.MAVLink_heartbeat_message(18, 8, 0, WELL, mavlink.MAV_STATE_POWEROFF, 3)
+    for _turn in range(3):
+        agent.send(2, heartbeat(WELL), signed=True)
+    agent.send(2, farewell)
+    agent.send(3, heartbeat(WELL))
+    agent.read()
+    fact = agent.swarm.look()
+    assert {number: peer.state for number, peer in fact.peers.items()} == {2: "alive", 3: "never seen"}
+    assert agent.swarm._peers.peer(2).leaving is False  # type: ignore[union-attr]
+    agent.send(2, farewell, signed=True)
+    until(lambda: agent.swarm._peers.peer(2).leaving, "its own farewell")  # type: ignore[union-attr]
