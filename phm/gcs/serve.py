@@ -22,6 +22,8 @@ from phm.gcs.station import Station
 logger = logging.getLogger(__name__)
 
 MAX_CLIENTS = 16
+PER_HOST = 8
+"""Clients of one other machine: none takes all places."""
 GREET_S = 0.3
 """A client that has said nothing for so long is no HTTP client."""
 REQUEST_S = 5.0
@@ -47,6 +49,7 @@ class _Client:
     sock: socket.socket
     since: float
     moved: float
+    host: str = ""
     asked: bytearray = field(default_factory=bytearray)
     pending: bytearray = field(default_factory=bytearray)
     seen: int | None = None
@@ -150,13 +153,16 @@ class Server:
 
     def _accept(self) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionError):
-            sock, _ = self._listener.accept()
+            sock, address = self._listener.accept()
             sock.setblocking(False)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
             now = self._clock.mono()
-            client = self._clients[sock] = _Client(sock, now, now)
+            neighbours = sum(other.host == address[0] for other in self._clients.values())
+            client = self._clients[sock] = _Client(sock, now, now, address[0])
             self._selector.register(sock, selectors.EVENT_READ)
-            if len(self._clients) > MAX_CLIENTS and not self._make_room():
+            if neighbours >= PER_HOST and address[0] not in _LOOPBACK:
+                self._answer(client, "503 Service Unavailable", f"at most {PER_HOST} clients of one host are served\n")
+            elif len(self._clients) > MAX_CLIENTS and not self._make_room():
                 self._answer(client, "503 Service Unavailable", f"at most {MAX_CLIENTS} clients are served\n")
 
     def _make_room(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import urllib.error
@@ -202,6 +203,18 @@ def test_too_many_clients_are_refused(server: Server, connect: Connect, source: 
     for place, client in enumerate(clients):
         if place != 3:
             until(client.news, "the news")
+
+
+def test_one_host_does_not_take_all_places(server: Server, connect: Connect) -> None:
+    """Idle connections of another machine leave room for the next one."""
+    with contextlib.ExitStack() as stack:
+        crowd = [
+            stack.enter_context(socket.create_connection(server.address, source_address=("127.0.0.2", 0)))
+            for _ in range(serve.MAX_CLIENTS)
+        ]
+        until(lambda: server.about().endswith(f"to {serve.PER_HOST}, 0 dropped as too slow"), "the rest being refused")
+        assert b" 503 " in crowd[-1].recv(300)
+        until(lambda: _served(connect), "a place for another host")
 
 
 def _served(connect: Connect) -> bool:
