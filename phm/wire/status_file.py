@@ -29,7 +29,11 @@ def read(run_dir: str) -> dict[str, Any]:
     path = os.path.join(run_dir, NAME)
     try:
         with open(path, "rb") as stream:
-            document = json.load(stream, parse_constant=_not_json)
+            data = stream.read()
+        document = json.loads(data, parse_constant=_not_json)
+        if b"\\ud" in data.lower():
+            # Half a character, which no output takes: of a file name that is not UTF-8, or of damage.
+            document = json.loads(json.dumps(document, ensure_ascii=False).encode("utf-8", "replace"))
     except FileNotFoundError:
         raise NoStatus(f"there is no {path}: PHM is not running, or its run_dir is another (see --run-dir)") from None
     except OSError as error:

@@ -104,6 +104,19 @@ def test_the_health_check_takes_no_damaged_file_for_a_running_daemon(text: str, 
     assert status_file.main([str(tmp_path)]) == 1
 
 
+def test_half_a_character_is_printed_as_a_question_mark(whole: dict[str, Any], tmp_path: Path) -> None:
+    """No output can hold it, and PHM itself reports one for a file name that is not UTF-8."""
+    document = copy.deepcopy(whole)
+    document["checks"][0]["summary"] = "\ud800.bin"
+    (tmp_path / "status.json").write_text(json.dumps(document))
+    assert status_file.read(str(tmp_path))["checks"][0]["summary"] == "?.bin"
+    for fault in document["faults"]["open"]:
+        fault["opened"] = "\ud800"
+    (tmp_path / "status.json").write_text(json.dumps(document))
+    for words in (["status"], ["faults", "--log-dir", str(tmp_path)]):
+        answered(CliRunner().invoke(group, [*words, "--run-dir", str(tmp_path)]))
+
+
 def test_what_is_damaged_is_named(whole: dict[str, Any], tmp_path: Path) -> None:
     """The sentence names the place in the document, and what to expect."""
     document = copy.deepcopy(whole)
