@@ -1,4 +1,4 @@
-"""The daemon's side of the control socket (`phm.wire.control`): approvals and notes from this machine.
+"""The daemon's side of the control socket (`phm.wire.control`): approvals, notes and holds from this machine.
 
 One thread, few connections, small requests, short deadlines: whoever talks nonsense or nothing is answered with an
 error and let go. The socket belongs to PHM's user alone (mode 0600), and the kernel says who is at the other end.
@@ -16,7 +16,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 from phm import threads
 from phm.wire.control import DEADLINE_S, MAX_REQUEST, NAME, address
@@ -36,11 +36,22 @@ _POLL_S = 0.5
 _CREDENTIALS = struct.Struct("3i")
 
 
+class HoldDesk(Protocol):
+    """Begins and ends holds (`phm.recovery.hold_service.HoldService`): in words and as data, or an exception with its reason."""
+
+    def hold(self, container: str, for_s: float | None, reason: str, by: str) -> tuple[str, dict[str, Any]]: ...
+
+    def release(self, container: str, by: str) -> tuple[str, dict[str, Any]]: ...
+
+
 class Control:
     """Serves `run_dir/control.sock` until closed. `approve` answers in words or raises an exception with its reason."""
 
-    def __init__(self, run_dir: str, approve: Callable[[str], str], note: Callable[[str, str], None]) -> None:
-        self._run_dir, self._approve, self._note = run_dir, approve, note
+    def __init__(
+        self, run_dir: str, approve: Callable[[str], str], note: Callable[[str, str], None],
+        holds: HoldDesk | None = None,
+    ) -> None:  # fmt: skip
+        self._run_dir, self._approve, self._note, self._holds = run_dir, approve, note, holds
         self._selector = selectors.DefaultSelector()
         self._connections: dict[socket.socket, tuple[bytearray, float]] = {}
         self._listener: socket.socket | None = None
@@ -158,16 +169,21 @@ class Control:
     def _answer(self, peer: socket.socket, line: bytes) -> None:
         try:
             request = json.loads(line)
-            text = self._do(request)
+            text, data = self._do(request, f"operator (uid {_user(peer)})")
         except (ValueError, RecursionError):
             self._refuse(peer, "that is no request: one JSON object a line, with `do`")
         except Exception as error:
             self._send(peer, {"ok": False, "error": str(error)})
         else:
-            self._send(peer, {"ok": True, "text": text})
+            self._send(peer, {"ok": True, "text": text, **data})
 
-    def _do(self, request: Any) -> str:
-        """Carry out one request; ValueError when it is none."""
+    def _do(self, request: Any, by: str) -> tuple[str, dict[str, Any]]:
+        """Carry out one request; what was done, in words and as data. ValueError when it is none."""
+        if isinstance(request, dict) and request.get("do") in ("hold", "release") and self._holds is not None:
+            return _hold(self._holds, request, by)
+        return self._do_words(request), {}
+
+    def _do_words(self, request: Any) -> str:
         if not isinstance(request, dict):
             raise ValueError
         words = {key: value for key, value in request.items() if isinstance(value, str)}
@@ -202,6 +218,18 @@ class Control:
         if self._connections.pop(peer, None) is not None:
             self._selector.unregister(peer)
             peer.close()
+
+
+def _hold(holds: HoldDesk, request: dict[str, Any], by: str) -> tuple[str, dict[str, Any]]:
+    container, reason, for_s = request.get("container"), request.get("reason"), request.get("for_s")
+    if request.keys() == {"do", "container"} and request["do"] == "release" and isinstance(container, str):
+        return holds.release(container, by)
+    known_length = for_s is None or (isinstance(for_s, (int, float)) and not isinstance(for_s, bool))
+    if request.keys() != {"do", "container", "for_s", "reason"} or request["do"] != "hold" or not known_length:
+        raise ValueError
+    if not isinstance(container, str) or not isinstance(reason, str):
+        raise ValueError
+    return holds.hold(container, for_s, reason, by)
 
 
 def _user(peer: socket.socket) -> int:

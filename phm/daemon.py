@@ -31,6 +31,8 @@ from phm.recovery.armed import ArmedMonitor
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.critical import critical_containers
 from phm.recovery.executor import Executor, NotNow
+from phm.recovery.hold_service import HoldService, HoldWorld
+from phm.recovery.holds import Holds
 from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
 from phm.reporters.base import Reporter, ReporterContext
@@ -85,10 +87,13 @@ class Daemon:
         self.pipeline.attach(self.engine.wake_units, self.beat_soon)
         self.reporters = Installed(self.bus)
         self.executor: Executor | None = None
+        self._held = Holds()
         self.control: Control | None = None
         self.desk: Desk | None = None
         timeout_s = settings.mavlink.autopilot_timeout
         self.armed = ArmedMonitor(self.parts.world.links.autopilot, timeout_s, self.clock)
+        world = HoldWorld(self.armed.now, self.parts.world.docker.container, self._acting_on)
+        self.holds = HoldService(settings, self._held, self.pipeline, self.bus.publish, self.clock, world)
         self.memory = Memory(settings, self.pipeline, self.bus, self.clock, self.armed)
         self._looks = self._stalled = 0
         self.own_problems: list[Callable[[], str]] = [threads.problem]
@@ -137,6 +142,7 @@ class Daemon:
             if part is not None:
                 closing.step(name, part.close, 0.5)
         if self.executor is not None:
+            self.holds.close()
             self.executor.stop()
         self.engine.end()
         self.parts.engine.close()  # cuts the calls that checks and actions wait for
@@ -181,6 +187,8 @@ class Daemon:
 
     def _docker_event(self, event: DockerEvent) -> None:
         self.pipeline.note("DOCKER", str(event))
+        if event.kind == "container":
+            self.holds.happened(event.key, "start" if event.begins_life else event.action, event.detail)
         if event.end_s:
             self.pipeline.expect_end(event.key, event.end_s)
         if event.ends_life:
@@ -210,7 +218,7 @@ class Daemon:
         return ReporterContext(
             self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink,
             restored=self.pipeline.open_faults(), ros=self.parts.ros, swarm=self.parts.world.swarm, pilot=self._pilot_heard,
-            radio=self._radio_heard,
+            radio=self._radio_heard, holds=self.holds.snapshot,
         )  # fmt: skip
 
     def _start_recovery(self) -> None:
@@ -218,12 +226,13 @@ class Daemon:
         graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
         shop = Shop(
             self.pipeline, self._publish_action, self.clock, actions, self._action_context(),
-            self.armed.now, lambda unit: graces.get(unit, 0.0), self.plan.below,
+            self.armed.now, lambda unit: graces.get(unit, 0.0), self.plan.below, self._held,
         )  # fmt: skip
         self.executor = Executor(shop)
         self.memory.resume(self.executor)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
-        self.control = Control(self.settings.run_dir, self.executor.approve, self.pipeline.note)
+        self.control = Control(self.settings.run_dir, self.executor.approve, self.pipeline.note, self.holds)
+        self.holds.start()
         self.control.start()
         self._start_desk(self.executor)
 
@@ -249,14 +258,22 @@ class Daemon:
         docker = self.parts.world.docker
         return ActionContext(
             self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
-            listed_nodes=lambda: self.parts.world.ros.look().nodes, reopen=self.parts.reopen,
-            age_s=self.clock.age_s,
+            listed_nodes=lambda: self.parts.world.ros.look().nodes, reopen=self.parts.reopen, age_s=self.clock.age_s,
+            on_hold=self._hold_words,
         )  # fmt: skip
 
     def _publish_action(self, event: Event) -> None:
         self.bus.publish(event)
         if isinstance(event, ActionEvent) and event.phase is Phase.DONE and event.action == "join":
             self.parts.renew_ros("PHM joined a network")
+
+    def _acting_on(self, container: str) -> bool:
+        return self.executor is not None and self.executor.acting_on(container)
+
+    def _hold_words(self, container: str) -> str:
+        now = self.clock.stamp()
+        hold = self._held.on(container, now.mono)
+        return hold.words(now) if hold is not None else ""
 
     def _radio_heard(self) -> bool:
         """As the radio's check, a radio counts as silent after two and a half of its own pauses."""

@@ -137,6 +137,8 @@ class ContainerFact:
     stop_timeout_s: float | None = None
     """How long the engine then waits before SIGKILL, as the container asks for it (`stop_grace_period`,
     `--stop-timeout`); negative: for ever; None: the engine's default, 10 s."""
+    maintenance: str = ""
+    """The label `phm.maintenance`: a time in which the container is on hold (`phm.maintenance`)."""
 
     @property
     def running(self) -> bool:

@@ -16,6 +16,8 @@ LIFE = "life"
 """The value by which a unit with a target says which life of that container it saw (`ContainerFact.life`)."""
 CERTAIN = "certain"
 """The value True says that time would not change what is wrong: grace, which is for incomplete pictures, need not end first."""
+ON_HOLD = "on_hold"
+"""The condition of a STALE unit whose target is on hold: it is bad, on purpose, and no fault."""
 NEVER_WELL = "never_well"
 """The value by which a check that can tell says whether what is wrong was ever well in this life of its container."""
 
@@ -255,7 +257,24 @@ class Report:
     missing: tuple[str, ...] = ()
 
 
-Event = Transition | FaultOpened | FaultClosed | ActionEvent | Note | ReportStarted | Report
+@dataclass(frozen=True, slots=True)
+class HoldChanged:
+    """A hold has begun, or ended (`began` false).
+
+    target: key of the container; empty: all. by, reason: whose it is and why. left_s: how long it is to last, or would have.
+    text: a sentence for the log.
+    """
+
+    at: Stamp
+    target: str
+    began: bool
+    by: str
+    reason: str
+    left_s: float
+    text: str
+
+
+Event = Transition | FaultOpened | FaultClosed | ActionEvent | HoldChanged | Note | ReportStarted | Report
 
 
 def worst_by_slot(units: tuple[UnitState, ...]) -> dict[Slot, Level]:

@@ -110,6 +110,18 @@ class Pipeline:
     def discredit(self, unit: str) -> None:
         self._apply(lambda now: self._tracker.discredit(unit))
 
+    def acting_on(self, target: str) -> str:
+        """The action of recovery that is at work on the target; empty: none."""
+        with self._lock:
+            return self._tracker.acting_on(target)
+
+    def pause(self, target: str, words: str, conditions: frozenset[str] = frozenset()) -> None:
+        """The target is on hold: see `Tracker.pause`."""
+        self._apply(lambda now: self._tracker.pause(target, words, conditions, now))
+
+    def resume(self, target: str) -> None:
+        self._apply(lambda now: self._tracker.resume(target, now))
+
     def expect_end(self, target: str, at_most_s: float) -> None:
         """The container has got a signal to end (`docker stop`): see `Tracker.expect_end`."""
         self._apply(lambda now: self._tracker.expect_end(target, now, at_most_s))

@@ -14,6 +14,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, field_validator
 
+from phm.maintenance import parse as parse_window
+
 _UNITS: dict[str, dict[str, float]] = {
     "duration": {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0},
     "size": {"B": 1, "kB": 1e3, "KB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30},
@@ -443,6 +445,56 @@ class HostSettings(Section):
     """Where the host's /dev is mounted in PHM's container (docker/compose.yaml: /host/dev)."""
 
 
+class ManualStopSettings(Section):
+    """What a stop that came from an operator (`docker stop`, `docker compose stop`, `down`) means."""
+
+    ground: Literal["heal", "advise", "respect"] = "respect"
+    """While the autopilot reports that it is disarmed."""
+    air: Literal["heal", "advise", "respect"] = "heal"
+    """While it is armed, or its armed state is not known."""
+
+
+def _for_both(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    if value not in _RULE["enum"]:
+        raise ValueError(
+            f"{value[:60]!r} is not a rule: allowed are heal, advise and respect, or one each for ground and air"
+        )
+    return {"ground": value, "air": value}
+
+
+_RULE: dict[str, Any] = {"enum": ["heal", "advise", "respect"], "type": "string"}
+ManualStop = Annotated[
+    ManualStopSettings,
+    BeforeValidator(_for_both),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                _RULE,
+                {"type": "object", "properties": {"ground": _RULE, "air": _RULE}, "additionalProperties": False},
+            ]
+        }
+    ),
+]
+
+
+def _window(value: str) -> str:
+    parse_window(value)
+    return value
+
+
+class MaintenanceSettings(Section):
+    """A time in which a container, or all, is on hold; not while the autopilot is armed."""
+
+    when: Annotated[str, AfterValidator(_window)]
+    """`[DAYS or DATE] HH:MM-HH:MM` in UTC, e.g. `sun 02:00-04:00`, `mon-fri 12:00-12:30`, `2026-11-22 22:00-01:00`."""
+    container: Name | None = None
+    """Key of the container; default: all."""
+    reason: Annotated[str, Field(max_length=200)] = ""
+    """Shown with the hold."""
+
+
 class RecoverySettings(Section):
     """What PHM may do about faults. Only containers with `recover: true` are ever touched."""
 
@@ -468,6 +520,15 @@ class RecoverySettings(Section):
     or a node must have run twice, before anything is done about it."""
     approval: Annotated[Seconds, Field(ge=5, le=600)] = 60.0
     """Seconds for which an approval holds; what could not be done by then must be approved again."""
+    on_manual_stop: ManualStop = ManualStopSettings()
+    """What is done about a container that an operator stopped or removed. `heal`: as about a failure; `advise`: an alarm, and what
+    would help is only recommended; `respect`: it is on hold. One word, or one each for `ground` and `air`."""
+    hold: Annotated[Seconds, Field(ge=1, le=86400)] = 600.0
+    """How long a hold lasts without `phm hold --for`, and after a stop that is respected."""
+    hold_max: Annotated[Seconds, Field(ge=1, le=86400)] = 14400.0
+    """The longest hold that `phm hold` grants."""
+    maintenance: Annotated[list[MaintenanceSettings], Field(max_length=16)] = Field(default_factory=list)
+    """Times in which containers are on hold. The label `phm.maintenance` of a container does the same for it."""
     ladders: dict[str, list[str]] = Field(default_factory=dict)
     """Per condition, the actions in order, replacing the built-in ladder, e.g. `unhealthy: [restart]`."""
 

@@ -27,6 +27,8 @@ VERBS = {
     "status": "Show how the running daemon and its agent do.",
     "faults": "List open and recent faults, or one with its timeline.",
     "approve": "Say yes to the action that PHM advises for an open fault.",
+    "hold": "Keep recovery from a container, or from all, for a while.",
+    "release": "End a hold.",
     "note": "Write a line into the running daemon's log.",
     "proxy-rules": "Print proxy rules that allow only the calls PHM makes.",
     "gcs": "Show how all agents are, as a ground station hears them.",

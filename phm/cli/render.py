@@ -120,6 +120,7 @@ def _status(document: Json, problem: str) -> RenderableType:
     parts: list[RenderableType] = [_head(document)]
     if problem:
         parts.append(Text(f"{problem} What follows is old.", "bold red"))
+    parts += [_plain(_hold(hold), "cyan") for hold in document.get("holds", ())]
     faults = document.get("faults", {})
     parts.append(_faults(faults.get("open", ()), faults.get("closed", ())))
     parts += [_units(document.get("checks", ())), _array(document)]
@@ -135,6 +136,13 @@ def _head(document: Json) -> Text:
     line += f", written {document.get('written_utc')}"
     line += f", status word 0x{word:08X}" if isinstance(word, int) else ""
     return _plain(line, "bold")
+
+
+def _hold(hold: Json) -> str:
+    reason = f": {hold['reason']}" if hold["reason"] else ""
+    until = str(hold["until"])[11:19]
+    what = hold["container"] or "every container"
+    return f"on hold: {what} until {until} UTC ({_duration(hold['left_s'])} left) by {hold['by']}{reason}"
 
 
 def _faults(opened: Sequence[Json], closed: Sequence[Json]) -> RenderableType:

@@ -171,7 +171,7 @@ def ros_names_stand_once(root: View) -> None:
             no_twins("node", ((bare(place.text), place) for place in topic.get(key).texts))
 
 
-def ros_containers_exist(root: View) -> None:
+def named_containers_exist(root: View) -> None:
     known = {container_key(container): container for container in root.get("containers").records()}
     known.pop("", None)
     for key in ("nodes", "topics"):
@@ -179,6 +179,9 @@ def ros_containers_exist(root: View) -> None:
             place = entry.get("container")
             if place.text:
                 _configured(place, known)
+    for window in root.get("recovery", "maintenance").records():
+        if window.get("container").text:
+            _configured(window.get("container"), known)
 
 
 def topic_nodes_exist(root: View) -> None:
@@ -268,6 +271,9 @@ def limits_are_in_order(root: View) -> None:
             in_order(topic.get("tolerance"), topic.get("error_tolerance"), Percent, (tolerance, tolerance))
     pair = root.get("recovery", "backoff"), root.get("recovery", "backoff_max")
     in_order(*pair, Seconds, (recovery.backoff, recovery.backoff_max))
+    in_order(
+        root.get("recovery", "hold"), root.get("recovery", "hold_max"), Seconds, (recovery.hold, recovery.hold_max)
+    )
 
 
 def in_order(low: View, high: View, kind: object, defaults: tuple[float, float]) -> None:
@@ -352,7 +358,8 @@ def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
 
 RULES: tuple[Callable[[View], None], ...] = (
     containers_have_one_identity, containers_are_told_apart, container_parts_stand_once, containers_start_in_order,
-    absent_files_have_no_copy, repairs_are_opted_in, flight_critical_is_known_to_be, ros_names_stand_once, ros_containers_exist, relaunch_has_a_container,
+    absent_files_have_no_copy, repairs_are_opted_in, flight_critical_is_known_to_be, ros_names_stand_once,
+    named_containers_exist, relaunch_has_a_container,
     topic_nodes_exist, diagnostics_are_known, own_topics_have_no_rate, endpoints_are_told_apart,
     link_ids_are_told_apart, limits_are_in_order, disks_stand_once,
     fleet_rules.fleet_can_be_told, fleet_rules.fleet_modes_fit, fleet_rules.fleet_certificates_are_of_use,

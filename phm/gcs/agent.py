@@ -61,6 +61,8 @@ class Agent:
     """Why its status word says nothing to this program."""
     partial: bool = False
     """Its last refresh said that not everything is known."""
+    on_hold: bool = False
+    """By its lines: what is not known is on hold, or a hold has begun and is not over."""
     told: Told | None = None
     bad: dict[int, OrderedDict[str, Bad]] = field(default_factory=dict)
     """By slot, then by text, oldest first."""
@@ -111,9 +113,13 @@ class Agent:
     def line(self, line: Line, at: Stamp) -> None:
         """Take over a line of its own."""
         if line.kind is Kind.REFRESH:
-            self.partial = line.word == "STALE"
+            self.partial = line.word in ("STALE", "HOLD")
+            if line.level is None:
+                self.on_hold = line.word == "HOLD"
             if line.word == "OK":
                 self.bad.clear()
+        elif line.word == "HOLD":
+            self.on_hold = not line.text.endswith(" over")
         if line.level is not None:
             self._worse(line, line.level, at)
         elif line.over:

@@ -10,10 +10,10 @@ from phm.model import Level
 
 _AGENT = r"A(?P<agent>0[1-9]|[1-9][0-9]{1,2})"
 _REFRESH = re.compile(
-    rf"{_AGENT} (?P<word>FAIL|WARN|OK|STALE) (?P<array>[01-]{{8}})(?: (?P<slot>[0-9]{{1,2}})(?: (?P<text>.+))?)?"
+    rf"{_AGENT} (?P<word>FAIL|WARN|OK|STALE|HOLD) (?P<array>[01-]{{8}})(?: (?P<slot>[0-9]{{1,2}})(?: (?P<text>.+))?)?"
 )
 _CHANGE = re.compile(
-    rf"{_AGENT} (?P<word>FAIL|WARN|OK|ADVISE|APPROVED|EXPIRED|GAVE UP) (?P<slot>[0-9]{{1,2}})(?: (?P<text>.+))?"
+    rf"{_AGENT} (?P<word>FAIL|WARN|OK|HOLD|ADVISE|APPROVED|EXPIRED|GAVE UP) (?P<slot>[0-9]{{1,2}})(?: (?P<text>.+))?"
 )
 _RELAY = re.compile(rf"{_AGENT} (?P<text>no GCS radio[,:] .*)")
 _SWARM = re.compile(r"SWARM (?P<well>[0-9]{1,3})/(?P<members>[0-9]{1,3}) (?P<word>OK|WARN|FAIL)(?: (?P<text>.+))?")

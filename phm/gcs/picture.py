@@ -71,12 +71,14 @@ def digest(said: Digest) -> dict[str, Any]:
 
 
 def how(agent: Agent, state: State) -> str:
-    """One word for an agent: OK, WARN, ERROR, STALE, BOOT, LOST, LEFT, UNKNOWN."""
+    """One word for an agent: OK, WARN, ERROR, STALE, HOLD, BOOT, LOST, LEFT, UNKNOWN."""
     if not state.there:
         return {State.LOST: "LOST", State.LEFT: "LEFT"}.get(state, UNKNOWN)
     worst = agent.worst
     if agent.state == BOOT and worst not in (Level.WARN, Level.ERROR):
         return "BOOT"
+    if agent.on_hold and worst in (Level.OK, Level.STALE):
+        return "HOLD"
     return UNKNOWN if worst is None else worst.name
 
 
@@ -120,7 +122,7 @@ def _agent(fleet: Fleet, look: Look, agent: Agent, now: float) -> dict[str, Any]
         "hears_ground": None if agent.deaf is None else not agent.deaf,
         "swarm_says": level.name if level not in (None, Level.STALE) else None,
         "pilot": pilot(aboard, now) if aboard is not None else None,
-        "restarts": agent.restarts, "problem": agent.problem or None,
+        "on_hold": agent.on_hold, "restarts": agent.restarts, "problem": agent.problem or None,
         "first_utc": iso(agent.first.utc) if agent.first else None,
         "last_utc": iso(agent.last.utc) if agent.last else None,
     }  # fmt: skip

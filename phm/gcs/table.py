@@ -23,10 +23,10 @@ LEGEND = "+ ok  W warn  E error  - not known or unused  ? not heard"
 _CELLS = {"OK": ("+", "green"), "WARN": ("W", "bold yellow"), "ERROR": ("E", "bold white on red")}
 _NOT_KNOWN, _NOT_HEARD = ("-", "dim"), ("?", "magenta")
 _STYLES = {
-    "OK": "green", "WARN": "yellow", "ERROR": "bold red", "STALE": "magenta", "BOOT": "cyan", "LOST": "bold red",
+    "OK": "green", "WARN": "yellow", "ERROR": "bold red", "STALE": "magenta", "HOLD": "cyan", "BOOT": "cyan", "LOST": "bold red",
     "LEFT": "dim", "UNKNOWN": "magenta",
 }  # fmt: skip
-_GRAVITY = ("ERROR", "LOST", "WARN", "UNKNOWN", "STALE", "BOOT", "LEFT", "OK")
+_GRAVITY = ("ERROR", "LOST", "WARN", "UNKNOWN", "STALE", "HOLD", "BOOT", "LEFT", "OK")
 _OTHERS = 8
 """Lines beside the rows of agents: header, legend, swarm, links, problems."""
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from phm.clock import Clock
 from phm.facts import Attachment, CannotTell, ContainerFact, DeviceMapping, HealthcheckFact, Mount
+from phm.maintenance import LABEL
 from phm.settings import ContainerSettings
 from phm.transport.docker import Engine, EngineMissing
 
@@ -95,6 +96,7 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         privileged=bool(host.get("Privileged")),
         stop_signal=_signal(_part(answer, "Config").get("StopSignal")),
         stop_timeout_s=_seconds(_part(answer, "Config").get("StopTimeout")),
+        maintenance=_text(_part(_part(answer, "Config"), "Labels").get(LABEL))[:_OUTPUT_CHARS],
     )
 
 

@@ -40,6 +40,8 @@ ENDLESS_STOP_S = 601.0
 """The same for a container that asks to be waited for without an end."""
 _DEADLY = ("2", "3", "15")
 _MAX_IDS = 1000
+REPLACES = "com.docker.compose.replace"
+"""Label by which Compose marks a container that it makes to take the place of another (seen with Compose 2.26)."""
 CONTAINER_ACTIONS = (
     "create", "start", "kill", "die", "stop", "restart", "pause", "unpause", "oom", "health_status", "destroy", "rename",
 )  # fmt: skip
@@ -54,7 +56,7 @@ class DockerEvent:
 
     kind:   container or network.
     key:    the container's key in the configuration, or the network's name.
-    action: one of CONTAINER_ACTIONS or NETWORK_ACTIONS.
+    action: one of CONTAINER_ACTIONS or NETWORK_ACTIONS, or ``replace``: Compose has made the one to take its place.
     detail: e.g. ``exit code 137``, ``unhealthy``, ``signal 15`` for kill (which `docker stop` sends first), or empty.
     container: for network events the key of the container concerned, when it is a configured one.
     lost:   the stream did not tell; the comparison found it.
@@ -203,7 +205,8 @@ class Watch:
         container_id = str(actor.get("ID", ""))
         key = self._key_of(container_id, attributes)
         if not key:
-            return None
+            replaced = self._replaced(attributes) if action == "create" else ""
+            return DockerEvent("container", replaced, "replace", "", self._clock.stamp()) if replaced else None
         with self._lock:
             self._touched[key] += 1
             if key in self._expected:
@@ -262,6 +265,20 @@ class Watch:
                     self._ids[container_id] = key
                     return key
             return self._ids.get(container_id, "")
+
+    def _replaced(self, attributes: Mapping[str, Any]) -> str:
+        """Key of the configured container in whose place Compose has made this one; it has another name until the old one is gone.
+
+        The label holds the id of the old container, or by the version its name, or that without the project.
+        """
+        old = str(attributes.get(REPLACES, ""))
+        if not old:
+            return ""
+        with self._lock:
+            if old in self._ids:
+                return self._ids[old]
+        named = (entry for entry in self._containers.values() if entry.name)
+        return next((entry.key for entry in named if entry.name == old or str(entry.name).endswith(f"-{old}")), "")
 
     # ------------------------------------------------------------ the comparison
 

@@ -24,7 +24,7 @@ def announce(decision: Decision, target: str, container: ContainerSettings | Non
     if isinstance(decision, Advise):
         return Announcement(decision.action, Phase.ADVISED, f"advised: {decision.action} {target} ({decision.why})")
     if isinstance(decision, Wait) and decision.tell:
-        return Announcement("wait", Phase.REFUSED, f"{target} is left alone for now: {decision.why}")
+        return Announcement(decision.subject, Phase.REFUSED, f"{target} is left alone for now: {decision.why}")
     if isinstance(decision, GiveUp):
         named = container.name if container is not None else None
         step = disks.by_hand(target) if disks.path_of(target) else links.by_hand(target, named)

@@ -74,6 +74,7 @@ class ActionContext:
     autopilot:  the vehicle's autopilot now, or None when it was never received.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
     age_s:      seconds since something was stamped (UTC), whatever the clock did since; None: not possible (`phm.clock.Steps`).
+    on_hold:    until when and why nothing may be done to a container; empty: it is not on hold.
     holding:    while it is entered, what breaks in that other container follows from this fault's repair.
     """
 
@@ -89,6 +90,7 @@ class ActionContext:
     age_s: Callable[[float], float | None] = _unknown_age
     reopen: Callable[[str, float], bool] = _no_link
     holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
+    on_hold: Callable[[str], str] = lambda key: ""
 
 
 class Action(ABC):

@@ -23,6 +23,8 @@ class Case:
     proof_from: float | None = None
     """Restored, or the container was started again by others: nothing is done before a run that began after this
     (monotonic seconds) has found the unit in ERROR."""
+    on_hold: bool = False
+    """Its container was on hold when it was last looked at."""
     cut_short: bool = False
     """Restored, with an action under way: the target is held until it is healed or acted on anew."""
 

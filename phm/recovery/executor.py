@@ -27,6 +27,7 @@ class Executor:
         self._histories: dict[str, History] = {}
         self._given_up: dict[str, Fault] = {}
         self._lock = threading.Lock()
+        shop.holds.changed = self._wake_all
 
     @staticmethod
     def key(event: Event) -> tuple[str, str]:
@@ -52,6 +53,12 @@ class Executor:
             fault = self._given_up.pop(event.unit, None)
             if fault is not None:
                 self._recovered(fault)
+
+    def _wake_all(self) -> None:
+        with self._lock:
+            workers = tuple(self._workers.values())
+        for worker in workers:
+            worker.wake()
 
     def _recovered(self, fault: Fault) -> None:
         """What is well again may be what others waited for, who are told so; one attempt's proof reaches that far back."""
@@ -104,6 +111,7 @@ class Executor:
         acting = {**state.recovery.unfinished, **{target: target for target in state.recovery.under_way}}
         for key, who in acting.items():
             self._shop.lives.unfinished(key, who)
+        self._shop.holds.restore(state.recovery.holds, state.recovery.stops)
         for fault in self._shop.pipeline.given_up():
             self._given_up[fault.unit] = fault
             if fault.result.target:
@@ -129,8 +137,11 @@ class Executor:
             if action is not None:
                 under_way[target] = action
         made = {target: tried for target, tried in attempts.items() if tried}
-        lives = self._shop.lives
-        return RecoveryState(made, cases, under_way, lives.kept(), unfinished=lives.unfinished_now())
+        lives, holds = self._shop.lives, self._shop.holds
+        return RecoveryState(
+            made, cases, under_way, lives.kept(), unfinished=lives.unfinished_now(),
+            holds=holds.kept(self._shop.clock.mono()), stops=holds.stops(),
+        )  # fmt: skip
 
     # ------------------------------------------------------------ the operator's hand
 
@@ -147,6 +158,10 @@ class Executor:
         if worker is None:
             raise NotApprovable(f"{fault_id} ({fault.unit}) is only reported: no container can be acted on for it")
         return worker.approve(fault_id)
+
+    def acting_on(self, target: str) -> bool:
+        """Whether what the engine does to it may be PHM's doing: an action at work, or a call without an answer."""
+        return target in self._shop.lives.unfinished_now()
 
     def restart(self, target: str, by: str) -> str:
         """An operator wants a container restarted; what will be done. Raises NotAllowed, and NotNow when it may be later."""

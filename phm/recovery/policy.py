@@ -2,7 +2,8 @@
 
 Rules, first match wins: no ladder for the condition -> nothing; never well in this life of its container, where
 only that gives hope -> nothing; mode off -> nothing; not opted in ->
-nothing; the same failure `same_failure` times -> give up and say so; forbidden while armed -> advise; mode
+nothing; on hold -> wait until its end; the same failure `same_failure` times -> give up and say so; forbidden while armed
+-> advise; stopped by hand where that is only advised about -> advise; mode
 advise -> advise; budget used up -> wait, and say so; back-off not over -> wait; else the rung of the ladder that
 follows the number of failed attempts. Actions on PHM's own container and links are bound by budget and back-off alone.
 """
@@ -16,6 +17,7 @@ from phm.model import NEVER_WELL, Fault
 from phm.recovery.history import Attempt, History
 from phm.settings import ContainerSettings, RecoverySettings
 
+HOLD = "hold"
 CLEAN_S = 600.0
 """After this long without an attempt, back-off starts anew (the issue's figure: 10 minutes)."""
 
@@ -84,9 +86,12 @@ class Advise:
 
 @dataclass(frozen=True, slots=True)
 class Wait:
+    """subject: what it is published as, each once."""
+
     until: float
     why: str
     tell: bool = False
+    subject: str = "wait"
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +123,8 @@ def decide(
     approved: bool = False,
     usable: frozenset[str] | None = None,
     start_s: float = 8.0,
+    hold: tuple[float, str] | None = None,
+    stopped_by_hand: bool = False,
 ) -> Decision:
     """What to do about `fault` at `now` (monotonic seconds).
 
@@ -125,6 +132,8 @@ def decide(
     approved: an operator has approved this action: mode advise and the armed state no longer hold it back.
     free_actions: actions on PHM's own container and links; they endanger nobody, so mode, opt-in and arming do not bind them.
     usable: the actions that apply to this fault; other rungs are left out. None: all.
+    hold: until when (monotonic seconds) the container is on hold, and that in words; None: it is not.
+    stopped_by_hand: an operator stopped the container, and then PHM only advises (`recovery.on_manual_stop`).
     start_s: how long the parts of a container may take to come up (`ros.grace`).
     """
     condition = fault.result.condition
@@ -135,12 +144,9 @@ def decide(
     same = _same_failures(history, fault, now, settings.verify)
     action = _rung(ladder, condition, same, settings)
     if action not in free_actions:
-        if settings.mode == "off":
-            return Leave("recovery is off")
-        if container is None:
-            return Leave("no container to act on")
-        if not container.recover:
-            return Leave(f"{container.key} has not opted in (recover: true)")
+        refused = _refused(container, settings, hold)
+        if refused is not None:
+            return refused
     if len(same) >= (1 if _once(condition, settings) else settings.same_failure):
         return GiveUp(action, _in_vain(len(same)))
     if condition in PATIENT and now < fault.opened.mono + settings.patience:
@@ -149,6 +155,8 @@ def decide(
     forbidden = forbids(action) if bound else ""
     if forbidden:
         return Advise(action, forbidden, again_at=now + ARMED_AGAIN_S)
+    if bound and stopped_by_hand:
+        return Advise(action, "it was stopped by hand, recovery.on_manual_stop is advise")
     if bound and settings.mode == "advise":
         return Advise(action, "recovery only advises")
     recent = history.within(now - settings.window)
@@ -158,6 +166,19 @@ def decide(
     if now < ready:
         return Wait(ready, "backing off")
     return Act(action, len(same) + 1)
+
+
+def _refused(
+    container: ContainerSettings | None, settings: RecoverySettings, hold: tuple[float, str] | None
+) -> Leave | Wait | None:
+    """Why nothing may be done to the container, whatever is wrong with it."""
+    if settings.mode == "off":
+        return Leave("recovery is off")
+    if container is None:
+        return Leave("no container to act on")
+    if not container.recover:
+        return Leave(f"{container.key} has not opted in (recover: true)")
+    return Wait(hold[0], hold[1], tell=True, subject=HOLD) if hold is not None else None
 
 
 def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:

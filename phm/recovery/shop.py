@@ -12,6 +12,7 @@ from phm.recovery.armed import Armed
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.critical import Reach, Safeguard
 from phm.recovery.hands import Hands
+from phm.recovery.holds import Holds
 from phm.recovery.lives import Lives
 from phm.recovery.policy import ladder_of
 from phm.settings import ContainerSettings
@@ -38,6 +39,7 @@ class Shop:
     armed: Callable[[], Armed]
     grace_s: Callable[[str], float]
     below: Callable[[str], Mapping[str, frozenset[str]]] = _nothing_below
+    holds: Holds = field(default_factory=Holds)
     hands: Hands = field(init=False)
     lives: Lives = field(init=False)
     safeguard: Safeguard = field(init=False)

@@ -14,6 +14,7 @@ from typing import Any
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.armed import LastKnown
 from phm.recovery.history import KEPT, Attempt
+from phm.recovery.holds import MAX_HOLDS, Hold, KeptHold, carried
 from phm.recovery.lives import Life
 from phm.recovery.policy import CLEAN_S
 
@@ -66,6 +67,9 @@ class RecoveryState:
     armed: LastKnown | None = None
     """The last certain armed state of the vehicle."""
     unfinished: Mapping[str, str] = field(default_factory=dict)
+    holds: tuple[KeptHold, ...] = ()
+    stops: tuple[str, ...] = ()
+    """Containers that an operator stopped, where PHM only advises then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +107,8 @@ def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
             target: {"fault": action.fault, "attempt": _attempt(action.attempt, now)}
             for target, action in list(recovery.under_way.items())[:MAX_TARGETS]
         },
+        "stops": list(recovery.stops[:MAX_TARGETS]),
+        "holds": [_hold(kept) for kept in recovery.holds[:MAX_HOLDS]],
         "lives": {target: _life(life, now) for target, life in list(recovery.lives.items())[:MAX_TARGETS]},
         "armed": None if recovery.armed is None else _last_known(recovery.armed, now),
         "unfinished": dict(list(recovery.unfinished.items())[:MAX_TARGETS]),
@@ -168,6 +174,8 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
                 str(key)[:MAX_TEXT]: str(who)[:MAX_TEXT]
                 for key, who in list(document.get("unfinished", {}).items())[:MAX_TARGETS]
             },
+            tuple(_read_hold(body, now, same_boot=same) for body in document.get("holds", [])[:MAX_HOLDS]),
+            tuple(str(key)[:MAX_TEXT] for key in document.get("stops", [])[:MAX_TARGETS]),
         )
         faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
         return State(faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery)
@@ -209,6 +217,25 @@ def _life(life: Life, now: Stamp) -> dict[str, Any]:
 
 def _last_known(last: LastKnown, now: Stamp) -> dict[str, Any]:
     return {"armed": last.armed, "since": _moment(last.since, now)}
+
+
+def _hold(kept: KeptHold) -> dict[str, Any]:
+    hold = kept.hold
+    return {
+        "target": hold.target, "source": hold.source, "until_mono": hold.until, "left_s": kept.left_s, "by": hold.by,
+        "reason": hold.reason, "occurrence": hold.occurrence,
+    }  # fmt: skip
+
+
+def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> KeptHold:
+    target, source, by, reason, occurrence = (
+        str(body[key])[:MAX_TEXT] for key in ("target", "source", "by", "reason", "occurrence")
+    )
+    until, left_s = float(body["until_mono"]), float(body["left_s"])
+    if not (abs(until) < 1e12 and abs(left_s) < 1e12):
+        raise ValueError("the end of a hold is no time")
+    hold = carried(Hold(target, source, until, by, reason, occurrence), left_s, now.mono, same_boot=same_boot)
+    return KeptHold(hold, hold.until - now.mono)
 
 
 def _attempt(attempt: Attempt, now: Stamp) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from phm.clock import Clock
-from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened
+from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, HoldChanged
 from phm.pipeline import Pipeline
 from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
 from phm.wire.status_file import place
@@ -99,7 +99,7 @@ class StateFile:
 class Keeper:
     """A subscriber of the bus that keeps the file as things are. All but `problem` runs in the bus's thread."""
 
-    kinds = (FaultOpened, FaultClosed, ActionEvent)
+    kinds = (FaultOpened, FaultClosed, ActionEvent, HoldChanged)
     period_s = 1.0
 
     def __init__(

@@ -6,10 +6,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Collection, Iterable
 
+from phm.model import Phase
 from phm.recovery.cases import Case
 from phm.recovery.history import History
 from phm.recovery.lives import Life, by_phm
-from phm.recovery.policy import CLEAN_S
+from phm.recovery.policy import CLEAN_S, HOLD
 from phm.recovery.shop import Shop
 
 
@@ -59,6 +60,14 @@ class Surroundings:
             waits = overtaken or (restarted and case.fault.id != mine.fault.id)
             proof_from = now + (self._shop.grace_s(case.fault.unit) if waits else 0.0)
             case.proof_from = max(proof_from, case.proof_from or proof_from)
+
+    def note_hold(self, case: Case) -> None:
+        """After a hold nothing is done before a fresh run has found the unit in ERROR."""
+        held, now = case.on_hold, self._shop.clock.mono()
+        case.on_hold = self._shop.holds.on(self._target, now) is not None
+        if held and not case.on_hold:
+            case.told.discard(f"{Phase.REFUSED.value} {HOLD}")
+            case.proof_from = now if case.proof_from is None else max(now, case.proof_from)
 
     def unproven_from(self, case: Case) -> float | None:
         """A run that begins after this must find the unit in ERROR before anything is done; None: one has."""

@@ -139,6 +139,10 @@ class TargetWorker:
         self._wake.set()
         return f"restart {self._target}, asked for by {by}"
 
+    def wake(self) -> None:
+        """Something that decisions depend on has changed."""
+        self._wake.set()
+
     def stop(self) -> None:
         self._stopping = True
         self._wake.set()
@@ -147,8 +151,12 @@ class TargetWorker:
 
     def _permit(self) -> None:
         shop = self._shop
-        settings, forbidden = shop.context.settings.recovery, shop.forbids(self._target, "restart")
-        permit(self._container, self._history, shop.clock.mono(), forbidden=forbidden, settings=settings)
+        settings, now = shop.context.settings.recovery, shop.clock.stamp()
+        hold = shop.holds.on(self._target, now.mono)
+        if hold is not None:
+            raise NotNow(f"{self._target} is {hold.words(now)}")
+        forbidden = shop.forbids(self._target, "restart")
+        permit(self._container, self._history, now.mono, forbidden=forbidden, settings=settings)
 
     def _as_asked(self, asked: Case) -> float:
         """As `_perform`. Judged again: the autopilot may have been armed since, or another action used the budget up."""
@@ -187,6 +195,7 @@ class TargetWorker:
             waits += self._check_approval(case)
             if case.refused:
                 continue
+            self._around.note_hold(case)
             proof_from = self._around.unproven_from(case)
             if proof_from is not None:
                 waits.append(self._wait_for_proof(case.fault.unit, proof_from))
@@ -227,11 +236,12 @@ class TargetWorker:
         return PROOF_S
 
     def _decide(self, fault: Fault, *, approved: bool) -> Decision:
-        shop = self._shop
+        shop, now = self._shop, self._shop.clock.stamp()
+        hold = shop.holds.on(self._target, now.mono)
         return decide(
             fault,
             self._history,
-            shop.clock.mono(),
+            now.mono,
             container=self._container,
             forbids=partial(shop.forbids, self._target),
             settings=shop.context.settings.recovery,
@@ -239,6 +249,8 @@ class TargetWorker:
             usable=shop.usable(self._container, fault),
             start_s=shop.context.settings.ros.grace,
             approved=approved,
+            hold=(hold.until, hold.words(now)) if hold is not None else None,
+            stopped_by_hand=shop.holds.stopped_by_hand(self._target),
         )
 
     def _say(self, case: Case, decision: Decision) -> float | None:

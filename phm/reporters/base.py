@@ -57,6 +57,7 @@ class ReporterContext:
     alive:  False when the engine has stalled; a dead man's switch for heartbeats.
     health: a snapshot of PHM's own condition for `phm status` (JSON-able).
     swarm:  the other agents. pilot: whether this agent's autopilot is heard.
+    holds: what is on hold, as in `phm status --json`.
     restored: faults that were open before PHM was started again, and were told then.
     """
 
@@ -72,6 +73,7 @@ class ReporterContext:
     swarm: SwarmProbe | None = None
     pilot: Callable[[], bool] | None = None
     radio: Callable[[], bool] | None = None
+    holds: Callable[[], list[dict[str, Any]]] = list
 
 
 class Reporter(ABC):

@@ -15,6 +15,7 @@ from phm.model import (
     Fault,
     FaultClosed,
     FaultOpened,
+    HoldChanged,
     Level,
     Note,
     Outcome,
@@ -32,7 +33,7 @@ from phm.wire.text import one_line
 MAX_BYTES = 8000
 """A line is cut here: text from outside is not bounded, and a line must fit into the smallest log."""
 
-NOTE_KINDS = ("ACTION", "COMMAND", "DOCKER", "INJECT", "PHM")
+NOTE_KINDS = ("ACTION", "COMMAND", "DOCKER", "HOLD", "INJECT", "PHM")
 _KINDS = {Level.OK: "SUCCESS", Level.WARN: "WARNING", Level.ERROR: "FAILURE", Level.STALE: "STALE"}
 # How several well units of one check read as one line: what they are, and what is well about them.
 _WELL = {
@@ -101,6 +102,8 @@ class TextLines:
         elif isinstance(event, FaultClosed):
             self._faults.pop(event.fault.unit, None)
             yield from self._closed(event)
+        elif isinstance(event, HoldChanged):
+            yield _line(event.at, "HOLD", None, event.text)
         elif isinstance(event, Note):
             yield _line(event.at, note_kind(event.kind), None, event.text)
 

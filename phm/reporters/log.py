@@ -17,6 +17,7 @@ from phm.model import (
     Event,
     FaultClosed,
     FaultOpened,
+    HoldChanged,
     Note,
     Report,
     ReportStarted,
@@ -106,6 +107,8 @@ class Log(Reporter):
             yield (at, "fault_closed", closed_kind(event.fault.outcome), fault_json(event.fault))
         elif isinstance(event, ActionEvent):
             yield (at, "action", "ESCALATED" if event.phase.value == "escalated" else "ACTION", self._action(event))
+        elif isinstance(event, HoldChanged):
+            yield at, "hold", "HOLD", _hold(event)
         elif isinstance(event, Note):
             yield at, "note", note_kind(event.kind), {"text": event.text}
         elif isinstance(event, ReportStarted):
@@ -133,6 +136,13 @@ class Log(Reporter):
 def _unit(state: UnitState) -> dict[str, Any]:
     body = unit_json(state)
     return {"unit": body.pop("id"), **body}
+
+
+def _hold(event: HoldChanged) -> dict[str, Any]:
+    return {
+        "target": event.target or None, "began": event.began, "by": event.by, "reason": event.reason,
+        "left_s": round(event.left_s, 1), "text": event.text,
+    }  # fmt: skip
 
 
 def _report(report: Report) -> dict[str, Any]:

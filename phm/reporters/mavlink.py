@@ -13,6 +13,7 @@ from phm.model import (
     Event,
     FaultClosed,
     FaultOpened,
+    HoldChanged,
     Report,
     Slot,
     Transition,
@@ -43,7 +44,7 @@ class Mavlink(Reporter):
 
     name = "mavlink"
     period_s: ClassVar[float | None] = 0.2
-    kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, Report)
+    kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, HoldChanged, Report)
 
     def __init__(self, context: ReporterContext, port: MavlinkPort) -> None:
         self._context, self._port = context, port
@@ -72,6 +73,8 @@ class Mavlink(Reporter):
             self._change(self._teller.fault(event), fault.slot, fault.result.brief or fault.unit)
         elif isinstance(event, ActionEvent):
             self._say(self._teller.action(event, {state.unit: state for state in self._context.states()}))
+        elif isinstance(event, HoldChanged):
+            self._say(self._teller.hold(event))
         elif isinstance(event, Report) and self._refresh_at is None:
             self._refresh_at = self._context.clock.mono()
 

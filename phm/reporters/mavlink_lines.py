@@ -9,7 +9,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from phm.model import ActionEvent, FaultClosed, FaultOpened, Level, Outcome, Phase, Transition, UnitState
+from phm.model import (
+    ON_HOLD,
+    ActionEvent,
+    FaultClosed,
+    FaultOpened,
+    HoldChanged,
+    Level,
+    Outcome,
+    Phase,
+    Slot,
+    Transition,
+    UnitState,
+)
 from phm.transport.mavlink_budget import Class
 from phm.wire import command, status_line
 from phm.wire.status_line import Severity
@@ -50,6 +62,8 @@ class Teller:
             return self._bad(state)
         if state.level is Level.OK and state.unit not in self._open:
             return self._over(state.unit, "")
+        if state.result.condition == ON_HOLD:
+            self._told.pop(state.unit, None)  # if it is still bad after the hold, that is said again
         return []  # STALE says nothing by itself; OK with an open fault is told when the fault closes, with who did it
 
     def fault(self, event: FaultOpened | FaultClosed) -> list[Line]:
@@ -61,6 +75,11 @@ class Teller:
         if fault.outcome is not Outcome.ESCALATED:
             self._asks.pop(fault.unit, None)
         return self._over(fault.unit, fault.by or "itself") if fault.outcome is Outcome.RESOLVED else []
+
+    def hold(self, event: HoldChanged) -> list[Line]:
+        for_s = event.left_s if event.began else None
+        text = status_line.hold(self._agent, Slot.CONTAINER, event.target, for_s, event.reason)
+        return [Line(f"hold {event.target}", Severity.NOTICE, text)]
 
     def action(self, event: ActionEvent, states: Mapping[str, UnitState]) -> list[Line]:
         """Only what asks something of the operator; what PHM did is told by what came of it."""

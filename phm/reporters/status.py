@@ -13,7 +13,17 @@ from collections import deque
 from typing import Any
 
 from phm import __version__
-from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Report, Transition, worst_by_slot
+from phm.model import (
+    ActionEvent,
+    Event,
+    Fault,
+    FaultClosed,
+    FaultOpened,
+    HoldChanged,
+    Report,
+    Transition,
+    worst_by_slot,
+)
 from phm.reporters.base import Reporter, ReporterContext
 from phm.wire import status_word
 from phm.wire.report import fault_json, iso, report_json
@@ -31,7 +41,7 @@ class Status(Reporter):
 
     name = "status"
     period_s = 2.0
-    kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, Report)
+    kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, HoldChanged, Report)
 
     def __init__(self, context: ReporterContext) -> None:
         self._context = context
@@ -106,6 +116,7 @@ class Status(Reporter):
             "interval_s": context.settings.interval,
             "alive": context.alive(),
             "status_word": status_word.encode(worst_by_slot(states)),
+            "holds": context.holds(),
             "faults": {"open": opened, "closed": [fault_json(fault) for fault in self._closed]},
             "health": context.health(),
         }

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from phm.model import CERTAIN, Level, Result
+from phm.model import CERTAIN, ON_HOLD, Level, Result
 from phm.tracker.units import Entry, Pending, Scene
 
 UNKNOWN_S = 10.0
@@ -83,8 +83,20 @@ def repair_at_work(look: Look) -> Verdict | None:
     return KEEP
 
 
+def on_hold(look: Look) -> Verdict | None:
+    """3. A bad result of a target on hold is STALE, with until when, by whom and why. An open fault stays open meanwhile."""
+    pause = look.scene.pauses.get(look.entry.target)
+    if pause is None or not look.result.level.bad:
+        return None
+    known = look.entry.fault is not None or look.entry.told_given_up
+    if pause.conditions and (known or look.result.condition not in pause.conditions):
+        return None
+    summary, brief = f"{pause.words}; {look.result.summary}", f"{look.entry.target} on hold"
+    return Verdict(replace(look.result, level=Level.STALE, summary=summary, brief=brief, condition=ON_HOLD))
+
+
 def consequence(look: Look) -> Verdict | None:
-    """3. A result that is not OK while something the unit needs is bad is a consequence: STALE `blocked_by` the first cause.
+    """4. A result that is not OK while something the unit needs is bad is a consequence: STALE `blocked_by` the first cause.
 
     If it had been told as a fault of its own, that fault is closed as reattributed.
     """
@@ -95,12 +107,12 @@ def consequence(look: Look) -> Verdict | None:
 
 
 def not_known(look: Look) -> Verdict | None:
-    """4. STALE is told at once and closes nothing: not knowing is no cure."""
+    """5. STALE is told at once and closes nothing: not knowing is no cure."""
     return Verdict(look.result) if look.result.level is Level.STALE else None
 
 
 def being_stopped(look: Look) -> Verdict | None:
-    """5. What breaks in a container that was given a signal to end and time for it goes with it, and is no fault.
+    """6. What breaks in a container that was given a signal to end and time for it goes with it, and is no fault.
 
     Until the container has ended, or its time for it is over. A fault that is open already goes on.
     """
@@ -114,7 +126,7 @@ def being_stopped(look: Look) -> Verdict | None:
 
 
 def grace(look: Look) -> Verdict | None:
-    """6. A bad result during grace is `not known yet`, unless its check is certain of it.
+    """7. A bad result during grace is `not known yet`, unless its check is certain of it.
 
     Grace ends early when the unit has been OK for SURE_S, or its `memory_s` where that is longer.
     What was seen before the grace began never counts again: the unit is run anew. It begins with PHM itself; after a
@@ -128,7 +140,7 @@ def grace(look: Look) -> Verdict | None:
 
 
 def settled(look: Look) -> Verdict:
-    """7. Otherwise everything that the unit needs is run again.
+    """8. Otherwise everything that the unit needs is run again.
 
     A bad result is told only when it was bad `failures` times in a row, has lasted `settle_s` (the result's own, or else
     its unit's), and each need, and with `settle_s` the unit too, has answered in a run that began after that. Needs that
@@ -159,7 +171,7 @@ def settled(look: Look) -> Verdict:
 
 
 RULES: tuple[Callable[[Look], Verdict | None], ...] = (
-    well, repair_at_work, consequence, not_known, being_stopped, grace, settled,
+    well, repair_at_work, on_hold, consequence, not_known, being_stopped, grace, settled,
 )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from phm.needs import Needs
 from phm.tracker.episodes import Episodes
 from phm.tracker.lives import Lives
 from phm.tracker.rules import SURE_S, judge, not_known_yet, too_early
-from phm.tracker.units import NEVER, Entry, Hold, Scene, Step, Tracked
+from phm.tracker.units import NEVER, Entry, Hold, Pause, Scene, Step, Tracked
 
 ITSELF = "itself"
 ASK_AGAIN_S = 1.0
@@ -33,7 +33,8 @@ class Tracker:
         self._holds: dict[str, Hold] = {}
         self._units: dict[str, Entry] = {}
         self._stops: dict[str, float] = {}
-        self._scene = Scene(self._units, self.needs, self._holds, self._stops)
+        self._pauses: dict[str, Pause] = {}
+        self._scene = Scene(self._units, self.needs, self._holds, self._stops, self._pauses)
         self._episodes = Episodes(self._scene, fault_prefix)
         self._lives = Lives()
         for entry in tracked:
@@ -192,6 +193,27 @@ class Tracker:
             entry.fault = replace(entry.fault, by="")
         return Step()
 
+    def acting_on(self, target: str) -> str:
+        """The action of recovery that is at work on the target; empty: none."""
+        hold = self._holds.get(target)
+        return hold.action if hold is not None else ""
+
+    def pause(self, target: str, words: str, conditions: frozenset[str], now: Stamp) -> Step:
+        """The target is on hold until `resume`: see `Pause`. A new pause takes the place of an old one."""
+        step = Step()
+        self._pauses[target] = Pause(words, conditions)
+        for entry in self._units.values():
+            if entry.target == target:
+                self._judge(entry, now, step)
+        return step
+
+    def resume(self, target: str, now: Stamp) -> Step:
+        """The hold is over: what is still bad is a fault as soon as a fresh run says so, after its grace."""
+        step = Step()
+        if self._pauses.pop(target, None) is not None:
+            self._fresh_start(target, now, step)
+        return step
+
     def expect_end(self, target: str, now: Stamp, at_most_s: float) -> Step:
         """The container has got a signal to end, and has so long to do it: its parts go first, and are no faults of their own.
 
@@ -288,8 +310,11 @@ class Tracker:
             causing.fault = replace(causing.fault, blocks=(*causing.fault.blocks, entry.id))
 
     def _release(self, target: str, now: Stamp, step: Step) -> None:
-        if self._holds.pop(target, None) is None:
-            return
+        if self._holds.pop(target, None) is not None:
+            self._fresh_start(target, now, step)
+
+    def _fresh_start(self, target: str, now: Stamp, step: Step) -> None:
+        """What was seen of the target, and of all that need it, no longer counts."""
         touched = [entry.id for entry in self._units.values() if entry.target == target]
         below = {name for unit in touched for name in self.needs.downstream(unit)}
         self._give_grace([*touched, *sorted(below.difference(touched))], now, step)

@@ -47,6 +47,17 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True)
+class Pause:
+    """A target is on hold: what is bad there is STALE with these words, and opens no fault.
+
+    conditions: only these are, and only where no fault is open: an end that may be part of a restart. Empty: all are.
+    """
+
+    words: str
+    conditions: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
 class Pending:
     """A bad result that waits to be told, since a moment (monotonic seconds)."""
 
@@ -152,13 +163,14 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """All units, who needs whom, by target the actions at work, and until when it is given time to end (monotonic seconds).
-    The tracker fills it, the rules only look."""
+    """All units, who needs whom, by target the actions at work, until when it is given time to end (monotonic seconds), and
+    the pauses. The tracker fills it, the rules only look."""
 
     units: Mapping[str, Entry]
     needs: Needs
     holds: Mapping[str, Hold]
     stops: Mapping[str, float] = field(default_factory=dict)
+    pauses: Mapping[str, Pause] = field(default_factory=dict)
 
     def stopping(self, target: str, now: float) -> bool:
         return now < self.stops.get(target, NEVER)

@@ -1,7 +1,8 @@
 """The control socket: how a verb asks the running daemon for something. One JSON object a line, each way.
 
-Requests are ``{"do": "ping"}``, ``{"do": "approve", "fault": ID}`` and ``{"do": "note", "kind": "INJECT", "text": TEXT}``;
-answers are ``{"ok": true, "text": ...}`` or ``{"ok": false, "error": ...}``. Standard library only.
+Requests are ``{"do": "ping"}``, ``{"do": "approve", "fault": ID}``, ``{"do": "note", "kind": "INJECT", "text": TEXT}``,
+``{"do": "hold", "container": KEY, "for_s": SECONDS or null, "reason": TEXT}`` and ``{"do": "release", "container": KEY}``, where an
+empty KEY stands for all containers; answers are ``{"ok": true, "text": ...}`` or ``{"ok": false, "error": ...}``. Standard library only.
 """
 
 from __future__ import annotations
@@ -40,6 +41,11 @@ def address(directory: str, name: str = NAME) -> Iterator[str]:
 
 def ask(run_dir: str, request: dict[str, Any], timeout_s: float = DEADLINE_S) -> str:
     """The daemon's answer in words. Raises NoAnswer and Refused."""
+    return str(ask_all(run_dir, request, timeout_s).get("text"))
+
+
+def ask_all(run_dir: str, request: dict[str, Any], timeout_s: float = DEADLINE_S) -> dict[str, Any]:
+    """The daemon's whole answer, `text` and data beside it. Raises NoAnswer and Refused."""
     where = os.path.join(run_dir, NAME)
     try:
         with address(run_dir) as path, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stream:
@@ -58,7 +64,7 @@ def ask(run_dir: str, request: dict[str, Any], timeout_s: float = DEADLINE_S) ->
         raise NoAnswer(f"what answers at {where} is not PHM")
     if not answer["ok"]:
         raise Refused(str(answer.get("error")))
-    return str(answer.get("text"))
+    return answer
 
 
 def _line(stream: socket.socket) -> Any:

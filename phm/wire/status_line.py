@@ -12,12 +12,15 @@ The contract. Every line begins with the agent (``A01`` to ``A250``) and a word;
     A01 WARN 6 flapping: node_1 dead          it fails and recovers again and again; told when it rests
     A01 ADVISE 2 restart ros_app #17          what PHM would do, and was told not to do; 17 is the fault's number
     A01 GAVE UP 2 ros_app exited #17          PHM cannot heal this: it is the operator's now
+    A01 HOLD 2 ros_app 10 min: new firmware   an operator wants it left alone; what is bad there is no failure
+    A01 HOLD 2 ros_app over                   the end of that
     A01 OK 2 restart done: ros_app            what an operator asked for is done, and the container is well
     A01 WARN 2 restart failed: ros_app        it did not help, or was refused in the end
     A01 OK 11111111                           the refresh: all is well
     A01 WARN 11111111 9 disk / 88%            the refresh: worst unit first
     A01 FAIL 11111011 6 node_1 dead +2        the refresh: two more units are bad
     A01 STALE 11111--- 6                      the refresh: nothing is known to be bad, but not all is known
+    A01 HOLD 1-1--111 2 ros_app on hold       the refresh: the same, and all that is not known is on hold
 
 Names come from outside and are data: what is not printable ASCII becomes ``?``, and what is too long is
 cut in its middle (``..``), because a name's head and the last word say most.
@@ -28,7 +31,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 
-from phm.model import Level, Slot, UnitState, worst_by_slot
+from phm.model import ON_HOLD, Level, Slot, UnitState, worst_by_slot
 
 MAX_CHARS = 50
 """Of a STATUSTEXT that needs no chunks: ground stations do not join chunks of component 193."""
@@ -110,6 +113,15 @@ def asked(agent: int, slot: Slot, action: str, end: str, target: str) -> str:
     return _line(f"{agent_name(agent)} {word} {slot:d} {_short(action, 16)} {end}:", target)
 
 
+def hold(agent: int, slot: Slot, target: str, for_s: float | None, reason: str) -> str:
+    """A hold on `target` (empty: all containers) begins, for so many seconds; None: it is over."""
+    head = f"{agent_name(agent)} HOLD {slot:d}"
+    if for_s is None:
+        return _line(head, target or "all", " over")
+    length = f"{for_s:.0f} s" if for_s < 120 else f"{for_s / 60:.0f} min"
+    return _line(head, f"{_short(target or 'all', 16)} {length}{': ' if reason else ''}{reason}")
+
+
 def refresh(agent: int, units: Sequence[UnitState]) -> str:
     """How the whole agent is, in one line."""
     levels = worst_by_slot(tuple(units))
@@ -120,9 +132,19 @@ def refresh(agent: int, units: Sequence[UnitState]) -> str:
     if worst is None or level is Level.OK:
         return head
     if level is Level.STALE:
+        held = _held(ranked)
+        if held is not None:
+            return _line(head.replace("STALE", "HOLD", 1) + f" {held.slot:d}", brief_of(held))
         return f"{head} {worst.slot:d}"
     more = sum(1 for state in ranked if state.level.bad) - 1
     return _line(f"{head} {worst.slot:d}", brief_of(worst), f" +{more}" if more else "")
+
+
+def _held(ranked: Sequence[UnitState]) -> UnitState | None:
+    """The first unit on hold; None where something else is not known either."""
+    unknown = [state for state in ranked if state.level is Level.STALE and not state.blocked_by]
+    held = [state for state in unknown if state.result.condition == ON_HOLD]
+    return held[0] if held and len(held) == len(unknown) else None
 
 
 def worst_first(units: Sequence[UnitState]) -> list[UnitState]:

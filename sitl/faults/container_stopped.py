@@ -1,22 +1,25 @@
-"""Somebody stops the application container."""
+"""The application ends in good order, and its container with it."""
 
 from __future__ import annotations
 
-from sitl.faults.base import STOP_S, Agent, Fault, died
+from sitl.faults.base import Agent, Fault, died
 
 
 class Injection(Fault):
-    """`docker stop`. The fault is there when the process has ended, by the engine's own stamp."""
+    """SIGTERM to its first process, from inside; `docker stop` would be an operator's wish (`recovery.on_manual_stop`) and no fault.
+
+    The fault is there when the process has ended, by the engine's own stamp.
+    """
 
     name, title, unit = "container_stopped", "container stopped", "container/ros_app"
     condition = "exited"
     layer = "container"
-    cause = "somebody or something ended the application in good order"
+    cause = "something ended the application in good order"
 
     def inject(self, agent: Agent) -> float:
         app = agent.app
         before = app.attrs["State"]["FinishedAt"]
-        app.stop(timeout=STOP_S)
+        app.exec_run(["sh", "-c", "kill -TERM 1"])
         return died(app, before)
 
     def clear(self, agent: Agent) -> None:

@@ -11,6 +11,7 @@ from phm.model import (
     Fault,
     FaultClosed,
     FaultOpened,
+    HoldChanged,
     Layer,
     Level,
     Outcome,
@@ -398,3 +399,14 @@ def test_behind_a_bad_radio_a_change_is_followed_by_refreshes() -> None:
     line = "A01 WARN 11 radio: damaged packets"
     again = "A01 WARN -1---1-- 11 radio: damaged packets"
     assert scene.port.lines() == [(4, line), (6, again), (6, again), (6, again)]
+
+
+def test_a_hold_is_told_once_and_so_is_its_end() -> None:
+    """NOTICE: somebody wants it so."""
+    scene = Scene().running()
+    now = scene.clock.stamp()
+    for began in (True, False):
+        scene.reporter.handle(HoldChanged(now, "app", began, "operator", "new firmware", 600.0, "app is on hold"))
+    scene.pass_time(3.0)
+    changes = [line for line in scene.port.lines() if line[0] <= 5]
+    assert changes == [(5, "A01 HOLD 2 app 10 min: new firmware"), (5, "A01 HOLD 2 app over")]

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import phm
-from phm.model import ActionEvent, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
+from phm.model import ActionEvent, HoldChanged, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
 from phm.reporters.lines import NOTE_KINDS
 from phm.reporters.log import Log
 from phm.reporters.rotating import FIRST_RETRY_S, RING_LINES
@@ -40,7 +40,9 @@ def written(directory: Path) -> dict[str, set[str]]:
     clock.advance(FIRST_RETRY_S)
     act = ActionEvent(at(), "f", UNIT.unit, "restart", "ros_app", Phase.STARTED)
     end = closed(UNIT, Outcome.RESOLVED, "restart", 1.0)
-    for event in (ReportStarted(at(), 1), transition(UNIT), opened(UNIT), act, end, Report(at(), 1, at(), (UNIT,))):
+    hold = HoldChanged(at(), "ros_app", True, "operator", "why", 600.0, "ros_app is on hold")
+    report = Report(at(), 1, at(), (UNIT,))
+    for event in (ReportStarted(at(), 1), transition(UNIT), opened(UNIT), act, end, hold, report):
         log.handle(event)
     log.close()
     Log.build(context(Settings(log=LogSettings(directory=str(directory / "logs")))))

@@ -18,7 +18,11 @@ SETTLED_S = 10.0
 CASES: dict[str, tuple[str, str, Callable[[Aboard], object]]] = {
     "node killed": ("nodes/agent_1/node_1", "restart", lambda app: app.kill_node("node_1")),
     "container killed": ("container/{name}", "start", lambda app: app.container.kill()),
-    "container stopped": ("container/{name}", "start", lambda app: app.container.stop(timeout=3)),
+    "container stopped": (
+        "container/{name}",
+        "start",
+        lambda app: app.container.exec_run(["sh", "-c", "kill -TERM 1"]),
+    ),
     "container paused": ("container/{name}", "unpause", lambda app: app.container.pause()),
     "unhealthy": ("health/{name}", "restart", lambda app: app.run("touch", "/tmp/unhealthy")),
     "network lost": ("network/{name}", "reconnect", lambda app: app.network.disconnect(app.container, force=True)),

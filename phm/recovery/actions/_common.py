@@ -94,6 +94,8 @@ def _restart_dependant(entry: ContainerSettings, before: str, context: ActionCon
     key, fact = entry.key, context.container(entry.key)
     if fact is None:
         return f"{key}, which depends on it, is not there"
+    if words := context.on_hold(key):
+        return f"{key}, which depends on it, is {words}: restart it by hand"
     if fact.running and before and fact.life != before:
         return f"{key}, which depends on it, was started after it already"
     restart_gracefully(fact, context)

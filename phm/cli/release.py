@@ -1,0 +1,22 @@
+"""`phm release`: the end of a hold. Imports click and the standard library."""
+
+from __future__ import annotations
+
+import click
+
+from phm.cli.hold import tell
+from phm.cli.options import json_option, run_dir_option
+
+
+@click.command(epilog="Example: phm release ros_app")
+@click.argument("container", required=False, default="")
+@run_dir_option
+@json_option
+@click.pass_context
+def command(ctx: click.Context, container: str, run_dir: str, as_json: bool) -> None:
+    """End a hold.
+
+    Without CONTAINER it ends all holds. What is still bad there is an alarm as soon as PHM has looked again, and recovery acts as usual.
+    Exit code 0: it is released; 1: it was not on hold, or the daemon does not answer.
+    """
+    tell(ctx, run_dir, {"do": "release", "container": container}, as_json=as_json)

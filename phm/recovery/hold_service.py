@@ -1,0 +1,315 @@
+"""Holds in the running daemon: begun and ended by an operator, a container stopped by hand, or a maintenance window.
+
+Each change is published and reaches the tracker, which shows what is bad there as STALE, and recovery, which leaves it alone.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from phm import threads
+from phm.clock import Clock
+from phm.facts import CannotTell, ContainerFact
+from phm.maintenance import LABEL, parse
+from phm.model import Event, HoldChanged
+from phm.pipeline import Pipeline
+from phm.recovery.armed import Armed, State
+from phm.recovery.holds import ALL, MAX_TEXT, OPERATOR, STOP, WINDOW, Hold, Holds
+from phm.recovery.manual_stop import ManualStops, Verdict
+from phm.settings import ContainerSettings, Settings
+from phm.wire.report import iso
+from phm.wire.text import one_line
+
+logger = logging.getLogger(__name__)
+
+ENDINGS = frozenset({"exited", "missing", "created"})
+"""Conditions of a container that may be part of a restart or a recreation."""
+WAITING = "being stopped by an operator: not judged yet, it may be started or recreated"
+FLYING_S = 1.0
+"""While there is a hold or a window, the armed state is looked at this often."""
+WINDOWS_S, LABELS_S = 5.0, 30.0
+"""Maintenance windows, and the labels that name some, are looked at this often."""
+_DONE = {Verdict.STOPPED: "stopped", Verdict.REMOVED: "removed"}
+
+
+class HoldRefused(Exception):
+    """The hold or release is not done; the message says why and what is allowed."""
+
+
+@dataclass(frozen=True)
+class HoldWorld:
+    """What holds depend on.
+
+    armed:     the vehicle's armed state; what is not known counts as in the air.
+    container: the engine's view of a configured container now, for its label. Raises CannotTell.
+    own:       whether what the engine does to a container may be PHM's doing: an action at work, or a call without an answer.
+    """
+
+    armed: Callable[[], Armed]
+    container: Callable[[str], ContainerFact | None]
+    own: Callable[[str], bool]
+
+
+class HoldService:
+    """Thread-safe; `start` applies what was restored and begins to watch the time."""
+
+    def __init__(
+        self, settings: Settings, holds: Holds, pipeline: Pipeline, publish: Callable[[Event], None], clock: Clock,
+        world: HoldWorld,
+    ) -> None:  # fmt: skip
+        self._settings, self._rules, self._holds, self._pipeline = settings, settings.recovery, holds, pipeline
+        self._publish, self._clock, self._world = publish, clock, world
+        self._keys = tuple(entry.key for entry in settings.containers)
+        self._stops = ManualStops()
+        self._flew = False
+        self._done_windows: set[tuple[str, str]] = set()
+        self._windows_at = self._labels_at = float("-inf")
+        self._labels: dict[str, str] = {}
+        self._seen: set[str] = set()
+        self._lock = threading.RLock()
+        self._wake, self._stopping = threading.Event(), False
+        self._thread = threading.Thread(target=self._loop, name="phm-holds", daemon=True)
+
+    def start(self) -> None:
+        now = self._clock.stamp()
+        for hold in self._holds.all():
+            self._pipeline.note("HOLD", f"{_name(hold)} is {hold.words(now)}, as before PHM was restarted")
+        self._apply(self._keys)
+        threads.start(self._thread)
+
+    def close(self) -> None:
+        self._stopping = True
+        self._wake.set()
+
+    # ------------------------------------------------------------ the operator
+
+    def hold(self, container: str, for_s: float | None, reason: str, by: str) -> tuple[str, dict[str, Any]]:
+        """Begin or replace an operator's hold; container ALL: all. What was done, in words and as data. Raises HoldRefused."""
+        self._known(container)
+        length_s = self._rules.hold if for_s is None else for_s
+        if not 1.0 <= length_s <= self._rules.hold_max:
+            raise HoldRefused(f"a hold lasts 1 s to {self._rules.hold_max:g} s (recovery.hold_max), not {length_s:g} s")
+        self._refuse_in_flight(container)
+        now = self._clock.stamp()
+        hold = Hold(container, OPERATOR, now.mono + length_s, by, one_line(reason)[:MAX_TEXT])
+        with self._lock:
+            at_work = sorted(
+                f"{action} of {key}" for key in self._of(hold) if (action := self._pipeline.acting_on(key))
+            )
+            self._begin(hold)
+        finishing = f"; {', '.join(at_work)}, which is under way, is finished first" if at_work else ""
+        return f"{_name(hold)} is {hold.words(now)}{finishing}", self._json(hold)
+
+    def release(self, container: str, by: str) -> tuple[str, dict[str, Any]]:
+        """End the holds of a container; ALL: every hold. Raises HoldRefused."""
+        self._known(container)
+        with self._lock:
+            ending = [hold for hold in self._holds.all() if container in (ALL, hold.target)]
+            if not ending:
+                of_all = "; all containers are on hold: `phm release`" if self._holds.all() and container else ""
+                raise HoldRefused(f"{container or 'nothing'} is not on hold{of_all}")
+            self._end(ending, f"released by {by}")
+        names = ", ".join(sorted({_name(hold) for hold in ending}))
+        return f"released: {names}", {"released": [self._json(hold) for hold in ending]}
+
+    def snapshot(self) -> list[dict[str, Any]]:
+        """For `phm status`; JSON-able."""
+        return [self._json(hold) for hold in sorted(self._holds.all(), key=lambda hold: hold.target)]
+
+    # ------------------------------------------------------------ the engine's events
+
+    def happened(self, container: str, action: str, detail: str) -> None:
+        """An event of a configured container, before anybody is woken for it; actions as in `phm.probes.docker_watch`."""
+        with self._lock:
+            self._stops.event(container, action, detail, self._clock.mono(), own=self._world.own(container))
+            if action == "start":
+                self._runs(container)
+            self._apply([container])
+        self._wake.set()
+
+    def tick(self) -> float | None:
+        """Let time pass; seconds until it matters again, None: until something happens."""
+        self._read_labels()
+        with self._lock:
+            now = self._clock.mono()
+            for key, verdict in self._stops.due(now):
+                self._stopped(key, verdict)
+            self._end([hold for hold in self._holds.all() if now >= hold.until], "its time is over")
+            self._take_off()
+            windows = self._look_at_windows(now)
+            dues = [hold.until - now for hold in self._holds.all()]
+            stop_due = self._stops.next_due()
+            dues += [stop_due - now] if stop_due is not None else []
+            dues += [FLYING_S] if self._holds.all() else []
+            dues += [WINDOWS_S] if windows else []
+        return max(0.0, min(dues)) if dues else None
+
+    # ------------------------------------------------------------ inside
+
+    def _loop(self) -> None:
+        while not self._stopping:
+            self._wake.clear()
+            try:
+                wait_s = self.tick()
+            except Exception:  # a defect here must not keep a hold from ending
+                logger.exception("holds could not be looked at")
+                wait_s = 1.0
+            self._clock.wait(self._wake, wait_s)
+
+    def _begin(self, hold: Hold) -> None:
+        now = self._clock.stamp()
+        self._holds.put(hold)
+        self._apply(self._of(hold))
+        text = f"{_name(hold)} is {hold.words(now)}"
+        self._publish(HoldChanged(now, hold.target, True, hold.by, hold.reason, hold.until - now.mono, text))
+        self._wake.set()
+
+    def _end(self, ending: Iterable[Hold], why: str) -> None:
+        ended = list(ending)
+        self._holds.remove(ended)
+        now = self._clock.stamp()
+        for hold in ended:
+            if hold.source == WINDOW:
+                self._done_windows.add((hold.target, hold.occurrence))
+            self._apply(self._of(hold))
+            text = f"{_name(hold)}: the hold by {hold.by} is over: {why}"
+            left_s = max(0.0, hold.until - now.mono)
+            self._publish(HoldChanged(now, hold.target, False, hold.by, hold.reason, left_s, text))
+
+    def _apply(self, keys: Iterable[str]) -> None:
+        """Have the tracker know how these containers are."""
+        now = self._clock.stamp()
+        undecided = self._stops.undecided()
+        for key in keys:
+            hold = self._holds.on(key, now.mono)
+            if hold is not None:
+                self._pipeline.pause(key, hold.words(now))
+            elif key in undecided:
+                self._pipeline.pause(key, WAITING, ENDINGS)
+            else:
+                self._pipeline.resume(key)
+
+    def _runs(self, key: str) -> None:
+        """It was started, also while PHM did not: a stop by hand is over."""
+        self._holds.mark_stopped(key, False)
+        self._end([hold for hold in self._of_source(STOP) if hold.target == key], "it was started again")
+
+    def _stopped(self, key: str, verdict: Verdict) -> None:
+        if verdict is not Verdict.CRASHED and self._holds.on(key, self._clock.mono()) is None:
+            self._judge_stop(key, _DONE[verdict])
+        self._apply([key])
+
+    def _judge_stop(self, key: str, done: str) -> None:
+        rule = self._rules.on_manual_stop.air if self._world.armed().shut else self._rules.on_manual_stop.ground
+        if rule == "respect" and not (self._flying() and self._critical([key])):
+            until = self._clock.mono() + self._rules.hold
+            self._begin(Hold(key, STOP, until, "an operator", f"{done} by hand"))
+            return
+        advise = rule != "heal"
+        self._holds.mark_stopped(key, advise)
+        what = "PHM only recommends what would help" if advise else "PHM treats it as a failure"
+        self._pipeline.note("HOLD", f"{key} was {done} by hand; {what} (recovery.on_manual_stop)")
+
+    def _flying(self) -> bool:
+        """Whether the vehicle is armed for certain."""
+        return self._world.armed().state is State.ARMED
+
+    def _take_off(self) -> None:
+        """Nothing that was put on hold on the ground stays so in the air, but what an operator wants and can be missed."""
+        flying = self._flying()
+        if flying and not self._flew:
+            ending = [hold for hold in self._holds.all() if hold.source != OPERATOR or self._critical(self._of(hold))]
+            self._end(ending, "the autopilot is armed")
+        self._flew = flying
+
+    def _read_labels(self) -> None:
+        """Without the lock: an engine that hangs must not keep anybody waiting."""
+        now = self._clock.mono()
+        if now - self._labels_at < LABELS_S:
+            return
+        self._labels_at = now
+        for key in self._keys:
+            try:
+                fact = self._world.container(key)
+            except CannotTell:
+                continue
+            self._labels[key] = fact.maintenance if fact is not None else ""
+            if key not in self._seen and fact is not None and fact.running:
+                with self._lock:
+                    self._runs(key)
+            self._seen.add(key)
+
+    def _look_at_windows(self, now: float) -> bool:
+        """Begin what a maintenance window asks for; whether there may be any windows."""
+        if now - self._windows_at >= WINDOWS_S and not self._flew:
+            self._windows_at = now
+            for window in self._rules.maintenance:
+                self._open_window(window.container or ALL, window.when, window.reason, "maintenance window")
+            for key, when in self._labels.items():
+                if when:
+                    self._open_window(key, when, "", "maintenance window of its label")
+        return bool(self._rules.maintenance or self._keys)
+
+    def _open_window(self, target: str, when: str, reason: str, by: str) -> None:
+        now = self._clock.stamp()
+        try:
+            window = parse(when)
+        except ValueError as error:
+            self._complain(target, f"{_name_of(target)}: the label {LABEL} is not used: {error}")
+            return
+        found = window.open_at(now.utc)
+        if found is None or (target, found[0]) in self._done_windows:
+            return
+        if any(hold.target == target and hold.occurrence == found[0] for hold in self._of_source(WINDOW)):
+            return
+        if self._world.armed().shut and self._critical([key for key in self._keys if target in (ALL, key)]):
+            return
+        self._begin(Hold(target, WINDOW, now.mono + min(found[1], window.length_s), by, reason, found[0]))
+
+    def _complain(self, target: str, text: str) -> None:
+        if (target, text) not in self._done_windows:
+            self._done_windows.add((target, text))
+            self._pipeline.note("HOLD", text)
+
+    def _of(self, hold: Hold) -> tuple[str, ...]:
+        return tuple(key for key in self._keys if hold.covers(key))
+
+    def _of_source(self, source: str) -> list[Hold]:
+        return [hold for hold in self._holds.all() if hold.source == source]
+
+    def _known(self, container: str) -> None:
+        if container and container not in self._keys:
+            raise HoldRefused(
+                f"there is no container {container!r} in the configuration: {', '.join(self._keys) or 'it has none'}"
+            )
+
+    def _critical(self, keys: Iterable[str]) -> bool:
+        entries: list[ContainerSettings | None] = [self._settings.container(key) for key in keys]
+        return any(entry is not None and entry.flight_critical for entry in entries)
+
+    def _refuse_in_flight(self, container: str) -> None:
+        keys = [key for key in self._keys if container in (ALL, key)]
+        if self._flying() and self._critical(keys):
+            raise HoldRefused(
+                f"{container or 'a container'} is flight-critical and the autopilot is armed: its failures stay visible"
+            )
+
+    def _json(self, hold: Hold) -> dict[str, Any]:
+        now = self._clock.stamp()
+        left_s = max(0.0, hold.until - now.mono)
+        return {
+            "container": hold.target or None, "source": hold.source, "by": hold.by, "reason": hold.reason,
+            "until": iso(now.utc + left_s), "left_s": round(left_s, 1),
+        }  # fmt: skip
+
+
+def _name(hold: Hold) -> str:
+    return _name_of(hold.target)
+
+
+def _name_of(target: str) -> str:
+    return target or "every container"

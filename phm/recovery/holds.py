@@ -1,0 +1,119 @@
+"""Holds: until when recovery does nothing to a container because somebody wants it so, by whom and why. Pure.
+
+A hold always has an end, on the monotonic clock: a clock that is set neither extends nor ends it. Over a restart of PHM
+on the same boot that end stays; after a reboot what was left when it was last written counts again.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+from phm.model import Stamp
+from phm.wire.report import iso
+
+ALL = ""
+"""The target of a hold on all containers."""
+OPERATOR, STOP, WINDOW = "operator", "stop", "window"
+"""Where a hold comes from: `phm hold`, a container that was stopped by hand, a maintenance window."""
+LONGEST_S = 24 * 3600.0
+KEPT_EVERY_S = 30.0
+"""What is left of a hold is written this often: a reboot extends it by no more, and by the time the machine was off."""
+MAX_HOLDS = 64
+MAX_TEXT = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """target: key of the container, or ALL. until: monotonic seconds. occurrence: of a maintenance window, its beginning."""
+
+    target: str
+    source: str
+    until: float
+    by: str
+    reason: str = ""
+    occurrence: str = ""
+
+    def covers(self, target: str) -> bool:
+        return self.target in (ALL, target)
+
+    def words(self, now: Stamp) -> str:
+        """``on hold until 12:34:05 UTC by operator (uid 0): swapping firmware``."""
+        until = iso(now.utc + self.until - now.mono)
+        date = "" if until[:10] == iso(now.utc)[:10] else f"{until[:10]} "
+        reason = f": {self.reason}" if self.reason else ""
+        return f"on hold until {date}{until[11:19]} UTC by {self.by}{reason}"
+
+
+@dataclass(frozen=True, slots=True)
+class KeptHold:
+    """For the state file: `left_s` is what was left, rounded up to KEPT_EVERY_S so that it does not change at each look."""
+
+    hold: Hold
+    left_s: float
+
+
+class Holds:
+    """All holds, at most one for each target and source. Thread-safe; `changed` is called after each change."""
+
+    def __init__(self) -> None:
+        self._of: dict[tuple[str, str], Hold] = {}
+        self._by_hand: set[str] = set()
+        self._lock = threading.Lock()
+        self.changed: Callable[[], None] = lambda: None
+
+    def put(self, hold: Hold) -> None:
+        """Begin or replace the hold of this target and source."""
+        with self._lock:
+            self._of[hold.target, hold.source] = hold
+            while len(self._of) > MAX_HOLDS:
+                del self._of[min(self._of, key=lambda key: self._of[key].until)]
+        self.changed()
+
+    def remove(self, holds: Iterable[Hold]) -> None:
+        with self._lock:
+            for hold in holds:
+                if self._of.get((hold.target, hold.source)) == hold:
+                    del self._of[hold.target, hold.source]
+        self.changed()
+
+    def all(self) -> tuple[Hold, ...]:
+        with self._lock:
+            return tuple(self._of.values())
+
+    def on(self, target: str, now: float) -> Hold | None:
+        """The hold that keeps recovery from the target at `now` (monotonic seconds): the one that ends last."""
+        found = [hold for hold in self.all() if hold.covers(target) and hold.until > now]
+        return max(found, key=lambda hold: hold.until, default=None)
+
+    def stopped_by_hand(self, target: str) -> bool:
+        """Whether an operator stopped it and the rule for that is to advise."""
+        return target in self._by_hand
+
+    def mark_stopped(self, target: str, stopped: bool) -> None:
+        (self._by_hand.add if stopped else self._by_hand.discard)(target)
+
+    # ------------------------------------------------------------ over a restart of PHM
+
+    def stops(self) -> tuple[str, ...]:
+        """For the state file: what `mark_stopped` has marked."""
+        return tuple(sorted(self._by_hand))
+
+    def kept(self, now: float) -> tuple[KeptHold, ...]:
+        return tuple(
+            KeptHold(hold, -(-(hold.until - now) // KEPT_EVERY_S) * KEPT_EVERY_S)
+            for hold in self.all()
+            if hold.until > now
+        )
+
+    def restore(self, kept: Iterable[KeptHold], stops: Iterable[str]) -> None:
+        self._by_hand.update(stops)
+        for entry in kept:
+            self.put(entry.hold)
+
+
+def carried(hold: Hold, left_s: float, now: float, *, same_boot: bool) -> Hold:
+    """The hold of an earlier PHM with its end on the monotonic clock of now: never later than it was to be."""
+    left_s = min(max(left_s, 0.0), LONGEST_S)
+    return replace(hold, until=min(hold.until, now + left_s) if same_boot else now + left_s)

@@ -1,0 +1,102 @@
+"""Tells a stop that came from an operator from a crash, by the engine's events. Pure; the caller brings time.
+
+What the engine reports (seen with Docker 20.10 and Compose 2.26)::
+
+    docker stop, docker compose stop    kill (the stop signal), [kill 9,] die, stop
+    docker restart                      kill, die, stop, start, restart
+    docker rm -f                        kill 9, die, destroy
+    docker kill                         kill 9, die
+    docker compose up --force-recreate  create (label com.docker.compose.replace), kill, die, stop, destroy, rename, start
+    a crash, the kernel, the process    die
+
+So a stop is `kill`, `die`, `stop`, which PHM's own actions cause, too: those are not counted. What runs again within
+seconds was a restart or a recreation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+STOPPED_S = 3.0
+"""A stopped container that is not started within this time stays stopped: the `start` of a restart follows its `stop` in 0.3 s."""
+RECREATED_S = 15.0
+"""The same for one that is being replaced or was removed."""
+STOP_FOLLOWS_S = 3.0
+"""`stop` follows `die` within 0.1 s on an idle machine; without it, the end was a crash or `docker kill`."""
+REMOVED_S = 0.5
+"""`destroy` follows the `die` of `docker rm -f` within 0.1 s; until then it looks like `docker kill`."""
+ASKED_S = 600.0
+"""A container that does not end so long after it was asked to does not stop."""
+SIGKILL = "signal 9"
+
+
+class Verdict(str, Enum):
+    """CRASHED: it was no stop; the container is judged as ever."""
+
+    STOPPED = "stopped"
+    REMOVED = "removed"
+    CRASHED = "crashed"
+
+
+@dataclass(slots=True)
+class _Ending:
+    """`until` is when the verdict is due (monotonic seconds)."""
+
+    until: float
+    verdict: Verdict = Verdict.CRASHED
+    killed: bool = False
+    """By SIGKILL alone."""
+    ended: bool = False
+    replaced: bool = False
+
+
+class ManualStops:
+    """By container. Not thread-safe: the caller's lock."""
+
+    def __init__(self) -> None:
+        self._of: dict[str, _Ending] = {}
+
+    def event(self, key: str, action: str, detail: str, now: float, *, own: bool) -> None:
+        """One event of the container `key`. own: an action of PHM is at work on it, so the event is PHM's doing."""
+        if action == "start" or own:
+            self._of.pop(key, None)
+        elif action == "replace":
+            self._of[key] = _Ending(now + RECREATED_S, replaced=True)
+        elif action == "kill":
+            self._kill(key, detail, now)
+        elif action == "destroy":
+            self._of[key] = _Ending(now + RECREATED_S, Verdict.REMOVED, ended=True)
+        elif key in self._of and action in ("die", "stop"):
+            self._end(self._of[key], action, now)
+
+    def due(self, now: float) -> list[tuple[str, Verdict]]:
+        """What is decided by now; each is given once. A container that was asked to end and did not is forgotten."""
+        found = [(key, ending) for key, ending in self._of.items() if now >= ending.until]
+        for key, _ending in found:
+            del self._of[key]
+        return [(key, ending.verdict) for key, ending in found]
+
+    def undecided(self) -> frozenset[str]:
+        """Containers whose end is not to be judged yet."""
+        return frozenset(self._of)
+
+    def next_due(self) -> float | None:
+        return min((ending.until for ending in self._of.values()), default=None)
+
+    def _kill(self, key: str, detail: str, now: float) -> None:
+        ending = self._of.get(key)
+        if ending is None:
+            self._of[key] = _Ending(now + ASKED_S, killed=detail == SIGKILL)
+        elif not ending.ended:
+            ending.until = max(
+                ending.until, now + ASKED_S
+            )  # SIGKILL after the stop signal, or the stop of a replacement
+
+    def _end(self, ending: _Ending, action: str, now: float) -> None:
+        if action == "die":
+            ending.ended = True
+            wait_s = REMOVED_S if ending.killed and not ending.replaced else STOP_FOLLOWS_S
+        else:
+            ending.verdict, wait_s = Verdict.STOPPED, STOPPED_S
+        ending.until = now + (RECREATED_S if ending.replaced else wait_s)

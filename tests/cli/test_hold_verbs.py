@@ -1,0 +1,133 @@
+"""`phm hold` and `phm release`: what reaches the daemon, and what comes back."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from phm.cli import group
+from phm.clock import SystemClock
+from phm.control import Control
+from phm.reporters.base import ReporterContext
+from phm.reporters.status import Status
+from phm.settings import Settings
+from phm.wire import control as wire
+
+
+class Desk:
+    """Grants every hold but that of `nobody`, and notes what was asked for."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[Any, ...]] = []
+
+    def hold(self, container: str, for_s: float | None, reason: str, by: str) -> tuple[str, dict[str, Any]]:
+        if container == "nobody":
+            raise LookupError("there is no container 'nobody' in the configuration: app")
+        self.asked.append((container, for_s, reason, by))
+        return f"{container} is on hold", {"container": container or None, "left_s": for_s}
+
+    def release(self, container: str, by: str) -> tuple[str, dict[str, Any]]:
+        self.asked.append((container, by))
+        return "released: app", {"released": []}
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    made = Desk()
+    control = Control(str(tmp_path), lambda fault: "", lambda kind, text: None, made)
+    control.start()
+    end = time.monotonic() + 30
+    while not (tmp_path / wire.NAME).exists():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    yield made
+    control.close()
+
+
+def phm(folder: Path, *words: str) -> tuple[int, str]:
+    result = CliRunner().invoke(group, [*words, "--run-dir", str(folder)])
+    return result.exit_code, result.output
+
+
+@pytest.mark.parametrize(
+    ("words", "asked"),
+    [
+        (("app", "--for", "10min", "--reason", "new firmware"), ("app", 600.0, "new firmware")),
+        (("--for", "1.5h"), ("", 5400.0, "")),
+        (("app", "--for", "90 s"), ("app", 90.0, "")),
+        (("app",), ("app", None, "")),
+    ],
+)
+def test_a_hold_reaches_the_daemon(desk: Desk, tmp_path: Path, words: tuple[str, ...], asked: tuple[Any, ...]) -> None:
+    """Seconds, the reason, and who asks, as the kernel knows it."""
+    assert phm(tmp_path, "hold", *words) == (0, f"{asked[0]} is on hold\n")
+    assert desk.asked == [(*asked, "operator (uid 0)")]
+
+
+def test_a_release_reaches_the_daemon(desk: Desk, tmp_path: Path) -> None:
+    """Of one container, or of everything."""
+    assert phm(tmp_path, "release", "app") == (0, "released: app\n")
+    assert phm(tmp_path, "release")[0] == 0
+    assert desk.asked == [("app", "operator (uid 0)"), ("", "operator (uid 0)")]
+
+
+def test_a_refusal_is_said_with_its_reason(desk: Desk, tmp_path: Path) -> None:
+    """Exit code 1."""
+    code, said = phm(tmp_path, "hold", "nobody")
+    assert (code, "there is no container" in said) == (1, True)
+    code, said = phm(tmp_path, "hold", "nobody", "--json")
+    assert code == 1 and json.loads(said)["ok"] is False
+
+
+def test_json_has_the_hold_as_data(desk: Desk, tmp_path: Path) -> None:
+    """What `phm status --json` lists, too."""
+    code, said = phm(tmp_path, "hold", "app", "--for", "5s", "--json")
+    assert (code, json.loads(said)) == (0, {"ok": True, "text": "app is on hold", "container": "app", "left_s": 5.0})
+
+
+@pytest.mark.parametrize("length", ["10", "ten", "-5s", "5d", "nans", ""])
+def test_a_bad_duration_is_a_mistake_of_usage(desk: Desk, tmp_path: Path, length: str) -> None:
+    """With what is allowed."""
+    code, said = phm(tmp_path, "hold", "app", "--for", length)
+    assert (code, "10min" in said, desk.asked) == (2, True, [])
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"do": "hold"},
+        {"do": "hold", "container": "app", "for_s": "10", "reason": ""},
+        {"do": "hold", "container": "app", "for_s": True, "reason": ""},
+        {"do": "hold", "container": 5, "for_s": None, "reason": ""},
+        {"do": "hold", "container": "app", "for_s": None, "reason": "", "by": "root"},
+        {"do": "release"},
+        {"do": "release", "container": None},
+        {"do": "release", "container": "app", "reason": ""},
+    ],
+)
+def test_a_request_that_is_none_changes_nothing(desk: Desk, tmp_path: Path, request_: dict[str, Any]) -> None:
+    """Missing, further or wrong keys are refused, also a name that the asker gives to himself."""
+    with pytest.raises(wire.Refused):
+        wire.ask(str(tmp_path), request_)
+    assert desk.asked == []
+    assert wire.ask(str(tmp_path), {"do": "ping"}) == "PHM is here"
+
+
+def test_status_shows_what_is_on_hold(tmp_path: Path) -> None:
+    """Until when, how long that is, by whom and why; `--json` has it as data."""
+    hold = {
+        "container": "app", "source": "operator", "by": "operator (uid 0)", "reason": "new firmware",
+        "until": "2026-11-22T12:34:05.123Z", "left_s": 543.0,
+    }  # fmt: skip
+    settings = Settings.model_validate({"run_dir": str(tmp_path)})
+    context = ReporterContext(settings, SystemClock(), "b", tuple, lambda: True, dict, holds=lambda: [hold])
+    Status.build(context).tick()
+    shown = phm(tmp_path, "status")[1]
+    assert "on hold: app until 12:34:05 UTC (9 min 3 s left) by operator (uid 0): new firmware" in shown
+    assert json.loads(phm(tmp_path, "status", "--json")[1])["holds"] == [hold]

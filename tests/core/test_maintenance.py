@@ -1,0 +1,68 @@
+"""Maintenance windows as text."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+
+import pytest
+
+from phm.maintenance import parse
+
+
+def utc(text: str) -> float:
+    return datetime.fromisoformat(text).replace(tzinfo=timezone.utc).timestamp()
+
+
+# 2026-11-22 is a Sunday.
+@pytest.mark.parametrize(
+    ("window", "now", "left_s"),
+    [
+        ("02:00-04:00", "2026-11-22T02:00", 7200.0),
+        ("02:00-04:00", "2026-11-22T03:59", 60.0),
+        ("sun 02:00-04:00", "2026-11-22T03:00", 3600.0),
+        ("Mon-Fri 12:00-12:30", "2026-11-20T12:15", 900.0),
+        ("fri-mon 12:00-12:30", "2026-11-22T12:15", 900.0),
+        ("sat,mon 22:00-01:00", "2026-11-22T00:30", 1800.0),
+        ("2026-11-22  22:00-01:00", "2026-11-23T00:30", 1800.0),
+    ],
+)
+def test_a_window_is_open_until_its_end(window: str, now: str, left_s: float) -> None:
+    """Days are those of the beginning, so that a window may last over midnight."""
+    found = parse(window).open_at(utc(now))
+    assert found is not None and found[1] == left_s
+
+
+@pytest.mark.parametrize(
+    ("window", "now"),
+    [
+        ("02:00-04:00", "2026-11-22T04:00"),
+        ("02:00-04:00", "2026-11-22T01:59"),
+        ("sun 02:00-04:00", "2026-11-23T03:00"),
+        ("sat,mon 22:00-01:00", "2026-11-23T00:30"),
+        ("2026-11-22 22:00-01:00", "2026-11-22T00:30"),
+        ("02:00-04:00", "1970-01-01T03:00"),
+    ],
+)
+def test_a_window_is_closed_otherwise(window: str, now: str) -> None:
+    """Also by a clock that was never set."""
+    assert parse(window).open_at(utc(now)) is None
+
+
+def test_two_occurrences_have_different_names() -> None:
+    """An occurrence that was released stays closed, the next one opens."""
+    window = parse("02:00-04:00")
+    first, same, second = (window.open_at(utc(f"2026-11-{day}")) for day in ("22T02:10", "22T03:50", "23T02:10"))
+    assert first and same and second and first[0] == same[0] != second[0]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "2-4", "sun", "02:00-02:00", "25:00-26:00", "son 02:00-04:00", "02:00-04:00 x", "2026-13-01 02:00-03:00",
+        "sun- 02:00-04:00",
+    ],
+)  # fmt: skip
+def test_what_is_no_window_is_refused(text: str) -> None:
+    """With what is allowed."""
+    with pytest.raises(ValueError, match="HH:MM-HH:MM"):
+        parse(text)

@@ -1,0 +1,227 @@
+"""Holds and stops by hand on the real engine, with the docker CLI and Compose, PHM as a whole within this process."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from phm.cli import group
+from phm.daemon import Daemon
+from phm.model import ActionEvent, Event, FaultOpened, HoldChanged, Level, Phase
+from phm.testing import settings
+
+LIMIT_S = 90.0
+RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
+RESPECT, HEAL = {"on_manual_stop": "respect"}, {"on_manual_stop": "heal"}
+
+
+class Phm:
+    """A daemon that watches one container, and what it said."""
+
+    def __init__(self, folder: Path, container: str, **recovery: Any) -> None:
+        self.events: list[Event] = []
+        made = settings(
+            interval=2, containers=[{"name": container, "recover": True}], recovery={"verify": "3s", **recovery},
+            state_dir=str(folder / "state"), run_dir=str(folder / "run"), log={"directory": str(folder / "log")},
+            checks={"host": {"enabled": False}},
+        )  # fmt: skip
+        self.unit = f"container/{container}"
+        self.daemon = Daemon(made)
+        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.start()
+
+    def until(self, condition: Any, what: str) -> None:
+        end = time.monotonic() + LIMIT_S
+        while not condition():
+            assert time.monotonic() < end, f"waited {LIMIT_S:g} s for {what}; {self.events}"
+            threading.Event().wait(0.02)
+
+    def level(self) -> Level:
+        return next(state.level for state in self.daemon.pipeline.states() if state.unit == self.unit)
+
+    def faults(self) -> list[str]:
+        return [event.fault.unit for event in self.events if isinstance(event, FaultOpened)]
+
+    def phases(self) -> list[Phase]:
+        return [event.phase for event in self.events if isinstance(event, ActionEvent)]
+
+    def holds(self, *, began: bool) -> list[str]:
+        return [event.text for event in self.events if isinstance(event, HoldChanged) and event.began is began]
+
+    def verb(self, *words: str) -> str:
+        """What a verb of the command line prints that asks this daemon."""
+        result = CliRunner().invoke(group, [*words, "--run-dir", self.daemon.settings.run_dir])
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    def decided(self) -> bool:
+        """PHM has seen the stop and the time in which it might have been a restart is over."""
+        return not self.daemon.holds._stops.undecided()
+
+
+class Project:
+    """A Compose project of one service, driven by the docker CLI."""
+
+    def __init__(self, folder: Path) -> None:
+        self.container = f"phm-test-{uuid.uuid4().hex[:8]}"
+        service = {
+            "image": "phm-base:dev", "container_name": self.container, "entrypoint": ["sh", "-c", RUN],
+            "stop_grace_period": "5s",
+        }  # fmt: skip
+        self._file = folder / "compose.yaml"
+        self._file.write_text(yaml.safe_dump({"services": {"app": service}}))
+
+    def compose(self, *words: str) -> None:
+        self._run("docker", "compose", "-p", self.container, "-f", str(self._file), *words)
+
+    def docker(self, *words: str) -> None:
+        self._run("docker", *words)
+
+    def id(self) -> str:
+        command = ["docker", "inspect", "--format", "{{.Id}}", self.container]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+
+    def _run(self, *words: str) -> None:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Iterator[Project]:
+    made = Project(tmp_path)
+    made.compose("up", "-d")
+    yield made
+    made.compose("down", "-t", "2")
+
+
+@pytest.fixture
+def phm(tmp_path: Path, project: Project) -> Iterator[Any]:
+    made: list[Phm] = []
+
+    def start(**recovery: Any) -> Phm:
+        made.append(Phm(tmp_path, project.container, **recovery))
+        made[-1].until(lambda: made[-1].level() is Level.OK, "the container to be well")
+        return made[-1]
+
+    yield start
+    for each in made:
+        each.daemon.stop()
+
+
+def test_a_recreation_by_compose_raises_nothing(phm: Any, project: Project) -> None:
+    """`docker compose up --force-recreate` is no failure, whatever the rule for stops says."""
+    agent, old = phm(**HEAL), project.id()
+    project.compose("up", "-d", "--force-recreate")
+    assert project.id() != old
+    agent.until(lambda: agent.decided() and agent.level() is Level.OK, "the new container to be well")
+    assert agent.faults() == [] and agent.phases() == []
+
+
+@pytest.mark.parametrize("words", [("docker", "stop"), ("compose", "stop")])
+def test_a_stop_by_hand_is_respected_and_ends_with_the_start(
+    phm: Any, project: Project, words: tuple[str, str]
+) -> None:
+    """Where stops are respected, the container is on hold until somebody starts it, and there is no alarm and no action."""
+    agent = phm(**RESPECT)
+    getattr(project, words[0])(*words[1:], *([project.container] if words[0] == "docker" else []))
+    agent.until(lambda: agent.holds(began=True), "the hold")
+    agent.until(lambda: agent.level() is Level.STALE, "the unit to be on hold")
+    project.docker("start", project.container)
+    agent.until(lambda: agent.holds(began=False), "the end of the hold")
+    agent.until(lambda: agent.level() is Level.OK, "the container to be well")
+    assert "stopped by hand" in agent.holds(began=True)[0]
+    assert "it was started again" in agent.holds(began=False)[0]
+    assert agent.faults() == [] and agent.phases() == []
+
+
+def test_a_respected_stop_is_healed_when_its_time_is_over(phm: Any, project: Project) -> None:
+    """A hold always has an end: then the fault is raised and healed as usual."""
+    agent = phm(**RESPECT, hold="6s")
+    project.docker("stop", project.container)
+    agent.until(lambda: Phase.VERIFIED in agent.phases(), "the container to be started")
+    said = [type(event) for event in agent.events if isinstance(event, (HoldChanged, FaultOpened))]
+    assert said == [HoldChanged, HoldChanged, FaultOpened]
+
+
+def test_a_stop_by_hand_is_healed_where_the_rule_says_so(phm: Any, project: Project) -> None:
+    """`heal`, the default for the air: a stop by hand is a failure like any other."""
+    agent = phm(**HEAL)
+    project.docker("stop", project.container)
+    agent.until(lambda: Phase.VERIFIED in agent.phases(), "the container to be started")
+    assert agent.faults() == [agent.unit]
+
+
+def test_a_stop_by_hand_is_only_advised_about(phm: Any, project: Project) -> None:
+    """`advise`: the alarm is raised and nothing is done."""
+    agent = phm(on_manual_stop="advise")
+    project.docker("stop", project.container)
+    agent.until(lambda: Phase.ADVISED in agent.phases(), "the advice")
+    assert agent.faults() == [agent.unit] and Phase.STARTED not in agent.phases()
+
+
+@pytest.mark.parametrize("words", [("kill", "{}"), ("exec", "{}", "kill", "-TERM", "1")])
+def test_a_crash_is_no_stop(phm: Any, project: Project, words: tuple[str, ...]) -> None:
+    """What ends without a stop by the engine is healed, also where stops are respected."""
+    agent = phm(**RESPECT)
+    project.docker(*(word.format(project.container) for word in words))
+    agent.until(lambda: Phase.VERIFIED in agent.phases(), "the container to be started")
+    assert agent.faults() == [agent.unit] and agent.holds(began=True) == []
+
+
+def test_a_restart_of_phm_itself_is_no_stop_by_hand(phm: Any, project: Project) -> None:
+    """PHM's own restart stops the container, too, and puts nothing on hold."""
+    agent = phm(**RESPECT, ladders={"exited": ["restart"]})
+    project.docker("kill", project.container)
+    agent.until(lambda: Phase.VERIFIED in agent.phases() and agent.decided(), "the container to be restarted")
+    assert agent.holds(began=True) == []
+
+
+def test_a_removal_is_on_hold_and_over_when_compose_makes_it_again(phm: Any, project: Project) -> None:
+    """`docker compose down` on purpose is as respected as `stop`; `up` ends it."""
+    agent = phm(**RESPECT)
+    project.compose("down", "-t", "2")
+    agent.until(lambda: agent.holds(began=True), "the hold")
+    project.compose("up", "-d")
+    agent.until(lambda: agent.holds(began=False) and agent.level() is Level.OK, "the end of the hold")
+    assert "removed by hand" in agent.holds(began=True)[0] and agent.faults() == []
+
+
+def test_an_operator_holds_and_releases(phm: Any, project: Project) -> None:
+    """While on hold, a crash is STALE, no alarm, and left alone; after the release it is a fault and healed."""
+    agent = phm(**HEAL)
+    said = agent.verb("hold", project.container, "--for", "10min", "--reason", "swapping firmware")
+    assert said.startswith(f"{project.container} is on hold until ") and "swapping firmware" in said
+    project.docker("kill", project.container)
+    agent.until(lambda: agent.level() is Level.STALE and agent.decided(), "the unit to be on hold")
+    state = next(state for state in agent.daemon.pipeline.states() if state.unit == agent.unit)
+    assert "swapping firmware" in state.result.summary and agent.faults() == []
+    agent.until(lambda: f"on hold: {project.container} until" in agent.verb("status"), "the status to show it")
+    assert agent.verb("release", project.container) == f"released: {project.container}\n"
+    agent.until(lambda: Phase.VERIFIED in agent.phases(), "the container to be started")
+    assert agent.faults() == [agent.unit]
+
+
+def test_a_hold_survives_a_restart_of_phm(phm: Any, project: Project, tmp_path: Path) -> None:
+    """The next PHM leaves alone what was on hold when the one before ended, until the same end."""
+    agent = phm(**HEAL)
+    agent.daemon.holds.hold(project.container, 600.0, "swapping firmware", "operator (uid 0)")
+    before = agent.daemon.holds.snapshot()[0]
+    agent.daemon.stop()
+    project.docker("kill", project.container)
+    following = Phm(tmp_path, project.container, **HEAL)
+    try:
+        following.until(lambda: following.level() is Level.STALE and following.daemon.pipeline.complete, "the hold")
+        after = following.daemon.holds.snapshot()[0]
+        assert after["left_s"] < before["left_s"] and after["reason"] == "swapping firmware"
+        assert following.faults() == [] and following.phases() == []
+    finally:
+        following.daemon.stop()

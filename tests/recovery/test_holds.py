@@ -1,0 +1,516 @@
+"""Holds in a running PHM, on a fake clock: what begins and ends them, and what the rest of PHM makes of them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.model import FaultClosed, HoldChanged, Level, Outcome, Phase, Stamp
+from phm.recovery.armed import Armed, State as ArmedState
+from phm.recovery.executor import NotApprovable, NotNow
+from phm.recovery.hold_service import HoldRefused, HoldService, HoldWorld
+from phm.recovery.holds import ALL, Hold, Holds
+from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
+from phm.testing import FakeClock
+from tests.recovery.agent import Agent, Containers, Of
+
+UNITS = {"container/app": Of("app"), "nodes/app": Of("app", ("container/app",)), "container/cam": Of("cam")}
+LADDERS = {"broken": ["restart"], "exited": ["restart"]}
+PATIENT = {"backoff": 50.0, "backoff_max": 60.0}
+BY = "operator (uid 0)"
+STOP = (("kill", "signal 15"), ("die", "exit code 0"), ("stop", ""))
+
+
+class Scene:
+    """PHM with two containers, of which `app` is flight-critical. `armed` is what is known of the vehicle."""
+
+    def __init__(
+        self, folder: Path | None = None, clock: FakeClock | None = None, containers: Containers | None = None,
+        **recovery: Any,
+    ) -> None:  # fmt: skip
+        self.clock, self.containers = clock or FakeClock(), containers or Containers("app", "cam")
+        self.armed = ArmedState.DISARMED
+        self.agent = Agent(
+            UNITS, self.containers, self.clock, folder=folder, opted_in=("app", "cam"), critical=("app",),
+            **{"ladders": LADDERS, **recovery},
+        )  # fmt: skip
+        self.holds: Holds = self.agent.executor._shop.holds
+        acting_on = self.agent.executor.acting_on
+        world = HoldWorld(lambda: Armed(self.armed, "as the test says"), self.containers.facts.get, acting_on)
+        self.service = HoldService(
+            self.agent.settings, self.holds, self.agent.pipeline, self.agent.bus.publish, self.clock, world
+        )
+        self.service._apply(("app", "cam"))
+        look = self.agent.look
+        self.agent.look = lambda: (self.service.tick(), look())[1]  # type: ignore[method-assign]
+        self.agent.rest(0.5)
+
+    def hold(self, container: str = "app", for_s: float | None = 60.0, reason: str = "new firmware") -> str:
+        return self.service.hold(container, for_s, reason, BY)[0]
+
+    def happen(self, *events: tuple[str, str], key: str = "app") -> None:
+        for action, detail in events:
+            self.service.happened(key, action, detail)
+
+    def level(self, unit: str = "container/app") -> Level:
+        return next(state.level for state in self.agent.pipeline.states() if state.unit == unit)
+
+    def summary(self, unit: str = "container/app") -> str:
+        return next(state.result.summary for state in self.agent.pipeline.states() if state.unit == unit)
+
+    def changes(self) -> list[tuple[str, bool]]:
+        return [(event.target, event.began) for event in self.agent.of(HoldChanged)]
+
+    def last(self) -> str:
+        found: HoldChanged = self.agent.of(HoldChanged)[-1]
+        return found.text
+
+    def stop(self) -> None:
+        self.agent.stop()
+        self.clock.advance(1000)
+
+
+@pytest.fixture
+def scenes() -> Iterator[Any]:
+    made: list[Scene] = []
+
+    def make(*words: Any, **more: Any) -> Scene:
+        made.append(Scene(*words, **more))
+        return made[-1]
+
+    yield make
+    for scene in made:
+        scene.stop()
+
+
+@pytest.fixture
+def scene(scenes: Any) -> Scene:
+    made: Scene = scenes()
+    return made
+
+
+# ---------------------------------------------------------------- what a hold does
+
+
+def test_what_is_bad_on_hold_is_stale_and_no_alarm(scene: Scene) -> None:
+    """With until when, by whom and why; nothing is done about it, and what follows from it is quiet, too."""
+    scene.hold()
+    scene.agent.bad = {"container/app": "broken", "nodes/app": "broken"}
+    scene.agent.rest(5)
+    assert scene.level() is scene.level("nodes/app") is Level.STALE
+    assert "on hold until" in scene.summary() and BY in scene.summary() and "new firmware" in scene.summary()
+    assert scene.agent.opened() == [] and scene.agent.runs == []
+
+
+def test_other_containers_are_not_affected(scene: Scene) -> None:
+    """A hold is on one container, unless it is on all."""
+    scene.hold("app")
+    scene.agent.bad = {"container/cam": "broken"}
+    scene.agent.until(lambda: ("cam", "container/cam") in scene.agent.runs, "the restart of cam")
+
+
+def test_a_hold_without_a_container_is_on_all(scene: Scene) -> None:
+    """And `phm release` without one ends it."""
+    scene.hold(ALL)
+    scene.agent.bad = {"container/app": "broken", "container/cam": "broken"}
+    scene.agent.rest(5)
+    assert scene.agent.opened() == []
+    scene.agent.bad = {}
+    scene.service.release(ALL, BY)
+    assert scene.service.snapshot() == []
+
+
+def test_what_is_well_on_hold_is_well(scene: Scene) -> None:
+    """A hold hides nothing that is OK."""
+    scene.hold()
+    scene.agent.rest(1)
+    assert scene.level() is Level.OK
+
+
+def test_a_hold_ends_by_itself_with_a_message(scene: Scene) -> None:
+    """Then what is still bad is a fault and healed."""
+    scene.hold(for_s=10)
+    scene.agent.bad = {"container/app": "broken"}
+    scene.agent.rest(9)
+    assert scene.agent.opened() == []
+    scene.agent.until(lambda: scene.agent.runs, "the restart")
+    assert scene.changes() == [("app", True), ("app", False)] and "its time is over" in scene.last()
+    assert scene.agent.opened() == ["container/app"]
+
+
+def test_an_open_fault_stays_open_without_an_action(scenes: Any) -> None:
+    """It is listed while it is on hold, its attempts stay as they are, and it is healed after a fresh finding."""
+    scene = scenes(**PATIENT)
+    scene.agent.behave = lambda key, context, fault: None
+    scene.agent.bad = {"container/app": "broken"}
+    scene.agent.until(lambda: scene.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
+    scene.hold(for_s=120)
+    scene.agent.rest(100)
+    assert len(scene.agent.runs) == 1 and scene.level() is Level.STALE
+    assert [fault.unit for fault in scene.agent.pipeline.open_faults()] == ["container/app"]
+    refused = [event.detail for event in scene.agent.actions() if event.phase is Phase.REFUSED]
+    assert len(refused) == 1 and "on hold until" in refused[0]
+    scene.agent.until(lambda: scene.agent.steps().count(Phase.STARTED) == 2, "the next attempt")
+    assert scene.agent.opened() == ["container/app"]
+    assert [event.attempt for event in scene.agent.actions() if event.phase is Phase.STARTED] == [1, 2]
+
+
+def test_a_fault_that_ends_on_hold_is_resolved(scenes: Any) -> None:
+    """By itself, as far as PHM is concerned."""
+    scene = scenes(**PATIENT)
+    scene.agent.behave = lambda key, context, fault: None
+    scene.agent.bad = {"container/app": "broken"}
+    scene.agent.until(lambda: scene.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
+    scene.hold()
+    scene.agent.rest(1)
+    scene.agent.bad = {}
+    scene.agent.until(lambda: scene.agent.closed(), "the end of the fault")
+    closed: FaultClosed = scene.agent.closed()[0]
+    assert (closed.fault.outcome, closed.fault.by) == (Outcome.RESOLVED, "itself")
+
+
+def test_after_a_hold_nothing_is_done_on_an_old_finding(scenes: Any) -> None:
+    """The operator has mended it in the last moment: no action follows."""
+    scene = scenes(**PATIENT)
+    scene.agent.behave = lambda key, context, fault: None
+    scene.agent.bad = {"container/app": "broken"}
+    scene.agent.until(lambda: scene.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
+    scene.hold(for_s=30)
+    scene.agent.rest(29)
+    scene.agent.bad = {}
+    scene.agent.rest(30)
+    assert len(scene.agent.runs) == 1
+
+
+def test_an_action_under_way_is_finished_first(scene: Scene) -> None:
+    """The answer to the operator names it."""
+    answers: list[str] = []
+
+    def slow(key: str, context: Any, fault: Any) -> None:
+        answers.append(scene.hold())
+        scene.containers.start(key)
+        scene.agent.bad = {}
+
+    scene.agent.behave = slow
+    scene.agent.bad = {"container/app": "broken"}
+    scene.agent.until(lambda: Phase.VERIFIED in scene.agent.steps(), "the verification")
+    assert "restart of app, which is under way, is finished first" in answers[0]
+
+
+def test_on_hold_nothing_is_approved_and_nothing_restarted_for_the_ground(scene: Scene) -> None:
+    """Whoever asks is told until when it is on hold."""
+    scene.agent.behave = lambda key, context, fault: None
+    scene.agent.bad = {"container/app": "broken"}
+    scene.agent.until(lambda: scene.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
+    scene.hold()
+    fault = scene.agent.pipeline.open_faults()[0].id
+    with pytest.raises(NotApprovable, match="on hold until"):
+        scene.agent.executor.approve(fault)
+    with pytest.raises(NotNow, match="on hold until"):
+        scene.agent.executor.restart("app", "the ground")
+
+
+# ---------------------------------------------------------------- what is granted
+
+
+@pytest.mark.parametrize(
+    ("container", "for_s", "why"),
+    [
+        ("ap", 60.0, "no container 'ap'"),
+        ("app", 0.5, "1 s to 14400 s"),
+        ("app", 20000.0, "recovery.hold_max"),
+        ("app", float("nan"), "recovery.hold_max"),
+    ],
+)
+def test_a_bad_hold_is_refused(scene: Scene, container: str, for_s: float, why: str) -> None:
+    """With what is allowed."""
+    with pytest.raises(HoldRefused, match=why):
+        scene.hold(container, for_s)
+
+
+def test_a_second_hold_takes_the_place_of_the_first(scene: Scene) -> None:
+    """Also to shorten it."""
+    scene.hold(for_s=600)
+    scene.hold(for_s=10, reason="")
+    assert [(hold["left_s"], hold["reason"]) for hold in scene.service.snapshot()] == [(10.0, "")]
+
+
+def test_a_release_of_nothing_is_refused(scene: Scene) -> None:
+    """And says when it is the hold on all that keeps it."""
+    with pytest.raises(HoldRefused, match=r"app is not on hold$"):
+        scene.service.release("app", BY)
+    scene.hold(ALL)
+    with pytest.raises(HoldRefused, match="all containers are on hold"):
+        scene.service.release("app", BY)
+
+
+def test_a_clock_that_is_set_changes_no_hold(scene: Scene) -> None:
+    """The end is on the monotonic clock."""
+    scene.hold(for_s=10)
+    scene.agent.bad = {"container/app": "broken"}
+    scene.clock.jump_utc(-86400)
+    scene.agent.rest(5)
+    scene.clock.jump_utc(10 * 86400)
+    scene.agent.rest(4)
+    assert scene.agent.opened() == []
+    scene.agent.rest(3)
+    assert scene.agent.opened() == ["container/app"]
+
+
+# ---------------------------------------------------------------- in the air
+
+
+@pytest.mark.parametrize("container", ["app", ALL])
+def test_what_is_flight_critical_is_not_put_on_hold_while_armed(scene: Scene, container: str) -> None:
+    """Its failures stay visible; another container may be."""
+    scene.armed = ArmedState.ARMED
+    with pytest.raises(HoldRefused, match="flight-critical"):
+        scene.hold(container)
+    scene.hold("cam")
+
+
+def test_take_off_ends_what_must_not_be_missed(scene: Scene) -> None:
+    """Holds of flight-critical containers, with a message; an operator's hold of another one stays."""
+    scene.hold("app", 600.0)
+    scene.hold("cam", 600.0)
+    scene.agent.rest(1)
+    scene.armed = ArmedState.UNKNOWN
+    scene.agent.rest(3)
+    assert len(scene.service.snapshot()) == 2
+    scene.armed = ArmedState.ARMED
+    scene.agent.rest(3)
+    assert [hold["container"] for hold in scene.service.snapshot()] == ["cam"]
+    assert "the autopilot is armed" in scene.last()
+
+
+# ---------------------------------------------------------------- stops by hand
+
+
+def stopped(scene: Scene, key: str = "app") -> None:
+    """`docker stop`, and what the checks see of it."""
+    scene.happen(*STOP, key=key)
+    scene.agent.bad = {f"container/{key}": "exited"}
+
+
+def test_on_the_ground_a_stop_is_respected_for_a_while(scene: Scene) -> None:
+    """No alarm, a hold with an end, and then a fault like any other."""
+    stopped(scene)
+    scene.agent.rest(10)
+    assert scene.changes() == [("app", True)] and scene.agent.opened() == []
+    assert scene.service.snapshot()[0]["source"] == "stop" and "stopped by hand" in scene.summary()
+    scene.agent.rest(595)
+    assert scene.agent.opened() == ["container/app"] and scene.agent.runs != []
+
+
+def test_a_start_ends_the_hold_of_a_stop_and_no_other(scene: Scene) -> None:
+    """What an operator put on hold stays so until its end."""
+    scene.hold("cam", 600.0)
+    stopped(scene)
+    scene.agent.rest(10)
+    scene.happen(("start", ""))
+    scene.happen(("start", ""), key="cam")
+    scene.agent.bad = {}
+    scene.agent.rest(1)
+    assert [hold["container"] for hold in scene.service.snapshot()] == ["cam"]
+    assert "it was started again" in scene.last()
+
+
+@pytest.mark.parametrize("armed", [ArmedState.ARMED, ArmedState.UNKNOWN])
+def test_in_the_air_a_stop_is_a_failure(scene: Scene, armed: ArmedState) -> None:
+    """Also where nobody knows whether it is in the air."""
+    scene.armed = armed
+    stopped(scene, "cam")
+    scene.agent.until(lambda: scene.agent.runs, "the restart")
+    assert scene.agent.opened() == ["container/cam"] and scene.service.snapshot() == []
+
+
+def test_one_word_is_the_rule_for_both(scenes: Any) -> None:
+    """`on_manual_stop: respect`, e.g. for a bench without an autopilot."""
+    scene = scenes(on_manual_stop="respect")
+    scene.armed = ArmedState.UNKNOWN
+    stopped(scene)
+    scene.agent.rest(10)
+    assert scene.changes() == [("app", True)] and scene.agent.opened() == []
+
+
+def test_what_is_flight_critical_and_armed_is_never_respected_quietly(scenes: Any) -> None:
+    """The alarm is raised even where the rule for the air is to respect."""
+    scene = scenes(on_manual_stop="respect")
+    scene.armed = ArmedState.ARMED
+    stopped(scene)
+    scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the alarm")
+    assert scene.changes() == []
+
+
+def test_advise_raises_the_alarm_and_does_nothing_unless_approved(scenes: Any) -> None:
+    """The advice says that it was stopped by hand."""
+    scene = scenes(on_manual_stop="advise")
+    stopped(scene, "cam")
+    scene.agent.until(lambda: scene.agent.steps("cam") == [Phase.ADVISED], "the advice")
+    assert "stopped by hand" in scene.agent.actions()[0].detail
+    scene.agent.rest(5)
+    assert scene.agent.runs == []
+    scene.agent.executor.approve(scene.agent.pipeline.open_faults()[0].id)
+    scene.agent.until(lambda: scene.agent.runs, "the restart")
+
+
+def test_while_a_recreation_may_be_under_way_nothing_is_raised(scenes: Any) -> None:
+    """Whatever the rule is; a crash is not waited for."""
+    scene = scenes(on_manual_stop="heal")
+    scene.happen(("replace", ""), *STOP, ("destroy", ""))
+    scene.agent.bad = {"container/app": "missing"}
+    scene.agent.rest(10)
+    scene.agent.bad = {}
+    scene.happen(("start", ""))
+    scene.agent.rest(5)
+    assert scene.agent.opened() == []
+    scene.agent.bad = {"container/app": "exited"}
+    scene.happen(("die", "exit code 1"))
+    scene.agent.rest(0.3)
+    assert scene.agent.opened() == ["container/app"]
+
+
+def test_what_else_is_wrong_meanwhile_is_raised(scenes: Any) -> None:
+    """Only an end of the container may be part of a restart."""
+    scene = scenes(on_manual_stop="heal")
+    scene.happen(("kill", "signal 1"))
+    scene.agent.bad = {"nodes/app": "broken"}
+    scene.agent.until(lambda: scene.agent.opened() == ["nodes/app"], "the alarm")
+
+
+# ---------------------------------------------------------------- maintenance windows
+
+
+def test_a_window_holds_and_ends(scenes: Any) -> None:
+    """FakeClock begins on 2023-11-14; the window is looked for once the clock was set."""
+    scene = scenes(maintenance=[{"when": "02:00-02:10", "container": "cam", "reason": "upload"}])
+    scene.clock.jump_utc(1795312740.0 - scene.clock.utc())  # 2026-11-22 01:59 UTC
+    scene.agent.rest(50)
+    assert scene.changes() == []
+    scene.agent.rest(20)
+    assert scene.changes() == [("cam", True)] and "maintenance window: upload" in scene.last()
+    scene.agent.rest(600)
+    assert scene.changes() == [("cam", True), ("cam", False)]
+
+
+def test_a_window_that_was_released_or_set_back_does_not_open_again(scenes: Any) -> None:
+    """An occurrence is one hold, whatever happens to the clock."""
+    scene = scenes(maintenance=[{"when": "02:00-02:10"}])
+    scene.clock.jump_utc(1795312860.0 - scene.clock.utc())  # 2026-11-22 02:01 UTC
+    scene.agent.rest(10)
+    assert scene.changes() == [("", True)]
+    scene.service.release(ALL, BY)
+    scene.clock.jump_utc(-30)
+    scene.agent.rest(30)
+    assert scene.changes() == [("", True), ("", False)]
+
+
+def test_a_label_is_a_window_and_a_wrong_one_is_named_once(scene: Scene) -> None:
+    """The label holds its own container."""
+    scene.containers.facts["cam"] = replace(scene.containers.facts["cam"], maintenance="00:00-23:59")
+    scene.containers.facts["app"] = replace(scene.containers.facts["app"], maintenance="whenever")
+    scene.clock.jump_utc(1795312860.0 - scene.clock.utc())
+    scene.agent.rest(70)
+    assert scene.changes() == [("cam", True)]
+    assert len([text for text in scene.agent.notes() if "'whenever' is not a maintenance window" in text]) == 1
+
+
+@pytest.mark.parametrize(("armed", "opens"), [(ArmedState.DISARMED, ["app", "cam"]), (ArmedState.UNKNOWN, ["cam"]), (ArmedState.ARMED, [])])  # fmt: skip
+def test_no_window_opens_in_the_air(scenes: Any, armed: ArmedState, opens: list[str]) -> None:
+    """For what is flight-critical only where the vehicle is known to be disarmed."""
+    windows = [{"when": "00:00-23:59", "container": key} for key in ("app", "cam")]
+    scene = scenes(maintenance=windows)
+    scene.armed = armed
+    scene.clock.jump_utc(1795312860.0 - scene.clock.utc())
+    scene.agent.rest(10)
+    assert sorted(hold["container"] for hold in scene.service.snapshot()) == opens
+
+
+# ---------------------------------------------------------------- over a restart
+
+
+def test_a_hold_survives_a_restart_of_phm(scenes: Any, tmp_path: Path) -> None:
+    """With the same end."""
+    first = scenes(tmp_path)
+    first.hold(for_s=100)
+    first.agent.rest(5)
+    first.agent.stop()
+    first.clock.advance(20)
+    second = scenes(tmp_path, first.clock)
+    hold = second.service.snapshot()[0]
+    assert hold["reason"] == "new firmware" and 70 < hold["left_s"] < 76
+    second.agent.bad = {"container/app": "broken"}
+    second.agent.rest(60)
+    assert second.agent.opened() == []
+    second.agent.until(lambda: second.agent.opened() == ["container/app"], "the end of the hold")
+
+
+def test_a_stop_that_is_over_when_phm_starts_holds_nothing(scenes: Any, tmp_path: Path) -> None:
+    """It was started while PHM did not run, so no event says so; where it still is stopped, its hold goes on."""
+    first = scenes(tmp_path)
+    stopped(first, "app")
+    stopped(first, "cam")
+    first.agent.bad = {"container/app": "exited", "container/cam": "exited"}
+    first.agent.rest(10)
+    first.agent.stop()
+    first.containers.end("cam")
+    second = scenes(tmp_path, first.clock, containers=first.containers)
+    assert [hold["container"] for hold in second.service.snapshot()] == ["cam"]
+
+
+def test_a_stop_that_is_only_advised_about_stays_so_over_a_restart(scenes: Any, tmp_path: Path) -> None:
+    """Until the container is started."""
+    first = scenes(tmp_path, on_manual_stop="advise")
+    stopped(first, "cam")
+    first.agent.until(lambda: first.agent.steps("cam") == [Phase.ADVISED], "the advice")
+    first.agent.stop()
+    first.containers.end("cam")
+    second = scenes(tmp_path, first.clock, containers=first.containers, on_manual_stop="advise")
+    second.agent.bad = {"container/cam": "exited"}
+    second.agent.rest(20)
+    assert second.agent.runs == []
+
+
+def carried(left_s: float, *, boot: str, now: Stamp) -> Hold:
+    """A hold of so many seconds at (utc 1000, mono 500) as it is read back at another moment."""
+    holds = Holds()
+    holds.put(Hold("app", "operator", 500.0 + left_s, BY, "why"))
+    state = State(recovery=RecoveryState(holds=holds.kept(500.0)))
+    document = json.loads(json.dumps(encode(state, "boot", Stamp(1000.0, 500.0))))
+    return decode(document, boot, now, 600.0).recovery.holds[0].hold
+
+
+@pytest.mark.parametrize("utc", [0.0, 1000.0, 1e9])
+def test_on_the_same_boot_the_end_is_what_it_was(utc: float) -> None:
+    """Whatever the clock of the day says."""
+    assert carried(90.0, boot="boot", now=Stamp(utc, 530.0)).until == 590.0
+
+
+@pytest.mark.parametrize("utc", [0.0, 1000.0, 1e9])
+def test_after_a_reboot_what_was_left_counts(utc: float) -> None:
+    """At most half a minute more, and never less because a clock was wrong."""
+    assert carried(80.0, boot="other", now=Stamp(utc, 5.0)).until == 95.0
+
+
+def test_what_is_left_is_written_every_half_minute() -> None:
+    """So that reboots cannot extend a hold for ever, and a disk is not written to at each look."""
+    holds = Holds()
+    holds.put(Hold("app", "operator", 600.0, BY))
+    assert holds.kept(0.0) == holds.kept(29.0) != holds.kept(31.0)
+
+
+@pytest.mark.parametrize("body", [{"left_s": "x"}, {"left_s": 1e300}, {"until_mono": None}, {"target": 5}])
+def test_a_damaged_hold_extends_nothing(body: dict[str, Any]) -> None:
+    """It makes the file invalid, or lasts a day at most."""
+    good = {"target": "app", "source": "operator", "until_mono": 600.0, "left_s": 60.0, "by": "", "reason": "", "occurrence": ""}  # fmt: skip
+    document = encode(State(), "boot", Stamp(1000.0, 500.0))
+    document["holds"] = [{**good, **body}]
+    with contextlib.suppress(Unbelievable):
+        kept = decode(document, "other", Stamp(1000.0, 500.0), 600.0).recovery.holds
+        assert all(entry.hold.until <= 500.0 + 86400.0 for entry in kept)

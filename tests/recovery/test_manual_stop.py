@@ -1,0 +1,80 @@
+"""A stop by hand is told from a crash by the engine's events, as recorded from Docker 20.10 and Compose 2.26."""
+
+from __future__ import annotations
+
+import pytest
+
+from phm.recovery.manual_stop import REMOVED_S, ManualStops, Verdict
+
+TERM, KILL = ("kill", "signal 15"), ("kill", "signal 9")
+DIE, STOP, DESTROY, START = ("die", "exit code 0"), ("stop", ""), ("destroy", ""), ("start", "")
+
+
+def verdicts(*events: tuple[str, str], gap_s: float = 0.05, own: bool = False) -> list[Verdict]:
+    """What is decided a minute after these events, which came one after another."""
+    stops, now = ManualStops(), 100.0
+    for action, detail in events:
+        stops.event("app", action, detail, now, own=own)
+        now += gap_s
+    assert bool(stops.undecided()) == bool(stops.next_due())
+    return [verdict for _key, verdict in stops.due(now + 60.0)]
+
+
+@pytest.mark.parametrize("events", [(TERM, DIE, STOP), (("kill", "signal 2"), DIE, STOP), (TERM, KILL, DIE, STOP)])
+def test_a_stop_is_a_stop(events: tuple[tuple[str, str], ...]) -> None:
+    """Whatever the stop signal is, and also when the time until SIGKILL was over."""
+    assert verdicts(*events) == [Verdict.STOPPED]
+
+
+@pytest.mark.parametrize("events", [(KILL, DIE, DESTROY), (TERM, DIE, STOP, DESTROY), (DESTROY,)])
+def test_a_removal_is_a_removal(events: tuple[tuple[str, str], ...]) -> None:
+    """`docker rm -f`, `docker compose down`, `docker rm` of what had ended before."""
+    assert verdicts(*events) == [Verdict.REMOVED]
+
+
+@pytest.mark.parametrize("events", [(KILL, DIE), (TERM, DIE)])
+def test_a_kill_is_a_crash(events: tuple[tuple[str, str], ...]) -> None:
+    """`docker kill` is not how a container is stopped."""
+    assert verdicts(*events) == [Verdict.CRASHED]
+
+
+def test_an_end_without_any_kill_is_not_waited_for() -> None:
+    """A crash is published as soon as it is seen."""
+    assert verdicts(DIE) == [] and verdicts(("oom", ""), DIE) == []
+
+
+@pytest.mark.parametrize(
+    "events",
+    [
+        (TERM, DIE, STOP, START),
+        (("replace", ""), TERM, DIE, STOP, DESTROY, ("rename", ""), START),
+        (TERM, DIE, STOP, DESTROY, ("create", ""), START),
+    ],
+)
+def test_what_runs_again_was_no_stop(events: tuple[tuple[str, str], ...]) -> None:
+    """A restart, a recreation by Compose, one by hand."""
+    assert verdicts(*events) == []
+
+
+def test_a_stop_by_phm_itself_is_none() -> None:
+    """PHM's own restart stops the container, too."""
+    assert verdicts(TERM, DIE, STOP, own=True) == []
+
+
+def test_a_slow_recreation_is_waited_for() -> None:
+    """Once Compose has made the replacement, the old one may take its time to end."""
+    stops = ManualStops()
+    for at, action in ((0.0, "replace"), (0.1, "kill"), (60.0, "die"), (60.1, "stop"), (70.0, "destroy")):
+        assert stops.due(at) == []
+        stops.event("app", action, "signal 15", at, own=False)
+    assert stops.due(80.0) == []
+    stops.event("app", "start", "", 81.0, own=False)
+    assert stops.due(1000.0) == []
+
+
+def test_a_kill_is_published_soon() -> None:
+    """`docker kill` looks like `docker rm -f` for half a second only."""
+    stops = ManualStops()
+    stops.event("app", *KILL, 0.0, own=False)
+    stops.event("app", *DIE, 1.0, own=False)
+    assert stops.next_due() == 1.0 + REMOVED_S

@@ -1,0 +1,98 @@
+"""A hold on its way to the ground: lines, status word, digest and what `phm gcs` makes of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from phm.gcs import lines
+from phm.gcs.lines import Kind
+from phm.model import ON_HOLD, HoldChanged, Level, Slot, UnitState, worst_by_slot
+from phm.reporters.mavlink_lines import Teller
+from phm.swarm import digest
+from phm.wire import status_line, status_word
+from tests.fakes.records import at, opened, transition, unit
+from tests.gcs.bench import Ground, beat, said
+
+HELD = unit("container/ros_app", Slot.CONTAINER, Level.STALE, brief="ros_app on hold", condition=ON_HOLD)
+BELOW = unit("nodes/a", Slot.NODES, Level.STALE, blocked_by="container/ros_app")
+WELL = unit("files/ros_app", Slot.FILES)
+
+
+def changed(target: str, *, began: bool, for_s: float = 1200.0, reason: str = "new firmware") -> HoldChanged:
+    return HoldChanged(at(), target, began, "operator", reason, for_s, "ros_app is on hold")
+
+
+@pytest.mark.parametrize(
+    ("target", "began", "for_s", "reason", "text"),
+    [
+        ("ros_app", True, 1200.0, "new firmware", "A01 HOLD 2 ros_app 20 min: new firmware"),
+        ("ros_app", True, 90.0, "", "A01 HOLD 2 ros_app 90 s"),
+        ("", True, 14400.0, "", "A01 HOLD 2 all 240 min"),
+        ("ros_app", False, 5.0, "new firmware", "A01 HOLD 2 ros_app over"),
+        ("", False, 0.0, "", "A01 HOLD 2 all over"),
+    ],
+)
+def test_a_hold_is_a_line(target: str, began: bool, for_s: float, reason: str, text: str) -> None:
+    """What, for how long and why; and that it is over. It is read back as a change that says nothing is bad."""
+    line = Teller(1).hold(changed(target, began=began, for_s=for_s, reason=reason))[0]
+    assert (line.text, int(line.severity)) == (text, 5)
+    found = lines.read(line.text)
+    assert found is not None and (found.kind, found.word, found.level) == (Kind.CHANGE, "HOLD", None)
+
+
+def test_a_hold_fits_whatever_it_is_called() -> None:
+    """At most 50 printable characters, and the end stays recognizable."""
+    for began in (True, False):
+        text = Teller(250).hold(changed("x" * 128, began=began, reason="\x1bümlaut " * 40))[0].text
+        assert len(text) <= 50 and text.isascii() and text.isprintable()
+        assert text.endswith(" over") is not began
+
+
+def test_the_refresh_says_hold_where_all_that_is_not_known_is_on_hold() -> None:
+    """Anything that is bad or not known for another reason goes first."""
+    assert status_line.refresh(1, [HELD, BELOW, WELL]) == "A01 HOLD --1----- 2 ros_app on hold"
+    assert status_line.refresh(1, [HELD, replace(BELOW, blocked_by=""), WELL]) == "A01 STALE --1----- 2"
+    bad = unit("files/b", Slot.FILES, Level.ERROR, brief="b missing")
+    assert status_line.refresh(1, [HELD, bad]).startswith("A01 FAIL ")
+
+
+def test_a_held_slot_is_not_a_failed_one() -> None:
+    """Neither in the status word and in the heartbeat's state, nor in the digest of the swarm."""
+    states: tuple[UnitState, ...] = (HELD, BELOW, WELL)
+    word = status_word.encode(worst_by_slot(states))
+    assert status_word.decode(word) == {Slot.FILES: Level.OK}
+    assert status_word.system_status(states, complete=True) == status_word.ACTIVE
+    assert digest.worst(word)[0] is Level.OK
+
+
+def test_what_is_still_bad_after_a_hold_is_said_again() -> None:
+    """Once it is on hold, the failure that was said before is no longer what the ground is to know."""
+    teller = Teller(1)
+    bad = replace(unit("container/ros_app", Slot.CONTAINER, Level.ERROR, brief="ros_app exited"), fault="ab12-1")
+    teller.fault(opened(bad))
+    first = teller.transition(transition(bad))
+    teller.transition(transition(replace(HELD, fault="ab12-1"), Level.ERROR))
+    again = teller.transition(transition(bad, Level.STALE))
+    assert [line.text for line in first] == [line.text for line in again] == ["A01 FAIL 2 ros_app exited"]
+
+
+def test_the_ground_shows_a_hold_and_its_end() -> None:
+    """By the line that begins it, and by each refresh."""
+    ground = Ground()
+
+    def how() -> tuple[str, bool]:
+        agent = ground.store.snapshot(ground.clock.stamp())["agents"][0]
+        return agent["how"], agent["on_hold"]
+
+    ground.hear(beat(1, {Slot.CONTAINER: Level.STALE}))
+    assert how() == ("OK", False)
+    ground.hear(said(1, "A01 HOLD 2 ros_app 20 min: new firmware", 5))
+    assert how() == ("HOLD", True)
+    ground.hear(said(1, "A01 HOLD 1-111111 2 ros_app on hold", 6))
+    assert how() == ("HOLD", True)
+    ground.hear(beat(1, {Slot.CONTAINER: Level.STALE, Slot.NODES: Level.ERROR}))
+    assert how() == ("ERROR", True)
+    ground.hear(beat(1), said(1, "A01 HOLD 2 ros_app over", 5), said(1, "A01 OK 11111111", 6))
+    assert how() == ("OK", False)
