@@ -45,7 +45,7 @@ REPLACES = "com.docker.compose.replace"
 CONTAINER_ACTIONS = (
     "create", "start", "kill", "die", "stop", "restart", "pause", "unpause", "oom", "health_status", "destroy", "rename",
 )  # fmt: skip
-NETWORK_ACTIONS = ("connect", "disconnect", "destroy")
+NETWORK_ACTIONS = ("create", "connect", "disconnect", "destroy")
 # The engine matches actions by their beginning once `health_status` is among them: exec events stay out.
 FILTERS = {"type": ("container", "network"), "event": tuple(dict.fromkeys((*CONTAINER_ACTIONS, *NETWORK_ACTIONS)))}
 

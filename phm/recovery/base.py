@@ -118,7 +118,10 @@ class Action(ABC):
         return True
 
     def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        """What must be there before this step can be done and is not, as a sentence; empty: nothing. Raises CannotTell."""
+        """What must be there before this step can be done and is not, as a sentence; empty: nothing.
+
+        Asked before the step is begun, as often as once a second, so it must come back soon. Raises CannotTell.
+        """
         return ""
 
     @abstractmethod

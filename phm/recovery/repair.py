@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -10,10 +11,12 @@ from phm.facts import CannotTell
 from phm.model import Fault, Phase
 from phm.recovery.acting import Acting
 from phm.recovery.armed import State
-from phm.recovery.base import Action
+from phm.recovery.base import Action, ActionFailed
 from phm.recovery.proof import Meanwhile, prove
 from phm.recovery.shop import Shop
 from phm.settings import ContainerSettings
+
+logger = logging.getLogger(__name__)
 
 MARGIN_S = 20.0
 """Beyond an action's deadline and `verify`, its hold lasts this long: what needs the target may come back last."""
@@ -70,7 +73,10 @@ class Repair:
         """What must be there first and is not; empty also when nobody can tell: then the action says what is wrong."""
         try:
             return self._missing()
-        except CannotTell:
+        except (CannotTell, ActionFailed):
+            return ""
+        except Exception:  # plug-in code
+            logger.exception("what action %s waits for could not be found out", self._kind.name)
             return ""
 
     def begin(self) -> bool:

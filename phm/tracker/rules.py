@@ -148,7 +148,7 @@ def settled(look: Look) -> Verdict:
     nothing about now.
     """
     entry, unit = look.entry, look.entry.spec.unit
-    if entry.told.level is look.result.level and not entry.told.blocked_by:
+    if entry.told.level is look.result.level and not entry.told.blocked_by and not entry.anew:
         return Verdict(look.result)
     upstream = look.scene.upstream(entry.id)
     pending, ask = entry.pending, frozenset[str]()
@@ -182,7 +182,7 @@ def not_known_yet(result: Result) -> Result:
 
 def too_early(entry: Entry, now: float) -> bool:
     """Whether the unit has grace. An open or given-up fault goes on meanwhile."""
-    known = entry.fault is not None or entry.told_given_up
+    known = entry.fault is not None or (entry.told_given_up and not entry.anew)
     certain = entry.raw is not None and entry.raw.values.get(CERTAIN) is True
     return not known and ((now < entry.quiet_until and not certain) or entry.started < entry.counts_from)
 

@@ -138,6 +138,11 @@ class Entry:
         return self.escalated and self.told.level is Level.ERROR
 
     @property
+    def anew(self) -> bool:
+        """It was given up, and is now in ERROR for another reason: that is confirmed like any other ERROR."""
+        return self.escalated and self.failing and self.raw is not None and self.raw.condition not in self.conditions
+
+    @property
     def failing(self) -> bool:
         """Its newest result is an ERROR, whether told or not: enough to be somebody else's cause."""
         return self.raw is not None and self.raw.level is Level.ERROR
@@ -149,7 +154,7 @@ class Entry:
             return False
         if self.raw.level is Level.OK:
             return self.fault is not None
-        return self.raw.level.bad and self.told.level is not self.raw.level
+        return self.raw.level.bad and (self.told.level is not self.raw.level or self.anew)
 
     @property
     def waiting(self) -> bool:

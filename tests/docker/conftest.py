@@ -70,9 +70,10 @@ class Real:
             made.start()
         return made
 
-    def network(self) -> Any:
-        made = self.client.networks.create(self.name(), labels={LABEL: self._mark})
-        self._removals.append(made.remove)
+    def network(self, name: str = "") -> Any:
+        """Removed after all containers: one that is used cannot be."""
+        made = self.client.networks.create(name or self.name(), labels={LABEL: self._mark})
+        self._removals.insert(0, made.remove)
         return made
 
     def volume(self) -> Any:

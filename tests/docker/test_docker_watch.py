@@ -121,6 +121,22 @@ def test_network_events_wake_the_network_checks(
     assert heard[0].subjects == {"network"}
 
 
+def test_a_network_that_is_removed_and_created_again_wakes_the_network_checks(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """What waited for it goes on at once; networks that nobody has configured wake nobody."""
+    made, heard = watch({"name": "app", "networks": ["swarm"]})
+    until(made.healthy, "the first comparison")
+    for name in ("other", "swarm"):
+        fake.emit("network", "destroy", f"id-of-{name}", name=name, type="bridge")
+        fake.emit("network", "create", f"new-{name}", name=name, type="bridge")
+    until(lambda: len(heard) == 2, "two events")
+    assert [(event.key, event.action, event.subjects) for event in heard] == [
+        ("swarm", "destroy", {"network"}),
+        ("swarm", "create", {"network"}),
+    ]
+
+
 def test_a_disconnect_that_the_engine_tells_twice_is_told_once(
     fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
 ) -> None:

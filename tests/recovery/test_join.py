@@ -22,7 +22,7 @@ def context(attached: list[str]) -> ActionContext:
     def refuse(*arguments: Any, **more: Any) -> None:
         raise NotPermitted("the engine answered 403")
 
-    network = {"Id": "n1", "Containers": {name: {} for name in attached}}
+    network = {"Id": "n1", "Name": "net", "Containers": {name: {} for name in attached}}
     engine = cast(Any, SimpleNamespace(inspect_network=lambda name: network, connect=refuse, disconnect=refuse))
     me = testing.container("phm")
     return ActionContext(engine, Settings(), lambda key: None, lambda: me, lambda key, name: None)

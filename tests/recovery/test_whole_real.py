@@ -29,10 +29,14 @@ RULES: dict[str, Any] = {
 class Phm:
     """A daemon, and what it said."""
 
-    def __init__(self, folder: Path, door: Door, containers: list[dict[str, Any]], **recovery: Any) -> None:
+    def __init__(
+        self, folder: Path, door: Door, containers: list[dict[str, Any]], *, docker: dict[str, Any] | None = None,
+        limit_s: float = LIMIT_S, **recovery: Any,
+    ) -> None:  # fmt: skip
         self.events: list[Event] = []
+        self._limit_s = limit_s
         made = settings(
-            interval=2, docker=door.section, containers=containers, recovery={**RULES, **recovery}, state_dir=str(folder / "state"),
+            interval=2, docker={**door.section, **(docker or {})}, containers=containers, recovery={**RULES, **recovery}, state_dir=str(folder / "state"),
             run_dir=str(folder / "run"), log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}},
         )  # fmt: skip
         door.open(made)
@@ -46,9 +50,9 @@ class Phm:
         )
 
     def until(self, condition: Callable[[], object], what: str) -> None:
-        end = time.monotonic() + LIMIT_S
+        end = time.monotonic() + self._limit_s
         while not condition():
-            assert time.monotonic() < end, f"waited {LIMIT_S:g} s for {what}; actions: {self.actions()}"
+            assert time.monotonic() < end, f"waited {self._limit_s:g} s for {what}; actions: {self.actions()}"
             threading.Event().wait(0.02)
 
     def actions(self) -> list[tuple[str, str, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from phm.facts import NotPermitted
 from phm.model import Fault
+from phm.recovery.actions._networks import missing, network_id, not_there
 from phm.recovery.base import Action, ActionContext, Unneeded
 from phm.settings import ContainerSettings
 
@@ -14,18 +15,27 @@ class Join(Action):
     name = "join"
     on_myself = True
 
+    # A network that PHM's container is on is there at once.
+    shows_s = 1.0
+
+    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        gone = missing(target.networks, context)
+        return not_there(gone) if gone and len(gone) == len(target.networks) else ""
+
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         return join(target, context) or Unneeded(f"PHM is on the networks of {target.key} already")
 
 
 def join(target: ContainerSettings, context: ActionContext) -> str:
-    """Join every network of `target` that PHM's container is not on; what was joined, in words, or empty."""
+    """Join every network of `target` that exists and PHM's container is not on; what was joined, in words, or empty."""
     me = context.myself()
     if me is None or me.network_mode == "host":
         return ""
     joined = []
     for name in target.networks:
-        network = str(context.engine.inspect_network(name).get("Id", ""))
+        network = network_id(name, context)
+        if not network:
+            continue  # joined when it is there: the check of the container's networks sees that
         mine = next((entry for entry in me.networks if entry.name == name), None)
         if mine is not None and mine.network_id == network:
             continue

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from phm.facts import Attachment, ContainerFact
 from phm.model import Fault
 from phm.recovery.actions._common import present
-from phm.recovery.base import Action, ActionContext, Unneeded
+from phm.recovery.actions._networks import connect, missing, network_id, not_there
+from phm.recovery.base import Action, ActionContext, NotYet, Unneeded
 from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings
 
@@ -27,31 +27,26 @@ class Reconnect(Action):
     # keeps its multicast membership on the interface that is gone.
     follow_s = 6.0
 
+    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        gone = missing(target.networks, context)
+        return not_there(gone) if gone and len(gone) == len(target.networks) else ""
+
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
         attached = {entry.name: entry for entry in fact.networks}
         silent = fault.result.condition == "address_silent"
         done: list[str] = []
+        gone: list[str] = []
         for name in target.networks:
-            network = str(context.engine.inspect_network(name).get("Id", ""))
-            now = attached.get(name)
-            if now is not None and now.network_id == network and not silent:
+            network, now = network_id(name, context), attached.get(name)
+            is_as_it_must_be = now is not None and now.network_id == network and (now.address or not target.address)
+            if network and is_as_it_must_be and not silent:
                 continue
-            if now is not None:
-                context.engine.disconnect(name, fact.name, force=True)
-            before = context.remembered(target.key, name) or now
-            context.engine.connect(network, fact.name, aliases=_aliases(before, fact), address=_address(before))
-            done.append(name)
+            reached = bool(network) and connect(target, fact, name, network, context)
+            (done if reached else gone).append(name)
+        if gone and not done:
+            raise NotYet(not_there(gone))
         if not done:
             return Unneeded(f"{target.key} is connected already")
-        return f"reconnected {target.key} to {', '.join(done)}"
-
-
-def _aliases(before: Attachment | None, fact: ContainerFact) -> tuple[str, ...]:
-    """The aliases it had, less the short id, which the engine adds by itself."""
-    return tuple(alias for alias in before.aliases if alias != fact.id[:12]) if before else ()
-
-
-def _address(before: Attachment | None) -> str:
-    """Only an address that the user fixed may be asked for: the engine refuses others on default subnets."""
-    return before.fixed_address if before else ""
+        waits = f"; {not_there(gone)}" if gone else ""
+        return f"reconnected {target.key} to {', '.join(done)}{waits}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from phm.model import Fault
 from phm.recovery.actions._common import present, restart_dependants
+from phm.recovery.actions._networks import missing, not_there, reconnect_stopped, stale
 from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.critical import Reach
 from phm.settings import ContainerSettings
@@ -18,12 +19,18 @@ class Start(Action):
     proof_s = 2.0
     deadline_s = 120.0
 
+    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        fact = present(target, context)
+        gone = missing(stale(target, fact, context), context) if not fact.running else []
+        return not_there(gone) if gone else ""
+
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
         if fact.status == "paused":
             raise ActionFailed(f"{target.key} is paused, not stopped: unpause it")
         if fact.running:
             return Unneeded(f"{target.key} runs already")
+        reconnect_stopped(target, fact, context)
         if not context.engine.start(fact.id):
             return Unneeded(f"{target.key} was started by somebody else meanwhile")
         return f"started {target.key}{restart_dependants(target, fault, context)}"

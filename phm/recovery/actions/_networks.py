@@ -1,0 +1,78 @@
+"""The networks that a container is to be on: which of them exist, and putting a container on one.
+
+Networks are compared by id: one that was removed and created again under the same name is another one, and a stopped
+container that was on the old one cannot even be started.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from phm.facts import Attachment, ContainerFact, NotPermitted
+from phm.recovery.base import ActionContext
+from phm.settings import ContainerSettings
+from phm.transport.docker import EngineMissing
+
+
+def network_id(name: str, context: ActionContext) -> str:
+    """Id of the network of this name; empty when there is none. Raises CannotTell."""
+    try:
+        network = context.engine.inspect_network(name)
+    except EngineMissing:
+        return ""
+    # The engine also takes the beginning of an id for a name.
+    return str(network.get("Id") or "") if network.get("Name") == name else ""
+
+
+def missing(names: Iterable[str], context: ActionContext) -> list[str]:
+    """Those of these networks that do not exist now. Raises CannotTell."""
+    return [name for name in names if not network_id(name, context)]
+
+
+def not_there(names: Iterable[str]) -> str:
+    """That networks are missing, as a sentence."""
+    return f"there is no network {', '.join(names)}: PHM waits until it is created"
+
+
+def has_its_own(fact: ContainerFact) -> bool:
+    """Whether the container has a network namespace of its own, which can be connected to networks."""
+    return fact.network_mode not in ("host", "none") and not fact.network_mode.startswith("container:")
+
+
+def connect(target: ContainerSettings, fact: ContainerFact, name: str, network: str, context: ActionContext) -> bool:
+    """Connect the container to the network of this name and id as it was connected before, removing what is left of that;
+    False when the network has gone meanwhile. Raises CannotTell."""
+    left = next((one for one in fact.networks if one.name == name), None)
+    before = context.remembered(target.key, name) or left
+    try:
+        if left is not None:
+            context.engine.disconnect(name, fact.name, force=True)
+        context.engine.connect(network, fact.name, aliases=_aliases(before, fact), address=_address(before))
+    except (EngineMissing, NotPermitted):
+        # A socket proxy refuses an id that no longer has the name, instead of saying that it is not there.
+        if network_id(name, context) == network:
+            raise
+        return False
+    return True
+
+
+def reconnect_stopped(target: ContainerSettings, fact: ContainerFact, context: ActionContext) -> None:
+    """The engine refuses to start a container that was on a network which has been created again since it stopped."""
+    for name in stale(target, fact, context):
+        connect(target, fact, name, network_id(name, context), context)
+
+
+def stale(target: ContainerSettings, fact: ContainerFact, context: ActionContext) -> list[str]:
+    """Configured networks to which the container, which does not run, is attached by the id of one that is gone."""
+    known = [one for one in fact.networks if one.name in target.networks]
+    return [one.name for one in known if one.network_id != network_id(one.name, context)]
+
+
+def _aliases(before: Attachment | None, fact: ContainerFact) -> tuple[str, ...]:
+    """The aliases it had, less the short id, which the engine adds by itself."""
+    return tuple(alias for alias in before.aliases if alias != fact.id[:12]) if before else ()
+
+
+def _address(before: Attachment | None) -> str:
+    """Only an address that the user fixed may be asked for: the engine refuses others on default subnets."""
+    return before.fixed_address if before else ""

@@ -1,0 +1,128 @@
+"""A network that is missing, or was created again under the same name: the actions on a fake engine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from phm import testing
+from phm.recovery.actions import Join, Reconnect, Restart, Start
+from phm.recovery.base import Action, NotYet
+from phm.transport.docker import Engine
+from tests.fakes.engine import FakeEngine, Status, container
+from tests.recovery.bench import Bench, bench, fault
+
+OFF = fault("network/app", "disconnected")
+APP = {"name": "app", "recover": True, "networks": ["swarm"]}
+
+
+def changes(fake: FakeEngine) -> list[str]:
+    return [call.rsplit("/", 1)[-1] for call in fake.calls if call.startswith("POST")]
+
+
+def agent(
+    fake: FakeEngine, ask: Engine, *, exists: bool, attached: dict[str, str] | None = None, **state: Any
+) -> Bench:
+    """`app`, attached to networks by these ids; the network `swarm` has the id `new` if it exists."""
+    fake.containers["app"] = container("app", networks=attached or {}, **state)
+    if exists:
+        fake.networks["swarm"] = {"Id": "new"}
+    return bench(ask, containers=[APP])
+
+
+def waits(made: Bench, action: type[Action]) -> str:
+    return action().waits_for(made.target("app"), OFF, made.context())
+
+
+@pytest.mark.parametrize("action", [Reconnect, Restart, Join])
+def test_what_needs_a_network_waits_until_it_is_there(fake: FakeEngine, ask: Engine, action: type[Action]) -> None:
+    """Above all a restart, which brings no network back."""
+    made = agent(fake, ask, exists=False)
+    assert "there is no network swarm" in waits(made, action)
+    fake.networks["swarm"] = {"Id": "new"}
+    assert waits(made, action) == ""
+    assert changes(fake) == []
+
+
+def test_a_network_that_goes_before_it_is_connected_to_is_waited_for(fake: FakeEngine, ask: Engine) -> None:
+    """It was there when the action was decided on: no failure of the container, and nothing was changed."""
+    made = agent(fake, ask, exists=False)
+    with pytest.raises(NotYet, match="no network swarm"):
+        made.run(Reconnect, "app", OFF)
+    assert changes(fake) == []
+
+
+@pytest.mark.parametrize("code", [403, 404])
+def test_a_network_that_is_created_again_while_it_is_connected_to_is_waited_for(
+    fake: FakeEngine, ask: Engine, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    """Its old id is refused; a socket proxy, which knows the new one, says 403: no refusal to connect to that."""
+    made = agent(fake, ask, exists=True)
+    connect = ask.connect
+
+    def late(network: str, container: str, aliases: Any = (), address: str = "") -> None:
+        fake.networks["swarm"] = {"Id": "newer"}
+        fake.fault = Status(code, "no", route="/connect")
+        connect(network, container, aliases, address)
+
+    monkeypatch.setattr(ask, "connect", late)
+    with pytest.raises(NotYet):
+        made.run(Reconnect, "app", OFF)
+
+
+def test_the_network_of_another_with_such_an_id_is_not_meant(fake: FakeEngine, ask: Engine) -> None:
+    """The engine takes the beginning of an id for a name."""
+    made = bench(ask, containers=[{**APP, "networks": ["abc"]}])
+    fake.containers["app"] = container("app")
+    fake.networks["other"] = {"Id": "abc"}
+    with pytest.raises(NotYet):
+        made.run(Reconnect, "app", OFF)
+
+
+def test_one_of_two_networks_that_is_there_is_connected_to(fake: FakeEngine, ask: Engine) -> None:
+    """The other is waited for."""
+    made = agent(fake, ask, exists=True)
+    made.settings.containers[0].networks.append("radio")
+    words = made.run(Reconnect, "app", OFF)
+    assert "reconnected app to swarm" in words and "no network radio" in words
+    assert [attached.network_id for attached in made.fact("app").networks] == ["new"]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("mode", ["host", "none", "container:other"])
+def test_a_container_without_networks_of_its_own_waits_for_none(fake: FakeEngine, ask: Engine, mode: str) -> None:
+    """Nothing connects it."""
+    made = agent(fake, ask, exists=False)
+    fake.containers["app"]["HostConfig"]["NetworkMode"] = mode
+    assert waits(made, Restart) == ""
+
+
+def test_a_stopped_container_is_started_on_the_network_that_was_created_again(fake: FakeEngine, ask: Engine) -> None:
+    """The engine refuses to start one that is attached to a network which is gone, whatever its name."""
+    made = agent(fake, ask, exists=True, attached={"swarm": "old"}, status="exited")
+    fake.networks["swarm"] = {"Id": "new"}
+    assert waits(made, Start) == ""
+    made.run(Start, "app", fault("container/app", "exited"))
+    fact = made.fact("app")
+    assert fact is not None and fact.running
+    assert [attached.network_id for attached in fact.networks] == ["new"]
+
+
+def test_a_connection_without_an_address_is_made_again(fake: FakeEngine, ask: Engine) -> None:
+    """It is half there."""
+    made = agent(fake, ask, exists=True, attached={"swarm": "new"})
+    fake.containers["app"]["NetworkSettings"]["Networks"]["swarm"]["IPAddress"] = ""
+    assert made.run(Reconnect, "app", OFF) == "reconnected app to swarm"
+    assert changes(fake) == ["disconnect", "connect"]
+    assert made.run(Reconnect, "app", OFF) == "app is connected already"
+
+
+def test_phm_joins_what_is_there(fake: FakeEngine, ask: Engine) -> None:
+    """A network that is missing does not keep it from joining the others."""
+    made = agent(fake, ask, exists=True)
+    made.settings.containers[0].networks.insert(0, "radio")
+    fake.containers["phm"] = container("phm")
+    me = testing.container("phm", id=fake.containers["phm"]["Id"])
+    context = replace(made.context(), myself=lambda: me)
+    assert Join().run(made.target("app"), OFF, context) == "PHM joined network swarm"

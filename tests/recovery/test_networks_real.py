@@ -1,0 +1,155 @@
+"""A network that is removed and created again on the real engine: its containers are connected again and never restarted."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from docker.errors import APIError
+
+from phm.model import ActionEvent, FaultOpened, Phase
+from phm.recovery.actions import Start
+from phm.transport.docker import Engine
+from tests.recovery.bench import bench, fault
+from tests.recovery.test_whole_real import RUN, Phm, Start as StartPhm, phm
+
+__all__ = ["phm"]
+
+pytestmark = pytest.mark.engine
+
+UNIT = "network/app"
+
+
+def entry(app: Any, network: Any) -> dict[str, Any]:
+    return {"name": app.name, "alias": "app", "recover": True, "networks": [network.name]}
+
+
+def take_away(daemon: Phm, network: Any, app: Any) -> None:
+    """As `docker compose down` of the project that the network belongs to: the network goes in the moment in which PHM connects
+    the application to it again."""
+    original, gone = daemon.daemon.parts.engine.connect, threading.Event()
+
+    def connect(network_: str, container: str, aliases: Any, address: str) -> None:
+        if not gone.is_set():
+            network.reload()
+            for other in network.containers:  # PHM's own
+                network.disconnect(other, force=True)
+            network.remove()
+            gone.set()
+        original(network_, container, aliases, address)
+
+    patch(daemon, connect)
+    network.disconnect(app, force=True)
+    daemon.until(gone.is_set, "the network to be removed")
+
+
+def patch(daemon: Phm, connect: Callable[[str, str, Any, str], None]) -> None:
+    """Have PHM connect containers by this; the arguments have the names of the original."""
+
+    def named(network: str, container: str, aliases: Any = (), address: str = "") -> None:
+        connect(network, container, aliases, address)
+
+    daemon.daemon.parts.engine.connect = named  # type: ignore[method-assign]
+
+
+def attached(app: Any) -> list[str]:
+    app.reload()
+    return [str(each["NetworkID"]) for each in app.attrs["NetworkSettings"]["Networks"].values()]
+
+
+def started_at(app: Any) -> str:
+    app.reload()
+    return str(app.attrs["State"]["StartedAt"])
+
+
+def condition(daemon: Phm) -> str:
+    states = daemon.daemon.pipeline.states()
+    return next(state.result.condition for state in states if state.unit == UNIT)
+
+
+def assert_only_connected(daemon: Phm, app: Any, network: Any, before: str) -> None:
+    daemon.until(lambda: attached(app) == [network.id], "the container to be on the new network")
+    daemon.until(lambda: not daemon.daemon.pipeline.open_faults(), "the end of the fault")
+    assert started_at(app) == before
+    acted = {event.action for event in daemon.events if isinstance(event, ActionEvent)}
+    assert "reconnect" in acted
+    assert acted <= {"reconnect", "join"}
+    assert daemon.count(Phase.ESCALATED) == 0
+    assert daemon.daemon.pipeline.given_up() == ()
+
+
+def test_a_network_that_is_there_again_at_once_is_connected_to(real: Any, phm: StartPhm) -> None:
+    """Removed and created within moments, under the same name with another id."""
+    network = real.network()
+    app = real.container(RUN, network=network.name)
+    daemon = phm([entry(app, network)], verify="10s")
+    before = started_at(app)
+    take_away(daemon, network, app)
+    new = real.network(network.name)
+    assert new.id != network.id
+    assert_only_connected(daemon, app, new, before)
+
+
+def test_a_network_that_stays_away_is_waited_for(real: Any, phm: StartPhm) -> None:
+    """However long: no attempt is used up, nothing is restarted, and its creation is what PHM goes on with."""
+    network = real.network()
+    app = real.container(RUN, network=network.name)
+    daemon = phm([entry(app, network)], verify="10s")
+    before = started_at(app)
+    take_away(daemon, network, app)
+    daemon.until(lambda: condition(daemon) == "network_missing", "PHM to see that it is missing")
+    daemon.passes(3)
+    assert started_at(app) == before
+    assert [fault.unit for fault in daemon.daemon.pipeline.open_faults()] == [UNIT]
+    new = real.network(network.name)
+    assert_only_connected(daemon, app, new, before)
+
+
+def test_a_stopped_container_is_started_on_the_new_network(real: Any, engine: Engine) -> None:
+    """The engine itself refuses: the container is attached to a network that is gone."""
+    network = real.network()
+    app = real.container(RUN, network=network.name)
+    app.stop(timeout=1)
+    network.remove()
+    made = bench(engine, containers=[entry(app, network)])
+    exited = fault("container/app", "exited")
+    assert "there is no network" in Start().waits_for(made.target("app"), exited, made.context())
+    new = real.network(network.name)
+    with pytest.raises(APIError, match="not found"):
+        app.start()
+    assert Start().waits_for(made.target("app"), exited, made.context()) == ""
+    made.run(Start, "app", exited)
+    assert attached(app) == [new.id]
+    assert app.status == "running"
+
+
+def test_phm_and_the_application_lose_the_network_together(real: Any, phm: StartPhm) -> None:
+    """PHM sees itself first and joins; then it is the application that is off the network, and is connected.
+
+    PHM runs on the host here, so another container stands for its own.
+    """
+    network = real.network()
+    app, own = real.container(RUN, network=network.name), real.container(RUN, network=network.name)
+    daemon = phm([entry(app, network)], docker={"container": own.name}, verify="10s")
+    before, lost = started_at(app), threading.Event()
+    original = daemon.daemon.parts.engine.connect
+
+    def connect(network_: str, container: str, aliases: Any, address: str) -> None:
+        original(network_, container, aliases, address)
+        if not lost.is_set():
+            lost.set()
+            network.disconnect(app, force=True)
+
+    patch(daemon, connect)
+    network.disconnect(own, force=True)
+    daemon.until(lambda: attached(own) == [network.id] and attached(app) == [network.id], "both to be connected")
+    daemon.until(lambda: not daemon.daemon.pipeline.open_faults(), "the end of the fault")
+    assert started_at(app) == before
+    conditions = [event.fault.result.condition for event in daemon.events if isinstance(event, FaultOpened)]
+    assert conditions == ["sidecar_apart"]
+    started = [
+        event.action for event in daemon.events if isinstance(event, ActionEvent) and event.phase is Phase.STARTED
+    ]
+    assert started == ["join", "reconnect"]
