@@ -218,7 +218,8 @@ class Daemon:
         return ReporterContext(
             self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink,
             restored=self.pipeline.open_faults(), ros=self.parts.ros, swarm=self.parts.world.swarm, pilot=self._pilot_heard,
-            radio=self._radio_heard, holds=self.holds.snapshot,
+            radio=self._radio_heard, open_faults=self.pipeline.open_faults, given_up=self.pipeline.given_up,
+            holds=self.holds.snapshot,
         )  # fmt: skip
 
     def _start_recovery(self) -> None:

@@ -44,8 +44,9 @@ def command(
             click.echo(f"fault {fault} is not in the log in {directory}: `phm faults --all` lists all", err=True)
             ctx.exit(1)
     elif not everything:
-        recent = [episode for episode in found if episode["outcome"] != "open"][-RECENT:]
-        found = [episode for episode in found if episode["outcome"] == "open" or episode in recent]
+        lasting = [episode for episode in found if episode["outcome"] == "open" or episode["current"]]
+        recent = [episode for episode in found if episode not in lasting][-RECENT:]
+        found = [episode for episode in found if episode in lasting or episode in recent]
     if as_json:
         click.echo(json.dumps({"running": running, "faults": found}, indent=2))
         return
@@ -58,10 +59,11 @@ def command(
 
 
 def _open_now(run_dir: str) -> tuple[list[dict[str, Any]], bool]:
-    """The open faults of the running daemon, and whether one runs that can be believed."""
+    """The faults of the running daemon, open and given up, and whether one runs that can be believed."""
     try:
         document = status_shape.read(os.fspath(run_dir))
     except status_file.NoStatus:
         return [], False
-    opened = document.get("faults", {}).get("open", [])
+    faults = document.get("faults", {})
+    opened = [*faults.get("open", []), *faults.get("given_up", [])]
     return (opened, True) if not status_file.unhealthy(document) else ([], False)

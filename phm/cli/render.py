@@ -64,7 +64,7 @@ def faults(episodes: Sequence[Json], running: bool) -> None:
         target.print(Text("No faults.", "green"))
     else:
         table = _table("fault", "unit", "since", "outcome", "what")
-        for episode in sorted(episodes, key=lambda episode: episode["outcome"] == "open"):
+        for episode in sorted(episodes, key=lambda episode: (episode["outcome"] == "open", episode["current"])):
             what = _plain(episode["summary"] or "")
             if episode["blocks"]:
                 what.append("\n" + one_line(f"blocks {', '.join(episode['blocks'])}"))
@@ -101,6 +101,8 @@ def _outcome(episode: Json) -> Text:
     style = {"open": "bold red", "escalated": "red", "resolved": "green"}.get(outcome, "magenta")
     by = f" by {episode['by']}" if episode["by"] and outcome == "resolved" else ""
     took = f" in {episode['duration_s']} s" if isinstance(episode["duration_s"], (int, float)) else ""
+    if outcome == "escalated" and episode["current"]:
+        return _plain("given up, not resolved", "bold red")
     return _plain(f"{outcome}{by}{took}", style)
 
 
@@ -122,7 +124,7 @@ def _status(document: Json, problem: str) -> RenderableType:
         parts.append(Text(f"{problem} What follows is old.", "bold red"))
     parts += [_plain(_hold(hold), "cyan") for hold in document.get("holds", ())]
     faults = document.get("faults", {})
-    parts.append(_faults(faults.get("open", ()), faults.get("closed", ())))
+    parts.append(_faults(faults.get("open", ()), faults.get("given_up", ()), faults.get("closed", ())))
     parts += [_units(document.get("checks", ())), _array(document)]
     parts += _health(document.get("health", {}))
     return Group(*parts)
@@ -145,17 +147,18 @@ def _hold(hold: Json) -> str:
     return f"on hold: {what} until {until} UTC ({_duration(hold['left_s'])} left) by {hold['by']}{reason}"
 
 
-def _faults(opened: Sequence[Json], closed: Sequence[Json]) -> RenderableType:
-    if not opened and not closed:
+def _faults(opened: Sequence[Json], given_up: Sequence[Json], closed: Sequence[Json]) -> RenderableType:
+    if not opened and not given_up and not closed:
         return Text("No faults.", "green")
     table = _table("fault", "unit", "since", "outcome", "what")
-    for fault in opened:
+    for fault, outcome in [*((one, "open") for one in opened), *((one, "given up") for one in given_up)]:
         what = _plain(fault["summary"])
         if fault["blocks"]:
             what.append("\n" + one_line(f"blocks {', '.join(fault['blocks'])}"))
         name, unit, since = (_plain(fault[key]) for key in ("fault", "unit", "opened"))
-        table.add_row(name, unit, since, Text("open", "bold red"), what)
-    for fault in reversed(closed[-5:]):
+        table.add_row(name, unit, since, Text(outcome, "bold red"), what)
+    names = {fault["fault"] for fault in given_up}
+    for fault in reversed([fault for fault in closed if fault["fault"] not in names][-5:]):
         outcome = f"{fault['outcome']}{' by ' + fault['by'] if fault['by'] else ''} in {fault['duration_s']} s"
         shown = _plain(outcome, "red" if fault["outcome"] == "escalated" else "green")
         name, unit, since = (_plain(fault[key]) for key in ("fault", "unit", "opened"))

@@ -59,6 +59,7 @@ class ReporterContext:
     swarm:  the other agents. pilot: whether this agent's autopilot is heard.
     holds: what is on hold, as in `phm status --json`.
     restored: faults that were open before PHM was started again, and were told then.
+    open_faults, given_up: faults as they are now, also of units that recovery has given up on and that have not been OK since.
     """
 
     settings: Settings
@@ -74,6 +75,8 @@ class ReporterContext:
     pilot: Callable[[], bool] | None = None
     radio: Callable[[], bool] | None = None
     holds: Callable[[], list[dict[str, Any]]] = list
+    open_faults: Callable[[], tuple[Fault, ...]] = tuple
+    given_up: Callable[[], tuple[Fault, ...]] = tuple
 
 
 class Reporter(ABC):

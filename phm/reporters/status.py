@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 from phm import __version__
@@ -20,6 +21,7 @@ from phm.model import (
     FaultClosed,
     FaultOpened,
     HoldChanged,
+    Outcome,
     Report,
     Transition,
     worst_by_slot,
@@ -102,7 +104,13 @@ class Status(Reporter):
         for state in states:
             if state.blocked_by:
                 blocked.setdefault(state.blocked_by, []).append(state.unit)
-        opened = [fault_json(fault, blocks=blocked.get(fault.unit, ())) for fault in self._open.values()]
+        # Events say what is open, the tracker what is wrong by now.
+        current = {**self._open, **{fault.id: fault for fault in context.open_faults()}}
+        opened = [fault_json(fault, blocks=blocked.get(fault.unit, ())) for fault in current.values()]
+        given_up = [
+            fault_json(replace(fault, outcome=Outcome.ESCALATED), blocks=blocked.get(fault.unit, ()))
+            for fault in context.given_up()
+        ]
         return {
             "v": VERSION,
             **report_json(agent.name, states),
@@ -117,6 +125,10 @@ class Status(Reporter):
             "alive": context.alive(),
             "status_word": status_word.encode(worst_by_slot(states)),
             "holds": context.holds(),
-            "faults": {"open": opened, "closed": [fault_json(fault) for fault in self._closed]},
+            "faults": {
+                "open": opened,
+                "given_up": given_up,
+                "closed": [fault_json(fault) for fault in self._closed],
+            },
             "health": context.health(),
         }

@@ -32,8 +32,9 @@ SHAPES: dict[str, Any] = {
 def gather(events: Iterable[Mapping[str, Any]], open_now: Sequence[Mapping[str, Any]] | None) -> list[Json]:
     """Every fault, oldest first: the keys of the log's `fault_opened` with `timeline`, a list of ``{utc, what, text}``.
 
-    open_now: the open faults of a daemon that runs, or None when none does. With it, a fault that the log
-    leaves open and the daemon does not know has the outcome ``unknown``: PHM ended and its state was lost.
+    open_now: the faults of a daemon that runs, open or given up, or None when none does: those are ``current`` and say what is
+    wrong now. With it, a fault that the log leaves open and the daemon does not know has the outcome ``unknown``: PHM ended and
+    its state was lost.
     """
     episodes: dict[str, Json] = {}
     by_unit: dict[str, str] = {}
@@ -53,6 +54,8 @@ def gather(events: Iterable[Mapping[str, Any]], open_now: Sequence[Mapping[str, 
         if name not in episodes:  # its opening is in a log that is gone
             episodes[name] = {**_new(fault), **fault}
             _step(episodes[name], fault.get("opened"), "opened", fault.get("summary"))
+        now = {key: fault[key] for key in ("summary", "brief", "condition", "target") if fault.get(key) is not None}
+        episodes[name].update(now, current=True)
     for name, episode in episodes.items():
         if open_now is not None and episode["outcome"] == "open" and name not in known:
             episode["outcome"] = "unknown"
@@ -80,7 +83,7 @@ def _new(event: Mapping[str, Any]) -> Json:
     )
     filled = {key: event.get(key) for key in keys}
     filled["opened"] = event.get("opened") or event.get("utc")
-    return {**filled, "outcome": "open", "by": "", "blocks": [], "timeline": []}
+    return {**filled, "outcome": "open", "by": "", "blocks": [], "timeline": [], "current": False}
 
 
 def _take(episode: Json, event: Mapping[str, Any]) -> None:

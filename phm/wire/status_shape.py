@@ -23,7 +23,7 @@ _HEALTH = {
 }  # fmt: skip
 SHAPE = {
     "checks": [_CHECK], "status_array": [(int, type(None))], "status_word": int,
-    "faults": {"open": [_FAULT], "closed": [_CLOSED]}, "health": _HEALTH,
+    "faults": {"open": [_FAULT], "given_up": [_FAULT], "closed": [_CLOSED]}, "health": _HEALTH,
 }  # fmt: skip
 
 

@@ -95,6 +95,34 @@ def test_a_restored_fault_is_open_in_the_status(tmp_path: Path) -> None:
     assert [entry["fault"] for entry in as_json(tmp_path)["faults"]] == ["ab12-2"]
 
 
+def test_what_was_given_up_is_listed_until_it_is_resolved(tmp_path: Path) -> None:
+    """However long ago, by `phm faults` and `phm status`, also after a restart of PHM, and with what is wrong by now."""
+    record(tmp_path, opened(DEAD, "ab12-1"), closed(DEAD, Outcome.ESCALATED, "", 9.0, "ab12-1"))
+    events: list[Event] = []
+    for number in range(30):
+        events += [opened(DEAD, f"f-{number}"), closed(DEAD, Outcome.RESOLVED, "itself", 1.0, f"f-{number}")]
+    record(tmp_path, *events)
+    now = replace(opened(DEAD, "ab12-1").fault, result=replace(DEAD.result, summary="Node n1 is hung"))
+    parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
+    Status.build(replace(parts, given_up=lambda: (now,))).tick()
+    [listed] = [fault for fault in as_json(tmp_path)["faults"] if fault["fault"] == "ab12-1"]
+    assert (listed["outcome"], listed["current"], listed["summary"]) == ("escalated", True, "Node n1 is hung")
+    assert "given up, not resolved" in invoke(tmp_path).output
+    status = CliRunner().invoke(group, ["status", "--run-dir", str(tmp_path / "run")], env={"COLUMNS": "200"}).output
+    assert "No faults." not in status
+    assert "given up" in status and "Node n1 is hung" in status
+
+
+def test_an_open_fault_says_what_is_wrong_now(tmp_path: Path) -> None:
+    """Its condition has changed since it was opened."""
+    parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
+    now = replace(opened(DEAD, "ab12-1").fault, result=replace(DEAD.result, summary="Node n1 is hung"))
+    status = Status.build(replace(parts, open_faults=lambda: (now,)))
+    status.handle(opened(DEAD, "ab12-1"))
+    status.tick()
+    assert [fault["summary"] for fault in as_json(tmp_path)["faults"]] == ["Node n1 is hung"]
+
+
 def test_only_recent_ones_unless_all(tmp_path: Path) -> None:
     """The last 20 closed faults; `--all` gives every one of the log."""
     events: list[Event] = []
