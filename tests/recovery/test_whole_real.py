@@ -214,3 +214,26 @@ def test_phm_gives_a_container_the_time_that_it_asks_for(real: Any, phm: Start) 
     made.exec_run(["rm", NEEDED])
     daemon.until(lambda: daemon.count(Phase.DONE) == 1, "the restart")
     assert [text for text in daemon.notes() if "die" in text] == ["container app: die (exit code 7)"]
+
+
+def test_restarts_that_the_engine_finishes_late_are_phms_own(
+    real: Any, phm: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A container that ignores SIGTERM: the engine restarts it seconds after PHM's call has failed. After three equal failures
+    PHM gives up, and the lives that it has begun itself do not make it begin again."""
+    monkeypatch.setattr(
+        "phm.transport.docker.ACT_MARGIN_S", -7.0
+    )  # the call fails after a second, the stop takes three
+    made = real.container("trap '' TERM; while :; do sleep 0.1; done")
+    made.exec_run(["touch", NEEDED])
+    daemon = phm([with_file(made)], same_failure=3, stop_timeout="3s")
+    started = real.client.api.inspect_container(made.id)["State"]["StartedAt"]
+    made.exec_run(["rm", NEEDED])
+    daemon.until(lambda: daemon.count(Phase.ESCALATED) == 1, "giving up")
+    daemon.passes(5)  # longer than `verify`
+    details = [detail for _, phase, detail in daemon.actions() if phase == Phase.FAILED.value]
+    assert len(details) == 3 and all("did not answer within 1.0 s" in detail for detail in details)
+    assert real.client.api.inspect_container(made.id)["State"]["StartedAt"] != started
+    assert daemon.count(Phase.STARTED) == 3
+    assert daemon.opened().count("files/app") == 1
+    assert not any("somebody else" in text for text in daemon.notes())
