@@ -66,9 +66,9 @@ class Parts:
     ros: RosProcess | None
     world: World
 
-    def start(self) -> None:
-        """Links and the event stream; the ROS child starts separately, after networks are joined."""
-        if self.mavlink is not None:
+    def start(self, *, links: bool = True) -> None:
+        """Links, unless they run already, and the event stream; the ROS child starts separately, after networks are joined."""
+        if links and self.mavlink is not None:
             self.mavlink.start()
         if self.watch is not None:
             self.watch.start()
@@ -107,10 +107,10 @@ class Parts:
     def remembered(self, container: str, network: str) -> Attachment | None:
         return self.docker.remembered(container, network)
 
-    def closers(self) -> tuple[tuple[str, Callable[[], None]], ...]:
-        """What ends each part, by name: those that have somebody to say goodbye to come first."""
+    def closers(self, *, links: bool = True) -> tuple[tuple[str, Callable[[], None]], ...]:
+        """What ends each part, by name: those that have somebody to say goodbye to come first. `links`: these as well."""
         found: list[tuple[str, Callable[[], None]]] = []
-        if self.mavlink is not None:
+        if links and self.mavlink is not None:
             found.append(("mavlink", self.mavlink.close))
         if self.ros is not None:
             found.append(("ros", self.ros.close))
@@ -134,8 +134,9 @@ def assemble(
     docker_event: Callable[[DockerEvent], None],
     note: Callable[[str], None],
     self_look: SelfLook,
+    hub: MavlinkHub | None = None,
 ) -> Parts:
-    """Make the parts that this configuration needs; see `Parts.start` for when they begin."""
+    """Make the parts that this configuration needs; see `Parts.start` for when they begin. `hub`: one that runs already."""
     engine = Engine(settings.docker.socket, settings.docker.timeout, clock)
     asked = Docker(engine, settings, clock)
     docker = RememberingDocker(asked)
@@ -147,7 +148,7 @@ def assemble(
     watch = Watch(engine, settings, clock, happened, lambda: wake("engine")) if settings.containers else None
     pulse = Pulse(clock, asked.answering, asked.knock, lambda: wake("network")) if _addressed(settings) else None
     notices = Notices(clock)
-    hub = MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir, clock_synchronized)
+    hub = hub or MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir, clock_synchronized)
     links = Links(hub, settings, clock, lambda: wake("link"))
     swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"), links.deaf)
     ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None

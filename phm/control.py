@@ -59,8 +59,14 @@ class Control:
         self._selector.register(self._woken, selectors.EVENT_READ)
         self._inode = 0
         self._problem = ""
+        self.reload: Callable[[], str] | None = None
+        """Reloads the configuration; what came of it, as JSON. Other requests wait meanwhile."""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="phm-control", daemon=True)
+
+    def serve(self, approve: Callable[[str], str], note: Callable[[str, str], None], holds: HoldDesk | None) -> None:
+        """From now on these answer: the configuration was reloaded."""
+        self._approve, self._note, self._holds = approve, note, holds
 
     def start(self) -> None:
         threads.start(self._thread)
@@ -189,6 +195,8 @@ class Control:
         words = {key: value for key, value in request.items() if isinstance(value, str)}
         if request == {"do": "ping"}:
             return "PHM is here"
+        if request == {"do": "reload"} and self.reload is not None:
+            return self.reload()
         if request.keys() == words.keys() == {"do", "fault"} and words["do"] == "approve":
             return self._approve(words["fault"])
         if (

@@ -22,7 +22,7 @@ from phm.facts import CannotTell, SelfFact
 from phm.guard import Guard
 from phm.inbound.desk import Desk, Powers
 from phm.last_end import LastEnd
-from phm.model import ActionEvent, Event, Phase, UnitState
+from phm.model import ActionEvent, Event, Phase, Stamp, UnitState
 from phm.pipeline import Pipeline
 from phm.plan import Plan, make
 from phm.probes.docker_watch import DockerEvent
@@ -35,6 +35,7 @@ from phm.recovery.hold_service import HoldService, HoldWorld
 from phm.recovery.holds import Holds
 from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
+from phm.recovery.state import State
 from phm.reporters.base import Reporter, ReporterContext
 from phm.reporters.installed import Installed
 from phm.settings import Settings
@@ -65,8 +66,13 @@ class Daemon:
     before the hub does, so that the ground hears the farewell heartbeat.
     """
 
-    def __init__(self, settings: Settings, clock: Clock | None = None, guard: Guard | None = None) -> None:
-        self.settings = settings
+    def __init__(
+        self, settings: Settings, clock: Clock | None = None, guard: Guard | None = None, before: Daemon | None = None
+    ) -> None:
+        """before: the daemon whose place this one takes in `start`, with its links and what it knows (`phm.reload`)."""
+        self.settings, self._before = settings, before
+        if before is not None:
+            before._note_subscribers()
         self._guard = guard
         self._last_end = LastEnd(settings.state_dir)
         self._ended_badly = False
@@ -77,18 +83,20 @@ class Daemon:
         self.bus = Bus(self.clock)
         self._started = self.clock.stamp()
         self._beat = self._started.mono
+        self._since: Stamp = before._since if before is not None else self._started
         tracker = Tracker(self.plan.tracked, self._started, fault_prefix=f"{self.boot_id[:4]}-")
         self.pipeline = Pipeline(tracker, self.bus, self.clock, self.plan.pass_limit_s)
         self.parts: Parts = assemble(
             settings, self.clock, wake=self._wake, docker_event=self._docker_event,
             note=lambda text: self.pipeline.note("PHM", text), self_look=self._look_at_self,
+            hub=before.parts.mavlink if before is not None else None,
         )  # fmt: skip
         self.engine = Engine(self.plan.scheduled, self.parts.world, self.clock, self._observe)
         self.pipeline.attach(self.engine.wake_units, self.beat_soon)
         self.reporters = Installed(self.bus)
         self.executor: Executor | None = None
         self._held = Holds()
-        self.control: Control | None = None
+        self.control: Control | None = before.control if before is not None else None
         self.desk: Desk | None = None
         timeout_s = settings.mavlink.autopilot_timeout
         self.armed = ArmedMonitor(self.parts.world.links.autopilot, timeout_s, self.clock)
@@ -96,7 +104,8 @@ class Daemon:
         self.holds = HoldService(settings, self._held, self.pipeline, self.bus.publish, self.clock, world)
         self.memory = Memory(settings, self.pipeline, self.bus, self.clock, self.armed)
         self._looks = self._stalled = 0
-        self.own_problems: list[Callable[[], str]] = [threads.problem]
+        self._subscribers: tuple[object, ...] = ()
+        self.own_problems: list[Callable[[], str]] = before.own_problems if before is not None else [threads.problem]
         """What else is wrong with this process, each asked for a sentence."""
         self._stop, self._soon = threading.Event(), threading.Event()
         self._heart = threading.Thread(target=self._beat_on, name="phm-heart", daemon=True)
@@ -104,12 +113,14 @@ class Daemon:
     # ------------------------------------------------------------ life
 
     def start(self) -> None:
-        self._ended_badly = self._last_end.begin()
-        self.memory.restore()
+        before, self._before = self._before, None
+        if before is None:
+            self._ended_badly = self._last_end.begin()
+        self.memory.restore(before._hand_over() if before is not None else None)
         self.reporters.start(self._reporter_context())
         self._start_recovery()
         self._tell_what_could_not_load()
-        self.parts.start()
+        self.parts.start(links=before is None)
         threads.start(threading.Thread(target=self._join_networks, name="phm-join", daemon=True))
         self.engine.start()
         threads.start(self._heart)
@@ -155,6 +166,48 @@ class Daemon:
             closing.step(name, close, 1.5)
         return tuple(closing.hung)
 
+    def _note_subscribers(self) -> None:
+        """Whoever listens to the links now belongs to this daemon, and what comes from now on to the next."""
+        if self.parts.mavlink is not None:
+            self._subscribers = self.parts.mavlink.subscribers()
+
+    def acting(self) -> str:
+        """The recovery action that is under way, empty when there is none."""
+        acts = self.executor.kept().under_way if self.executor is not None else {}
+        return ", ".join(f"{act.attempt.action} of {target}" for target, act in acts.items())
+
+    def keep_links(self) -> None:
+        """The next daemon could not be made: what it has left at the links goes."""
+        if self.parts.mavlink is not None:
+            mine = self._subscribers
+            self.parts.mavlink.forget(each for each in self.parts.mavlink.subscribers() if each not in mine)
+
+    def _hand_over(self) -> State:
+        """End all but links, control socket and guard, and give away what is known. The heart and the reporters end last,
+        so that heartbeats go on until the next daemon sends its own.
+        """
+        closing = Closing(self.clock, STOP_S)
+        if self.desk is not None:
+            closing.step("commands", self.desk.close, 0.5)
+        if self.executor is not None:
+            self.holds.close()
+            self.executor.stop()
+        self.engine.end()
+        self.parts.engine.close()
+        closing.step("checks", partial(self.engine.stop, 1.0), 1.5)
+        for name, close in self.parts.closers(links=False):
+            closing.step(name, close, 1.5)
+        state = self.memory.state()
+        self._stop.set()
+        self._soon.set()
+        closing.step("heart", partial(threads.join, self._heart, 1.0), 1.0)
+        closing.step("events", partial(self.bus.close, 1.0), 1.5)
+        for name, close in self.reporters.closers(last=False):
+            closing.step(name, close, 1.0)
+        if self.parts.mavlink is not None:
+            self.parts.mavlink.forget(self._subscribers)
+        return state
+
     def alive(self) -> bool:
         """The dead man's switch of heartbeats and of `phm status --healthy`: beating, and checks come back."""
         now = self.clock.mono()
@@ -165,7 +218,7 @@ class Daemon:
         fact, armed = self.parts.world.myself.look(), self.armed.now()
         critical = {"containers": critical_containers(self.settings), "armed": armed.state.value, "why": armed.why}
         return {
-            "started_utc": self._started.utc,
+            "started_utc": self._since.utc,
             "uptime_s": round(fact.uptime_s, 1),
             "overdue": list(fact.overdue),
             "dropped": dict(fact.dropped),
@@ -209,7 +262,7 @@ class Daemon:
         now = self.clock.mono()
         still = self._stood_still
         return SelfFact(
-            now - self._started.mono, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems()),
+            now - self._since.mono, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems()),
             ended_badly=self._ended_badly, stood_still_s=still[1] if still else None,
             stood_still_ago_s=now - still[0] if still else None, was_stopped=still is not None and still[2],
         )  # fmt: skip
@@ -232,9 +285,12 @@ class Daemon:
         self.executor = Executor(shop)
         self.memory.resume(self.executor)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
-        self.control = Control(self.settings.run_dir, self.executor.approve, self.pipeline.note, self.holds)
         self.holds.start()
-        self.control.start()
+        if self.control is None:
+            self.control = Control(self.settings.run_dir, self.executor.approve, self.pipeline.note, self.holds)
+            self.control.start()
+        else:
+            self.control.serve(self.executor.approve, self.pipeline.note, self.holds)
         self._start_desk(self.executor)
 
     def _start_desk(self, executor: Executor) -> None:

@@ -9,6 +9,7 @@ import signal
 from phm.daemon import LOOK_S, STALLED_END_S, Daemon
 from phm.guard import Guard
 from phm.instance_lock import InstanceLock
+from phm.reload import Read, Reloader
 from phm.settings import Settings
 from phm.signals import Signals
 
@@ -17,8 +18,8 @@ logger = logging.getLogger(__name__)
 ENDING = frozenset((signal.SIGTERM, signal.SIGINT))
 
 
-def run(settings: Settings) -> int:
-    """Run until SIGTERM or SIGINT; 0 after an orderly end. Raises AlreadyRunning.
+def run(settings: Settings, read: Read | None = None) -> int:
+    """Run until SIGTERM or SIGINT; 0 after an orderly end. SIGHUP has `read` give the configuration again. Raises AlreadyRunning.
 
     Ends the process with 70 (EX_SOFTWARE) when the engine has stalled: restart policies act on that.
     """
@@ -27,10 +28,13 @@ def run(settings: Settings) -> int:
     guard = Guard()
     daemon = Daemon(settings, guard=guard)
     daemon.own_problems.append(lambda: lock.problem)
-    with Signals(*ENDING, signal.SIGCONT) as signals:
+    reloader = Reloader(read or (lambda: settings), guard)
+    with Signals(*ENDING, signal.SIGCONT, signal.SIGHUP) as signals:
         daemon.start()
         guard.start()
-        _serve(daemon, signals)
+        if daemon.control is not None:
+            daemon.control.reload = reloader.ask
+        daemon = _serve(daemon, signals, reloader)
         hung = daemon.stop()
         lock.release()
         if hung:
@@ -38,8 +42,8 @@ def run(settings: Settings) -> int:
     return os.EX_OK
 
 
-def _serve(daemon: Daemon, signals: Signals) -> None:
-    """Until a signal ends it."""
+def _serve(daemon: Daemon, signals: Signals, reloader: Reloader) -> Daemon:
+    """Until a signal ends it; the daemon that runs then."""
     while True:
         if not daemon.look():
             logger.critical("PHM has stalled for %.0f s and exits so that it is restarted", STALLED_END_S)
@@ -47,6 +51,8 @@ def _serve(daemon: Daemon, signals: Signals) -> None:
             os._exit(os.EX_SOFTWARE)  # an orderly end would wait for what hangs
         for number in signals.wait(LOOK_S):
             if number in ENDING:
-                return
+                return daemon
             if number == signal.SIGCONT:
                 daemon.beat_soon()
+            if number == signal.SIGHUP:
+                daemon = reloader.run(daemon)

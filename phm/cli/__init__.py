@@ -26,6 +26,7 @@ VERBS = {
     "checks": "List the checks that are installed.",
     "status": "Show how the running daemon and its agent do.",
     "faults": "List open and recent faults, or one with its timeline.",
+    "reload": "Have the running daemon reload its configuration.",
     "approve": "Say yes to the action that PHM advises for an open fault.",
     "hold": "Keep recovery from a container, or from all, for a while.",
     "release": "End a hold.",

@@ -8,11 +8,14 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from phm.cli.options import config_option, load_settings, loops_are_configuration_errors
+
+if TYPE_CHECKING:
+    from phm.settings import Settings
 
 
 @contextmanager
@@ -31,8 +34,9 @@ def uncollected() -> Iterator[None]:
 def command(config: str | None) -> None:
     """Run the daemon until SIGTERM.
 
-    Reads the configuration, then checks, heals and tells until SIGTERM or SIGINT. A bad configuration ends
-    it with exit code 78 before anything is opened, another PHM with the same state_dir or run_dir with 75.
+    Reads the configuration, then checks, heals and tells until SIGTERM or SIGINT; SIGHUP reloads it, as `phm reload`
+    does. A bad configuration ends it with exit code 78 before anything is opened, another PHM with the same state_dir
+    or run_dir with 75.
     """
     with uncollected():
         settings = load_settings(config)
@@ -42,11 +46,17 @@ def command(config: str | None) -> None:
 
     try:
         with loops_are_configuration_errors():
-            code = service.run(settings)
+            code = service.run(settings, lambda: _read_again(config))
     except AlreadyRunning as error:
         click.echo(f"phm run: {error}", err=True)
         code = os.EX_TEMPFAIL
     leave(code)
+
+
+def _read_again(config: str | None) -> Settings:
+    from phm.cli.reading import read
+
+    return read(config).settings
 
 
 def leave(code: int) -> NoReturn:

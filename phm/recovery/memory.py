@@ -28,10 +28,12 @@ class Memory:
         self._state, self._warning = State(), ""
         self._events: tuple[Event, ...] = ()
         self._keeper: Keeper | None = None
+        self._given = False
 
-    def restore(self) -> None:
-        """Read the file and put open faults back; nothing is told yet, since nobody hears it."""
-        self._state, self._warning = self._file.load(self._window_s)
+    def restore(self, given: State | None = None) -> None:
+        """Put open faults back, from the file or as `given` by the daemon that this one replaces; nothing is published yet."""
+        self._given = given is not None
+        self._state, self._warning = (given, "") if given is not None else self._file.load(self._window_s)
         self._events = self._pipeline.restore(self._state.faults, self._state.given_up)
         if self._armed is not None:
             self._armed.restore(self._state.recovery.armed)
@@ -42,13 +44,8 @@ class Memory:
             self._note(f"warning: {self._warning}")
         for event in self._events:
             self._bus.publish(event)
-        for fault in self._pipeline.open_faults():
-            self._note(f"{fault.unit}: fault {fault.id} was open when PHM ended, and is taken up again")
-        for fault in self._pipeline.given_up():
-            self._note(f"{fault.unit}: fault {fault.id} was given up before PHM ended, and is left alone")
-        attempts = sum(len(made) for made in self._state.recovery.attempts.values())
-        if attempts:
-            self._note(f"{attempts} recovery attempts from before PHM ended are remembered")
+        if not self._given:
+            self._note_restored()
         for cut_short in executor.restore(self._state):
             self._note(cut_short)
 
@@ -59,6 +56,19 @@ class Memory:
         self._bus.subscribe(
             "state", keeper.handle, kinds=keeper.kinds, key=keeper.key, tick=keeper.tick, period_s=keeper.period_s
         )
+
+    def state(self) -> State:
+        """What this PHM knows now, for one that replaces it."""
+        return self._keeper.state() if self._keeper is not None else self._state
+
+    def _note_restored(self) -> None:
+        for fault in self._pipeline.open_faults():
+            self._note(f"{fault.unit}: fault {fault.id} was open when PHM ended, and is taken up again")
+        for fault in self._pipeline.given_up():
+            self._note(f"{fault.unit}: fault {fault.id} was given up before PHM ended, and is left alone")
+        attempts = sum(len(made) for made in self._state.recovery.attempts.values())
+        if attempts:
+            self._note(f"{attempts} recovery attempts from before PHM ended are remembered")
 
     def problem(self) -> str:
         return self._keeper.problem() if self._keeper is not None else ""

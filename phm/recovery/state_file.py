@@ -121,7 +121,7 @@ class Keeper:
 
     def tick(self) -> None:
         """Write when something has changed; an unwritable folder is tried again at each tick, and told."""
-        state = State(plain(self._pipeline.open_faults()), plain(self._pipeline.given_up()), self._recovery())
+        state = self.state()
         if state == self._written:
             return
         self._tried_at = self._clock.mono()
@@ -134,6 +134,10 @@ class Keeper:
             )
         else:
             self._written, self._problem = state, ""
+
+    def state(self) -> State:
+        """What is to be kept, as it is now; any thread may ask."""
+        return State(plain(self._pipeline.open_faults()), plain(self._pipeline.given_up()), self._recovery())
 
     def problem(self) -> str:
         return self._problem

@@ -102,6 +102,12 @@ class Reporter(ABC):
     def close(self) -> None:
         """Called once at the end, after the last event."""
 
+    def hand_over(self) -> None:
+        """Called instead of `close` when the configuration is reloaded: another of its kind follows at once, so there is no
+        farewell to send.
+        """
+        self.close()
+
     def problem(self) -> str:
         """A sentence when the sink is not well, else empty."""
         return ""

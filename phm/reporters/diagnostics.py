@@ -73,6 +73,9 @@ class Diagnostics(Reporter):
         gone = DiagnosticFact(0.0, int(Level.STALE), "PHM has ended", self._context.settings.agent.name)
         self._send(dict.fromkeys(last, gone))
 
+    def hand_over(self) -> None:
+        """The next one goes on where this one ends."""
+
     def problem(self) -> str:
         if self._not_taken < _NOT_TAKEN:
             return ""

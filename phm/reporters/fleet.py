@@ -88,6 +88,10 @@ class Fleet(Reporter):
         """Say that this end was meant; whoever sees the token go without it knows that it was not."""
         self._link.close(self._status(fleet_status.POWEROFF))
 
+    def hand_over(self) -> None:
+        """The session ends without POWEROFF; the next one opens its own."""
+        self._link.close()
+
     def problem(self) -> str:
         fact = self._link.fact()
         if fact.namesakes:

@@ -45,6 +45,6 @@ class Installed:
         """By name, of those that have something to say."""
         return {reporter.name: report for reporter in self._reporters if (report := reporter.report())}
 
-    def closers(self) -> tuple[tuple[str, Callable[[], None]], ...]:
-        """What ends each, by name: to be called after the bus, which hands out what is queued."""
-        return tuple((reporter.name, reporter.close) for reporter in self._reporters)
+    def closers(self, *, last: bool = True) -> tuple[tuple[str, Callable[[], None]], ...]:
+        """What ends each, by name: to be called after the bus, which hands out what is queued. `last`: PHM ends with them."""
+        return tuple((each.name, each.close if last else each.hand_over) for each in self._reporters)

@@ -103,6 +103,9 @@ class Mavlink(Reporter):
         """A last heartbeat that says POWEROFF: a planned end is no failure."""
         self._send_heartbeat(self._context.states(), mavlink.MAV_STATE_POWEROFF)
 
+    def hand_over(self) -> None:
+        """The next one goes on where this one ends."""
+
     def gcs_appeared(self) -> None:
         """Send the full state once, soon: a ground station is there that has heard nothing so far."""
         soon = self._context.clock.mono() + SPREAD_S * self._agent

@@ -77,6 +77,9 @@ class Status(Reporter):
         with contextlib.suppress(OSError):
             os.unlink(self._path)
 
+    def hand_over(self) -> None:
+        """The next one goes on where this one ends."""
+
     def problem(self) -> str:
         return self._problem
 

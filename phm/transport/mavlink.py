@@ -132,6 +132,16 @@ class MavlinkHub:
         """Have `callback` called when an endpoint opens or closes, and about twice a second meanwhile."""
         self._watchers = (*self._watchers, callback)
 
+    def subscribers(self) -> tuple[object, ...]:
+        """Who listens or watches now; for `forget`."""
+        return (*self._listeners, *self._watchers)
+
+    def forget(self, those: Iterable[object]) -> None:
+        """These listeners and watchers belong to parts that have been replaced."""
+        gone = tuple(those)
+        self._listeners = tuple(entry for entry in self._listeners if entry not in gone)
+        self._watchers = tuple(entry for entry in self._watchers if entry not in gone)
+
     def links(self) -> tuple[LinkFact, ...]:
         """Endpoints that were tried at least once."""
         return tuple(fact for endpoint in self._endpoints if (fact := endpoint.fact()) is not None)

@@ -1,8 +1,9 @@
 """The control socket: how a verb asks the running daemon for something. One JSON object a line, each way.
 
-Requests are ``{"do": "ping"}``, ``{"do": "approve", "fault": ID}``, ``{"do": "note", "kind": "INJECT", "text": TEXT}``,
-``{"do": "hold", "container": KEY, "for_s": SECONDS or null, "reason": TEXT}`` and ``{"do": "release", "container": KEY}``, where an
-empty KEY stands for all containers; answers are ``{"ok": true, "text": ...}`` or ``{"ok": false, "error": ...}``. Standard library only.
+Requests are ``{"do": "ping"}``, ``{"do": "reload"}``, ``{"do": "approve", "fault": ID}``,
+``{"do": "note", "kind": "INJECT", "text": TEXT}``, ``{"do": "hold", "container": KEY, "for_s": SECONDS or null, "reason": TEXT}``
+and ``{"do": "release", "container": KEY}``, where an empty KEY stands for all containers; answers are
+``{"ok": true, "text": ...}`` or ``{"ok": false, "error": ...}``. Standard library only.
 """
 
 from __future__ import annotations

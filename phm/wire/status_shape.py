@@ -21,7 +21,9 @@ _HEALTH = {
     "uptime_s": _NUMBER, "links": [_LINK], "reporters": {"fleet": _FLEET}, "dropped": Table(int),
     "overdue": [str], "problems": [str], "flight_critical": _CRITICAL,
 }  # fmt: skip
+_HOLD = {"container!": (str, type(None)), "until!": str, "left_s!": float, "by!": str, "reason!": str}
 SHAPE = {
+    "holds": [_HOLD],
     "checks": [_CHECK], "status_array": [(int, type(None))], "status_word": int,
     "faults": {"open": [_FAULT], "given_up": [_FAULT], "closed": [_CLOSED]}, "health": _HEALTH,
 }  # fmt: skip

@@ -417,7 +417,7 @@ def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_run_ends_with_the_daemons_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """What `phm.service.run` returns is the exit code."""
     with_daemon(monkeypatch)
-    monkeypatch.setattr("phm.service.run", lambda settings: 3)
+    monkeypatch.setattr("phm.service.run", lambda settings, read: 3)
     monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process stays
     assert invoke("run").exit_code == 3
 
@@ -449,7 +449,7 @@ def test_once_makes_a_real_pass(plugin: Path) -> None:
 def test_needs_in_a_circle_end_like_a_bad_configuration(verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """They show only when the checks are known: one sentence that names the circle, exit code 78."""
 
-    def loop(settings: Settings) -> int:
+    def loop(settings: Settings, read: object = None) -> int:
         raise NeedsLoop(["a", "b", "a"])
 
     with_daemon(monkeypatch, once=loop)

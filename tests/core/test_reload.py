@@ -1,0 +1,185 @@
+"""Reloading the configuration: a bad one changes nothing, a good one applies, and what is known stays known."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.wire import control, journal, status_file
+from tests.core.test_service import LIMIT_S, ROOT, until
+from tests.fakes.mavlink import free_port
+
+HEARTBEAT, POWEROFF = 0, 8
+
+
+class Agent:
+    """`phm run` with a disk that is too full for its limit, and a ground station that hears it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.port = free_port(socket.SOCK_DGRAM)
+        self.ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.ground.bind(("127.0.0.1", self.port))
+        self.ground.setblocking(False)
+        self.write()
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "phm.cli", "run", "-c", str(self.file)], text=True, stderr=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_GUARD": "off"},
+        )  # fmt: skip
+        until(lambda: self.faults() == 1, "the fault of the disk")
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "phm.yaml"
+
+    def write(self, **more: Any) -> None:
+        folder = self.folder
+        base = {
+            "agent": {"id": 3}, "interval": "2s", "state_dir": str(folder / "state"), "run_dir": str(folder / "run"),
+            "log": {"directory": str(folder / "log")}, "host": {"disk": {"warn": 0, "error": 0}},
+            "mavlink": {"endpoints": [{"url": f"udpout:127.0.0.1:{self.port}", "leads_to": "ground"}]},
+        }  # fmt: skip
+        self.file.write_text(json.dumps({**base, **more}))
+
+    def status(self) -> dict[str, Any]:
+        try:
+            return status_file.read(str(self.folder / "run"))
+        except status_file.NoStatus:
+            return {}
+
+    def faults(self) -> int:
+        return sum(fault["unit"] == "host/disk" for fault in self.status().get("faults", {}).get("open", ()))
+
+    def reload(self, *more: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "phm.cli", "reload", "--run-dir", str(self.folder / "run"), *more], text=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, timeout=LIMIT_S, check=False,
+        )  # fmt: skip
+
+    def heard(self) -> list[int]:
+        """The system states of the heartbeats that came since the last call."""
+        found = []
+        while True:
+            try:
+                frame = self.ground.recv(512)
+            except BlockingIOError:
+                return found
+            if frame[0] == 0xFD and int.from_bytes(frame[7:10], "little") == HEARTBEAT:
+                found.append(frame[10 + 7])
+
+    def close(self) -> None:
+        self.process.terminate()
+        self.process.communicate(timeout=LIMIT_S)
+        self.ground.close()
+
+
+@pytest.fixture
+def agent(tmp_path: Path) -> Iterator[Agent]:
+    made = Agent(tmp_path)
+    yield made
+    made.close()
+
+
+def test_a_good_configuration_applies_and_faults_stay_open(agent: Agent) -> None:
+    """The fault keeps its id and is reported once; heartbeats go on with no farewell; what needs a restart is named."""
+    before = agent.status()
+    agent.write(interval="3s", agent={"id": 3, "name": "other"})
+    agent.heard()
+    done = agent.reload()
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "configuration reloaded: interval; a restart of PHM is needed for: agent\n"
+    until(lambda: agent.status().get("interval_s") == 3.0, "the new interval")
+    until(lambda: agent.faults() == 1, "the fault")
+    after = agent.status()
+    assert after["pid"] == before["pid"]
+    assert after["agent"] == before["agent"], "the agent's name stays until a restart"
+    assert after["faults"]["open"][0]["fault"] == before["faults"]["open"][0]["fault"]
+    seen: list[int] = []
+    until(lambda: seen.extend(agent.heard()) or len(seen) >= 3, "three heartbeats")
+    assert POWEROFF not in seen
+    opened = [
+        each
+        for each in journal.read(agent.folder / "log")
+        if each["event"] == "fault_opened" and each["unit"] == "host/disk"
+    ]
+    assert len(opened) == 1
+    notes = [each["text"] for each in journal.read(agent.folder / "log") if each["event"] == "note"]
+    assert any(text.startswith("configuration reloaded: interval") for text in notes)
+
+
+def test_a_hold_outlives_a_reload(agent: Agent) -> None:
+    """An operator's hold goes on until its own end, and can be released afterwards."""
+    run_dir = str(agent.folder / "run")
+    control.ask(run_dir, {"do": "hold", "container": "", "for_s": 600.0, "reason": "maintenance"})
+    agent.write(interval="3s")
+    assert agent.reload().returncode == 0
+    until(lambda: agent.status().get("interval_s") == 3.0, "the new interval")
+    until(lambda: [hold["reason"] for hold in agent.status().get("holds", [])] == ["maintenance"], "the hold")
+    control.ask(run_dir, {"do": "release", "container": ""})
+    until(lambda: agent.status().get("holds") == [], "the release")
+
+
+def test_a_bad_configuration_is_rejected_and_the_old_one_stays(agent: Agent) -> None:
+    """Exit code 78 and every problem as file:line; nothing is stopped, nothing changes."""
+    boot = agent.status()["boot_id"]
+    agent.file.write_text("interval: soon\nagent: {id: 3000}\n")
+    done = agent.reload()
+    assert (done.returncode, done.stdout) == (78, "")
+    assert f"{agent.file}:1: interval" in done.stderr and f"{agent.file}:2: agent.id" in done.stderr
+    assert "the old configuration stays" in done.stderr
+    seen = json.loads(agent.reload("--json").stdout)
+    assert (seen["ok"], [each["line"] for each in seen["problems"]]) == (False, [1, 2])
+    assert agent.status()["boot_id"] == boot
+    assert agent.status()["interval_s"] == 2.0
+    assert control.ask(str(agent.folder / "run"), {"do": "ping"}) == "PHM is here"
+
+
+def test_sighup_reloads(agent: Agent) -> None:
+    """As `phm reload`, several times in a row, and a fault that a new limit ends is closed."""
+    agent.process.send_signal(signal.SIGHUP)
+    agent.write(interval="3s")
+    agent.process.send_signal(signal.SIGHUP)
+    until(lambda: agent.status().get("interval_s") == 3.0, "the first reload")
+    agent.write(interval="4s", host={"disk": {"warn": 100, "error": 100}})
+    agent.process.send_signal(signal.SIGHUP)
+    until(lambda: agent.status().get("interval_s") == 4.0, "the second reload")
+    until(lambda: agent.status() and agent.faults() == 0, "the end of the fault")
+    assert agent.process.poll() is None
+
+
+def test_what_has_not_changed_is_not_touched(agent: Agent) -> None:
+    """Reloading the same configuration replaces nothing."""
+    boot = agent.status()["boot_id"]
+    done = agent.reload()
+    assert (done.returncode, done.stdout) == (0, "configuration reloaded: nothing has changed\n")
+    assert agent.status()["boot_id"] == boot
+
+
+def test_checks_that_go_in_a_circle_are_rejected(agent: Agent) -> None:
+    """What shows only when the new daemon is built changes nothing either."""
+    agent.write(checks={"files": {"needs": ["devices"]}, "devices": {"needs": ["files"]}}, containers=[
+        {"name": "app", "files": [{"path": "/x"}], "devices": [{"path": "/dev/null"}]},
+    ])  # fmt: skip
+    done = agent.reload()
+    assert done.returncode in (1, 78), done
+    assert "circle" in done.stderr
+    assert control.ask(str(agent.folder / "run"), {"do": "ping"}) == "PHM is here"
+
+
+def test_without_a_daemon_reload_says_so(tmp_path: Path) -> None:
+    """One sentence, exit code 1."""
+    done = subprocess.run(
+        [sys.executable, "-m", "phm.cli", "reload", "--run-dir", str(tmp_path)], text=True, capture_output=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=LIMIT_S, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "PHM is not running" in done.stderr
