@@ -5,7 +5,10 @@ pytest runs a few hundred cases of each; `scripts/fuzz MINUTES` runs them for as
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -38,6 +41,13 @@ class Target:
         )  # fmt: skip
         counted.__name__ = self.check.__name__
         seed(number)(chosen(given(**self.strategies)(counted)))()
+
+
+def folder() -> str:
+    """A folder for what a target keeps for all its cases, gone with the process."""
+    made = tempfile.mkdtemp(prefix="phm-fuzz-")
+    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    return made
 
 
 TARGETS: dict[str, Target] = {}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-import tempfile
 import time
 from functools import cache
 from pathlib import Path
@@ -16,7 +15,7 @@ from phm.wire import control as wire
 from phm.wire.control import MAX_REQUEST
 from tests.core.test_control import Daemon
 from tests.fuzz.hostile import messages
-from tests.fuzz.targets import fuzzed
+from tests.fuzz.targets import folder, fuzzed
 
 LIMIT_S = 30.0
 REQUESTS = [
@@ -27,7 +26,7 @@ LINES = st.sampled_from(REQUESTS).flatmap(messages) | st.sampled_from([b"x" * MA
 
 @cache
 def _daemon() -> Daemon:
-    return Daemon(Path(tempfile.mkdtemp(prefix="phm-fuzz-")))
+    return Daemon(Path(folder()))
 
 
 def _said(daemon: Daemon, lines: list[bytes]) -> bytes:

@@ -6,7 +6,6 @@ import base64
 import contextlib
 import json
 import socket
-import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -26,7 +25,7 @@ from phm.transport.docker import Engine
 from phm.transport.docker_session import FAILURES
 from phm.transport.docker_tar import FileCopy, pack, unpack
 from tests.fuzz.hostile import DEEP, JSON, damaged, torn, written
-from tests.fuzz.targets import fuzzed
+from tests.fuzz.targets import folder, fuzzed
 
 ID = "ab" * 32
 INSPECT = {
@@ -162,8 +161,7 @@ class _Stranger:
 
     def __init__(self) -> None:
         self.says = b""
-        self.folder = tempfile.mkdtemp(prefix="phm-fuzz-")
-        self.path = f"{self.folder}/engine.sock"
+        self.path = f"{folder()}/engine.sock"
         self._listener = socket.socket(socket.AF_UNIX)
         self._listener.bind(self.path)
         self._listener.listen(16)
