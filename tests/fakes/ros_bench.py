@@ -41,7 +41,7 @@ def claim_domain() -> tuple[int, IO[bytes]]:
     raise RuntimeError(f"all ROS domains from {FIRST_DOMAIN} to {FIRST_DOMAIN + DOMAINS - 1} are used by other tests")
 
 
-def until(condition: Callable[[], Any], what: str, limit_s: float = 20.0) -> Any:
+def until(condition: Callable[[], Any], what: str, limit_s: float = 60.0) -> Any:
     """Poll an observable; the deadline only bounds a failing test."""
     end_s = time.monotonic() + limit_s
     while time.monotonic() < end_s:
@@ -115,7 +115,7 @@ class Bench:
         self._closing.close()
 
 
-def seen(probe: RosProcess, condition: Callable[[RosFact], Any], what: str, limit_s: float = 20.0) -> Any:
+def seen(probe: RosProcess, condition: Callable[[RosFact], Any], what: str, limit_s: float = 60.0) -> Any:
     """Wait until a picture satisfies `condition`; STALE moments are waited out."""
 
     def look() -> Any:
