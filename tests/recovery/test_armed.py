@@ -112,6 +112,7 @@ def test_what_would_cut_a_flight_critical_network_is_only_advised(agents: list[A
     made.armed = True
     made.bad["container/app"] = "broken"
     made.rest(20.0)
+    made.until(lambda: made.actions() != [], "the advice")  # the bus delivers it in a thread of its own
     assert made.runs == []
     assert "would take down pilot, which is flight-critical" in made.actions()[0].detail
     made.armed = False
