@@ -58,6 +58,8 @@ class AutopilotFact:
     """Since PHM last read again after it had been suspended: what it reads then may be old. None: never."""
     boot_age_s: float | None = None
     """Since it reported its time since boot; None: never."""
+    disarmed_for_s: float | None = None
+    """How long its heartbeats have said disarmed without a pause and nothing else; None: the newest one says armed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,8 @@ class Pilot:
         """By link: when a heartbeat came last, and whether it said armed."""
         self._said_armed: dict[bool, float] = {}
         """When armed (True) and disarmed (False) was last said, by any link."""
+        self._disarmed_from: float | None = None
+        """When the unbroken row of disarmed heartbeats began; None: the newest one says armed."""
         self._stalled: float | None = None
         self._spoke = float("-inf")
         self._beat: tuple[float, Any, str] | None = None
@@ -65,6 +67,10 @@ class Pilot:
         self._cadence.beat(now)
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         self._said[link] = (now, armed)
+        if armed:
+            self._disarmed_from = None
+        elif self._disarmed_from is None or now - self._said_armed.get(False, now) > self._timeout_s:
+            self._disarmed_from = now
         self._said_armed[armed] = now
         if not self._armed or self._armed[-1][1] != armed:
             self._armed.append((now, armed))
@@ -107,6 +113,7 @@ class Pilot:
             self._cadence.due_s(), self._overdue(read_at(link)), now - self._spoke,
             ages.get(True), ages.get(False), None if self._stalled is None else now - self._stalled,
             None if self._boot is None else now - self._boot[0],
+            None if self._disarmed_from is None else now - self._disarmed_from,
         )  # fmt: skip
 
     def _overdue(self, read_at: float | None) -> bool:

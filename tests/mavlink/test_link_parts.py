@@ -324,6 +324,20 @@ def test_a_reboot_after_landing_is_not_in_the_air() -> None:
     assert (fact.reboots, fact.rebooted_armed) == (1, False)
 
 
+def test_how_long_a_pilot_has_said_disarmed_ends_with_a_pause() -> None:
+    """Armed ends it, and silence for longer than the timeout begins it anew."""
+    pilot = Pilot()
+    for at in (0.0, 3.0, 6.0):
+        beat(pilot, at)
+    assert fact_of(pilot, 7.0).disarmed_for_s == 7.0
+    beat(pilot, 10.0)
+    assert fact_of(pilot, 11.0).disarmed_for_s == 1.0
+    beat(pilot, 12.0, armed=True)
+    assert fact_of(pilot, 12.0).disarmed_for_s is None
+    beat(pilot, 13.0)
+    assert fact_of(pilot, 14.0).disarmed_for_s == 1.0
+
+
 def test_two_autopilots_with_one_identity_are_no_reboots() -> None:
     """Their times alternate faster than anything can boot; a vehicle that boots again and again takes longer."""
     pilot = Pilot()

@@ -17,6 +17,8 @@ from phm.testing import FakeClock
 from tests.recovery.agent import Agent, Containers, Of
 
 TIMEOUT_S = 3.5
+FLEW = LastKnown(True, 0.0)
+"""Of an earlier run of PHM."""
 
 
 def fact(armed_s: float | None, disarmed_s: float | None, **more: object) -> AutopilotFact:
@@ -44,6 +46,13 @@ def fact(armed_s: float | None, disarmed_s: float | None, **more: object) -> Aut
         (fact(9.0, 0.5, rebooted_s=5.0, rebooted_armed=True), None, State.ARMED, "rebooted while armed 5 s ago"),
         (fact(9.0, 0.5, rebooted_s=31.0, rebooted_armed=True), None, State.DISARMED, "disarmed"),
         (fact(9.0, 0.5, rebooted_s=5.0, rebooted_armed=False), None, State.DISARMED, "disarmed"),
+        (fact(None, 0.5, disarmed_for_s=29.0), FLEW, State.ARMED, "may have rebooted in the air"),
+        (fact(None, 0.5, disarmed_for_s=31.0), FLEW, State.DISARMED, "disarmed"),
+        (fact(None, 0.5, boot_s=12.0, boot_age_s=0.5), FLEW, State.ARMED, "may have rebooted in the air"),
+        (fact(None, 0.5, boot_s=12.0, boot_age_s=0.5, disarmed_for_s=60.0), FLEW, State.ARMED, "may have rebooted"),
+        (fact(None, 0.5, boot_s=600.0, boot_age_s=0.5), FLEW, State.DISARMED, "disarmed"),
+        (fact(None, 0.5, boot_s=600.0, boot_age_s=9.0), FLEW, State.ARMED, "may have rebooted in the air"),
+        (fact(None, 0.5, boot_s=12.0, boot_age_s=0.5), LastKnown(False, 0.0), State.DISARMED, "disarmed"),
     ],
 )
 def test_only_a_fresh_disarmed_opens_the_gate(
@@ -71,7 +80,7 @@ def test_the_last_certain_state_is_remembered_with_its_beginning() -> None:
 
 
 def test_a_restart_of_phm_in_flight_opens_nothing(tmp_path: Path) -> None:
-    """What was armed stays armed until a fresh heartbeat says disarmed, and the flight-critical container is left alone."""
+    """What was armed stays armed until the autopilot says disarmed and has not just booted, and the flight-critical container is left alone."""
     clock, containers, heard = FakeClock(), Containers("app"), [fact(0.1, None)]
 
     def life() -> Agent:
@@ -89,7 +98,10 @@ def test_a_restart_of_phm_in_flight_opens_nothing(tmp_path: Path) -> None:
     second.rest(30.0)
     assert second.runs == []
     assert any("it was armed before" in event.detail for event in second.actions())
-    heard.append(fact(60.0, 0.1))
+    heard.append(fact(None, 0.1, boot_s=5.0, boot_age_s=0.1))
+    second.rest(30.0)
+    assert second.runs == []
+    heard[:] = [fact(None, 0.1, boot_s=35.0, boot_age_s=0.1)]
     second.until(lambda: second.runs == [("app", "container/app")], "the restart after the fresh disarmed")
     second.stop()
 

@@ -14,6 +14,7 @@ import pytest
 from phm.daemon import Daemon
 from phm.model import ActionEvent, Event, Phase
 from phm.testing import settings
+from phm.transport.dialect import mavlink
 from phm.transport.docker import Engine
 from phm.wire import control
 from tests.fakes.mavlink import Sender, free_port, heartbeat
@@ -26,10 +27,14 @@ RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
 
 
 class Beats:
-    """Sends an autopilot's heartbeats to one UDP port, four a second, while `says` is not None: armed or not."""
+    """Sends an autopilot's heartbeats to one UDP port, four a second, while `says` is not None: armed or not.
+
+    runs_s: the time since boot that it reports, None: none.
+    """
 
     def __init__(self, port: int) -> None:
         self.says: bool | None = None
+        self.runs_s: float | None = None
         self._port, self._stop = port, threading.Event()
         self._thread = threading.Thread(target=self._loop, daemon=True)
         self._thread.start()
@@ -41,6 +46,9 @@ class Beats:
                 if self.says is not None:
                     beat = heartbeat(5, kind=2, autopilot=3, base_mode=81 | (128 if self.says else 0))
                     sock.sendto(sender.frame(beat), ("127.0.0.1", self._port))
+                    if self.runs_s is not None:
+                        since_boot = mavlink.MAVLink_system_time_message(0, int(self.runs_s * 1000))
+                        sock.sendto(sender.frame(since_boot), ("127.0.0.1", self._port))
 
     def close(self) -> None:
         self._stop.set()
@@ -151,7 +159,12 @@ def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehi
     assert vehicle.started(engine) == before
     assert [phase for phase, _ in vehicle.actions() if phase is Phase.STARTED] == []
 
+    vehicle.beats["fc"].runs_s = 3.0
     vehicle.beats["fc"].says = False
+    until(lambda: "may have rebooted in the air" in vehicle.gate(), "the disarmed of an autopilot that has just booted")
+    vehicle.passes(3)
+    assert vehicle.started(engine) == before
+    vehicle.beats["fc"].runs_s = 600.0
     until(lambda: any(phase is Phase.VERIFIED for phase, _ in vehicle.actions()), "the repair on the ground")
     after = vehicle.started(engine)
     assert before[0] < after[0] < after[1]
