@@ -241,7 +241,7 @@ class Daemon:
     def _docker_event(self, event: DockerEvent) -> None:
         self.pipeline.note("DOCKER", str(event))
         if event.kind == "container":
-            self.holds.happened(event.key, "start" if event.begins_life else event.action, event.detail)
+            self.holds.happened(event.key, "start" if event.begins_life else event.action, event.detail, event.id)
         if event.end_s:
             self.pipeline.expect_end(event.key, event.end_s)
         if event.ends_life:

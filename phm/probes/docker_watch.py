@@ -47,6 +47,7 @@ CONTAINER_ACTIONS = (
 )  # fmt: skip
 NETWORK_ACTIONS = ("create", "connect", "disconnect", "destroy")
 # The engine matches actions by their beginning once `health_status` is among them: exec events stay out.
+ENDINGS = ("kill", "die", "stop", "destroy")
 FILTERS = {"type": ("container", "network"), "event": tuple(dict.fromkeys((*CONTAINER_ACTIONS, *NETWORK_ACTIONS)))}
 
 
@@ -60,6 +61,7 @@ class DockerEvent:
     detail: e.g. ``exit code 137``, ``unhealthy``, ``signal 15`` for kill (which `docker stop` sends first), or empty.
     container: for network events the key of the container concerned, when it is a configured one.
     lost:   the stream did not tell; the comparison found it.
+    id:     of the container, or of the one that the comparison found; empty: not known.
     end_s:  for a `kill` after which the container is to end: within how many seconds at most; else 0.
     """
 
@@ -71,6 +73,7 @@ class DockerEvent:
     container: str = ""
     lost: bool = False
     end_s: float = 0.0
+    id: str = ""
 
     @property
     def subjects(self) -> frozenset[str]:
@@ -96,7 +99,7 @@ class Watch:
     """Two threads: one follows the stream, one compares. `on_event` is called from either, one at a time; `on_turn` when the
     stream broke, could not be opened, or is open again: mostly the engine itself has gone or come.
 
-    Invariant: `_expected`, `_stops`, `_ids`, `_left` and `_touched` are read and written with `_lock` held.
+    Invariant: `_expected`, `_stops`, `_ids`, `_current`, `_left` and `_touched` are read and written with `_lock` held.
     """
 
     def __init__(
@@ -115,6 +118,8 @@ class Watch:
         self._stops: dict[str, tuple[int, float | None]] = {}
         """By which signal each container is stopped, and how long it asks to be waited for."""
         self._ids: dict[str, str] = {}
+        self._current: dict[str, str] = {}
+        """The id of the container that has each key's name now, or was last started under its label."""
         self._left: dict[tuple[str, str], int] = {}
         self._touched: dict[str, int] = dict.fromkeys(self._containers, 0)
         self._lock, self._telling = threading.Lock(), threading.Lock()
@@ -203,7 +208,9 @@ class Watch:
         if raw.get("Type") != "container" or action not in CONTAINER_ACTIONS:
             return None
         container_id = str(actor.get("ID", ""))
-        key = self._key_of(container_id, attributes)
+        key = self._key_of(container_id, attributes, action)
+        if key and action in ENDINGS and self._is_replaced(key, container_id):
+            return None
         if not key:
             replaced = self._replaced(attributes) if action == "create" else ""
             return DockerEvent("container", replaced, "replace", "", self._clock.stamp()) if replaced else None
@@ -217,7 +224,7 @@ class Watch:
         elif action == "kill":
             number = str(attributes.get("signal", "unknown"))
             detail, end_s = f"signal {number}", self._ends_within(key, number)
-        return DockerEvent("container", key, action, detail, self._clock.stamp(), end_s=end_s)
+        return DockerEvent("container", key, action, detail, self._clock.stamp(), end_s=end_s, id=container_id)
 
     def _ends_within(self, key: str, number: str) -> float:
         """How long a container may take to end after this signal; 0: it is not meant to end."""
@@ -255,7 +262,12 @@ class Watch:
         self._left[ends] = at_ns
         return bool(left_ns and 0 <= at_ns - left_ns < AGAIN_S * 1e9)
 
-    def _key_of(self, container_id: str, attributes: Mapping[str, Any]) -> str:
+    def _is_replaced(self, key: str, container_id: str) -> bool:
+        """Whether another container has taken the place of this one: its end concerns nobody."""
+        with self._lock:
+            return self._current.get(key, container_id) != container_id
+
+    def _key_of(self, container_id: str, attributes: Mapping[str, Any], action: str) -> str:
         """Key of the configured container that an event is about; by id also when it was renamed away."""
         with self._lock:
             for key, entry in self._containers.items():
@@ -263,6 +275,8 @@ class Watch:
                     if len(self._ids) >= _MAX_IDS:
                         self._ids.clear()
                     self._ids[container_id] = key
+                    if entry.name or action == "start":  # a label may be on several, a name is on one
+                        self._current[key] = container_id
                     return key
             return self._ids.get(container_id, "")
 
@@ -319,9 +333,12 @@ class Watch:
             self._expected[key] = now
             if now.id:
                 self._ids = {known: other for known, other in self._ids.items() if other != key} | {now.id: key}
+                self._current[key] = now.id
         for kind, action, detail in differences(expected, now) if expected is not None else ():
             subject, container, text = (detail, key, "") if kind == "network" else (key, "", detail)
-            self._tell(DockerEvent(kind, subject, action, text, self._clock.stamp(), container, lost=True))
+            self._tell(
+                DockerEvent(kind, subject, action, text, self._clock.stamp(), container, lost=True, id=now.id or "")
+            )
         return True
 
     def _look(self, key: str) -> tuple[int, Expected] | None:

@@ -122,10 +122,11 @@ class HoldService:
 
     # ------------------------------------------------------------ the engine's events
 
-    def happened(self, container: str, action: str, detail: str) -> None:
+    def happened(self, container: str, action: str, detail: str, container_id: str = "") -> None:
         """An event of a configured container, before anybody is woken for it; actions as in `phm.probes.docker_watch`."""
         with self._lock:
-            self._stops.event(container, action, detail, self._clock.mono(), own=self._world.own(container))
+            now, own = self._clock.mono(), self._world.own(container)
+            self._stops.event(container, action, detail, now, own=own, container_id=container_id)
             if action == "start":
                 self._runs(container)
             self._apply([container])
@@ -134,10 +135,11 @@ class HoldService:
     def tick(self) -> float | None:
         """Let time pass; seconds until it matters again, None: until something happens."""
         self._read_labels()
+        now = self._clock.mono()
+        replaced = self._not_stopped(now)
         with self._lock:
-            now = self._clock.mono()
             for key, verdict in self._stops.due(now):
-                self._stopped(key, verdict)
+                self._stopped(key, Verdict.CRASHED if key in replaced else verdict)
             self._end([hold for hold in self._holds.all() if now >= hold.until], "its time is over")
             self._take_off()
             windows = self._look_at_windows(now)
@@ -203,6 +205,23 @@ class HoldService:
             self._judge_stop(key, _DONE[verdict])
         self._apply([key])
 
+    def _not_stopped(self, now: float) -> frozenset[str]:
+        """Which containers are there although they are about to be judged as stopped: started, or replaced by another one.
+
+        Events are lost, and a container may be removed after a copy has taken its place. Without the lock, as `_read_labels`.
+        """
+        with self._lock:
+            ripe = self._stops.ripe(now)
+        found = set()
+        for key, ended in ripe.items():
+            try:
+                fact = self._world.container(key)
+            except CannotTell:
+                continue
+            if fact is not None and (fact.running or (ended and fact.id != ended)):
+                found.add(key)
+        return frozenset(found)
+
     def _judge_stop(self, key: str, done: str) -> None:
         rule = self._rules.on_manual_stop.air if self._world.armed().shut else self._rules.on_manual_stop.ground
         if rule == "respect" and not (self._flying() and self._critical([key])):
@@ -232,13 +251,15 @@ class HoldService:
         if now - self._labels_at < LABELS_S:
             return
         self._labels_at = now
+        # The event of a start may have been lost. Only what was stopped before the engine was asked: the answer may be older.
+        stopped = {hold.target for hold in self._of_source(STOP)} | set(self._holds.stops())
         for key in self._keys:
             try:
                 fact = self._world.container(key)
             except CannotTell:
                 continue
             self._labels[key] = fact.maintenance if fact is not None else ""
-            if key not in self._seen and fact is not None and fact.running:
+            if fact is not None and fact.running and (key not in self._seen or key in stopped):
                 with self._lock:
                     self._runs(key)
             self._seen.add(key)

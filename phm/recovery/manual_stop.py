@@ -49,6 +49,8 @@ class _Ending:
     """By SIGKILL alone."""
     ended: bool = False
     replaced: bool = False
+    id: str = ""
+    """Of the container that has ended; empty: not known."""
 
 
 class ManualStops:
@@ -57,7 +59,7 @@ class ManualStops:
     def __init__(self) -> None:
         self._of: dict[str, _Ending] = {}
 
-    def event(self, key: str, action: str, detail: str, now: float, *, own: bool) -> None:
+    def event(self, key: str, action: str, detail: str, now: float, *, own: bool, container_id: str = "") -> None:
         """One event of the container `key`. own: an action of PHM is at work on it, so the event is PHM's doing."""
         if action == "start" or own:
             self._of.pop(key, None)
@@ -69,6 +71,16 @@ class ManualStops:
             self._of[key] = _Ending(now + RECREATED_S, Verdict.REMOVED, ended=True)
         elif key in self._of and action in ("die", "stop"):
             self._end(self._of[key], action, now)
+        if action in ("die", "stop", "destroy") and key in self._of:
+            self._of[key].id = container_id
+
+    def ripe(self, now: float) -> dict[str, str]:
+        """Of which containers `due` will give a stop or a removal, with the id of the one that has ended."""
+        return {
+            key: ending.id
+            for key, ending in self._of.items()
+            if now >= ending.until and ending.verdict is not Verdict.CRASHED
+        }
 
     def due(self, now: float) -> list[tuple[str, Verdict]]:
         """What is decided by now; each is given once. A container that was asked to end and did not is forgotten."""

@@ -93,6 +93,27 @@ def test_a_container_that_was_renamed_away_is_still_known(
     assert heard.texts() == ["app rename"]
 
 
+@pytest.mark.parametrize("entry", [{"name": "app"}, {"label": "role=app"}])
+def test_the_end_of_a_container_that_was_replaced_is_not_told(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until, entry: dict[str, Any]
+) -> None:
+    """Renamed away, a copy started in its place, then removed: the running copy is not concerned."""
+    fake.containers["app"] = container("app", labels={"role": "app"})
+    made, heard = watch(entry)
+    until(made.healthy, "the first comparison")
+    old = str(fake.containers["app"]["Id"])
+    labels = {"role": "app"}
+    fake.emit("container", "rename", old, name="app_old", oldName="/app", **labels)
+    fake.emit("container", "create", "copy", name="app", **labels)
+    fake.emit("container", "start", "copy", name="app", **labels)
+    for action in ("kill", "die", "stop", "destroy"):
+        fake.emit("container", action, old, name="app_old", signal="9", exitCode="137", **labels)
+    fake.emit("container", "die", "copy", name="app", exitCode="1", **labels)
+    until(lambda: len(heard) >= 4, "the events of the copy")
+    assert [event.action for event in heard] == ["rename", "create", "start", "die"]
+    assert [event.id for event in heard] == [old, "copy", "copy", "copy"]
+
+
 def test_a_container_is_known_by_its_label(
     fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
 ) -> None:

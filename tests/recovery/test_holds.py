@@ -295,6 +295,7 @@ def test_take_off_ends_what_must_not_be_missed(scene: Scene) -> None:
 def stopped(scene: Scene, key: str = "app") -> None:
     """`docker stop`, and what the checks see of it."""
     scene.happen(*STOP, key=key)
+    scene.containers.end(key)
     scene.agent.bad = {f"container/{key}": "exited"}
 
 
@@ -319,6 +320,39 @@ def test_a_start_ends_the_hold_of_a_stop_and_no_other(scene: Scene) -> None:
     scene.agent.rest(1)
     assert [hold["container"] for hold in scene.service.snapshot()] == ["cam"]
     assert "it was started again" in scene.last()
+
+
+@pytest.mark.parametrize("by", ["start", "recreate"])
+def test_what_was_started_without_an_event_is_not_on_hold(scenes: Any, by: str) -> None:
+    """Before a stop is judged, the engine is asked whether the container is there; events are lost."""
+    scene = scenes(on_manual_stop="respect")
+    stopped(scene)
+    getattr(scene.containers, by)("app")
+    scene.agent.bad = {}
+    scene.agent.rest(10)
+    assert scene.changes() == [] and scene.level() is Level.OK
+
+
+def test_a_copy_that_was_never_started_is_a_fault_when_the_old_one_is_removed(scenes: Any) -> None:
+    """The name is there, under another id: nobody has removed the container by hand."""
+    scene = scenes(on_manual_stop="respect")
+    scene.containers.recreate("app")
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "created"}
+    for action in ("kill", "die", "destroy"):
+        scene.service.happened("app", action, "signal 9", "id of the old one")
+    scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the alarm")
+    assert scene.changes() == []
+
+
+def test_a_hold_ends_with_a_start_that_no_event_has_told(scene: Scene) -> None:
+    """The containers are looked at every half minute."""
+    stopped(scene)
+    scene.agent.rest(10)
+    scene.containers.start("app")
+    scene.agent.bad = {}
+    scene.agent.rest(60)
+    assert scene.changes() == [("app", True), ("app", False)] and "it was started again" in scene.last()
 
 
 @pytest.mark.parametrize("armed", [ArmedState.ARMED, ArmedState.UNKNOWN])
@@ -459,7 +493,7 @@ def test_a_stop_that_is_over_when_phm_starts_holds_nothing(scenes: Any, tmp_path
     first.agent.bad = {"container/app": "exited", "container/cam": "exited"}
     first.agent.rest(10)
     first.agent.stop()
-    first.containers.end("cam")
+    first.containers.start("app")
     second = scenes(tmp_path, first.clock, containers=first.containers)
     assert [hold["container"] for hold in second.service.snapshot()] == ["cam"]
 
