@@ -102,7 +102,7 @@ mirror_uri() {
 install_locked() {
   local python=$1 name requirements=()
   shift
-  "$python" -m pip install --quiet --quiet --require-hashes --requirement "$LOCKS/build.lock"
+  "$python" -m pip install --quiet --quiet --require-hashes --requirement "$LOCKS/build.lock" || return 1
   for name in "$@"; do
     case $name in --*) requirements+=("$name") ;; *) requirements+=(--requirement "$LOCKS/$name.lock") ;; esac
   done

@@ -92,7 +92,8 @@ def _readable(installs: Iterable[str], environ: Callable[[str], str | None]) -> 
     yield from sys.path
     yield from installs
     for name in _FILE_VARIABLES:
-        yield (environ(name) or "").removeprefix("file://")
+        # Cyclone DDS takes several, separated by commas.
+        yield from (part.removeprefix("file://") for part in (environ(name) or "").split(","))
     for name in _PATH_VARIABLES:
         yield from (environ(name) or "").split(os.pathsep)
 
