@@ -7,8 +7,9 @@ Node i publishes topic_i and subscribes to the topic of the node before it, in t
 says, see `sitl.graph`.
 A dead node is left dead, so that PHM has something to find. Each node's process id is in
 `/tmp/nodes/<node>.pid`, so that a fault can be injected into that node alone. SIGUSR1 makes this process take
-memory until it is killed; a file `/tmp/broken_start` that is not empty makes the next start fail; a node whose name is in
-`/tmp/left_out` is not started, once.
+memory until it is killed; SIGUSR2 makes it end without a word to its nodes, which the kernel ends with the container. A
+file `/tmp/broken_start` that is not empty makes the next start fail; a node whose name is in `/tmp/left_out` is not
+started, once.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from pathlib import Path
 
 from sitl.graph import NodePlan, read, ring
 
-_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD, signal.SIGUSR1)
+_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD, signal.SIGUSR1, signal.SIGUSR2)
 _FAREWELL_S = 3.0
 _BITE = 8 * 2**20
 """Bytes taken at once by a process that leaks."""
@@ -48,11 +49,13 @@ class App:
         _say(f"{name} started as process {pid}")
 
     def serve(self) -> None:
-        """Until SIGTERM or SIGINT; dead nodes are reaped, and their pid files removed."""
+        """Until SIGTERM, SIGINT or SIGUSR2; dead nodes are reaped, and their pid files removed."""
         while True:
             number = signal.sigwait(_SIGNALS)
             if number == signal.SIGUSR1:
                 _leak()
+            elif number == signal.SIGUSR2:
+                os._exit(0)
             elif number != signal.SIGCHLD:
                 return
             self._reap()

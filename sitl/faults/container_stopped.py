@@ -1,4 +1,4 @@
-"""The application ends in good order, and its container with it."""
+"""The application ends with exit code 0, and its container with it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from sitl.faults.base import Agent, Fault, died
 
 
 class Injection(Fault):
-    """SIGTERM to its first process, from inside; `docker stop` would be an operator's wish (`recovery.on_manual_stop`) and no fault.
+    """SIGUSR2 to its first process, which ends at once; `docker stop` would be an operator's wish (`recovery.on_manual_stop`) and
+    no fault. Were its nodes ended first, they would be missing while the container still runs, for seconds on a busy machine.
 
     The fault is there when the process has ended, by the engine's own stamp.
     """
@@ -14,12 +15,12 @@ class Injection(Fault):
     name, title, unit = "container_stopped", "container stopped", "container/ros_app"
     condition = "exited"
     layer = "container"
-    cause = "something ended the application in good order"
+    cause = "the application has ended by itself"
 
     def inject(self, agent: Agent) -> float:
         app = agent.app
         before = app.attrs["State"]["FinishedAt"]
-        app.exec_run(["sh", "-c", "kill -TERM 1"])
+        app.exec_run(["sh", "-c", "kill -USR2 1"])
         return died(app, before)
 
     def clear(self, agent: Agent) -> None:
