@@ -139,8 +139,10 @@ class Phm:
         return len(self.record.events)
 
     def opened(self, since: int) -> list[str]:
+        """Units of the faults that were opened; not the load of this machine, which other programs may cause."""
         self.record.update()
-        return [event["unit"] for event in self.record.events[since:] if event["event"] == "fault_opened"]
+        opened = (event["unit"] for event in self.record.events[since:] if event["event"] == "fault_opened")
+        return [unit for unit in opened if unit != "host/cpu"]
 
     def stop(self) -> int:
         """SIGTERM, and SIGKILL when it does not end; its exit code."""
