@@ -130,8 +130,11 @@ def test_a_router_that_is_absent_dies_and_comes_back(bench: Bench) -> None:
     agent.turn()
     until(agent.reporter.problem)
     bench.router()
-    # What changed meanwhile is told after the reconnect, without waiting for a refresh.
-    ground.wait(lambda g: bool(g.tokens) and g.statuses["agent_1"].open_faults == 1)
+    # What changed meanwhile is published after the reconnect, without waiting for a refresh. A reader that was connected
+    # again later than the agent has missed it, and asks, as the contract says.
+    ground.wait(lambda g: bool(g.tokens))
+    ground.ask()
+    ground.wait(lambda g: g.statuses["agent_1"].open_faults == 1)
     assert ground.statuses["agent_1"].sequence > before
     assert agent.reporter.report()["connects"] == 2
 
