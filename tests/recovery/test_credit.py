@@ -65,6 +65,23 @@ def test_an_action_may_know_what_else_has_helped(agent: Agent) -> None:
     assert said.endswith("and not by restart: the moon has moved")
 
 
+def test_a_proven_repair_stands_when_no_thread_can_be_started_to_ask(
+    agent: Agent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a limit of processes nothing speaks against the action."""
+    begin = threading.Thread.start
+
+    def start(thread: threading.Thread) -> None:
+        if thread.name.startswith("phm-credit"):
+            raise RuntimeError("can't start new thread")
+        begin(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
+    assert by == "restart"
+    assert "and not by" not in said
+
+
 # ---------------------------------------------------------------- a link
 
 
