@@ -240,7 +240,7 @@ class Daemon:
 
     def _docker_event(self, event: DockerEvent) -> None:
         self.pipeline.note("DOCKER", str(event))
-        if event.kind == "container":
+        if event.kind == "container" and not event.harmless:
             self.holds.happened(event.key, "start" if event.begins_life else event.action, event.detail, event.id)
         if event.end_s:
             self.pipeline.expect_end(event.key, event.end_s)
@@ -328,9 +328,7 @@ class Daemon:
         return self.executor is not None and self.executor.acting_on(container)
 
     def _hold_words(self, container: str) -> str:
-        now = self.clock.stamp()
-        hold = self._held.on(container, now.mono)
-        return hold.words(now) if hold is not None else ""
+        return self._held.why_not_start(container, self.clock.stamp())
 
     def _radio_heard(self) -> bool:
         """As the radio's check, a radio counts as silent after two and a half of its own pauses."""

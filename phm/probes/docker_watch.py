@@ -81,6 +81,11 @@ class DockerEvent:
         return frozenset({f"container:{self.key}" if self.kind == "container" else "network"})
 
     @property
+    def harmless(self) -> bool:
+        """A signal after which the container is not meant to end, e.g. SIGHUP to have it read its configuration."""
+        return self.action == "kill" and self.end_s == 0
+
+    @property
     def ends_life(self) -> bool:
         """A container has ended, or is gone."""
         return self.kind == "container" and self.action in ("die", "destroy")

@@ -74,7 +74,7 @@ class ActionContext:
     autopilot:  the vehicle's autopilot now, or None when it was never received.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
     age_s:      seconds since something was stamped (UTC), whatever the clock did since; None: not possible (`phm.clock.Steps`).
-    on_hold:    until when and why nothing may be done to a container; empty: it is not on hold.
+    on_hold:    why nothing may be done to a container for the sake of another: it is on hold, or stopped by hand; empty: it may.
     holding:    while it is entered, what breaks in that other container follows from this fault's repair.
     """
 

@@ -97,10 +97,10 @@ class HoldService:
         now = self._clock.stamp()
         hold = Hold(container, OPERATOR, now.mono + length_s, by, one_line(reason)[:MAX_TEXT])
         with self._lock:
+            self._begin(hold)  # first: an action that begins from now on finds it
             at_work = sorted(
                 f"{action} of {key}" for key in self._of(hold) if (action := self._pipeline.acting_on(key))
             )
-            self._begin(hold)
         finishing = f"; {', '.join(at_work)}, which is under way, is finished first" if at_work else ""
         return f"{_name(hold)} is {hold.words(now)}{finishing}", self._json(hold)
 
@@ -187,6 +187,7 @@ class HoldService:
         now = self._clock.stamp()
         undecided = self._stops.undecided()
         for key in keys:
+            self._holds.leave(key, self._stops.leave_until(key, now.mono))
             hold = self._holds.on(key, now.mono)
             if hold is not None:
                 self._pipeline.pause(key, hold.words(now))

@@ -20,6 +20,9 @@ OPERATOR, STOP, WINDOW = "operator", "stop", "window"
 LONGEST_S = 24 * 3600.0
 KEPT_EVERY_S = 30.0
 """What is left of a hold is written this often: a reboot extends it by no more, and by the time the machine was off."""
+LATE_S = 10.0
+"""A verdict on a stop that is so long overdue is not waited for: no defect may keep recovery away for ever."""
+BEING_STOPPED = "being stopped or replaced by an operator"
 MAX_HOLDS = 64
 MAX_TEXT = 200
 
@@ -60,6 +63,7 @@ class Holds:
     def __init__(self) -> None:
         self._of: dict[tuple[str, str], Hold] = {}
         self._by_hand: set[str] = set()
+        self._undecided: dict[str, float] = {}
         self._lock = threading.Lock()
         self.changed: Callable[[], None] = lambda: None
 
@@ -93,6 +97,34 @@ class Holds:
 
     def mark_stopped(self, target: str, stopped: bool) -> None:
         (self._by_hand.add if stopped else self._by_hand.discard)(target)
+
+    def leave(self, target: str, until: float | None) -> None:
+        """Until when (monotonic seconds) a verdict is due on whether it was stopped by hand; None: there is none."""
+        before = self._undecided.get(target)
+        if until is None:
+            self._undecided.pop(target, None)
+        else:
+            self._undecided[target] = until
+        if before != until:
+            self.changed()
+
+    def undecided(self, target: str, now: float) -> float | None:
+        """When to look again at a target of which it is not decided yet whether an operator stopped it; None: it is decided."""
+        until = self._undecided.get(target)
+        return None if until is None or now >= until + LATE_S else max(until, now)
+
+    def binds(self, target: str, now: float) -> bool:
+        """Whether nothing may be done to the target now."""
+        return self.on(target, now) is not None or self.undecided(target, now) is not None
+
+    def why_not_start(self, target: str, now: Stamp) -> str:
+        """Why the target is not to be started for the sake of another container; empty: it may be."""
+        hold = self.on(target, now.mono)
+        if hold is not None:
+            return hold.words(now)
+        if self.undecided(target, now.mono) is not None:
+            return BEING_STOPPED
+        return "stopped by hand" if self.stopped_by_hand(target) else ""
 
     # ------------------------------------------------------------ over a restart of PHM
 

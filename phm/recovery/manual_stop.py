@@ -26,8 +26,8 @@ STOP_FOLLOWS_S = 3.0
 """`stop` follows `die` within 0.1 s on an idle machine; without it, the end was a crash or `docker kill`."""
 REMOVED_S = 0.5
 """`destroy` follows the `die` of `docker rm -f` within 0.1 s; until then it looks like `docker kill`."""
-ASKED_S = 600.0
-"""A container that does not end so long after it was asked to does not stop."""
+ASKED_S = 3600.0
+"""A container that does not end so long after it was asked to does not stop: `docker stop -t` may give it that much time."""
 SIGKILL = "signal 9"
 
 
@@ -49,6 +49,8 @@ class _Ending:
     """By SIGKILL alone."""
     ended: bool = False
     replaced: bool = False
+    replaced_by: float = float("-inf")
+    """Until when a replacement that was made is to take its place, also if the old one has ended before."""
     id: str = ""
     """Of the container that has ended; empty: not known."""
 
@@ -64,13 +66,15 @@ class ManualStops:
         if action == "start" or own:
             self._of.pop(key, None)
         elif action == "replace":
-            self._of[key] = _Ending(now + RECREATED_S, replaced=True)
+            self._of[key] = _Ending(now + RECREATED_S, replaced=True, replaced_by=now + RECREATED_S)
         elif action == "kill":
             self._kill(key, detail, now)
         elif action == "destroy":
             self._of[key] = _Ending(now + RECREATED_S, Verdict.REMOVED, ended=True)
         elif key in self._of and action in ("die", "stop"):
             self._end(self._of[key], action, now)
+        elif action == "stop":  # its `kill` was before PHM looked; a crash has no `stop`
+            self._of[key] = _Ending(now + STOPPED_S, Verdict.STOPPED, ended=True)
         if action in ("die", "stop", "destroy") and key in self._of:
             self._of[key].id = container_id
 
@@ -92,6 +96,14 @@ class ManualStops:
     def undecided(self) -> frozenset[str]:
         """Containers whose end is not to be judged yet."""
         return frozenset(self._of)
+
+    def leave_until(self, key: str, now: float) -> float | None:
+        """Until when nothing is to be done to a container that has ended or is being replaced; None: it need not be left alone."""
+        ending = self._of.get(key)
+        if ending is None:
+            return None
+        until = ending.until if ending.ended else ending.replaced_by
+        return until if ending.ended or until > now else None
 
     def next_due(self) -> float | None:
         return min((ending.until for ending in self._of.values()), default=None)

@@ -2,7 +2,8 @@
 
 Rules, first match wins: no ladder for the condition -> nothing; never well in this life of its container, where
 only that gives hope -> nothing; mode off -> nothing; not opted in ->
-nothing; on hold -> wait until its end; the same failure `same_failure` times -> give up and say so; forbidden while armed
+nothing; on hold -> wait until its end; not decided yet whether it is being stopped by hand -> wait for that;
+the same failure `same_failure` times -> give up and say so; forbidden while armed
 -> advise; stopped by hand where that is only advised about -> advise; mode
 advise -> advise; budget used up -> wait, and say so; back-off not over -> wait; else the rung of the ladder that
 follows the number of failed attempts. Actions on PHM's own container and links are bound by budget and back-off alone.
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 
 from phm.model import NEVER_WELL, Fault
 from phm.recovery.history import Attempt, History
+from phm.recovery.holds import BEING_STOPPED
 from phm.settings import ContainerSettings, RecoverySettings
 
 HOLD = "hold"
@@ -124,6 +126,7 @@ def decide(
     usable: frozenset[str] | None = None,
     start_s: float = 8.0,
     hold: tuple[float, str] | None = None,
+    undecided: float | None = None,
     stopped_by_hand: bool = False,
 ) -> Decision:
     """What to do about `fault` at `now` (monotonic seconds).
@@ -133,6 +136,7 @@ def decide(
     free_actions: actions on PHM's own container and links; they endanger nobody, so mode, opt-in and arming do not bind them.
     usable: the actions that apply to this fault; other rungs are left out. None: all.
     hold: until when (monotonic seconds) the container is on hold, and that in words; None: it is not.
+    undecided: when it is decided whether an operator is stopping the container (monotonic seconds); None: it is decided.
     stopped_by_hand: an operator stopped the container, and then PHM only advises (`recovery.on_manual_stop`).
     start_s: how long the parts of a container may take to come up (`ros.grace`).
     """
@@ -144,7 +148,7 @@ def decide(
     same = _same_failures(history, fault, now, settings.verify)
     action = _rung(ladder, condition, same, settings)
     if action not in free_actions:
-        refused = _refused(container, settings, hold)
+        refused = _refused(container, settings, hold, undecided)
         if refused is not None:
             return refused
     if len(same) >= (1 if _once(condition, settings) else settings.same_failure):
@@ -169,7 +173,10 @@ def decide(
 
 
 def _refused(
-    container: ContainerSettings | None, settings: RecoverySettings, hold: tuple[float, str] | None
+    container: ContainerSettings | None,
+    settings: RecoverySettings,
+    hold: tuple[float, str] | None,
+    undecided: float | None,
 ) -> Leave | Wait | None:
     """Why nothing may be done to the container, whatever is wrong with it."""
     if settings.mode == "off":
@@ -178,7 +185,9 @@ def _refused(
         return Leave("no container to act on")
     if not container.recover:
         return Leave(f"{container.key} has not opted in (recover: true)")
-    return Wait(hold[0], hold[1], tell=True, subject=HOLD) if hold is not None else None
+    if hold is not None:
+        return Wait(hold[0], hold[1], tell=True, subject=HOLD)
+    return Wait(undecided, BEING_STOPPED) if undecided is not None else None
 
 
 def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:

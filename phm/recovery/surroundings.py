@@ -62,9 +62,9 @@ class Surroundings:
             case.proof_from = max(proof_from, case.proof_from or proof_from)
 
     def note_hold(self, case: Case) -> None:
-        """After a hold nothing is done before a fresh run has found the unit in ERROR."""
+        """After a hold, or once it is decided that it was not stopped by hand, nothing is done before a fresh run has found the unit in ERROR."""
         held, now = case.on_hold, self._shop.clock.mono()
-        case.on_hold = self._shop.holds.on(self._target, now) is not None
+        case.on_hold = self._shop.holds.binds(self._target, now)
         if held and not case.on_hold:
             case.told.discard(f"{Phase.REFUSED.value} {HOLD}")
             case.proof_from = now if case.proof_from is None else max(now, case.proof_from)

@@ -20,6 +20,7 @@ from phm.recovery.approvals import Approvals
 from phm.recovery.asked import NotAllowed, NotNow, permit, stand_in
 from phm.recovery.cases import Case, Cases
 from phm.recovery.history import Attempt, History
+from phm.recovery.holds import BEING_STOPPED
 from phm.recovery.policy import Act, Advise, Decision, GiveUp, Leave, Wait, decide
 from phm.recovery.proof import LOOK_AGAIN_S, POLL_S
 from phm.recovery.repair import Repair
@@ -155,6 +156,8 @@ class TargetWorker:
         hold = shop.holds.on(self._target, now.mono)
         if hold is not None:
             raise NotNow(f"{self._target} is {hold.words(now)}")
+        if shop.holds.undecided(self._target, now.mono) is not None:
+            raise NotNow(f"{self._target} is {BEING_STOPPED}")
         forbidden = shop.forbids(self._target, "restart")
         permit(self._container, self._history, now.mono, forbidden=forbidden, settings=settings)
 
@@ -257,6 +260,7 @@ class TargetWorker:
             start_s=shop.context.settings.ros.grace,
             approved=approved,
             hold=(hold.until, hold.words(now)) if hold is not None else None,
+            undecided=shop.holds.undecided(self._target, now.mono),
             stopped_by_hand=shop.holds.stopped_by_hand(self._target),
         )
 
@@ -299,6 +303,9 @@ class TargetWorker:
         attempt = Attempt(shop.clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
         if not repair.begin():
             return LOOK_AGAIN_S  # another container's repair restarts this one: decided afresh when that is over
+        if act.action not in shop.free_actions and shop.holds.binds(self._target, shop.clock.mono()):
+            repair.release(worked=False)  # put on hold, or stopped by hand, since the decision
+            return LOOK_AGAIN_S
         case.approval, case.cut_short = None, False
         self._under_way = UnderWay(fault.id, attempt)
         worked, life = False, shop.lives.look(self._target)

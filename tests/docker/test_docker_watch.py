@@ -418,4 +418,5 @@ def test_a_kill_says_how_long_the_container_may_take_to_end(
     until(lambda: made.healthy(), "the first comparison")
     fake.emit_for("app", "kill", signal=signal)
     until(lambda: heard, "the event")
+    assert heard[0].harmless is (end_s == 0)
     assert (heard[0].detail, heard[0].end_s) == (f"signal {signal}", end_s)

@@ -11,13 +11,15 @@ from typing import Any
 
 import pytest
 
+from phm.daemon import Daemon
 from phm.model import FaultClosed, HoldChanged, Level, Outcome, Phase, Stamp
+from phm.probes.docker_watch import DockerEvent
 from phm.recovery.armed import Armed, State as ArmedState
 from phm.recovery.executor import NotApprovable, NotNow
 from phm.recovery.hold_service import HoldRefused, HoldService, HoldWorld
 from phm.recovery.holds import ALL, Hold, Holds
 from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
-from phm.testing import FakeClock
+from phm.testing import FakeClock, settings
 from tests.recovery.agent import Agent, Containers, Of
 
 UNITS = {"container/app": Of("app"), "nodes/app": Of("app", ("container/app",)), "container/cam": Of("cam")}
@@ -394,6 +396,56 @@ def test_advise_raises_the_alarm_and_does_nothing_unless_approved(scenes: Any) -
     scene.agent.until(lambda: scene.agent.runs, "the restart")
 
 
+@pytest.mark.parametrize("rule", ["respect", "advise"])
+def test_a_stop_is_not_undone_because_a_fault_was_open_before(scenes: Any, rule: str) -> None:
+    """Nothing is done before it is decided whether it was a stop by hand."""
+    scene = scenes(on_manual_stop=rule)
+    scene.agent.bad = {"container/app": "restarting"}
+    scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the fault")
+    stopped(scene)
+    scene.agent.rest(20)
+    assert scene.agent.runs == []
+
+
+def test_a_crash_with_an_open_fault_is_healed_after_the_verdict(scenes: Any) -> None:
+    """`docker kill` of a container that was failing already."""
+    scene = scenes(on_manual_stop="respect")
+    scene.agent.bad = {"container/app": "restarting"}
+    scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the fault")
+    scene.happen(("kill", "signal 9"), ("die", "exit code 137"))
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.until(lambda: scene.agent.runs, "the restart")
+
+
+def test_a_dependant_that_was_stopped_by_hand_is_not_started(scenes: Any) -> None:
+    """Neither before that is decided nor afterwards, until somebody starts it."""
+    scene = scenes(on_manual_stop="advise")
+    holds = scene.holds
+    assert holds.why_not_start("cam", scene.clock.stamp()) == ""
+    stopped(scene, "cam")
+    assert "being stopped" in holds.why_not_start("cam", scene.clock.stamp())
+    scene.agent.rest(10)
+    assert "stopped by hand" in holds.why_not_start("cam", scene.clock.stamp())
+    scene.happen(("start", ""), key="cam")
+    assert holds.why_not_start("cam", scene.clock.stamp()) == ""
+
+
+def test_a_hold_binds_up_to_the_beginning_of_an_action(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the decision and the action the engine is asked, which takes seconds."""
+
+    def asks(*_words: object) -> str:
+        if not scene.service.snapshot():
+            scene.hold(for_s=600)
+        return ""
+
+    monkeypatch.setattr(scene.agent.executor._shop.actions["restart"], "waits_for", asks)
+    scene.agent.bad = {"container/app": "broken"}
+    scene.agent.until(lambda: scene.service.snapshot(), "the hold")
+    scene.agent.rest(10)
+    assert scene.agent.runs == [] and Phase.STARTED not in scene.agent.steps()
+
+
 def test_while_a_recreation_may_be_under_way_nothing_is_raised(scenes: Any) -> None:
     """Whatever the rule is; a crash is not waited for."""
     scene = scenes(on_manual_stop="heal")
@@ -548,3 +600,14 @@ def test_a_damaged_hold_extends_nothing(body: dict[str, Any]) -> None:
     with contextlib.suppress(Unbelievable):
         kept = decode(document, "other", Stamp(1000.0, 500.0), 600.0).recovery.holds
         assert all(entry.hold.until <= 500.0 + 86400.0 for entry in kept)
+
+
+def test_a_signal_that_ends_nothing_is_no_stop(tmp_path: Path) -> None:
+    """`docker kill -s HUP` has it read its configuration; SIGTERM may be the beginning of a stop."""
+    made = settings(containers=[{"name": "app"}], state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"))
+    daemon = Daemon(made)
+    for number, end_s, undecided in (("1", 0.0, frozenset()), ("15", 121.0, frozenset({"app"}))):
+        event = DockerEvent("container", "app", "kill", f"signal {number}", daemon.clock.stamp(), end_s=end_s)
+        daemon._docker_event(event)
+        assert daemon.holds._stops.undecided() == undecided
+    daemon.bus.close()

@@ -72,6 +72,29 @@ def test_a_slow_recreation_is_waited_for() -> None:
     assert stops.due(1000.0) == []
 
 
+def test_a_stop_whose_beginning_was_not_seen_is_a_stop() -> None:
+    """PHM was started during `docker stop -t 60`: only a stop by the engine ends with `stop`."""
+    assert verdicts(DIE, STOP) == verdicts(STOP) == [Verdict.STOPPED]
+
+
+def test_a_stop_may_take_its_time() -> None:
+    """`docker stop -t 900`."""
+    stops = ManualStops()
+    stops.event("app", *TERM, 0.0, own=False)
+    assert stops.due(890.0) == [] and stops.undecided() == {"app"}
+
+
+def test_a_container_is_left_alone_until_the_verdict() -> None:
+    """Once it has ended, and from the making of a replacement on; a signal alone keeps nobody away."""
+    stops = ManualStops()
+    stops.event("app", *TERM, 0.0, own=False)
+    assert stops.leave_until("app", 0.0) is None
+    stops.event("app", *DIE, 1.0, own=False)
+    assert stops.leave_until("app", 1.0) == 4.0
+    stops.event("cam", "replace", "", 0.0, own=False)
+    assert stops.leave_until("cam", 1.0) == 15.0 and stops.leave_until("cam", 15.0) is None
+
+
 def test_a_kill_is_published_soon() -> None:
     """`docker kill` looks like `docker rm -f` for half a second only."""
     stops = ManualStops()
