@@ -113,7 +113,10 @@ class Executor:
             cut_short = state.recovery.under_way.get(key)
             if key != who or cut_short is None or self._starts(cut_short.attempt.action):
                 self._shop.lives.unfinished(key, who)
-        self._shop.holds.restore(state.recovery.holds, state.recovery.stops)
+        last = state.recovery.armed
+        self._shop.holds.restore(
+            state.recovery.holds, state.recovery.stops, state.recovery.windows, armed=last is not None and last.armed
+        )
         for fault in self._shop.pipeline.given_up():
             self._given_up[fault.unit] = fault
             if fault.result.target:
@@ -147,7 +150,7 @@ class Executor:
         lives, holds = self._shop.lives, self._shop.holds
         return RecoveryState(
             made, cases, under_way, lives.kept(), unfinished=lives.unfinished_now(),
-            holds=holds.kept(self._shop.clock.mono()), stops=holds.stops(),
+            holds=holds.kept(self._shop.clock.mono()), stops=holds.stops(), windows=holds.done(),
         )  # fmt: skip
 
     # ------------------------------------------------------------ the operator's hand

@@ -29,6 +29,8 @@ logger = logging.getLogger(__name__)
 ENDINGS = frozenset({"exited", "missing", "created"})
 """Conditions of a container that may be part of a restart or a recreation."""
 WAITING = "being stopped by an operator: not judged yet, it may be started or recreated"
+CONFIGURED = "maintenance window"
+"""By whom a container is on hold while a window of the configuration is open."""
 FLYING_S = 1.0
 """While there is a hold or a window, the armed state is looked at this often."""
 WINDOWS_S, LABELS_S = 5.0, 30.0
@@ -65,8 +67,8 @@ class HoldService:
         self._publish, self._clock, self._world = publish, clock, world
         self._keys = tuple(entry.key for entry in settings.containers)
         self._stops = ManualStops()
-        self._flew = False
-        self._done_windows: set[tuple[str, str]] = set()
+        self._flew: bool | None = None
+        self._complained: set[tuple[str, str]] = set()
         self._windows_at = self._labels_at = float("-inf")
         self._labels: dict[str, str] = {}
         self._seen: set[str] = set()
@@ -176,7 +178,7 @@ class HoldService:
         now = self._clock.stamp()
         for hold in ended:
             if hold.source == WINDOW:
-                self._done_windows.add((hold.target, hold.occurrence))
+                self._holds.finish(hold.target, hold.occurrence)
             self._apply(self._of(hold))
             text = f"{_name(hold)}: the hold by {hold.by} is over: {why}"
             left_s = max(0.0, hold.until - now.mono)
@@ -241,6 +243,8 @@ class HoldService:
     def _take_off(self) -> None:
         """Nothing that was put on hold on the ground stays so in the air, but what an operator wants and can be missed."""
         flying = self._flying()
+        if self._flew is None:
+            self._flew = self._holds.armed_before
         if flying and not self._flew:
             ending = [hold for hold in self._holds.all() if hold.source != OPERATOR or self._critical(self._of(hold))]
             self._end(ending, "the autopilot is armed")
@@ -269,8 +273,12 @@ class HoldService:
         """Begin what a maintenance window asks for; whether there may be any windows."""
         if now - self._windows_at >= WINDOWS_S and not self._flew:
             self._windows_at = now
+            configured = {window.container or ALL for window in self._rules.maintenance}
+            removed = [h for h in self._of_source(WINDOW) if h.by == CONFIGURED and h.target not in configured]
+            if removed:
+                self._end(removed, "the configuration no longer has it")
             for window in self._rules.maintenance:
-                self._open_window(window.container or ALL, window.when, window.reason, "maintenance window")
+                self._open_window(window.container or ALL, window.when, window.reason, CONFIGURED)
             for key, when in self._labels.items():
                 if when:
                     self._open_window(key, when, "", "maintenance window of its label")
@@ -284,7 +292,7 @@ class HoldService:
             self._complain(target, f"{_name_of(target)}: the label {LABEL} is not used: {error}")
             return
         found = window.open_at(now.utc)
-        if found is None or (target, found[0]) in self._done_windows:
+        if found is None or (target, found[0]) in self._holds.done():
             return
         if any(hold.target == target and hold.occurrence == found[0] for hold in self._of_source(WINDOW)):
             return
@@ -293,8 +301,8 @@ class HoldService:
         self._begin(Hold(target, WINDOW, now.mono + min(found[1], window.length_s), by, reason, found[0]))
 
     def _complain(self, target: str, text: str) -> None:
-        if (target, text) not in self._done_windows:
-            self._done_windows.add((target, text))
+        if (target, text) not in self._complained:
+            self._complained.add((target, text))
             self._pipeline.note("HOLD", text)
 
     def _of(self, hold: Hold) -> tuple[str, ...]:

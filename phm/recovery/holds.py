@@ -24,6 +24,7 @@ LATE_S = 10.0
 """A verdict on a stop that is so long overdue is not waited for: no defect may keep recovery away for ever."""
 BEING_STOPPED = "being stopped or replaced by an operator"
 MAX_HOLDS = 64
+MAX_DONE = 256
 MAX_TEXT = 200
 
 
@@ -64,6 +65,9 @@ class Holds:
         self._of: dict[tuple[str, str], Hold] = {}
         self._by_hand: set[str] = set()
         self._undecided: dict[str, float] = {}
+        self._done: dict[tuple[str, str], None] = {}
+        self.armed_before = False
+        """Whether the vehicle was armed when the PHM before this one knew last: what was on hold then may stay so."""
         self._lock = threading.Lock()
         self.changed: Callable[[], None] = lambda: None
 
@@ -132,6 +136,16 @@ class Holds:
         """For the state file: what `mark_stopped` has marked."""
         return tuple(sorted(self._by_hand))
 
+    def finish(self, target: str, occurrence: str) -> None:
+        """This occurrence of a maintenance window is over or was released: it does not begin again."""
+        self._done[target, occurrence] = None
+        while len(self._done) > MAX_DONE:
+            del self._done[next(iter(self._done))]
+
+    def done(self) -> tuple[tuple[str, str], ...]:
+        """For the state file: target and occurrence of each maintenance window that is over, the oldest first."""
+        return tuple(self._done)
+
     def kept(self, now: float) -> tuple[KeptHold, ...]:
         return tuple(
             KeptHold(hold, -(-(hold.until - now) // KEPT_EVERY_S) * KEPT_EVERY_S)
@@ -139,8 +153,19 @@ class Holds:
             if hold.until > now
         )
 
-    def restore(self, kept: Iterable[KeptHold], stops: Iterable[str]) -> None:
+    def restore(
+        self,
+        kept: Iterable[KeptHold],
+        stops: Iterable[str],
+        done: Iterable[tuple[str, str]] = (),
+        *,
+        armed: bool = False,
+    ) -> None:
+        """armed: whether the vehicle was armed at the end of the PHM before this one."""
         self._by_hand.update(stops)
+        self.armed_before = armed
+        for target, occurrence in done:
+            self.finish(target, occurrence)
         for entry in kept:
             self.put(entry.hold)
 

@@ -14,7 +14,7 @@ from typing import Any
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.armed import LastKnown
 from phm.recovery.history import KEPT, Attempt
-from phm.recovery.holds import MAX_HOLDS, Hold, KeptHold, carried
+from phm.recovery.holds import MAX_DONE, MAX_HOLDS, Hold, KeptHold, carried
 from phm.recovery.lives import Life
 from phm.recovery.policy import CLEAN_S
 
@@ -70,6 +70,8 @@ class RecoveryState:
     holds: tuple[KeptHold, ...] = ()
     stops: tuple[str, ...] = ()
     """Containers that an operator stopped, where PHM only advises then."""
+    windows: tuple[tuple[str, str], ...] = ()
+    """Maintenance windows that are over, by target and beginning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,7 @@ def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
             for target, action in list(recovery.under_way.items())[:MAX_TARGETS]
         },
         "stops": list(recovery.stops[:MAX_TARGETS]),
+        "windows": [list(window) for window in recovery.windows[-MAX_DONE:]],
         "holds": [_hold(kept) for kept in recovery.holds[:MAX_HOLDS]],
         "lives": {target: _life(life, now) for target, life in list(recovery.lives.items())[:MAX_TARGETS]},
         "armed": None if recovery.armed is None else _last_known(recovery.armed, now),
@@ -176,6 +179,7 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
             },
             tuple(_read_hold(body, now, same_boot=same) for body in document.get("holds", [])[:MAX_HOLDS]),
             tuple(str(key)[:MAX_TEXT] for key in document.get("stops", [])[:MAX_TARGETS]),
+            tuple((str(on)[:MAX_TEXT], str(begin)[:MAX_TEXT]) for on, begin in document.get("windows", [])[-MAX_DONE:]),
         )
         faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
         return State(faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery)

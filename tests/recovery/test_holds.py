@@ -14,7 +14,7 @@ import pytest
 from phm.daemon import Daemon
 from phm.model import FaultClosed, HoldChanged, Level, Outcome, Phase, Stamp
 from phm.probes.docker_watch import DockerEvent
-from phm.recovery.armed import Armed, State as ArmedState
+from phm.recovery.armed import Armed, LastKnown, State as ArmedState
 from phm.recovery.executor import NotApprovable, NotNow
 from phm.recovery.hold_service import HoldRefused, HoldService, HoldWorld
 from phm.recovery.holds import ALL, Hold, Holds
@@ -561,6 +561,46 @@ def test_a_stop_that_is_only_advised_about_stays_so_over_a_restart(scenes: Any, 
     second.agent.bad = {"container/cam": "exited"}
     second.agent.rest(20)
     assert second.agent.runs == []
+
+
+def test_a_window_that_was_released_stays_so_over_a_restart(scenes: Any, tmp_path: Path) -> None:
+    """An occurrence is one hold, also for the next PHM."""
+    windows = [{"when": "02:00-02:10", "container": "cam"}]
+    first = scenes(tmp_path, maintenance=windows)
+    first.clock.jump_utc(1795312860.0 - first.clock.utc())  # 2026-11-22 02:01 UTC
+    first.agent.rest(10)
+    assert first.changes() == [("cam", True)]
+    first.service.release("cam", BY)
+    first.agent.stop()
+    second = scenes(tmp_path, first.clock, maintenance=windows)
+    second.agent.rest(20)
+    assert second.changes() == [] and second.service.snapshot() == []
+
+
+def test_a_window_that_was_removed_from_the_configuration_ends(scenes: Any, tmp_path: Path) -> None:
+    """The hold that was kept for it ends with it."""
+    first = scenes(tmp_path, maintenance=[{"when": "02:00-02:10", "container": "cam"}])
+    first.clock.jump_utc(1795312860.0 - first.clock.utc())  # 2026-11-22 02:01 UTC
+    first.agent.rest(10)
+    first.agent.stop()
+    second = scenes(tmp_path, first.clock)
+    second.agent.rest(20)
+    assert second.changes() == [("cam", False)] and second.service.snapshot() == []
+
+
+@pytest.mark.parametrize(("before", "left"), [(True, ["cam"]), (False, [])])
+def test_only_a_take_off_ends_a_respected_stop(scene: Scene, before: bool, left: list[str]) -> None:
+    """A stop that was respected in flight stays so when PHM is started again in flight; one from the ground does not."""
+    known = RecoveryState(armed=LastKnown(before, 0.0))
+    scene.agent.executor.restore(State(recovery=known))
+    scene.holds.put(Hold("cam", "stop", scene.clock.mono() + 600.0, "an operator"))
+    scene.armed = ArmedState.ARMED
+    world = HoldWorld(lambda: Armed(scene.armed, "armed"), lambda key: None, scene.agent.executor.acting_on)
+    following = HoldService(
+        scene.agent.settings, scene.holds, scene.agent.pipeline, scene.agent.bus.publish, scene.clock, world
+    )
+    following.tick()
+    assert [hold["container"] for hold in following.snapshot()] == left
 
 
 def carried(left_s: float, *, boot: str, now: Stamp) -> Hold:
