@@ -7,7 +7,6 @@ import logging
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import cast
 
 from phm import threads
 from phm.facts import CannotTell, NotPermitted
@@ -15,11 +14,10 @@ from phm.model import Fault
 from phm.recovery.armed import State
 from phm.recovery.base import Action, ActionFailed, NotYet, Unneeded
 from phm.recovery.critical import FlightCritical, Reach
-from phm.recovery.guarded_engine import GuardedEngine
+from phm.recovery.guarded_engine import guarded
 from phm.recovery.hands import InOtherHands
 from phm.recovery.shop import Shop
 from phm.settings import ContainerSettings
-from phm.transport.docker import Engine
 
 logger = logging.getLogger(__name__)
 
@@ -55,7 +53,6 @@ class Acting:
     ) -> None:
         self._approved_at = approved_at
         self._shop, self._target, self._fault, self._action = shop, target, fault, action
-        self._engine = GuardedEngine(shop.context.engine, shop.safeguard, self._forbids)
         self._given_up = False
         self._outcome: list[Done] = []
         self._go, self._finished = threading.Event(), threading.Event()
@@ -112,10 +109,10 @@ class Acting:
             self._finished.set()
 
     def _work(self) -> Done:
-        engine = self._engine
-        context = replace(self._shop.context, engine=cast(Engine, engine), holding=self._holding)
+        engine = guarded(self._shop.context.engine, self._shop.safeguard, self._forbids)
+        context = replace(self._shop.context, engine=engine, holding=self._holding)
         try:
-            with self._shop.lives.acting(self._target.key, self._target.key, engine.take_unanswered):
+            with self._shop.lives.acting(self._target.key, self._target.key):
                 said = self._action.run(self._target, self._fault, context)
             return Done(str(said), ok=True, unneeded=isinstance(said, Unneeded))
         except FlightCritical as error:
@@ -144,7 +141,7 @@ class Acting:
                 raise InOtherHands(f"{key} is being stopped")
             hands.hold(key, self, fault.unit, action, at_most_s)
             try:
-                with self._shop.lives.acting(key, self._target.key, self._engine.take_unanswered):
+                with self._shop.lives.acting(key, self._target.key):
                     yield
             finally:
                 hands.release(key, self, worked=True)

@@ -110,9 +110,7 @@ class Executor:
         self._shop.lives.restore(state.recovery.lives)
         acting = {**state.recovery.unfinished, **{target: target for target in state.recovery.under_way}}
         for key, who in acting.items():
-            cut_short = state.recovery.under_way.get(key)
-            if key != who or cut_short is None or self._starts(cut_short.attempt.action):
-                self._shop.lives.unfinished(key, who)
+            self._shop.lives.unfinished(key, who)
         last = state.recovery.armed
         self._shop.holds.restore(
             state.recovery.holds, state.recovery.stops, state.recovery.windows, armed=last is not None and last.armed
@@ -128,11 +126,6 @@ class Executor:
                 mine = action if action is not None and action.fault == fault.id else None
                 self._worker(target).restored(fault, case, mine)
         return tuple(notes)
-
-    def _starts(self, action: str) -> bool:
-        """Whether it may start its container again; True also for one that is no longer installed."""
-        kind = self._shop.actions.get(action)
-        return kind is None or kind.starts
 
     def kept(self) -> RecoveryState:
         """What is to survive PHM; any thread may ask."""

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from phm.recovery.critical import FlightCritical, Reach, Safeguard
-from phm.transport.docker import Engine, EngineTimeout, EngineUnreachable
+from phm.transport.docker import Engine
 
 READS = frozenset({
     "ping", "version", "list", "inspect", "inspect_network", "top", "stat_path", "read_file", "copy_file", "fetch_file", "events",
@@ -24,8 +24,6 @@ REACH = {
 """What a call takes down; those that are not here: the container."""
 BRINGS_BACK = frozenset({"start", "unpause", "connect"})
 """Not refused for what the same action took down: half done is worse than done."""
-STARTS = frozenset({"start", "restart"})
-"""What the engine may finish after it has left the call without an answer: a new life of the container."""
 
 Forbids = Callable[[str, Reach], str]
 
@@ -38,7 +36,6 @@ class GuardedEngine:
         """forbids: a container's key and what is taken down -> why not, empty: it may be done."""
         self._engine, self._safeguard, self._forbids = engine, safeguard, forbids
         self._down: set[str] = set()
-        self._unanswered = 0
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._engine, name)
@@ -48,18 +45,9 @@ class GuardedEngine:
         def guarded(*args: Any, **kwargs: Any) -> Any:
             given = inspect.signature(found).bind(*args, **kwargs).arguments
             self._ask(name, str(given.get("container") or given.get("ref") or ""))
-            try:
-                return found(*args, **kwargs)
-            except (EngineTimeout, EngineUnreachable):
-                self._unanswered += name in STARTS
-                raise
+            return found(*args, **kwargs)
 
         return guarded
-
-    def take_unanswered(self) -> int:
-        """How many calls that start a container have been left without an answer since this was last asked."""
-        count, self._unanswered = self._unanswered, 0
-        return count
 
     def _ask(self, call: str, ref: str) -> None:
         """Raises FlightCritical, and CannotTell when the engine does not say which container is meant."""

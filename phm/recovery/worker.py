@@ -162,7 +162,7 @@ class TargetWorker:
         permit(self._container, self._history, now.mono, forbidden=forbidden, settings=settings)
 
     def _as_asked(self, asked: Case) -> float:
-        """As `_perform`; 0 also when it was refused. Judged again: the autopilot may have been armed since, or another action used the budget up."""
+        """As `_perform`. Judged again: the autopilot may have been armed since, or another action used the budget up."""
         try:
             self._permit()
             void = self._approvals.void(asked, "restart")
@@ -172,7 +172,7 @@ class TargetWorker:
             self._publish(asked.fault, "restart", Phase.REFUSED, str(error))
             self._asked = None
             return 0
-        wait_s = self._perform(Case(asked.fault, asked.told), Act("restart", 1))
+        wait_s = self._perform(Case(asked.fault), Act("restart", 1))
         if wait_s == 0:
             self._asked = None
         return wait_s
@@ -193,10 +193,7 @@ class TargetWorker:
         cases = self._current()
         waits = [LIFE_S] if self._around.take_note(cases) else []
         if self._asked is not None:
-            wait_s = self._as_asked(self._asked)
-            if wait_s == 0:
-                return 0
-            waits.append(wait_s)
+            return self._as_asked(self._asked)
         for case in cases:
             waits += self._check_approval(case)
             if case.refused:
@@ -209,11 +206,7 @@ class TargetWorker:
             case.proof_from = None
             decision = self._decide(case.fault, approved=case.approval is not None)
             if isinstance(decision, Act):
-                wait_s = self._perform(case, decision)
-                if wait_s == 0:
-                    return 0
-                waits.append(wait_s)  # it waits for something: other faults do not wait with it
-                continue
+                return self._perform(case, decision)
             again = self._say(case, decision)
             if again is not None:
                 waits.append(max(POLL_S, again - self._shop.clock.mono()))

@@ -23,7 +23,6 @@ from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
 from phm.settings import ContainerSettings, Settings
 from phm.tracker import Tracked, Tracker
-from phm.transport.docker import EngineTimeout
 
 STEP_S = 0.1
 ARMED = Armed(State.ARMED, "the autopilot is armed")
@@ -63,23 +62,6 @@ class Containers:
         self.facts[key] = replace(self.facts[key], status="exited")
 
 
-class Silent:
-    """An engine that does nothing; with `answers` False each call ends without an answer."""
-
-    def __init__(self) -> None:
-        self.answers = True
-
-    def restart(self, ref: str) -> None:
-        self._answer()
-
-    def inspect(self, ref: str) -> None:
-        self._answer()
-
-    def _answer(self) -> None:
-        if not self.answers:
-            raise EngineTimeout("the engine did not answer within 20 s")
-
-
 class Agent:
     """One life of PHM. `bad` maps units to the condition that their checks find; all others are well.
 
@@ -101,8 +83,6 @@ class Agent:
         self.runs: list[tuple[str, str]] = []
         self.missing = ""
         """What actions wait for, in words."""
-        self.not_missing: set[str] = set()
-        """Units whose actions do not wait for it."""
         self.armed = False
         self._monitor = monitor
         self.acting: list[str] = []
@@ -129,10 +109,7 @@ class Agent:
         if self.memory is not None:
             self.memory.restore()
         self.bus.subscribe("test", self.events.append)
-        self.engine = Silent()
-        context = ActionContext(
-            cast(Any, self.engine), self.settings, containers.facts.get, lambda: None, lambda a, b: None
-        )
+        context = ActionContext(cast(Any, None), self.settings, containers.facts.get, lambda: None, lambda a, b: None)
         plan = Plan((), tracked, Needs({entry.unit.id: entry.needs for entry in tracked}))
         graces = {name: of.grace_s for name, of in units.items()}
         shop = Shop(
@@ -149,11 +126,10 @@ class Agent:
 
         class Simulated(Action):
             name = of
-            starts = of in ("start", "restart")
             deadline_s = 100.0
 
             def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-                return agent.missing if fault.unit not in agent.not_missing else ""
+                return agent.missing
 
             def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
                 agent.runs.append((target.key, fault.unit))

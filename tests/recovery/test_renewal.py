@@ -11,6 +11,7 @@ import pytest
 from phm import testing
 from phm.model import ActionEvent, Fault, Phase
 from phm.recovery.base import ActionContext
+from phm.transport.docker import EngineTimeout
 from tests.recovery.agent import Agent, Containers, Of
 
 UNITS = {"health/app": Of("app", grace_s=2.0)}
@@ -248,8 +249,10 @@ def test_a_start_long_before_the_first_attempt_excuses_nothing(yard: Yard) -> No
 def late(agent: Agent) -> None:
     """The engine does not answer within the deadline, and restarts the container all the same, one at a time."""
 
-    agent.engine.answers = False
-    agent.behave = lambda key, context, fault: context.engine.restart(key)
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        raise EngineTimeout("the engine did not answer within 20 s")
+
+    agent.behave = act
 
 
 def test_a_restart_that_the_engine_finishes_late_excuses_no_attempt(yard: Yard) -> None:
@@ -331,30 +334,3 @@ def test_a_dependants_restart_that_phms_end_interrupted_is_phms_own(yard: Yard) 
     second.rest(60.0)
     assert [target for target, _ in second.runs] == []
     assert not any("somebody else" in note for note in second.notes())
-
-
-@pytest.mark.parametrize("call", ["inspect", "restart"])
-def test_only_a_start_without_an_answer_leaves_the_container_phms_own(yard: Yard, call: str) -> None:
-    """What an operator stops after a question that had no answer is no doing of PHM."""
-    agent = yard.phm(backoff=600.0, backoff_max=600.0)
-    agent.rest(3.0)
-    agent.engine.answers = False
-    agent.behave = lambda key, context, fault: getattr(context.engine, call)(key)
-    agent.bad["health/app"] = "broken"
-    agent.until(lambda: Phase.FAILED in agent.steps(), "the deadline")
-    agent.rest(3.0)
-    assert agent.executor.acting_on("app") is (call == "restart")
-
-
-@pytest.mark.parametrize("action", ["relaunch", "restart"])
-def test_only_an_action_that_starts_leaves_the_container_phms_own_when_cut_short(yard: Yard, action: str) -> None:
-    """The engine cannot finish a start for which it was not asked."""
-    ladder = {"actions": (action,), "ladders": {"broken": [action]}}
-    first = yard.phm(**ladder)
-    first.rest(3.0)
-    first.behave = lambda key, context, fault: first.pause(lambda: False)
-    first.bad["health/app"] = "broken"
-    first.until(lambda: first.runs, "the action")
-    first.stop()
-    second = yard.phm(**ladder)
-    assert second.executor.acting_on("app") is (action == "restart")

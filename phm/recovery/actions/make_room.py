@@ -46,7 +46,6 @@ class MakeRoom(Action):
     """
 
     name = "make_room"
-    starts = False
     takes_down = Reach.NOTHING
     deadline_s = 60.0
 

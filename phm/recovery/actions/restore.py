@@ -34,7 +34,6 @@ class Restore(Action):
     """
 
     name = "restore"
-    starts = False
     takes_down = Reach.NOTHING
     deadline_s = 90.0
 
