@@ -64,8 +64,8 @@ def judge(fact: AutopilotFact | None, timeout_s: float, last: LastKnown | None =
         return Armed(State.UNKNOWN, "PHM was suspended and may have read old heartbeats of the autopilot")
     if fact.rebooted_armed and _within(fact.rebooted_s, REBOOT_S):
         return Armed(State.ARMED, f"the autopilot rebooted while armed {fact.rebooted_s:.0f} s ago")
-    if last is not None and last.armed and fact.armed_s is None and not _steadily_disarmed(fact, timeout_s):
-        why = "was armed before PHM started and may have rebooted in the air"
+    if last is not None and last.armed and not _landed(fact, timeout_s) and not _steadily_disarmed(fact, timeout_s):
+        why = "was armed before a silence and may have rebooted in the air"
         return Armed(State.ARMED, f"the autopilot {why}: its disarmed counts after {REBOOT_S:.0f} s")
     return Armed(State.DISARMED, "the autopilot is disarmed")
 
@@ -77,8 +77,15 @@ def _never_received(last: LastKnown | None) -> Armed:
     return Armed(State.ARMED, f"{silent}, and it was armed before") if last.armed else Armed(State.UNKNOWN, silent)
 
 
+def _landed(fact: AutopilotFact, timeout_s: float) -> bool:
+    """Whether it was heard to change from armed to disarmed, with no silence between in which it may have rebooted."""
+    if fact.armed_s is None or fact.disarmed_for_s is None:
+        return False
+    return fact.armed_s - fact.disarmed_for_s <= timeout_s
+
+
 def _steadily_disarmed(fact: AutopilotFact, timeout_s: float) -> bool:
-    """Whether a reboot that this PHM cannot have seen is no longer why it says disarmed."""
+    """Whether a reboot that PHM may have missed is no longer why it says disarmed."""
     if fact.boot_s is not None and _within(fact.boot_age_s, timeout_s):
         return fact.boot_s >= REBOOT_S
     return fact.disarmed_for_s is not None and fact.disarmed_for_s >= REBOOT_S

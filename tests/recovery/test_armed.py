@@ -34,7 +34,12 @@ def fact(armed_s: float | None, disarmed_s: float | None, **more: object) -> Aut
         (None, LastKnown(True, 0.0), State.ARMED, "since PHM started, and it was armed before"),
         (None, LastKnown(False, 0.0), State.UNKNOWN, "since PHM started"),
         (fact(None, 0.5), None, State.DISARMED, "disarmed"),
-        (fact(60.0, 0.5), LastKnown(True, 0.0), State.DISARMED, "disarmed"),
+        (fact(60.0, 0.5, disarmed_for_s=59.0), FLEW, State.DISARMED, "disarmed"),
+        (fact(2.0, 0.5, disarmed_for_s=1.0), FLEW, State.ARMED, "said armed 2.0 s ago"),
+        (fact(4.0, 0.5, disarmed_for_s=3.0), FLEW, State.DISARMED, "disarmed"),
+        (fact(8.0, 0.5, disarmed_for_s=1.0), FLEW, State.ARMED, "may have rebooted in the air"),
+        (fact(38.0, 0.5, disarmed_for_s=31.0), FLEW, State.DISARMED, "disarmed"),
+        (fact(8.0, 0.5, disarmed_for_s=1.0), LastKnown(False, 0.0), State.DISARMED, "disarmed"),
         (fact(0.5, None), None, State.ARMED, "is armed"),
         (fact(0.5, 60.0), None, State.ARMED, "is armed"),
         (fact(12.0, None), None, State.ARMED, "silent for 12 s and was armed"),
@@ -75,7 +80,7 @@ def test_the_last_certain_state_is_remembered_with_its_beginning() -> None:
     assert monitor.kept() == LastKnown(True, began)
     seen[0] = fact(None, 9.0)
     assert monitor.kept() == LastKnown(True, began)
-    seen[0] = fact(9.0, 0.1)
+    seen[0] = fact(9.0, 0.1, disarmed_for_s=8.0)
     assert monitor.kept() == LastKnown(False, clock.mono())
 
 

@@ -21,7 +21,7 @@ CASES: dict[str, tuple[str, str, Callable[[Aboard], object]]] = {
     "container stopped": (
         "container/{name}",
         "start",
-        lambda app: app.run("kill", "-USR2", "1"),
+        lambda app: app.container.exec_run(["kill", "-USR2", "1"]),  # which may end with the container
     ),
     "container paused": ("container/{name}", "unpause", lambda app: app.container.pause()),
     "unhealthy": ("health/{name}", "restart", lambda app: app.run("touch", "/tmp/unhealthy")),
