@@ -128,7 +128,8 @@ class HoldService:
         """An event of a configured container, before anybody is woken for it; actions as in `phm.probes.docker_watch`."""
         with self._lock:
             now, own = self._clock.mono(), self._world.own(container)
-            self._stops.event(container, action, detail, now, own=own, container_id=container_id)
+            late = own and not self._pipeline.acting_on(container)
+            self._stops.event(container, action, detail, now, own=own, late=late, container_id=container_id)
             if action == "start":
                 self._runs(container)
             self._apply([container])

@@ -61,9 +61,16 @@ class ManualStops:
     def __init__(self) -> None:
         self._of: dict[str, _Ending] = {}
 
-    def event(self, key: str, action: str, detail: str, now: float, *, own: bool, container_id: str = "") -> None:
-        """One event of the container `key`. own: an action of PHM is at work on it, so the event is PHM's doing."""
-        if action == "start" or own:
+    def event(
+        self, key: str, action: str, detail: str, now: float, *, own: bool, late: bool = False, container_id: str = ""
+    ) -> None:
+        """One event of the container `key`. own: the event is PHM's doing. late: PHM's call has given up, and the engine has not.
+
+        A restart that the engine finishes late ends the container before it starts it: that end is no fault yet.
+        """
+        if late and action in ("die", "stop"):
+            self._of[key] = _Ending(now + STOPPED_S, ended=True)
+        elif action == "start" or own:
             self._of.pop(key, None)
         elif action == "replace":
             self._of[key] = _Ending(now + RECREATED_S, replaced=True, replaced_by=now + RECREATED_S)

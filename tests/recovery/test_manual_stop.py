@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from phm.recovery.manual_stop import REMOVED_S, ManualStops, Verdict
+from phm.recovery.manual_stop import REMOVED_S, STOPPED_S, ManualStops, Verdict
 
 TERM, KILL = ("kill", "signal 15"), ("kill", "signal 9")
 DIE, STOP, DESTROY, START = ("die", "exit code 0"), ("stop", ""), ("destroy", ""), ("start", "")
@@ -59,6 +59,19 @@ def test_what_runs_again_was_no_stop(events: tuple[tuple[str, str], ...]) -> Non
 def test_a_stop_by_phm_itself_is_none() -> None:
     """PHM's own restart stops the container, too."""
     assert verdicts(TERM, DIE, STOP, own=True) == []
+
+
+def test_a_restart_of_phm_that_the_engine_finishes_late_is_waited_for() -> None:
+    """PHM's call has given up: the end of the container is no fault before its start is overdue, and never a stop by hand."""
+    stops = ManualStops()
+    for at, (action, detail) in enumerate((TERM, KILL, DIE, STOP)):
+        stops.event("app", action, detail, at / 10, own=True, late=True)
+    assert stops.undecided() == {"app"}
+    assert stops.leave_until("app", 0.4) == pytest.approx(0.3 + STOPPED_S)
+    assert stops.due(0.3 + STOPPED_S) == [("app", Verdict.CRASHED)]
+    stops.event("app", *DIE, 10.0, own=True, late=True)
+    stops.event("app", *START, 10.1, own=True, late=True)
+    assert not stops.undecided()
 
 
 def test_a_slow_recreation_is_waited_for() -> None:
