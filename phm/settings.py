@@ -506,6 +506,9 @@ class RecoverySettings(Section):
     """Longest wait between attempts."""
     budget: Annotated[int, Field(ge=1, le=100)] = 5
     """Most actions on one container within `window`."""
+    reserve: Annotated[int, Field(ge=0, le=99)] = 1
+    """How many of them are kept for a container that is down. One that is down is started again in any case, but then only
+    once per `backoff_max`."""
     window: Annotated[Seconds, Field(ge=1)] = 600.0
     """Seconds over which the budget counts."""
     same_failure: Annotated[int, Field(ge=1, le=100)] = 3

@@ -271,6 +271,7 @@ def limits_are_in_order(root: View) -> None:
             in_order(topic.get("tolerance"), topic.get("error_tolerance"), Percent, (tolerance, tolerance))
     pair = root.get("recovery", "backoff"), root.get("recovery", "backoff_max")
     in_order(*pair, Seconds, (recovery.backoff, recovery.backoff_max))
+    in_order(root.get("recovery", "reserve"), root.get("recovery", "budget"), int, (recovery.reserve, recovery.budget))
     in_order(
         root.get("recovery", "hold"), root.get("recovery", "hold_max"), Seconds, (recovery.hold, recovery.hold_max)
     )

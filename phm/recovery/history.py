@@ -15,6 +15,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
+CLEAN_S = 600.0
+"""After this long without an attempt, counts and back-off start again."""
 KEPT = 100
 """Attempts remembered per target; more than any budget allows."""
 

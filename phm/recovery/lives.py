@@ -29,7 +29,7 @@ FOUND, ENGINE, OTHERS, RECREATED, COUNTED = "found", "engine", "others", "recrea
 others whose doing has been taken into account. PHM itself stands as `phm:` and the container for whose sake it acted."""
 UNFINISHED_S = 600.0
 """A call without an answer may have its effect for so long; attempts older than this no longer count
-(`phm.recovery.policy.CLEAN_S`)."""
+(`phm.recovery.history.CLEAN_S`)."""
 SETTLED_S = 0.5
 """A change seen up to this long after an action of PHM began with it: what the probe says may be 0.2 s old."""
 

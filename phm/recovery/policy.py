@@ -3,7 +3,8 @@
 Rules, first match wins: no ladder for the condition -> nothing; never well in this life of its container, where
 only that gives hope -> nothing; mode off -> nothing; not opted in ->
 nothing; on hold -> wait until its end; not decided yet whether it is being stopped by hand -> wait for that;
-the same failure `same_failure` times -> give up and say so; forbidden while armed
+the same failure `same_failure` times, or an action on the whole container that did not help it so often for any of its faults ->
+give up and say so; forbidden while armed
 -> advise; stopped by hand where that is only advised about -> advise; mode
 advise -> advise; budget used up -> wait, and say so; back-off not over -> wait; else the rung of the ladder that
 follows the number of failed attempts. Actions on PHM's own container and links are bound by budget and back-off alone.
@@ -11,18 +12,16 @@ follows the number of failed attempts. Actions on PHM's own container and links 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from phm.model import NEVER_WELL, Fault
+from phm.recovery.failures import Failures
 from phm.recovery.history import Attempt, History
 from phm.recovery.holds import BEING_STOPPED
 from phm.settings import ContainerSettings, RecoverySettings
 
 HOLD = "hold"
-CLEAN_S = 600.0
-"""After this long without an attempt, back-off starts anew (the issue's figure: 10 minutes)."""
-
 LADDERS: Mapping[str, tuple[str, ...]] = {
     "exited": ("start", "restart"),
     "oom": ("start", "restart"),
@@ -56,6 +55,9 @@ own restart policy is at work and is not fought, `dead` because the engine refus
 PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_twice"})
 """Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs, and a node may make
 its ends anew by itself, or be relieved by a copy that starts before it ends."""
+DOWN = frozenset({"exited", "oom", "created"})
+"""Conditions of a container that does not run. A start can make nothing worse, so it is tried for as long as the container is down:
+a part of the budget is reserved for it, and when that is used up, or recovery has given up, once per `recovery.backoff_max`."""
 OUTSIDE = frozenset({"network_missing"})
 """Conditions that come from outside of every container. An action after which a unit has one of them is not to blame."""
 AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
@@ -128,6 +130,8 @@ def decide(
     hold: tuple[float, str] | None = None,
     undecided: float | None = None,
     stopped_by_hand: bool = False,
+    shared_actions: frozenset[str] = frozenset(),
+    given_up: bool = False,
 ) -> Decision:
     """What to do about `fault` at `now` (monotonic seconds).
 
@@ -139,20 +143,28 @@ def decide(
     undecided: when it is decided whether an operator is stopping the container (monotonic seconds); None: it is decided.
     stopped_by_hand: an operator stopped the container, and then PHM only advises (`recovery.on_manual_stop`).
     start_s: how long the parts of a container may take to come up (`ros.grace`).
+    shared_actions: actions on the container as a whole: one that did not help one of its faults is not repeated for another.
+    given_up: recovery has given up on the fault, and its container is down: only the first step is tried, once per `backoff_max`.
     """
     condition = fault.result.condition
     ladder = tuple(rung for rung in ladder_of(condition, settings) if usable is None or rung in usable)
     hopeless = _hopeless(fault, ladder, settings, start_s)
     if hopeless:
         return Leave(hopeless)
-    same = _same_failures(history, fault, now, settings.verify)
-    action = _rung(ladder, condition, same, settings)
+    failures = Failures(history, fault, now, settings.verify)
+    same = failures.of_the_unit()
+    action = ladder[0] if given_up else _rung(ladder, condition, same, settings)
     if action not in free_actions:
         refused = _refused(container, settings, hold, undecided)
         if refused is not None:
             return refused
-    if len(same) >= (1 if _once(condition, settings) else settings.same_failure):
-        return GiveUp(action, _in_vain(len(same)))
+    most = 1 if _once(condition, settings) else settings.same_failure
+    if not given_up and len(same) >= most:
+        goes_on = f", one start every {settings.backoff_max:g} s goes on" if condition in DOWN else ""
+        return GiveUp(action, f"{_in_vain(len(same))}{goes_on}")
+    elsewhere = failures.of_the_action(action) if action in shared_actions and condition not in DOWN else []
+    if len(elsewhere) >= most:
+        return GiveUp(action, _in_vain_elsewhere(action, len(elsewhere), fault.unit))
     if condition in PATIENT and now < fault.opened.mono + settings.patience:
         return Wait(fault.opened.mono + settings.patience, "it may come back by itself")
     bound = action not in free_actions and not approved
@@ -163,13 +175,8 @@ def decide(
         return Advise(action, "it was stopped by hand, recovery.on_manual_stop is advise")
     if bound and settings.mode == "advise":
         return Advise(action, "recovery only advises")
-    recent = history.within(now - settings.window)
-    if len(recent) >= settings.budget:
-        return Wait(recent[0].at + settings.window, f"budget of {settings.budget} actions used up", tell=True)
-    ready = _ready_at(history, fault, now, settings)
-    if now < ready:
-        return Wait(ready, "backing off")
-    return Act(action, len(same) + 1)
+    act = Act(action, len(same) + 1)
+    return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in free_actions)
 
 
 def _refused(
@@ -188,6 +195,30 @@ def _refused(
     if hold is not None:
         return Wait(hold[0], hold[1], tell=True, subject=HOLD)
     return Wait(undecided, BEING_STOPPED) if undecided is not None else None
+
+
+def _when(
+    act: Act,
+    failures: Failures,
+    elsewhere: Sequence[Attempt],
+    settings: RecoverySettings,
+    *,
+    given_up: bool,
+    free: bool,
+) -> Act | Wait:
+    """The action, or until when budget and back-off hold it back. free: it disturbs no container."""
+    now, down = failures.now, failures.fault.result.condition in DOWN
+    recent = failures.history.within(now - settings.window)
+    most = settings.budget if down or free else max(1, settings.budget - settings.reserve)
+    if len(recent) >= most and not down:
+        kept = f", {settings.budget - most} kept for a container that is down" if most < settings.budget else ""
+        return Wait(recent[-most].at + settings.window, f"budget of {most} actions used up{kept}", tell=True)
+    if recent and (given_up or len(recent) >= most):
+        ready = recent[-1].at + settings.backoff_max
+        why = f"budget of {most} actions used up, one attempt every {settings.backoff_max:g} s"
+        return Wait(ready, why, tell=not given_up) if now < ready else act
+    ready = failures.ready_at(settings, elsewhere)
+    return Wait(ready, "backing off") if now < ready else act
 
 
 def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:
@@ -218,43 +249,10 @@ def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings,
     return ""
 
 
+def _in_vain_elsewhere(action: str, attempts: int, unit: str) -> str:
+    times = "once" if attempts == 1 else f"{attempts} times"
+    return f"{action} has not helped {times} on this container, and is not repeated for {unit}"
+
+
 def _in_vain(attempts: int) -> str:
     return "one attempt did not help" if attempts == 1 else f"{attempts} attempts did not help"
-
-
-def _same_failures(history: History, fault: Fault, now: float, lasting_s: float) -> list[Attempt]:
-    """Attempts for the same unit and condition that did not help, since the last one that did or a clean time.
-
-    Help that did not last `lasting_s` was none: a container that starts and dies again counts as failing. Whatever has
-    made the unit well for longer, an operator after PHM gave up, starts the count anew. Excused attempts are neither.
-    """
-    failures: list[Attempt] = []
-    broke_again = fault.opened.mono
-    for attempt in reversed(history.within(now - CLEAN_S)):
-        if (attempt.unit, attempt.condition) != (fault.unit, fault.result.condition):
-            continue
-        if fault.well_s > lasting_s and attempt.at < fault.opened.mono:
-            break
-        if attempt.worked and broke_again - attempt.at > lasting_s:
-            break
-        if attempt.excused:
-            continue
-        failures.append(attempt)
-        broke_again = attempt.at
-    return failures
-
-
-def _ready_at(history: History, fault: Fault, now: float, settings: RecoverySettings) -> float:
-    """Back-off: the first attempt at once, then 1, 2, 4 ... seconds after the last, whether it helped or not.
-
-    What helped and broke again so soon counts too, or a flapping container would be restarted without pause; what was
-    eased since does not.
-    """
-    same = [
-        attempt
-        for attempt in history.within(now - CLEAN_S)
-        if (attempt.unit, attempt.condition) == (fault.unit, fault.result.condition) and not attempt.eased
-    ]
-    if not same:
-        return now
-    return same[-1].at + float(min(settings.backoff * 2.0 ** (len(same) - 1), settings.backoff_max))

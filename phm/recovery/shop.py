@@ -56,6 +56,12 @@ class Shop:
     def free_actions(self) -> frozenset[str]:
         return frozenset(name for name, action in self.actions.items() if action.on_myself)
 
+    @property
+    def shared_actions(self) -> frozenset[str]:
+        """Actions on a container as a whole, which would help all of its faults at once."""
+        whole = ((name, kind) for name, kind in self.actions.items() if kind.takes_down is Reach.CONTAINER)
+        return frozenset(name for name, kind in whole if not kind.on_myself)
+
     def forbids(self, target: str, action: str) -> str:
         """Why this action on `target` must wait until the vehicle is disarmed; empty: it need not."""
         kind = self.actions.get(action)

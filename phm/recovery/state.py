@@ -13,10 +13,9 @@ from typing import Any
 
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.armed import LastKnown
-from phm.recovery.history import KEPT, Attempt
+from phm.recovery.history import CLEAN_S, KEPT, Attempt
 from phm.recovery.holds import MAX_DONE, MAX_HOLDS, Hold, KeptHold, carried
 from phm.recovery.lives import Life
-from phm.recovery.policy import CLEAN_S
 
 VERSION = 2
 READ = (1, 2)

@@ -6,11 +6,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Collection, Iterable
 
-from phm.model import Phase
+from phm.model import Fault, Phase
 from phm.recovery.cases import Case
-from phm.recovery.history import History
+from phm.recovery.history import CLEAN_S, History
 from phm.recovery.lives import Life, by_phm
-from phm.recovery.policy import CLEAN_S, HOLD
+from phm.recovery.policy import DOWN, HOLD
 from phm.recovery.shop import Shop
 
 
@@ -68,6 +68,17 @@ class Surroundings:
         if held and not case.on_hold:
             case.told.discard(f"{Phase.REFUSED.value} {HOLD}")
             case.proof_from = now if case.proof_from is None else max(now, case.proof_from)
+
+    def left_down(self) -> list[Fault]:
+        """Faults of the container that recovery has given up on, which was down then and is down now, as a fresh run says."""
+        last = self._history.attempts[-1].at if self._history.attempts else float("-inf")
+        return [
+            fault
+            for fault in self._shop.pipeline.given_up()
+            if fault.result.target == self._target
+            and fault.result.condition in DOWN
+            and self._shop.pipeline.bad_since(fault.unit, last)
+        ]
 
     def unproven_from(self, case: Case) -> float | None:
         """A run that begins after this must find the unit in ERROR before anything is done; None: one has."""

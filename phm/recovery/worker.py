@@ -210,6 +210,17 @@ class TargetWorker:
             again = self._say(case, decision)
             if again is not None:
                 waits.append(max(POLL_S, again - self._shop.clock.mono()))
+        return self._keep_starting(waits)
+
+    def _keep_starting(self, waits: list[float]) -> float | None:
+        """A container that is down is worth a start now and then, also when recovery has given up on it. As `_next`."""
+        for fault in self._around.left_down():
+            decision = self._decide(fault, approved=False, given_up=True)
+            if isinstance(decision, Act):
+                return self._perform(Case(fault), decision)
+            again = decision.until if isinstance(decision, Wait) else getattr(decision, "again_at", None)
+            if again is not None:
+                waits.append(max(POLL_S, again - self._shop.clock.mono()))
         return min(waits, default=None)
 
     def _check_approval(self, case: Case) -> list[float]:
@@ -238,7 +249,7 @@ class TargetWorker:
         self._shop.pipeline.look_again(unit, *self._shop.pipeline.suffering(unit, proof_from))
         return PROOF_S
 
-    def _decide(self, fault: Fault, *, approved: bool) -> Decision:
+    def _decide(self, fault: Fault, *, approved: bool, given_up: bool = False) -> Decision:
         shop, now = self._shop, self._shop.clock.stamp()
         hold = shop.holds.on(self._target, now.mono)
         return decide(
@@ -252,6 +263,8 @@ class TargetWorker:
             usable=shop.usable(self._container, fault),
             start_s=shop.context.settings.ros.grace,
             approved=approved,
+            given_up=given_up,
+            shared_actions=shop.shared_actions,
             hold=(hold.until, hold.words(now)) if hold is not None else None,
             undecided=shop.holds.undecided(self._target, now.mono),
             stopped_by_hand=shop.holds.stopped_by_hand(self._target),

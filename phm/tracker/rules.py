@@ -188,8 +188,8 @@ def too_early(entry: Entry, now: float) -> bool:
 
 
 def _unproven(entry: Entry, look: Look) -> bool:
-    """Whether the unit's fault is still being proven to be healed, or was not: its OK is kept back."""
-    if entry.fault is None:
+    """Whether the unit's fault, open or given up, is still being proven to be healed, or was not: its OK is kept back."""
+    if entry.fault is None and not entry.escalated:
         return False
     hold = look.scene.holds.get(entry.target)
     proving = hold is not None and hold.proving and hold.owner == entry.id

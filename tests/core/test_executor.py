@@ -13,7 +13,7 @@ from phm import testing
 from phm.api import Layer, Slot, Unit, error, ok
 from phm.bus import Bus
 from phm.facts import NotPermitted
-from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase
+from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Phase
 from phm.pipeline import Pipeline
 from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext, ActionFailed
@@ -30,7 +30,7 @@ class World:
         self.events: list[Event] = []
         self.runs: list[str] = []
         self.behave: Callable[[str], None] = lambda name: self.mend()
-        self.well = False
+        self.well, self.condition = False, "unhealthy"
         app = container or ContainerSettings(name="app", recover=True)
         self.settings = Settings.model_validate({"containers": [app], "recovery": recovery})
         unit = Unit("health/app", target="app")
@@ -74,7 +74,7 @@ class World:
         self.well = True
 
     def look(self) -> None:
-        bad = error("unhealthy", brief="unhealthy", condition="unhealthy", target="app")
+        bad = error("it is bad", brief="bad", condition=self.condition, target="app")
         lost = error("no nodes", brief="no nodes", condition="node_missing", target="app")
         results = {
             "health/app": ok("healthy") if self.well else bad,
@@ -146,6 +146,32 @@ def test_an_action_that_does_not_help_is_repeated_and_then_given_up(worlds: list
         world.clock.advance(1.0)
         world.look()
     assert world.runs == ["restart"] * 3
+
+
+def test_a_container_given_up_while_down_is_started_again_without_a_new_alarm(worlds: list[World]) -> None:
+    """Once per longest back-off; a start that does not last changes nothing that is published, one that lasts ends it."""
+    world = make(worlds, backoff_max=60)
+    world.condition, world.nodes_well = "exited", False
+    world.behave = lambda name: None
+    world.fail()
+    world.until(lambda: Phase.ESCALATED in world.phases(), limit_s=20)
+    assert world.runs == ["start", "restart", "restart"]
+
+    def up_for_a_moment(name: str) -> None:
+        world.well = True
+
+    world.behave = up_for_a_moment
+    world.until(lambda: len(world.runs) == 4, limit_s=20)
+    world.until(lambda: world.phases()[-1] is Phase.DONE, limit_s=20)
+    world.fail()
+    world.until(lambda: world.phases()[-1] is Phase.FAILED, limit_s=20)
+    world.nodes_well = True
+    world.until(lambda: len(world.runs) == 5, limit_s=20)
+    world.until(lambda: world.phases()[-1] is Phase.VERIFIED, limit_s=20)
+    assert world.runs[3:] == ["start", "start"]
+    assert world.phases().count(Phase.ESCALATED) == 1
+    assert len([event for event in world.events if isinstance(event, FaultOpened)]) == 1
+    world.until(lambda: world.pipeline.states()[0].level is Level.OK)
 
 
 def test_not_permitted_is_told_once_and_never_tried_again(worlds: list[World]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest.mock import ANY
 
 import pytest
 
@@ -210,14 +211,14 @@ def test_eased_attempts_are_not_waited_for_and_count_as_failures() -> None:
 def test_the_budget_counts_what_nothing_else_does() -> None:
     """However much is excused, a container is not restarted more often than that."""
     history = marked(attempts(900.0, 910.0, 920.0, 930.0, 940.0), eased=True, excused=True)
-    assert say(history) == Wait(1500.0, "budget of 5 actions used up", tell=True)
+    assert say(history) == Wait(1510.0, KEPT_BACK, tell=True)
 
 
 def test_help_that_lasted_ends_the_count_even_when_excused() -> None:
     """What is older than help that lasted stays forgotten."""
     helped = Attempt(900.0, "health/app", "unhealthy", "restart", worked=True, excused=True)
     history = History([*attempts(700.0, 710.0, 720.0).attempts, helped])
-    assert say(history) == Act("restart", 1)
+    assert say(history, settings=replace_rules(reserve=0)) == Act("restart", 1)
 
 
 def test_easing_marks_the_units_and_excusing_the_time_of_the_outage() -> None:
@@ -239,10 +240,75 @@ def test_a_new_life_excuses_what_was_before_it() -> None:
     assert not history.begin_anew(15.0)
 
 
+KEPT_BACK = "budget of 4 actions used up, 1 kept for a container that is down"
+
+
 def test_the_budget_counts_all_actions_on_the_target() -> None:
-    """Different troubles share one budget; the wait is told."""
-    history = History([Attempt(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(5)])
-    assert say(history) == Wait(1500.0, "budget of 5 actions used up", tell=True)
+    """Different faults share one budget; the wait is published."""
+    history = History([Attempt(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(4)])
+    assert say(history) == Wait(1500.0, KEPT_BACK, tell=True)
+    assert say(history, settings=replace_rules(reserve=0)) == Act("restart", 1)
+
+
+def test_part_of_the_budget_is_kept_for_a_container_that_is_down() -> None:
+    """Restarts for what runs badly must not be the reason that what has ended stays down."""
+    history = History([Attempt(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(4)])
+    assert say(history, fault=fault("exited")) == Act("start", 1)
+
+
+@pytest.mark.parametrize("condition", ["exited", "oom", "created"])
+def test_a_container_that_is_down_is_started_again_when_the_budget_is_used_up(condition: str) -> None:
+    """Once per longest back-off: a start of what is down makes nothing worse."""
+    history = History([Attempt(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(5)])
+    decision = say(history, fault=fault(condition), now=950.0)
+    assert isinstance(decision, Wait) and decision.until == 904.0 + RULES.backoff_max and decision.tell
+    assert say(history, fault=fault(condition), now=964.0) == Act("start", 1)
+
+
+def test_a_container_given_up_while_down_is_started_now_and_then() -> None:
+    """By the first step of its ladder, once per longest back-off, under the same permissions as before."""
+    history = attempts(900.0, 910.0, 920.0, condition="exited")
+    down = fault("exited")
+    assert isinstance(say(history, fault=down), GiveUp)
+    assert say(history, fault=down, now=979.0, given_up=True) == Wait(980.0, ANY, tell=False)
+    assert say(history, fault=down, now=980.0, given_up=True) == Act("start", 4)
+    assert isinstance(say(history, fault=down, given_up=True, forbidden="armed"), Advise)
+    assert isinstance(say(history, fault=down, given_up=True, container=ContainerSettings(name="app")), Leave)
+
+
+def elsewhere(*at: float, worked: bool = False, action: str = "restart") -> History:
+    """Attempts for other faults of the same container."""
+    return History([Attempt(when, f"rate/{when:g}", "rate_low", action, worked) for when in at])
+
+
+SHARED = frozenset({"restart"})
+
+
+def test_an_action_that_did_not_help_one_fault_is_not_repeated_for_another() -> None:
+    """Three restarts that did not help the container are three, whichever of its faults they were for."""
+    assert say(elsewhere(900.0, 950.0), shared_actions=SHARED) == Act("restart", 1)
+    decision = say(elsewhere(900.0, 910.0, 950.0), shared_actions=SHARED)
+    assert isinstance(decision, GiveUp) and "not repeated for health/app" in decision.why
+    assert say(elsewhere(900.0, 910.0, 950.0), shared_actions=frozenset()) == Act("restart", 1)
+
+
+def test_back_off_follows_the_action_and_not_the_fault() -> None:
+    """A failed restart a moment ago is waited after for the other faults of the container, too."""
+    assert say(elsewhere(999.5), shared_actions=SHARED) == Wait(1000.5, "backing off")
+
+
+def test_what_helped_others_or_was_before_a_long_good_time_does_not_count() -> None:
+    """A restart that healed another fault speaks for the action; a unit that was OK for long has a new fault."""
+    helped = History([*elsewhere(900.0, 910.0).attempts, *elsewhere(950.0, worked=True).attempts])
+    assert say(helped, shared_actions=SHARED, settings=replace_rules(same_failure=2)) == Act("restart", 1)
+    fresh = fault(well_s=RULES.verify + 1)
+    assert say(elsewhere(900.0, 910.0, 950.0), fault=fresh, shared_actions=SHARED) == Act("restart", 1)
+
+
+def test_restarts_in_vain_do_not_keep_a_container_that_ended_from_a_restart() -> None:
+    """What runs badly and what does not run are two things."""
+    history = History([*elsewhere(900.0, 910.0, 920.0).attempts, *attempts(950.0, condition="exited").attempts])
+    assert say(history, fault=fault("exited"), shared_actions=SHARED) == Act("restart", 2)
 
 
 def test_what_is_forbidden_in_the_air_is_advice_only() -> None:

@@ -105,7 +105,7 @@ def test_attempts_made_long_before_the_outage_count(agents: list[Agent]) -> None
 
 def test_a_dependency_that_flaps_costs_no_more_than_the_budget(agents: list[Agent]) -> None:
     """Each of its recoveries ends back-off and excuses; the budget counts all the same."""
-    agent = make(agents, backoff=0.1, budget=4)
+    agent = make(agents, backoff=0.1, budget=4, reserve=0)
     agent.bad["health/app"] = "broken"
     for _ in range(20):
         agent.rest(5.0)

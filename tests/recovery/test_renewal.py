@@ -113,7 +113,7 @@ def test_a_crash_loop_does_not_begin_anew_for_ever(yard: Yard, loop: Loop, life_
 
 def test_the_budget_counts_what_was_tried_on_earlier_lives(yard: Yard) -> None:
     """However often somebody recreates it: no more actions within the window than allowed."""
-    agent = yard.given_up(budget=3)
+    agent = yard.given_up(budget=3, reserve=0)
     yard.containers.recreate("app")
     agent.until(lambda: Phase.REFUSED in agent.steps(), "the end of the budget")
     for _ in range(3):
