@@ -7,7 +7,9 @@ import time
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from phm import threads
 from phm.model import Stamp
+from phm.scheduling import Lateness, Monitor
 
 STEP_S = 1.0
 """UTC that has moved by more than this against the monotonic clock was set, and not slewed."""
@@ -28,6 +30,9 @@ class Clock(Protocol):
 
     def age_s(self, utc: float) -> float | None:
         """Seconds since something was stamped `utc` by this machine's clock: see `Steps.age_s`."""
+
+    def late_s(self, since: float, most_s: float | None = None) -> float:
+        """Seconds since `since` (monotonic) in which PHM itself did not get to run: see `Lateness.late_s`."""
 
     def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
         """Wait until `event` is set or `timeout_s` has passed on the monotonic clock; True when set."""
@@ -81,10 +86,18 @@ class Steps:
 
 
 class SystemClock:
-    """The machine's clocks. CLOCK_MONOTONIC, as `time.monotonic` uses on Linux. Thread-safe."""
+    """The machine's clocks. CLOCK_MONOTONIC, as `time.monotonic` uses on Linux. Thread-safe.
+
+    lateness: of this process, as far as a `phm.scheduling.Monitor` measures it.
+    """
 
     def __init__(self) -> None:
+        self.lateness = Lateness()
         self._steps, self._lock = Steps(), threading.Lock()
+
+    def measure(self) -> None:
+        """Begin to measure how late PHM is, once for a process: until its end."""
+        threads.start(Monitor(self.lateness).thread)
 
     def mono(self) -> float:
         return time.monotonic()
@@ -102,6 +115,9 @@ class SystemClock:
         stamp = self.stamp()
         with self._lock:
             return self._steps.age_s(utc, stamp)
+
+    def late_s(self, since: float, most_s: float | None = None) -> float:
+        return self.lateness.late_s(since, time.monotonic(), most_s)
 
     def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
         return event.wait(timeout_s)

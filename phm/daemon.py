@@ -38,6 +38,7 @@ from phm.recovery.shop import Shop
 from phm.recovery.state import State
 from phm.reporters.base import Reporter, ReporterContext
 from phm.reporters.installed import Installed
+from phm.scheduling import WINDOW_S
 from phm.settings import Settings
 from phm.tracker import Tracker
 
@@ -210,8 +211,14 @@ class Daemon:
 
     def alive(self) -> bool:
         """The dead man's switch of heartbeats and of `phm status --healthy`: beating, and checks come back."""
-        now = self.clock.mono()
-        return now - self._beat < STALLED_BEAT_S and now - self.pipeline.last_batch < STALLED_CHECKS_S
+        return self._quiet_s(self._beat, STALLED_BEAT_S) < STALLED_BEAT_S and (
+            self._quiet_s(self.pipeline.last_batch, STALLED_CHECKS_S) < STALLED_CHECKS_S
+        )
+
+    def _quiet_s(self, since: float, limit_s: float) -> float:
+        """Seconds since then in which PHM ran: what is starved is late, and has not stalled."""
+        age_s = self.clock.mono() - since
+        return age_s if age_s < limit_s else age_s - self.clock.late_s(since, limit_s)
 
     def health(self) -> dict[str, Any]:
         """PHM's own condition for `phm status`; JSON-able."""
@@ -224,6 +231,7 @@ class Daemon:
             "dropped": dict(fact.dropped),
             "problems": list(fact.problems),
             "ros_restarts": fact.ros_restarts,
+            "late_percent": round(100 * self.clock.late_s(self.clock.mono() - WINDOW_S) / WINDOW_S, 1),
             **({"flight_critical": critical} if critical["containers"] else {}),
             "ros_sandbox": self.parts.ros.sandbox if self.parts.ros is not None else None,
             "links": self.parts.link_reports(),
@@ -333,11 +341,11 @@ class Daemon:
     def _radio_heard(self) -> bool:
         """As the radio's check, a radio counts as silent after two and a half of its own pauses."""
         least_s = self.settings.mavlink.radio_timeout
-        return any(radio.age_s <= max(least_s, 2.5 * radio.due_s) for radio in self.parts.world.links.radios())
+        return any(radio.silent_s <= max(least_s, 2.5 * radio.due_s) for radio in self.parts.world.links.radios())
 
     def _pilot_heard(self) -> bool:
         pilot = self.parts.world.links.autopilot()
-        return pilot is not None and pilot.age_s <= self.settings.mavlink.autopilot_timeout
+        return pilot is not None and pilot.silent_s <= self.settings.mavlink.autopilot_timeout
 
     def _join_networks(self) -> None:
         """Before ROS starts: DDS picks its interfaces when the participant is made. Nobody waits for this.

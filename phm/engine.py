@@ -79,9 +79,17 @@ class Worker:
     def join(self, timeout_s: float) -> None:
         threads.join(self._thread, timeout_s)
 
+    def left_s(self, now: float) -> float | None:
+        """Until the deadline of the run under way, in which time does not count while PHM does not run; None: nothing runs."""
+        since, limit_s = self.running_since, self.scheduled.deadline_s
+        if since is None:
+            return None
+        left_s = since + limit_s - now
+        return left_s if left_s >= 0 else left_s + self._clock.late_s(since, limit_s)
+
     def overdue(self, now: float) -> bool:
-        since = self.running_since
-        return since is not None and now - since > self.scheduled.deadline_s
+        left_s = self.left_s(now)
+        return left_s is not None and left_s < 0
 
     def _loop(self) -> None:
         while not self._stopping:
@@ -164,9 +172,9 @@ class Engine:
             since = worker.running_since
             if since is None or worker.told_overdue:
                 continue
-            limit = worker.scheduled.deadline_s
-            if not worker.overdue(now):
-                calm_s = min(calm_s, since + limit - now)
+            left_s, limit = worker.left_s(now), worker.scheduled.deadline_s
+            if left_s is None or left_s >= 0:
+                calm_s = min(calm_s, calm_s if left_s is None else left_s)
                 continue
             worker.told_overdue = True
             result = stale(f"the check has not come back within its deadline of {limit:g} s; it is left running")

@@ -22,6 +22,13 @@ class GcsFact:
     """It was never silent for nearly so long of late; None: it has not been heard steadily for long enough to tell."""
     overdue: bool = False
     """Silent for longer than that, while its link was open and read."""
+    not_counted_s: float = 0.0
+    """Of age_s, the time in which PHM did not run or had not read its link."""
+
+    @property
+    def silent_s(self) -> float:
+        """What of its age is its silence."""
+        return max(0.0, self.age_s - self.not_counted_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +67,13 @@ class AutopilotFact:
     """Since it reported its time since boot; None: never."""
     disarmed_for_s: float | None = None
     """How long its heartbeats have said disarmed without a pause and nothing else; None: the newest one says armed."""
+    not_counted_s: float = 0.0
+    """As in `GcsFact`."""
+
+    @property
+    def silent_s(self) -> float:
+        """What of its age is its silence."""
+        return max(0.0, self.age_s - self.not_counted_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +103,18 @@ class RadioFact:
     """Packets that came damaged and could be mended, a second."""
     alone: bool = False
     """It says that it no longer hears the radio at the other end, which it did hear."""
+    not_counted_s: float = 0.0
+    """As in `GcsFact`."""
+
+    @property
+    def silent_s(self) -> float:
+        """What of its age is its silence."""
+        return max(0.0, self.age_s - self.not_counted_s)
 
 
 @dataclass(frozen=True, slots=True)
 class SenderFact:
-    """Somebody heard on an endpoint. age_s: since the last frame, to half a second."""
+    """Somebody heard on an endpoint. age_s: since the last frame, to half a second, without the time in which PHM did not run."""
 
     system: int
     component: int
@@ -124,7 +145,7 @@ class LinkFact:
     code: int = 0
     """The error number behind it, as in `errno`; 0: none."""
     rx_age_s: float | None = None
-    """Since bytes came last, to half a second; None: none ever did."""
+    """Since bytes came last, to half a second, without the time in which PHM did not run; None: none ever did."""
     rx_s: float | None = None
     """Bytes a second that came."""
     tx_s: float | None = None
@@ -142,7 +163,7 @@ class LinkFact:
 
 class LinkProbe(Protocol):
     def gcs_age_s(self) -> float | None:
-        """Since the last HEARTBEAT of any ground station; None when none was ever heard."""
+        """Since the last HEARTBEAT of any ground station, as far as it counts as silence; None when none was ever heard."""
 
     def gcs(self) -> GcsFact | None:
         """None when no ground station was ever heard."""

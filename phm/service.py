@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 
+from phm.clock import SystemClock
 from phm.daemon import LOOK_S, STALLED_END_S, Daemon
 from phm.guard import Guard
 from phm.instance_lock import InstanceLock
@@ -26,7 +27,9 @@ def run(settings: Settings, read: Read | None = None) -> int:
     lock = InstanceLock(settings.state_dir, settings.run_dir)
     lock.acquire()
     guard = Guard()
-    daemon = Daemon(settings, guard=guard)
+    clock = SystemClock()
+    clock.measure()
+    daemon = Daemon(settings, clock, guard)
     daemon.own_problems.append(lambda: lock.problem)
     reloader = Reloader(read or (lambda: settings), guard)
     with Signals(*ENDING, signal.SIGCONT, signal.SIGHUP) as signals:

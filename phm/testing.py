@@ -46,6 +46,7 @@ from phm.facts import (
     World,
 )
 from phm.model import Stamp
+from phm.scheduling import Lateness
 from phm.settings import Settings
 
 __all__ = [
@@ -75,6 +76,7 @@ class FakeClock:
         self._utc = utc
         self._steps = Steps()
         self._steps.note(Stamp(utc, mono))
+        self._lateness = Lateness()
         self._sleepers: list[_Sleeper] = []
         self._moved = threading.Condition()
 
@@ -103,6 +105,15 @@ class FakeClock:
             self._utc += seconds
             self._steps.note(Stamp(self._utc, self._mono))
             self._moved.notify_all()
+
+    def be_late(self, seconds: float) -> None:
+        """Move both clocks as `advance` does, while PHM does not run: time that `late_s` reports."""
+        self._lateness.expect(self.mono())
+        self.advance(seconds)
+        self._lateness.came(self.mono())
+
+    def late_s(self, since: float, most_s: float | None = None) -> float:
+        return self._lateness.late_s(since, self.mono(), most_s)
 
     def jump_utc(self, seconds: float) -> None:
         """Set UTC forward or back, as an NTP client does; nobody wakes."""

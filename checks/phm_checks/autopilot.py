@@ -49,11 +49,13 @@ class Autopilot(api.Check):
         fact, limits = world.links.autopilot(), self._settings.mavlink
         if fact is None and not limits.autopilot:
             return api.bypass("no autopilot has been heard, and none is expected (mavlink.autopilot)")
-        if (fact is None or fact.overdue or fact.age_s > limits.autopilot_timeout) and all_closed(world, self._links):
+        if (fact is None or fact.overdue or fact.silent_s > limits.autopilot_timeout) and all_closed(
+            world, self._links
+        ):
             return api.stale("the autopilot is not known: every link to it is closed")
         if fact is None and starting(world):
             return api.stale("the autopilot has not been heard yet")
-        if fact is None or fact.age_s > limits.autopilot_timeout:
+        if fact is None or fact.silent_s > limits.autopilot_timeout:
             return self._lost(world, fact)
         if fact.overdue and self._certain(world, fact):
             return self._lost(world, fact, early=True)

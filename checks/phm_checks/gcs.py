@@ -54,7 +54,7 @@ class Gcs(api.Check):
             "gcs": f"{fact.system}/{fact.component}",
             "link": fact.link,
         }
-        if fact.age_s <= limit_s and not self._early(world, fact):
+        if fact.silent_s <= limit_s and not self._early(world, fact):
             self._age.forget("gcs")
             return api.ok(f"ground station heard {span(fact.age_s)} ago", **values)
         if all_closed(world, to_ground(self._settings)):
@@ -114,6 +114,6 @@ class Gcs(api.Check):
 
 def _alone(world: api.World, fact: api.GcsFact) -> bool:
     """Whether the radio aboard has lost the one on the ground, by its own word: damaged frames alone are no such loss."""
-    if fact.age_s <= QUIET_S:
+    if fact.silent_s <= QUIET_S:
         return False
     return any(radio.alone and radio.link == fact.link and radio.age_s < fact.age_s for radio in world.links.radios())

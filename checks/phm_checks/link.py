@@ -152,13 +152,13 @@ class Link(api.Check):
         if not (self.entry.to_ground or self.entry.to_autopilot):
             return False
         gcs, pilot, limits = world.links.gcs(), world.links.autopilot(), self._settings.mavlink
-        ground = gcs is not None and gcs.age_s <= limits.gcs_timeout and gcs.link not in ("", self.entry.key)
+        ground = gcs is not None and gcs.silent_s <= limits.gcs_timeout and gcs.link not in ("", self.entry.key)
         if self.entry.to_ground and not ground:
             return False
         expected = pilot is not None or limits.autopilot or self.entry.leads_to == "autopilot"
         if not self.entry.to_autopilot or not expected:
             return True
-        flying = pilot is not None and pilot.age_s <= limits.autopilot_timeout
+        flying = pilot is not None and pilot.silent_s <= limits.autopilot_timeout
         return flying and pilot is not None and pilot.link not in ("", self.entry.key)
 
     # ------------------------------------------------------------ open

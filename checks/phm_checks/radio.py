@@ -58,7 +58,7 @@ class Radio(api.Check):
         if fact is None and starting(world):
             return api.stale(f"the radio behind {self.entry.key} has not been heard yet")
         limit_s = self._limits.radio_timeout if fact is None else max(self._limits.radio_timeout, PERIODS * fact.due_s)
-        if fact is None or fact.age_s > limit_s:
+        if fact is None or fact.silent_s > limit_s:
             return self._lost(link, fact, limit_s)
         self._age.forget("age")
         return self._judged(fact)

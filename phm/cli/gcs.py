@@ -120,6 +120,7 @@ def command(
     from phm.gcs.show import Show
 
     clock = SystemClock()
+    clock.measure()
     station = _station(_settings(urls or (DEFAULT,), baud, key, unsigned), system, expect, clock, silent=silent)
     book = Record(record, station, clock) if record else None
     server = _server(serve, station, clock) if serve else None

@@ -21,6 +21,8 @@ Json = Mapping[str, Any]
 
 _STYLES = {"OK": "green", "WARN": "yellow", "ERROR": "bold red", "STALE": "magenta"}
 _PIPE_WIDTH = 160
+LATE_PERCENT = 2.0
+"""Of less nothing is shown: so late is a quiet PHM now and then."""
 """Columns when the output is no terminal: wide enough that most summaries stay on one line."""
 
 
@@ -201,6 +203,9 @@ def _health(health: Json) -> list[RenderableType]:
     dropped = ", ".join(f"{name} {count}" for name, count in health.get("dropped", {}).items())
     counters = f"events dropped: {dropped or 'none'}; ROS child restarts: {health.get('ros_restarts', 0)}"
     parts.append(_plain(counters))
+    late_percent = health.get("late_percent", 0)
+    if late_percent >= LATE_PERCENT:
+        parts.append(_plain(f"PHM did not get to run for {late_percent:.0f} % of the last minute", "yellow"))
     if health.get("ros_sandbox"):
         parts.append(_plain(f"ROS child not fully restricted: {health['ros_sandbox']}", "yellow"))
     parts += [_plain(f"overdue: {name}", "yellow") for name in health.get("overdue", ())]

@@ -12,7 +12,7 @@ import threading
 import uuid
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from phm import __version__, threads
@@ -24,6 +24,7 @@ from phm.gcs.outlet import Item, Outlet
 from phm.gcs.sieve import Copies, Meter
 from phm.gcs.store import Store
 from phm.model import Stamp
+from phm.scheduling import WINDOW_S
 from phm.settings import MavlinkSettings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
@@ -34,6 +35,8 @@ COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
 """190, which ground stations use."""
 HEARTBEAT_S = 1.0
 TICK_S = 0.2
+LATE_MOST_S = 5.0
+"""Beside its longest pause, the ground's delays of the last minute put silence off by so much at most."""
 MAX_WAITING = 4096
 """Frames between the endpoints' threads and the store."""
 CLOSE_LIMIT_S = 3.0
@@ -122,7 +125,7 @@ class Station:
         with self._lock:
             at = self._clock.stamp()
             body = {
-                "system": self.ids[0], "component": self.ids[1], **self._store.snapshot(at),
+                "system": self.ids[0], "component": self.ids[1], **self._store.snapshot(self._judged_at(at)),
                 "problems": list(self._problems), "frames_refused": self._meter.refused + self._overrun,
             }  # fmt: skip
             return self._number, News(at, "snapshot", body)
@@ -194,7 +197,12 @@ class Station:
             news = self._store.links(links, at)
             news += [News(at, "problem", {"text": text}) for text in problems if text not in self._problems]
             self._problems = problems
-            self._publish([*news, *self._store.tick(at)])
+            self._publish([*news, *(replace(one, at=at) for one in self._store.tick(self._judged_at(at)))])
+
+    def _judged_at(self, at: Stamp) -> Stamp:
+        """Silence is judged as of a moment that is earlier by the time in which the ground did not run lately: frames that came
+        meanwhile may not be read yet, and whoever was heard since is there in any case."""
+        return Stamp(at.utc, at.mono - self._clock.late_s(at.mono - WINDOW_S, LATE_MOST_S))
 
     def _publish(self, news: Iterable[News]) -> None:
         """With the lock held, so that a snapshot and the news that follow it leave no gap."""

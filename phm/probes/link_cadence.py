@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from phm.scheduling import Late, never_late
+
 FACTOR = 2.2
 """Silence of so many of the longest pauses: one more beat than ever may get lost."""
 UNEVEN_S = 2.5
@@ -40,10 +42,10 @@ class Cadence:
         self._due_s: float | None = None
         self._lost = False
 
-    def beat(self, now: float) -> None:
-        """It was heard."""
+    def beat(self, now: float, late_s: float = 0.0) -> None:
+        """It was heard. late_s: of the pause before, how much PHM did not run."""
         self._keep(now, self._held_s)
-        pause_s = 0.0 if self._last is None else now - self._last
+        pause_s = 0.0 if self._last is None else max(0.0, now - self._last - late_s)
         # A longer one was a fault and is no habit of the sender.
         self._held_s = pause_s if pause_s <= self._most_s else 0.0
         self._last, self._from, self._lost = now, now, False
@@ -58,11 +60,12 @@ class Cadence:
         """The limit; None: not known well enough, or not under the configured one."""
         return self._due_s
 
-    def overdue(self, read_at: float | None) -> bool:
+    def overdue(self, read_at: float | None, late_s: Late = never_late) -> bool:
         """Whether it was silent for longer, as far as its link was read to the end at `read_at`; None: it is not read. Once
-        it is overdue, it is so until its next beat, whatever becomes of the link."""
-        late = self._due_s is not None and read_at is not None and read_at - self._from > self._due_s
-        self._lost = self._lost or late
+        it is overdue, it is so until its next beat, whatever becomes of the link. late_s: for how long PHM did not run."""
+        due_s = self._due_s
+        if due_s is not None and read_at is not None and read_at - self._from > due_s:
+            self._lost = self._lost or read_at - self._from - late_s(self._from, due_s) > due_s
         return self._lost
 
     def _limit_s(self) -> float | None:

@@ -7,6 +7,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from phm.link_facts import LineFact, LinkFact, SenderFact
+from phm.scheduling import Late, never_late
 from phm.transport.mavlink_traffic import Traffic
 from phm.transport.serial_line import LineCount
 
@@ -14,16 +15,19 @@ SAMPLE_S = 0.4
 """Endpoints ask to be looked at twice a second; there may be several."""
 RATE_S = 5.0
 STEP_S, LOSS_S = 5.0, 30.0
+SHORT_S = 5.0
+"""Checks that judge a silence here do so after less."""
 MIN_FRAMES = 20
 """Of so few frames nobody can tell how many are missing."""
 _Counts = dict[tuple[int, int], tuple[int, int]]
 
 
 class Flow:
-    """Not thread-safe. own: PHM's own system and component, whose frames a router may send back."""
+    """Not thread-safe. own: PHM's own system and component, whose frames a router may send back. late_s: for how long PHM did not
+    run, which is taken out of every silence."""
 
-    def __init__(self, own: tuple[int, int]) -> None:
-        self._own = own
+    def __init__(self, own: tuple[int, int], late_s: Late = never_late) -> None:
+        self._own, self._late_s = own, late_s
         self._totals: deque[tuple[float, Traffic]] = deque(maxlen=int(RATE_S / SAMPLE_S) + 2)
         self._steps: deque[tuple[float, _Counts]] = deque(maxlen=int(LOSS_S / STEP_S) + 1)
         self._moved_at: float | None = None
@@ -57,7 +61,7 @@ class Flow:
 
         return replace(
             base,
-            rx_age_s=None if self._moved_at is None else now - self._moved_at,
+            rx_age_s=None if self._moved_at is None else self._silent_s(self._moved_at, now),
             rx_s=rate(old.bytes_in, new.bytes_in),
             tx_s=rate(old.bytes_out, new.bytes_out),
             frames_s=rate(old.frames, new.frames),
@@ -75,7 +79,10 @@ class Flow:
         before = next((counts[key] for _, counts in self._steps if key in counts), (frames, lost))
         came, missing = frames - before[0], max(0, lost - before[1])
         loss = 100.0 * missing / (came + missing) if came >= MIN_FRAMES else None
-        return SenderFact(*key, now - self._heard_at.get(key, now), max(0, came), loss)
+        return SenderFact(*key, self._silent_s(self._heard_at.get(key, now), now), max(0, came), loss)
+
+    def _silent_s(self, since: float, now: float) -> float:
+        return max(0.0, now - since - self._late_s(since, SHORT_S))
 
 
 def _line(old: LineCount | None, new: LineCount | None, span_s: float) -> LineFact | None:

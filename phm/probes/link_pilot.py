@@ -12,6 +12,7 @@ from typing import Any
 
 from phm.link_facts import AutopilotFact
 from phm.probes.link_cadence import Cadence
+from phm.scheduling import Late, never_late
 from phm.transport.dialect import mavlink
 
 BACK_S = 3.0
@@ -27,10 +28,10 @@ ALIVE_S = 1.0
 
 
 class Pilot:
-    """Not thread-safe. timeout_s: after which it counts as lost in any case."""
+    """Not thread-safe. timeout_s: after which it counts as lost in any case. late_s: for how long PHM did not run."""
 
-    def __init__(self, timeout_s: float = 3.5) -> None:
-        self._cadence, self._timeout_s = Cadence(timeout_s), timeout_s
+    def __init__(self, timeout_s: float = 3.5, late_s: Late = never_late) -> None:
+        self._cadence, self._timeout_s, self._late_s = Cadence(timeout_s), timeout_s, late_s
         self._said: dict[str, tuple[float, bool]] = {}
         """By link: when a heartbeat came last, and whether it said armed."""
         self._said_armed: dict[bool, float] = {}
@@ -63,8 +64,9 @@ class Pilot:
         self.broke(now)
 
     def heartbeat(self, now: float, message: Any, link: str) -> None:
+        late_s = 0.0 if self._beat is None else self._late_s(self._beat[0], None)
         self._beat, self._spoke = (now, message, link), now
-        self._cadence.beat(now)
+        self._cadence.beat(now, late_s)
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         self._said[link] = (now, armed)
         if armed:
@@ -99,8 +101,11 @@ class Pilot:
         flipping = len(changes) == FLIPS and changes[-1] - changes[0] < FLIPS_S
         return (rebooting and now - self._seen[-1] < TWINS_S) or (flipping and now - changes[-1] < FLIPS_S)
 
-    def fact(self, now: float, read_at: Callable[[str], float | None] = lambda link: None) -> AutopilotFact | None:
-        """None: never heard. read_at: until when what came by a link of this name has been read; None: not known."""
+    def fact(
+        self, now: float, read_at: Callable[[str], float | None] = lambda link: None, unread_s: float = 0.0
+    ) -> AutopilotFact | None:
+        """None: never heard. read_at: until when what came by a link of this name has been read; None: not known. unread_s: for
+        how long its link should have been read, and was not."""
         if self._beat is None:
             return None
         heard, message, link = self._beat
@@ -114,11 +119,12 @@ class Pilot:
             ages.get(True), ages.get(False), None if self._stalled is None else now - self._stalled,
             None if self._boot is None else now - self._boot[0],
             None if self._disarmed_from is None else now - self._disarmed_from,
+            max(min(unread_s, self._timeout_s), self._late_s(heard, self._timeout_s)),
         )  # fmt: skip
 
     def _overdue(self, read_at: float | None) -> bool:
         speaks = read_at is not None and read_at - self._spoke < ALIVE_S
-        return self._cadence.overdue(None if speaks else read_at)
+        return self._cadence.overdue(None if speaks else read_at, self._late_s)
 
     def _armed_at(self, moment: float) -> bool:
         """As last heard before `moment`: after a reboot the first heartbeat, disarmed, may come before the new time."""

@@ -52,8 +52,13 @@ class Radio:
             self._partnered = True
         self._newest = message
 
-    def fact(self, now: float) -> RadioFact | None:
-        """None: never heard."""
+    @property
+    def heard_at(self) -> float:
+        """When it reported last, in monotonic seconds; asked once it has."""
+        return self._times[-1]
+
+    def fact(self, now: float, not_counted_s: float = 0.0) -> RadioFact | None:
+        """None: never heard. not_counted_s: see `RadioFact`."""
         if self._newest is None:
             return None
         newest, rates, without = self._newest, self._rates(), _partnerless(self._newest)
@@ -62,7 +67,7 @@ class Radio:
             self._link, now - self._times[-1], self._due_s(),
             _known(newest.rssi), far[0], _known(newest.noise), far[1], newest.txbuf,
             fmean(self._margins) if self._margins else None, fmean(self._remmargins) if self._remmargins else None, *rates,
-            without and self._partnered,
+            without and self._partnered, not_counted_s,
         )  # fmt: skip
 
     def _due_s(self) -> float:

@@ -21,6 +21,7 @@ from phm.settings import Settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.mavlink_budget import periods
+from phm.transport.mavlink_endpoint import IDLE_S
 
 DOUBLES = 2
 """So many heartbeats of another sender within DOUBLE_S make a duplicate: a late echo may come once."""
@@ -54,7 +55,7 @@ class Links:
         self._gcs_beats = Cadence(self._settings.gcs_timeout, max(UNEVEN_S, self._settings.gcs_timeout / 2))
         self._unreached = False
         """It was out of reach, and was not heard since: a radio at the edge of its range finds and loses the other one."""
-        self._pilot = Pilot(self._settings.autopilot_timeout)
+        self._pilot = Pilot(self._settings.autopilot_timeout, clock.late_s)
         self._pilot_links = frozenset(entry.key for entry in self._settings.endpoints if entry.to_autopilot)
         self._strays = Strays()
         self._sampled: float | None = None
@@ -74,8 +75,8 @@ class Links:
     # ------------------------------------------------------------ what checks ask
 
     def gcs_age_s(self) -> float | None:
-        gcs = self._gcs
-        return None if gcs is None else self._clock.mono() - gcs[0]
+        gcs = self.gcs()
+        return None if gcs is None else gcs.silent_s
 
     def gcs(self) -> GcsFact | None:
         with self._lock:
@@ -83,7 +84,9 @@ class Links:
             if gcs is None:
                 return None
             read_at, due_s = self._hub.read_at(gcs[3]), self._gcs_beats.due_s()
-            return GcsFact(self._clock.mono() - gcs[0], *gcs[1:], due_s, self._gcs_beats.overdue(read_at))
+            overdue = self._gcs_beats.overdue(read_at, self._clock.late_s)
+            not_counted_s = self._not_counted_s(gcs[0], gcs[3], self._settings.gcs_timeout)
+            return GcsFact(self._clock.mono() - gcs[0], *gcs[1:], due_s, overdue, not_counted_s)
 
     def deaf(self) -> bool:
         """Whether a ground station is surely out of reach of this agent, though `gcs_timeout` may not have passed: the radio
@@ -92,11 +95,15 @@ class Links:
 
     def autopilot(self) -> AutopilotFact | None:
         with self._lock:
-            return self._pilot.fact(self._clock.mono(), self._hub.read_at)
+            return self._pilot.fact(self._clock.mono(), self._hub.read_at, self._unread_s(self._pilot.link))
 
     def radios(self) -> tuple[RadioFact, ...]:
         with self._lock:
-            facts = [radio.fact(self._clock.mono()) for radio in self._radios.values()]
+            limit_s = self._settings.radio_timeout
+            facts = [
+                radio.fact(self._clock.mono(), self._not_counted_s(radio.heard_at, link, limit_s))
+                for link, radio in self._radios.items()
+            ]
         return tuple(fact for fact in facts if fact is not None)
 
     def links(self) -> tuple[LinkFact, ...]:
@@ -134,6 +141,16 @@ class Links:
             )
         return tuple(found)
 
+    def _not_counted_s(self, heard_at: float, link: str, limit_s: float) -> float:
+        """Since then, the time in which PHM did not run or had not read this link: what came meanwhile waits in it. At most
+        `limit_s` for a link that PHM no longer reads."""
+        return max(min(self._unread_s(link), limit_s), self._clock.late_s(heard_at, limit_s))
+
+    def _unread_s(self, link: str) -> float:
+        """For how long an open link should have been read, and was not."""
+        read_at = self._hub.read_at(link)
+        return 0.0 if read_at is None else max(0.0, self._clock.mono() - read_at - IDLE_S)
+
     # ------------------------------------------------------------ from the endpoints' threads
 
     def look(self) -> None:
@@ -157,7 +174,7 @@ class Links:
             if self._pilot.link in closed:
                 self._pilot.broke(now)
             for name, traffic in self._hub.traffic().items():
-                self._flows.setdefault(name, Flow(own)).sample(now, traffic)
+                self._flows.setdefault(name, Flow(own, self._clock.late_s)).sample(now, traffic)
         self.look()
 
     def _picture(self) -> tuple[object, ...]:
@@ -165,11 +182,11 @@ class Links:
         pilot, limits, gcs = self.autopilot(), self._settings, self.gcs()
         flying = None
         if pilot is not None:
-            lost = (pilot.age_s > limits.autopilot_timeout, pilot.overdue)
+            lost = (pilot.silent_s > limits.autopilot_timeout, pilot.overdue)
             flying = (lost, pilot.armed, pilot.reboots)
-        ground = None if gcs is None else (gcs.age_s > limits.gcs_timeout, gcs.overdue)
+        ground = None if gcs is None else (gcs.silent_s > limits.gcs_timeout, gcs.overdue)
         heard = self.radios()
-        radios = tuple((radio.age_s <= limits.radio_timeout, *_report(radio)) for radio in heard)
+        radios = tuple((radio.silent_s <= limits.radio_timeout, *_report(radio)) for radio in heard)
         links = tuple((link.name, link.open, _gone(link)) for link in self._hub.links())
         return ground, self._deaf(gcs, heard), flying, len(self.problems()), radios, links
 
@@ -179,7 +196,7 @@ class Links:
         if gcs is None:
             return cut
         lost = any(radio.alone and radio.link == gcs.link and radio.age_s < gcs.age_s for radio in radios)
-        if cut or (lost and gcs.age_s > UNEVEN_S):
+        if cut or (lost and gcs.silent_s > UNEVEN_S):
             self._unreached = True
         return self._unreached
 
@@ -199,7 +216,7 @@ class Links:
             with self._lock:
                 if stalled:
                     self._gcs_beats.broke(now)
-                self._gcs_beats.beat(now)
+                self._gcs_beats.beat(now, 0.0 if self._gcs is None else self._clock.late_s(self._gcs[0]))
                 self._unreached = False
                 self._gcs = (now, system, component, link)
         self.look()

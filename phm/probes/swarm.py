@@ -50,7 +50,7 @@ class Swarm:
         self._signed = settings.mavlink.signing.key is not None and settings.mavlink.signing.unsigned != "all"
         self._agents = len({*expected, self._own})
         """How many share the links, this one included."""
-        self._peers = Peers(self._own, self._period_s(self._agents), expected)
+        self._peers = Peers(self._own, self._period_s(self._agents), expected, clock.late_s)
         self._share = Share(self._agents, clock.mono())
         self._election = Election()
         self._links: dict[str, float] = {}

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from phm.scheduling import Late, never_late
 from phm.swarm.pulse import Pulse
 from phm.swarm.share import RECENT_S, STEADY
 from phm.swarm.vanished import NEARLY, gravest, silences, vanished
@@ -60,6 +61,7 @@ class Peer:
     """Newest frame number by link."""
     beats: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     """Link, frame number and word of the last heartbeats."""
+    late_s: Late = never_late
 
     def __post_init__(self) -> None:
         self.pulse = Pulse(self.period_s)
@@ -80,12 +82,20 @@ class Peer:
     def seen(self, now: float) -> Seen:
         if self.heard_s is None:
             return Seen.NEVER
-        silent_s = now - self.heard_s
+        silent_s = self.silent_s(now)
         if self.leaving and silent_s > self.period_s:
             return Seen.LOST
         if self.vanished or self.gone or silent_s > LOST_PERIODS * self.period_s:
             return Seen.LOST
         return Seen.LATE if silent_s > LATE_PERIODS * self.period_s else Seen.ALIVE
+
+    def silent_s(self, now: float) -> float:
+        """Since it was heard, without the time in which PHM did not run. To be asked of one that was heard."""
+        assert self.heard_s is not None
+        age_s = now - self.heard_s
+        if age_s <= LATE_PERIODS * self.period_s / 2:
+            return age_s  # most are, and there may be hundreds
+        return max(0.0, age_s - self.late_s(self.heard_s, LOST_PERIODS * self.period_s))
 
     def votes(self, now: float) -> View | None:
         """Its view, when it lives and the view is young enough to count."""
@@ -99,17 +109,17 @@ class Peers:
 
     expected: agent ids of the fleet, each of which counts as a member before it was ever heard; others count for nothing, be
     they of another fleet or made up. Without them the members are those that were heard.
-    period_s: our own heartbeat's, the first guess for everyone's.
+    period_s: our own heartbeat's, the first guess for everyone's. late_s: for how long PHM did not run, which is no silence.
     """
 
-    def __init__(self, own: int, period_s: float, expected: Iterable[int] = ()) -> None:
-        self.own = own
+    def __init__(self, own: int, period_s: float, expected: Iterable[int] = (), late_s: Late = never_late) -> None:
+        self.own, self._late_s = own, late_s
         self._period_s = period_s
         self._listed = frozenset(expected)
         self._expected = self._listed - {own}
         self._strangers: dict[int, float] = {}
         """Agents that are not listed, and when they were heard."""
-        self._peers = {agent: Peer(agent, period_s) for agent in sorted(self._expected)}
+        self._peers = {agent: Peer(agent, period_s, late_s=late_s) for agent in sorted(self._expected)}
         self._watched: float | None = None
         self._blind_until = float("-inf")
         self._fades: deque[tuple[float, float]] = deque(maxlen=8)
@@ -214,7 +224,7 @@ class Peers:
         """Those that are missed when they are silent, and have one pulse each."""
         mixed = self.clashing(now)
         return [
-            (agent, peer.heard_s, peer.pulse)
+            (agent, now - peer.silent_s(now), peer.pulse)
             for agent, peer in self._peers.items()
             if peer.heard_s is not None
             and not peer.leaving
@@ -248,5 +258,5 @@ class Peers:
             if len(self._peers) >= MAX_PEERS:  # ids are 1 to 250, so only hostile frames get here
                 longest = min(self._peers.values(), key=lambda entry: entry.heard_s or 0.0)
                 del self._peers[longest.agent]
-            peer = self._peers[agent] = Peer(agent, self._period_s)
+            peer = self._peers[agent] = Peer(agent, self._period_s, late_s=self._late_s)
         return peer

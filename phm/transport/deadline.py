@@ -33,8 +33,8 @@ class Call:
     Invariant: a socket is cut only between `attach` and `finish`, so one that a later call uses is safe.
     """
 
-    def __init__(self, due: float) -> None:
-        self.due = due
+    def __init__(self, began: float, limit_s: float) -> None:
+        self.began, self.limit_s = began, limit_s
         self.expired = False
         self.failure: OSError | None = None
         """Why a connection could not be opened: the libraries above wrap it beyond recognition."""
@@ -82,8 +82,9 @@ class Watchdog:
 
     @contextlib.contextmanager
     def watch(self, limit_s: float) -> Iterator[Call]:
-        """A call that is expired `limit_s` seconds from now unless it is left before."""
-        call = Call(self._clock.mono() + limit_s)
+        """A call that is expired `limit_s` seconds from now unless it is left before. Time in which PHM does not run is added:
+        the answer may have come meanwhile."""
+        call = Call(self._clock.mono(), limit_s)
         self._add(call)
         try:
             yield call
@@ -108,13 +109,16 @@ class Watchdog:
             if len(self._heap) > _MAX_STALE:
                 self._heap = [entry for entry in self._heap if not entry[2].done]
                 heapq.heapify(self._heap)
-            heapq.heappush(self._heap, (call.due, next(self._numbers), call))
+            self._push(call.began + call.limit_s, call)
             first = self._heap[0][2] is call
             if self._thread is None:
                 self._thread = threading.Thread(target=self._loop, name=self._name, daemon=True)
                 threads.start(self._thread)
         if first:
             self._wake.set()
+
+    def _push(self, due: float, call: Call) -> None:
+        heapq.heappush(self._heap, (due, next(self._numbers), call))
 
     def _loop(self) -> None:
         while True:
@@ -131,7 +135,10 @@ class Watchdog:
         """The calls that are due, taken off the heap, and the seconds until the next one."""
         overdue = []
         while self._heap and (self._heap[0][2].done or self._heap[0][0] <= now):
-            call = heapq.heappop(self._heap)[2]
-            if not call.done:
+            due, _, call = heapq.heappop(self._heap)
+            late_due = call.began + call.limit_s + self._clock.late_s(call.began, call.limit_s)
+            if not call.done and late_due > max(due, now):
+                self._push(late_due, call)
+            elif not call.done:
                 overdue.append(call)
         return overdue, (self._heap[0][0] - now if self._heap else None)

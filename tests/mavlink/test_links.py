@@ -443,3 +443,33 @@ def test_our_own_echo_is_no_duplicate() -> None:
             until(links.problems, "the duplicate being told")
         finally:
             hub.close()
+
+
+@pytest.mark.parametrize("why", ["PHM did not run", "its link was not read"])
+def test_what_waits_unread_is_no_silence(why: str) -> None:
+    """Ground station, autopilot and radio are lost only as far as PHM ran and read; a link that is never read again hides a
+    loss for one timeout more."""
+    scene = Scene()
+    scene.hub.read_at = lambda link: scene.clock.mono()  # type: ignore[method-assign]
+    scene.hear(255, 190, GCS)
+    scene.hear(7, 1, pilot())
+    scene.hear(51, 68, radio_status())
+    if why == "PHM did not run":
+        scene.clock.be_late(15.0)
+    else:
+        read_at = scene.clock.mono()
+        scene.hub.read_at = lambda link: read_at  # type: ignore[method-assign]
+        scene.clock.advance(3.6)
+
+    def silent_s() -> tuple[float, float, float]:
+        gcs, flying, radio = scene.links.gcs(), scene.links.autopilot(), scene.links.radios()[0]
+        assert gcs is not None
+        assert flying is not None
+        return gcs.silent_s, flying.silent_s, radio.silent_s
+
+    assert max(silent_s()) < 1.0
+    scene.clock.advance(20.0)
+    gcs_s, pilot_s, radio_s = silent_s()
+    assert gcs_s > 10.0
+    assert pilot_s > 3.5
+    assert radio_s > 10.0

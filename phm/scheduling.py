@@ -1,0 +1,101 @@
+"""How much of the time PHM itself did not get to run: silence in that time says nothing about a sender.
+
+A thread that only sleeps announces when it will be back, and counts how late it is, whatever the reason: stopped, frozen,
+throttled, swapped out, or waiting for a core. Of another process the kernel counts the last. Standard library alone.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+PERIOD_S = 0.25
+NOISE_S = 0.02
+"""A thread that wakes by so much later is not late: timers, garbage collection, one time slice of another process."""
+KEPT = 2048
+"""Spans that are remembered: at least eight minutes, were each period late."""
+WINDOW_S = 60.0
+"""Over so long `phm status` says how much of the time it was."""
+
+Late = Callable[[float, float | None], float]
+"""As `Lateness.late_s`, at the moment of the call: since when, and how much of it counts at most beside the longest span."""
+
+
+def never_late(since: float, most_s: float | None = None) -> float:
+    """A `Late` for callers who do not measure."""
+    return 0.0
+
+
+class Lateness:
+    """Spans of time in which PHM did not run. Pure, the caller brings the time; thread-safe.
+
+    Any thread that asks runs itself, so it closes the span that the measuring thread has not noticed yet: right after a pause
+    answers are the same whichever thread wakes first.
+    """
+
+    def __init__(self) -> None:
+        self._spans: deque[tuple[float, float]] = deque(maxlen=KEPT)
+        self._due: float | None = None
+        self._lock = threading.Lock()
+
+    def expect(self, due: float) -> None:
+        """The measuring thread will run again at `due`."""
+        with self._lock:
+            self._due = due
+
+    def came(self, now: float) -> None:
+        """It runs."""
+        with self._lock:
+            self._notice(now)
+            self._due = None
+
+    def late_s(self, since: float, now: float, most_s: float | None = None) -> float:
+        """Seconds between `since` and `now` in which PHM did not run.
+
+        most_s: for a deadline of so many seconds. The longest span counts in full, all others together up to most_s: after a
+        pause everyone has as much time as before it, and where PHM is starved for good a deadline is at most doubled.
+        """
+        with self._lock:
+            self._notice(now)
+            longest_s = total_s = 0.0
+            for begin, end in reversed(self._spans):
+                if end <= since:
+                    break
+                span_s = min(end, now) - max(begin, since)
+                longest_s, total_s = max(longest_s, span_s), total_s + max(0.0, span_s)
+        return total_s if most_s is None else longest_s + min(total_s - longest_s, most_s)
+
+    def _notice(self, now: float) -> None:
+        """With the lock held."""
+        if self._due is not None and now - self._due >= NOISE_S:
+            self._spans.append((self._due, now))
+            self._due = now  # what is late from here on is another span
+
+
+def waited_s(pid: int) -> float | None:
+    """How long the first thread of a process has waited on the run queue so far; None where the kernel does not say."""
+    try:
+        with open(f"/proc/{pid}/schedstat", "rb", buffering=0) as stream:
+            return int(stream.read(128).split()[1]) / 1e9
+    except (OSError, ValueError, IndexError):
+        return None
+
+
+class Monitor:
+    """The measuring thread. What it measures is in `lateness`."""
+
+    def __init__(self, lateness: Lateness, mono: Callable[[], float] = time.monotonic) -> None:
+        self._lateness, self._mono = lateness, mono
+        self._stopping = threading.Event()
+        self.thread = threading.Thread(target=self._loop, name="phm-scheduling", daemon=True)
+
+    def stop(self) -> None:
+        self._stopping.set()
+
+    def _loop(self) -> None:
+        while not self._stopping.is_set():
+            self._lateness.expect(self._mono() + PERIOD_S)
+            self._stopping.wait(PERIOD_S)
+            self._lateness.came(self._mono())
