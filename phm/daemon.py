@@ -34,6 +34,7 @@ from phm.recovery.executor import Executor, NotNow
 from phm.recovery.hold_service import HoldService, HoldWorld
 from phm.recovery.holds import Holds
 from phm.recovery.memory import Memory
+from phm.recovery.relief import Relief
 from phm.recovery.shop import Shop
 from phm.recovery.state import State
 from phm.reporters.base import Reporter, ReporterContext
@@ -103,6 +104,7 @@ class Daemon:
         self.armed = ArmedMonitor(self.parts.world.links.autopilot, timeout_s, self.clock)
         world = HoldWorld(self.armed.now, self.parts.world.docker.container, self._acting_on)
         self.holds = HoldService(settings, self._held, self.pipeline, self.bus.publish, self.clock, world)
+        self.relief = Relief(self.parts.engine, self.parts.world.docker.container, self.pipeline, self.clock)
         self.memory = Memory(settings, self.pipeline, self.bus, self.clock, self.armed)
         self._looks = self._stalled = 0
         self._subscribers: tuple[object, ...] = ()
@@ -156,6 +158,7 @@ class Daemon:
         if self.executor is not None:
             self.holds.close()
             self.executor.stop()
+        closing.step("relief", self.relief.end, 1.0)
         self.engine.end()
         self.parts.engine.close()  # cuts the calls that checks and actions wait for
         closing.step("checks", partial(self.engine.stop, 1.0), 1.5)
@@ -293,6 +296,9 @@ class Daemon:
         self.executor = Executor(shop)
         self.memory.resume(self.executor)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
+        relief = self.relief
+        if self.settings.recovery.relieve or relief.kept():
+            self.bus.subscribe("relief", relief.handle, kinds=relief.kinds, tick=relief.tick, period_s=relief.period_s)
         self.holds.start()
         if self.control is None:
             self.control = Control(self.settings.run_dir, self.executor.approve, self.pipeline.note, self.holds)
@@ -324,7 +330,7 @@ class Daemon:
         return ActionContext(
             self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
             listed_nodes=lambda: self.parts.world.ros.look().nodes, reopen=self.parts.reopen, age_s=self.clock.age_s,
-            on_hold=self._hold_words,
+            on_hold=self._hold_words, relief=self.relief,
         )  # fmt: skip
 
     def _publish_action(self, event: Event) -> None:

@@ -530,6 +530,9 @@ class RecoverySettings(Section):
     """How long a hold lasts without `phm hold --for`, and after a stop that is respected."""
     hold_max: Annotated[Seconds, Field(ge=1, le=86400)] = 14400.0
     """The longest hold that `phm hold` grants."""
+    relieve: Annotated[list[Name], Field(max_length=16)] = Field(default_factory=list)
+    """Containers, none of them flight-critical, whose CPU weight is lowered while a flight-critical container with
+    `recover: true` waits for a core because of others, and put back afterwards."""
     maintenance: Annotated[list[MaintenanceSettings], Field(max_length=16)] = Field(default_factory=list)
     """Times in which containers are on hold. The label `phm.maintenance` of a container does the same for it."""
     ladders: dict[str, list[str]] = Field(default_factory=dict)

@@ -182,6 +182,10 @@ def named_containers_exist(root: View) -> None:
     for window in root.get("recovery", "maintenance").records():
         if window.get("container").text:
             _configured(window.get("container"), known)
+    no_twins("container", ((place.text, place) for place in root.get("recovery", "relieve").texts))
+    for place in root.get("recovery", "relieve").texts:
+        if _configured(place, known) and known[place.text].get("flight_critical").value is True:
+            place.complain("is flight-critical (its `flight_critical` is true): only other containers may give way")
 
 
 def topic_nodes_exist(root: View) -> None:

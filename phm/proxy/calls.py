@@ -66,6 +66,9 @@ def calls(settings: Settings) -> list[Call]:
         if entry.recover and settings.recovery.mode != "off":
             made += _actions(subject, entry, settings)
             acted_on.append(subject.name)
+        if entry.key in settings.recovery.relieve and settings.recovery.mode != "off":
+            weight = exact(docker_bodies.cpu_shares(0)).replace("0", "[0-9]{1,6}")
+            made.append(Call(f"{entry.key}: its CPU weight", "POST", "/update", subject, weight))
     for number, name in enumerate(sorted({name for entry in settings.containers for name in entry.networks})):
         members = [entry.name for entry in settings.containers if name in entry.networks and entry.name in acted_on]
         made += _network(Subject("networks", name, f"n{number}"), [me.name, *map(str, members)])

@@ -15,6 +15,7 @@ from phm.clock import Clock, SystemClock
 from phm.facts import Attachment, AutopilotFact, CannotTell, ContainerFact, LinkFact
 from phm.model import Fault
 from phm.recovery.critical import Reach
+from phm.recovery.relief import Relief
 from phm.settings import ContainerSettings, Settings
 from phm.transport.docker import Engine
 
@@ -74,6 +75,7 @@ class ActionContext:
     autopilot:  the vehicle's autopilot now, or None when it was never received.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
     age_s:      seconds since something was stamped (UTC), whatever the clock did since; None: not possible (`phm.clock.Steps`).
+    relief:     lowers CPU weights and puts them back later.
     on_hold:    why nothing may be done to a container for the sake of another: it is on hold, or stopped by hand; empty: it may.
     holding:    while it is entered, what breaks in that other container follows from this fault's repair.
     """
@@ -91,6 +93,7 @@ class ActionContext:
     reopen: Callable[[str, float], bool] = _no_link
     holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
     on_hold: Callable[[str], str] = lambda key: ""
+    relief: Relief | None = None
 
 
 class Action(ABC):

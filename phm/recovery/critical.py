@@ -14,11 +14,13 @@ from phm.settings import Settings
 class Reach(Enum):
     """What an action takes down for a moment, beside what it does to its target.
 
+    OTHERS:    not the target; what is done to other containers is asked about call by call.
     NOTHING:   no other container.
     NETWORK:   the network, also of the containers that share the target's network namespace.
     CONTAINER: the target, and with it the containers that depend on it (`phm.recovery.dependants`).
     """
 
+    OTHERS = "others"
     NOTHING = "nothing"
     NETWORK = "network"
     CONTAINER = "container"
@@ -51,7 +53,7 @@ class Safeguard:
 
         approved_at: the armed state at which an operator approved it, which holds as long as that is the state.
         """
-        if not self._critical:
+        if not self._critical or reach is Reach.OTHERS:
             return ""
         armed = self.armed()
         if not armed.shut or armed.state is approved_at:

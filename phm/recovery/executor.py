@@ -111,6 +111,8 @@ class Executor:
         acting = {**state.recovery.unfinished, **{target: target for target in state.recovery.under_way}}
         for key, who in acting.items():
             self._shop.lives.unfinished(key, who)
+        if self._shop.context.relief is not None:
+            self._shop.context.relief.restore(state.recovery.lowered)
         last = state.recovery.armed
         self._shop.holds.restore(
             state.recovery.holds, state.recovery.stops, state.recovery.windows, armed=last is not None and last.armed
@@ -143,6 +145,7 @@ class Executor:
         lives, holds = self._shop.lives, self._shop.holds
         return RecoveryState(
             made, cases, under_way, lives.kept(), unfinished=lives.unfinished_now(),
+            lowered=self._shop.context.relief.kept() if self._shop.context.relief is not None else (),
             holds=holds.kept(self._shop.clock.mono()), stops=holds.stops(), windows=holds.done(),
         )  # fmt: skip
 

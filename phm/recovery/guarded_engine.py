@@ -19,6 +19,7 @@ READS = frozenset({
 """Calls that change nothing; every other one is asked about."""
 REACH = {
     "start": Reach.NOTHING, "unpause": Reach.NOTHING, "exec_detached": Reach.NOTHING, "put_file": Reach.NOTHING,
+    "set_cpu_shares": Reach.NOTHING,
     "connect": Reach.NETWORK, "disconnect": Reach.NETWORK,
 }  # fmt: skip
 """What a call takes down; those that are not here: the container."""

@@ -48,6 +48,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "radio_silent": ("reopen",),
     "autopilot_silent": ("reopen",),
     "disk_full": ("make_room",),
+    "cpu_starved": ("relieve",),
 }
 """Built-in ladders by condition. Conditions that are not here are told and left alone: `restarting` because the engine's
 own restart policy is at work and is not fought, `dead` because the engine refuses to restart what it could not remove,

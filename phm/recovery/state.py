@@ -8,7 +8,7 @@ differences of UTC, never negative. On the disk it is `phm.recovery.state_file`'
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
@@ -16,6 +16,7 @@ from phm.recovery.armed import LastKnown
 from phm.recovery.history import CLEAN_S, KEPT, Attempt
 from phm.recovery.holds import MAX_DONE, MAX_HOLDS, Hold, KeptHold, carried
 from phm.recovery.lives import Life
+from phm.recovery.relief import Lowered
 
 VERSION = 2
 READ = (1, 2)
@@ -24,6 +25,8 @@ MAX_FAULTS = 256
 MAX_TARGETS = 64
 MAX_TEXT = 2000
 MAX_TOLD = 32
+MAX_SHARES = 262144
+"""The largest CPU weight that the kernel knows."""
 FAULT_AGE_S = 7 * 86400.0
 """A fault is never taken to be older than this: a clock that was set explains more."""
 
@@ -71,6 +74,8 @@ class RecoveryState:
     """Containers that an operator stopped, where PHM only advises then."""
     windows: tuple[tuple[str, str], ...] = ()
     """Maintenance windows that are over, by target and beginning."""
+    lowered: tuple[Lowered, ...] = ()
+    """CPU weights to put back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +115,7 @@ def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
         },
         "stops": list(recovery.stops[:MAX_TARGETS]),
         "windows": [list(window) for window in recovery.windows[-MAX_DONE:]],
+        "lowered": [asdict(entry) for entry in recovery.lowered[:MAX_TARGETS]],
         "holds": [_hold(kept) for kept in recovery.holds[:MAX_HOLDS]],
         "lives": {target: _life(life, now) for target, life in list(recovery.lives.items())[:MAX_TARGETS]},
         "armed": None if recovery.armed is None else _last_known(recovery.armed, now),
@@ -179,6 +185,7 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
             tuple(_read_hold(body, now, same_boot=same) for body in document.get("holds", [])[:MAX_HOLDS]),
             tuple(str(key)[:MAX_TEXT] for key in document.get("stops", [])[:MAX_TARGETS]),
             tuple((str(on)[:MAX_TEXT], str(begin)[:MAX_TEXT]) for on, begin in document.get("windows", [])[-MAX_DONE:]),
+            tuple(_read_lowered(body) for body in document.get("lowered", [])[:MAX_TARGETS]),
         )
         faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
         return State(faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery)
@@ -239,6 +246,14 @@ def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> KeptHold:
         raise ValueError("the end of a hold is no time")
     hold = carried(Hold(target, source, until, by, reason, occurrence), left_s, now.mono, same_boot=same_boot)
     return KeptHold(hold, hold.until - now.mono)
+
+
+def _read_lowered(body: Any) -> Lowered:
+    shares = int(body["shares"])
+    if not 2 <= shares <= MAX_SHARES:
+        raise ValueError("a CPU weight that no container has")
+    key, container, unit = (str(body[part])[:MAX_TEXT] for part in ("key", "id", "unit"))
+    return Lowered(key, container, shares, unit)
 
 
 def _attempt(attempt: Attempt, now: Stamp) -> dict[str, Any]:

@@ -191,6 +191,11 @@ class Engine(Session):
     def kill(self, ref: str, signal: str = "SIGKILL") -> None:
         self._act(lambda client: client.kill(ref, signal=signal), f"kill {ref}")
 
+    def set_cpu_shares(self, container: str, shares: int) -> None:
+        """Set the CPU weight of a container while it runs; 1024 is the engine's default."""
+        path, body = f"/containers/{quote(container, safe='')}/update", docker_bodies.cpu_shares(shares)
+        self._act(lambda client: _post(client, path, body), f"set the CPU weight of {container}")
+
     def disconnect(self, network: str, container: str, force: bool = False) -> None:
         """Take a container off a network; `force` also when the container is gone or half connected."""
         path, body = f"/networks/{quote(network, safe='')}/disconnect", docker_bodies.disconnect(container, force=force)

@@ -20,6 +20,11 @@ def exec_(argv: Sequence[str], user: str = "") -> str:
     return json.dumps({"Cmd": list(argv), "User": user})
 
 
+def cpu_shares(shares: int) -> str:
+    """Change the CPU weight of a container, and nothing else."""
+    return json.dumps({"CpuShares": shares})
+
+
 def disconnect(container: str, *, force: bool) -> str:
     """Take a container off a network."""
     return json.dumps({"Container": container, "Force": force})

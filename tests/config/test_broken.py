@@ -242,6 +242,12 @@ BROKEN = [
     Broken("limits", "host:\n  cpu:\n    warn: 99%\n    error: 98\n", 3, "host.cpu.warn", ("98 or less",)),
     Broken("warm", "host:\n  temperature_warn: 90C\n", 2, "host.temperature_warn", ("is 90", "85 or less")),
     Broken("cold", "host:\n  temperature_error: 70\n", 2, "host.temperature_error", ("is 70", "75 or more")),
+    Broken(
+        "relieve critical",
+        "containers:\n  - {name: app, flight_critical: true}\nmavlink:\n  endpoints: [{url: 'udpin:0.0.0.0:14550'}]\n"
+        "recovery:\n  relieve: [app]\n",
+        6, "recovery.relieve[0]", ("flight-critical", "only other containers"),
+    ),
     Broken("reserve", "recovery:\n  reserve: 6\n", 2, "recovery.reserve", ("is 6", "'budget'", "5 or less")),
     Broken("back-off", "recovery:\n  backoff: 2min\n", 2, "recovery.backoff", ("is 120", "'backoff_max'")),
     Broken("hold", "recovery:\n  hold: 5h\n", 2, "recovery.hold", ("is 18000", "'hold_max'")),

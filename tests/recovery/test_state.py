@@ -16,6 +16,7 @@ from phm.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.armed import LastKnown
 from phm.recovery.history import Attempt
 from phm.recovery.lives import OTHERS, Life
+from phm.recovery.relief import Lowered
 from phm.recovery.state import Case, RecoveryState, State, Unbelievable, UnderWay, carry, decode, encode
 from phm.recovery.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
 
@@ -54,6 +55,7 @@ FULL = State(
         {"app": Life("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, OTHERS), "side": Life("id1", "t")},
         LastKnown(True, 91.0),
         {"app": "app", "side": "app"},
+        lowered=(Lowered("other", "id3", 512, "pressure/app"),),
     ),
 )
 

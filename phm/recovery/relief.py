@@ -1,0 +1,103 @@
+"""CPU weights that PHM has lowered for the sake of a starved container, and puts back when that has been well for a while."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+from phm.clock import Clock
+from phm.facts import CannotTell, ContainerFact
+from phm.model import Event, FaultClosed, Level, UnitState
+from phm.transport.docker import Engine
+
+LOW_SHARES = 64
+"""A sixteenth of the engine's default of 1024: enough to stay alive, and next to nothing beside a container that wants the core."""
+DEFAULT_SHARES = 1024
+CALM_S = 30.0
+"""The weight is put back when the unit has been OK for so long: sooner, the two would take turns."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lowered:
+    """One container whose CPU weight was `shares` before PHM lowered it for the sake of unit `unit`. id: the engine's."""
+
+    key: str
+    id: str
+    shares: int
+    unit: str
+
+
+class Pipeline(Protocol):
+    """What is published; `phm.pipeline.Pipeline` is one."""
+
+    def states(self) -> tuple[UnitState, ...]: ...
+
+    def note(self, kind: str, text: str) -> None: ...
+
+
+class Relief:
+    """A subscriber of the bus, for its ticks. Thread-safe."""
+
+    kinds = (FaultClosed,)
+    period_s = 1.0
+
+    def __init__(
+        self, engine: Engine, container: Callable[[str], ContainerFact | None], pipeline: Pipeline, clock: Clock
+    ) -> None:
+        self._engine, self._container, self._pipeline, self._clock = engine, container, pipeline, clock
+        self._lowered: dict[str, Lowered] = {}
+        self._lock = threading.Lock()
+
+    def restore(self, lowered: Iterable[Lowered]) -> None:
+        """What an earlier run of PHM had lowered."""
+        with self._lock:
+            self._lowered.update({entry.key: entry for entry in lowered})
+
+    def kept(self) -> tuple[Lowered, ...]:
+        with self._lock:
+            return tuple(self._lowered.values())
+
+    def lower(self, key: str, fact: ContainerFact, unit: str, engine: Engine) -> bool:
+        """Lower the CPU weight of a running container by `engine`; False: it is as low already. Raises CannotTell."""
+        host = engine.inspect(fact.id).get("HostConfig")
+        found = host.get("CpuShares") if isinstance(host, dict) else None
+        shares = found if isinstance(found, int) and found > 0 else DEFAULT_SHARES
+        if shares <= LOW_SHARES:
+            return False
+        with self._lock:  # noted before it is done: what PHM's own end interrupts is put back by the next PHM
+            self._lowered[key] = Lowered(key, fact.id, shares, unit)
+        engine.set_cpu_shares(fact.id, LOW_SHARES)
+        return True
+
+    def handle(self, event: Event) -> None:
+        """Time alone decides."""
+
+    def tick(self) -> None:
+        """Put back what is no longer needed."""
+        states = {state.unit: state for state in self._pipeline.states()}
+        now = self._clock.mono()
+        for entry in self.kept():
+            state = states.get(entry.unit)
+            if state is None or (state.level is Level.OK and now - state.since.mono >= CALM_S):
+                self._put_back(entry)
+
+    def end(self) -> None:
+        """Put everything back: PHM ends, and nobody would do it later."""
+        for entry in self.kept():
+            self._put_back(entry)
+
+    def _put_back(self, entry: Lowered) -> None:
+        """A container that was made again since has the weight that it was made with."""
+        try:
+            fact = self._container(entry.key)
+            same = fact is not None and fact.id == entry.id
+            if same:
+                self._engine.set_cpu_shares(entry.id, entry.shares)
+        except CannotTell:
+            return  # at the next tick
+        with self._lock:
+            self._lowered.pop(entry.key, None)
+        if same:
+            self._pipeline.note("ACTION", f"put the CPU weight of {entry.key} back to {entry.shares}")

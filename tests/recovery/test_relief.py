@@ -1,0 +1,120 @@
+"""CPU weights that are lowered for a starved container and put back; on the real engine, straight and behind the proxy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from phm.model import Layer, Level, Result, Slot, Stamp, UnitState
+from phm.recovery.actions.relieve import Relieve
+from phm.recovery.base import Unneeded
+from phm.recovery.relief import CALM_S, DEFAULT_SHARES, LOW_SHARES, Relief
+from phm.testing import FakeClock, settings
+from phm.transport.docker import Engine
+from tests.recovery.bench import Bench, bench, fault
+
+STARVED = fault("pressure/app", "cpu_starved")
+UNIT = "pressure/app"
+
+
+class Published:
+    """Stands in for the pipeline: one unit, as the test sets it."""
+
+    def __init__(self) -> None:
+        self.level, self.since = Level.ERROR, 0.0
+        self.notes: list[str] = []
+
+    def states(self) -> tuple[UnitState, ...]:
+        result = Result(self.level, "so")
+        return (UnitState(UNIT, "pressure", Slot.HOST, Layer.DOCKER, self.level, result, Stamp(0.0, self.since)),)
+
+    def note(self, kind: str, text: str) -> None:
+        self.notes.append(text)
+
+
+class Scene:
+    """A flight-critical container `app`, and `other`, which may give way."""
+
+    def __init__(self, engine: Engine, real: Any, *, shares: int = 0) -> None:
+        self.app, self.other = real.container(), real.container(cpu_shares=shares)
+        self.bench: Bench = bench(
+            engine,
+            containers=[
+                {"name": self.app.name, "alias": "app", "recover": True, "flight_critical": True},
+                {"name": self.other.name, "alias": "other"},
+            ],
+            recovery={"relieve": ["other"]},
+            mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14599", "leads_to": "autopilot"}]},
+        )
+        self.clock, self.published = FakeClock(), Published()
+        self.relief = Relief(self.bench.engine, self.bench.fact, self.published, self.clock)
+
+    def relieve(self) -> str:
+        context = replace(self.bench.context(), relief=self.relief)
+        return Relieve().run(self.bench.target("app"), STARVED, context)
+
+    def shares(self, made: Any) -> int:
+        made.reload()
+        return int(made.attrs["HostConfig"]["CpuShares"])
+
+    def calm(self, for_s: float) -> None:
+        self.published.level, self.published.since = Level.OK, self.clock.mono()
+        self.clock.advance(for_s)
+        self.relief.tick()
+
+
+@pytest.mark.engine
+@pytest.mark.parametrize("shares", [0, 512])
+def test_the_weight_is_lowered_in_the_air_and_put_back_when_it_is_no_longer_needed(
+    real: Any, engine: Engine, shares: int
+) -> None:
+    """Of the containers named in `recovery.relieve` alone, also while armed; back to what it was."""
+    scene = Scene(engine, real, shares=shares)
+    scene.bench.armed = True
+    assert scene.relieve() == f"lowered the CPU weight of other to {LOW_SHARES}"
+    assert (scene.shares(scene.other), scene.shares(scene.app)) == (LOW_SHARES, 0)
+    assert isinstance(scene.relieve(), Unneeded)
+    scene.relief.tick()
+    scene.calm(CALM_S - 1)
+    assert scene.shares(scene.other) == LOW_SHARES
+    scene.calm(CALM_S)
+    assert scene.shares(scene.other) == (shares or DEFAULT_SHARES)
+    assert scene.relief.kept() == () and len(scene.published.notes) == 1
+
+
+@pytest.mark.engine
+def test_the_next_phm_puts_back_what_the_last_one_lowered(real: Any, engine: Engine) -> None:
+    """And what PHM ends with is put back at once."""
+    scene = Scene(engine, real)
+    scene.relieve()
+    kept = scene.relief.kept()
+    scene.relief = Relief(scene.bench.engine, scene.bench.fact, scene.published, scene.clock)
+    scene.relief.restore(kept)
+    assert isinstance(scene.relieve(), Unneeded), "the low weight is not taken for the container's own"
+    scene.relief.end()
+    assert scene.shares(scene.other) == DEFAULT_SHARES
+
+
+@pytest.mark.engine
+def test_a_container_that_was_made_again_keeps_its_own_weight(real: Any, engine: Engine) -> None:
+    """PHM undoes what it did to that container, and to no other of the name."""
+    scene = Scene(engine, real)
+    scene.relieve()
+    name = scene.other.name
+    scene.other.remove(force=True)
+    again = real.container(name=name, cpu_shares=128)
+    scene.calm(CALM_S)
+    assert scene.shares(again) == 128
+    assert scene.relief.kept() == () and scene.published.notes == []
+
+
+def test_it_applies_to_a_flight_critical_container_where_others_are_named() -> None:
+    """Opt-in twice: nothing gives way that is not named, and only for what flies the vehicle."""
+    named = settings(containers=[{"name": "app"}, {"name": "other"}], recovery={"relieve": ["other"]})
+    app = named.containers[0]
+    assert not Relieve.applies(app, STARVED, named)
+    critical = app.model_copy(update={"flight_critical": True})
+    assert Relieve.applies(critical, STARVED, named)
+    assert not Relieve.applies(critical, STARVED, settings(containers=[{"name": "app"}]))
