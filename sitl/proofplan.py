@@ -25,6 +25,11 @@ CAMPAIGN = (
     "qos_mismatch", "radio_lossy", "radio_saturated", "router_killed", "subscriber_lost", "transport_blocked",
 )  # fmt: skip
 """Not played here: what they show is told, not healed, or needs a swarm. `sitl.campaign` plays them; docs/sitl_faults.md."""
+STARVING = (
+    "cpu_limited", "memory_tight", "disk_slow", "pids_exhausted", "host_overload", "overload_node_killed",
+    "overload_container_killed", "overload_ends",
+)  # fmt: skip
+"""Nor these: what they starve is judged by `sitl.starvation`."""
 LEFT_ALONE = ("node_killed", "network_disconnected", "container_stopped")
 RELAUNCHED = "node_killed"
 RELAUNCH = (

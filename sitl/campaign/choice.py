@@ -43,6 +43,8 @@ def useless(fault: Fault, agents: int, *, air: bool) -> str:
     """Why a campaign of so many agents, with emulated links or without, leaves the fault out; empty: it does not."""
     if fault.also:
         return "it is two faults, and a campaign makes compound faults itself"
+    if "starvation" in fault.needs:
+        return "what it starves is told at the cause alone, which `python -m sitl.starvation` judges"
     if "air" in fault.needs and not air:
         return "it needs emulated links"
     if agents < fault.least:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import stat
 import tarfile
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -171,7 +172,8 @@ class Fault(ABC):
     also: units of further faults that it causes, independent of the first, each with an alarm of its own.
     healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
     needs: what it takes: ``air``, emulated links; ``peers``, other agents; ``configuration``, changes to the
-    shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it.
+    shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it; ``starvation``, somebody who
+    judges its symptoms as those of one cause, which `sitl.starvation` does.
     least: how many agents its swarm must have for it to be what it says.
     """
 
@@ -212,6 +214,16 @@ class Fault(ABC):
 
     def clear(self, agent: Agent) -> None:
         """Undo what healing by PHM does not undo. Doing it twice is harmless."""
+
+
+@contextlib.contextmanager
+def undoing(undo: Callable[[], None]) -> Iterator[None]:
+    """Undo what was begun when its block does not reach its end, also when it is interrupted."""
+    try:
+        yield
+    except BaseException:
+        undo()
+        raise
 
 
 def died(app: Container, before: str) -> float:

@@ -35,7 +35,7 @@ def test_a_fault_says_what_it_is(name: str) -> None:
     assert fault.layer in LAYERS
     assert len(fault.cause.split()) > 3
     assert fault.cause[-1] != "."
-    assert fault.needs <= {"air", "peers", "configuration", "alone"}
+    assert fault.needs <= {"air", "peers", "configuration", "alone", "starvation"}
     assert fault.level in ("ERROR", "WARN")
     assert inspect.getdoc(type(fault))
     assert type(fault).clear is not Fault.clear
@@ -53,8 +53,11 @@ def agent() -> Agent:
 
 
 def test_the_demonstration_and_the_proof_play_faults_that_exist() -> None:
-    """The proof plays every fault exactly once that is not the campaign's; the demonstration some of them."""
-    assert sorted((*proofplan.ORDER, *proofplan.APART, *proofplan.CAMPAIGN)) == FILES
+    """The proof plays every fault exactly once that starves nothing and is not the campaign's; the demonstration some of them."""
+    assert sorted((*proofplan.ORDER, *proofplan.APART, *proofplan.CAMPAIGN, *proofplan.STARVING)) == FILES
+    assert set(proofplan.STARVING) == {
+        name for name, fault in faults.all_faults().items() if "starvation" in fault.needs
+    }
     assert set(STORY) <= set(FILES)
     assert set(proofplan.LEFT_ALONE) <= set(FILES)
 

@@ -1,0 +1,62 @@
+"""The application is at its limit of processes."""
+
+from __future__ import annotations
+
+import time
+
+from sitl.faults._cgroups import cgroup, update
+from sitl.faults._inmate import LASTS_S, end, start
+from sitl.faults.base import Agent, Fault, undoing
+
+ROOM = 16
+MARK = "phm_holds_pids"
+HOLD = f"""
+import os, signal, time
+mark, until = "{MARK}", time.monotonic() + {LASTS_S}
+while time.monotonic() < until:
+    try:
+        if os.fork() == 0:
+            signal.alarm({LASTS_S})
+            signal.pause()
+    except BlockingIOError:
+        time.sleep(0.02)
+"""
+FULL_LIMIT_S = 30.0
+
+
+class Injection(Fault):
+    """``docker update --pids-limit`` to 16 more than there are, and a process in the container that takes them all and
+    keeps them: nothing there can start a thread or a process any more. What `docker exec` runs is beyond this limit, its children
+    are not."""
+
+    name, title, unit = "pids_exhausted", "limit of processes reached", "pressure/ros_app"
+    condition = "pids_limit"
+    layer = "container"
+    cause = "the application leaks threads or processes up to the limit of its container"
+    healable = False
+    needs = frozenset({"starvation"})
+
+    _restore: list[str] = []
+
+    def inject(self, agent: Agent) -> float:
+        app = agent.app
+        folder = cgroup(app, "pids")
+        self._restore = self._restore or ["--pids-limit", str(app.attrs["HostConfig"]["PidsLimit"] or -1)]
+        limit = int((folder / "pids.current").read_text("ascii")) + ROOM
+        until_s = time.monotonic() + FULL_LIMIT_S
+        with undoing(lambda: self.clear(agent)):
+            update(app, "--pids-limit", str(limit))
+            start(agent, MARK, "python3", "-c", HOLD)
+            while int((folder / "pids.current").read_text("ascii")) < limit:
+                if time.monotonic() > until_s:
+                    raise TimeoutError(
+                        f"{app.name} has not reached its limit of {limit} processes in {FULL_LIMIT_S:g} s"
+                    )
+                time.sleep(0.01)
+        return time.monotonic()
+
+    def clear(self, agent: Agent) -> None:
+        if self._restore:
+            update(agent.app, *self._restore)
+            self._restore = []
+        end(agent, MARK)

@@ -1,0 +1,73 @@
+"""Where limits of a container's disk are written, on both versions of cgroups."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from sitl.faults import _cgroups
+
+V1 = "7:blkio:/docker/abc\n2:cpu,cpuacct:/docker/abc\n0::/docker/abc\n"
+
+
+def container(pid: int) -> Any:
+    return SimpleNamespace(name="app", attrs={"State": {"Pid": pid}}, reload=lambda: None)
+
+
+@pytest.fixture
+def proc(tmp_path: Path) -> Path:
+    (tmp_path / "proc" / "42").mkdir(parents=True)
+    return tmp_path / "proc"
+
+
+def test_version_1_has_a_folder_for_each_controller(tmp_path: Path, proc: Path) -> None:
+    """Also for controllers that are mounted together; one that is not mounted is an error that names it."""
+    (proc / "42" / "cgroup").write_text(V1)
+    assert _cgroups.cgroup(container(42), "blkio", tmp_path, proc) == tmp_path / "blkio" / "docker" / "abc"
+    assert _cgroups.cgroup(container(42), "cpu", tmp_path, proc) == tmp_path / "cpu,cpuacct" / "docker" / "abc"
+    with pytest.raises(LookupError, match="no cgroup of the controller pids"):
+        _cgroups.cgroup(container(42), "pids", tmp_path, proc)
+
+
+def test_version_2_has_one_folder(tmp_path: Path, proc: Path) -> None:
+    """Whatever the controller."""
+    (tmp_path / "cgroup.controllers").write_text("cpu io memory pids\n")
+    (proc / "42" / "cgroup").write_text("0::/system.slice/docker-abc.scope\n")
+    assert _cgroups.cgroup(container(42), "blkio", tmp_path, proc) == tmp_path / "system.slice" / "docker-abc.scope"
+
+
+def test_what_does_not_run_has_no_cgroup(tmp_path: Path) -> None:
+    """Process 0 is no process."""
+    with pytest.raises(LookupError, match="does not run"):
+        _cgroups.cgroup(container(0), "cpu", tmp_path, tmp_path)
+
+
+def test_a_disk_is_throttled_and_freed_on_version_2(tmp_path: Path) -> None:
+    """`io.max` has both directions in one line, and `max` lifts the limit."""
+    (tmp_path / "io.max").touch()
+    _cgroups.throttle(tmp_path, "8:0", 1024)
+    assert (tmp_path / "io.max").read_text() == "8:0 rbps=1024 wbps=1024\n"
+    _cgroups.throttle(tmp_path, "8:0", 0)
+    assert (tmp_path / "io.max").read_text() == "8:0 rbps=max wbps=max\n"
+
+
+def test_a_partition_is_throttled_as_its_disk(tmp_path: Path) -> None:
+    """The kernel takes limits for a disk alone."""
+    number = os.stat(tmp_path).st_dev
+    part = tmp_path / "sda" / "sda1"
+    part.mkdir(parents=True)
+    (tmp_path / "sda" / "dev").write_text("8:0\n")
+    (tmp_path / f"{os.major(number)}:{os.minor(number)}").symlink_to(part)
+    assert _cgroups.disk(str(tmp_path), tmp_path) == f"{os.major(number)}:{os.minor(number)}"
+    (part / "partition").write_text("1\n")
+    assert _cgroups.disk(str(tmp_path), tmp_path) == "8:0"
+
+
+def test_what_is_on_no_disk_cannot_be_throttled(tmp_path: Path) -> None:
+    """A file system in memory has no block device."""
+    with pytest.raises(LookupError, match="not on a block device"):
+        _cgroups.disk(str(tmp_path), tmp_path)

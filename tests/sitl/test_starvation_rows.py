@@ -1,0 +1,117 @@
+"""What the record of a starved agent becomes in a row, and the table of several measurements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sitl import starvation
+from sitl.proofplan import STARVING
+from sitl.stack import ROOT
+from sitl.starvation_rows import BEGIN, END, Row, as_json, cells, count, from_json, levels, markdown, unwell
+
+CAUSE = "pressure/ros_app"
+
+
+def event(kind: str, mono: float, unit: str = CAUSE, **more: Any) -> dict[str, Any]:
+    return {"event": kind, "mono": mono, "unit": unit, "fault": f"f-{unit}", **more}
+
+
+def opened(mono: float, unit: str = CAUSE, condition: str = "cpu_throttled") -> dict[str, Any]:
+    return event("fault_opened", mono, unit, condition=condition)
+
+
+def action(mono: float, phase: str, unit: str = CAUSE, name: str = "restart") -> dict[str, Any]:
+    return event("action", mono, unit, phase=phase, action=name)
+
+
+def row(events: list[dict[str, Any]], *, healable: bool = False, expected: tuple[str, ...] = (CAUSE,)) -> Row:
+    made = Row("cpu_limited", "a title", list(expected), healable)
+    made.read(events, 100.0)
+    made.judge()
+    return made
+
+
+def test_one_alarm_at_the_cause_holds() -> None:
+    """What is STALE behind it, and what the machine says of itself, is no alarm."""
+    stale = event("transition", 102.0, "rates/a", level="STALE", blocked_by=CAUSE)
+    made = row([opened(101.5), stale, opened(103.0, "host/cpu", "cpu_high"), action(104.0, "started", name="join")])
+    assert made.good
+    assert (made.detected_s, made.blocked, made.beside, made.actions) == (1.5, ["rates/a"], ["host/cpu cpu_high"], [])
+
+
+@pytest.mark.parametrize(
+    ("events", "words"),
+    [
+        ([], "alarms at nothing"),
+        ([opened(101.0), opened(102.0, "rates/a")], "rates/a"),
+        ([opened(101.0), opened(105.0)], "pressure/ros_app x2"),
+        ([opened(101.0), action(102.0, "started")], "1 actions, of which 0 can help"),
+    ],
+)
+def test_what_does_not_hold(events: list[dict[str, Any]], words: str) -> None:
+    """No alarm, one elsewhere, one twice, and an action that cannot help."""
+    assert any(words in problem for problem in row(events).problems)
+
+
+def test_a_real_fault_under_load_needs_its_one_action_and_the_proof_of_it() -> None:
+    """Both causes have an alarm; a second action, or one that was not verified, is a problem."""
+    node, host = "nodes/a/node_1", "host/cpu"
+    alarms = [opened(101.0, host), opened(102.0, node)]
+    done = [action(103.0, "started", node), action(110.0, "verified", node)]
+    made = row([*alarms, *done], healable=True, expected=(node, host))
+    assert made.good
+    assert made.healed_s == 10.0
+    assert not row(alarms, healable=True, expected=(node, host)).good
+    twice = row([*alarms, done[0], *done], healable=True, expected=(node, host))
+    assert twice.problems == ["2 actions, of which 1 can help"]
+
+
+def test_what_is_left_at_the_end() -> None:
+    """The last level of each unit and faults that were not closed, but for the machine; a start of PHM forgets."""
+    events = [
+        event("unit", 1.0, "a", level="ERROR"),
+        event("start", 2.0, ""),
+        event("unit", 3.0, "b", level="OK"),
+        event("transition", 4.0, "b", level="STALE"),
+        event("unit", 4.0, "host/cpu", level="ERROR"),
+        opened(5.0, "c"),
+        opened(5.0, "d"),
+        event("fault_closed", 6.0, "d"),
+    ]
+    assert levels(events) == {"b": "STALE", "host/cpu": "ERROR"}
+    assert unwell(events) == ["b STALE", "fault at c"]
+
+
+def test_equal_words_are_counted() -> None:
+    """The most frequent first."""
+    assert count(["a", "b", "b"]) == "b x2, a"
+
+
+def test_the_table_has_a_line_for_each_measurement(tmp_path: Path) -> None:
+    """Read back from the JSON of earlier runs; what does not hold says so."""
+    file = tmp_path / "before.json"
+    file.write_text(as_json([row([opened(101.0), action(102.0, "started")])], "2 cores", "before"))
+    words, rows = from_json(file)
+    assert words == "before (2 cores)"
+    lines = markdown([("before", rows), ("after", [row([opened(101.0)])])]).splitlines()
+    assert lines[2:] == [
+        "| a title | before | 1: pressure/ros_app after 1.0 s | restart | all OK; **does not hold** |",
+        "| a title | after | 1: pressure/ros_app after 1.0 s | none | all OK |",
+    ]
+    assert cells(row([])) == ("none", "none", "all OK")
+
+
+def test_the_page_has_room_for_the_table() -> None:
+    """docs/recovery.md has the marks, in their order, once."""
+    page = (ROOT / "docs" / "recovery.md").read_text("utf-8")
+    assert page.count(BEGIN) == page.count(END) == 1
+    assert page.index(BEGIN) < page.index(END)
+
+
+def test_each_fault_is_starved_for_longer_than_an_overload_lasts() -> None:
+    """An overload ends by itself before it is judged, and every fault of the plan is played by default."""
+    assert starvation.OVERLOADED_S > starvation.LASTS_S
+    assert len(STARVING) == 8
