@@ -63,6 +63,8 @@ class RateFact:
     changed_s: float | None = None
     """For how long each single look has shown another rate than before, of which alone `hz` tells then. None when the
     window holds no such change, and with several publishers."""
+    not_counted_s: float = 0.0
+    """Of silent_s, the time in which the ROS child did not run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,11 +116,18 @@ class BeaconFact:
     witness: str = ""
     rivals: int = 0
     copied_by: str = ""
+    not_counted_s: float = 0.0
+    """Of age_s, the time in which the ROS child did not run."""
+
+    @property
+    def silent_s(self) -> float:
+        """What of its age is its silence."""
+        return max(0.0, self.age_s - self.not_counted_s)
 
     @property
     def missed(self) -> float:
         """Periods since the last beat."""
-        return self.age_s / self.period_s
+        return self.silent_s / self.period_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,15 +142,17 @@ class DiagnosticFact:
     message: str = ""
     hardware_id: str = ""
     values: Mapping[str, str] = field(default_factory=dict)
+    not_counted_s: float = 0.0
+    """Of age_s, the time in which the ROS child did not run."""
 
 
 @dataclass(frozen=True, slots=True)
 class RosFact:
     """The newest picture of the ROS graph from the child process.
 
-    age_s: since the child made it, or found nothing changed. up_s: how long this child has been looking; a graph that is only a
-    second old does not prove absence. nodes: full name -> how often it is listed. topics: those that
-    the configuration names, by full name. beacons: by full node name, those heard since this child began.
+    age_s: since the child made it, or found nothing changed. up_s: how long this child has been looking, without a break in which
+    it did not run and leases may have ended; a graph that is only a second old does not prove absence. nodes: full name -> how
+    often it is listed. topics: those that the configuration names, by full name. beacons: by full node name, those heard since this child began.
     diagnostics: by the name of the status, likewise. others: topics that the configuration does not name, by full
     name, as of a few seconds ago; not all of them where there are very many. refused: messages on the beacons' topic that
     were none, or were too many, since this child began. names_known: whether the names of nodes could be read.

@@ -19,6 +19,9 @@ KEPT = 2048
 WINDOW_S = 60.0
 """Over so long `phm status` says how much of the time it was."""
 
+HELD = ("R", "D")
+"""States of a process that would run if it could: ready, or waiting for a disk."""
+
 Late = Callable[[float, float | None], float]
 """As `Lateness.late_s`, at the moment of the call: since when, and how much of it counts at most beside the longest span."""
 
@@ -67,6 +70,11 @@ class Lateness:
                 longest_s, total_s = max(longest_s, span_s), total_s + max(0.0, span_s)
         return total_s if most_s is None else longest_s + min(total_s - longest_s, most_s)
 
+    def add(self, begin: float, end: float) -> None:
+        """A span that another process reports of itself."""
+        with self._lock:
+            self._spans.append((max(begin, self._spans[-1][1] if self._spans else begin), end))
+
     def _notice(self, now: float) -> None:
         """With the lock held."""
         if self._due is not None and now - self._due >= NOISE_S:
@@ -74,13 +82,39 @@ class Lateness:
             self._due = now  # what is late from here on is another span
 
 
-def waited_s(pid: int) -> float | None:
-    """How long the first thread of a process has waited on the run queue so far; None where the kernel does not say."""
-    try:
-        with open(f"/proc/{pid}/schedstat", "rb", buffering=0) as stream:
-            return int(stream.read(128).split()[1]) / 1e9
-    except (OSError, ValueError, IndexError):
-        return None
+class Progress:
+    """Whether the first thread of another process could run, by what the kernel counts of it in /proc/PID."""
+
+    def __init__(self, pid: int, proc: str = "/proc") -> None:
+        self._folder = f"{proc}/{pid}"
+        self._last: tuple[float, float, float] | None = None
+
+    def turn(self, now: float) -> float:
+        """Seconds since the last turn in which it was kept from running: it waited for a core, or is doing so, or for a disk.
+        A process that sleeps or computes was not. 0 in the first turn, and where the kernel does not count."""
+        before, self._last = self._last, self._read(now)
+        if before is None or self._last is None:
+            return 0.0
+        passed_s, ran_s, waited_s = (new - old for new, old in zip(self._last, before, strict=True))
+        # A wait is counted when it ends: who is ready or waits for the disk, and has not run since, is waiting now.
+        held_s = passed_s - ran_s if self._state() in HELD else 0.0
+        return min(passed_s, max(0.0, waited_s, held_s))
+
+    def _read(self, now: float) -> tuple[float, float, float] | None:
+        try:
+            with open(f"{self._folder}/schedstat", "rb", buffering=0) as stream:
+                ran_ns, waited_ns = stream.read(128).split()[:2]
+                return now, int(ran_ns) / 1e9, int(waited_ns) / 1e9
+        except (OSError, ValueError):
+            return None
+
+    def _state(self) -> str:
+        try:
+            with open(f"{self._folder}/stat", "rb", buffering=0) as stream:
+                line = stream.read(512)
+                return chr(line[line.rindex(b")") + 2])
+        except (OSError, ValueError, IndexError):
+            return ""
 
 
 class Monitor:

@@ -168,11 +168,11 @@ class Deaf:
     def _signs(self, node: Wanted, fact: api.RosFact) -> Iterable[float]:
         beacon = fact.beacons.get(node.name)
         if beacon is not None:
-            yield beacon.age_s
+            yield beacon.silent_s
         for topic, _ in self._ends[node.name].rates:
             rate = fact.topics.get(topic, api.TopicFact()).rate
             if rate is not None and rate.silent_s is not None:
-                yield rate.silent_s
+                yield max(0.0, rate.silent_s - rate.not_counted_s)
 
     def _nameless(self, fact: api.RosFact) -> bool:
         """Nodes' names come as data, that there are publishers with discovery."""

@@ -90,7 +90,7 @@ def agree(beacons: Mapping[str, api.BeaconFact], others: Mapping[str, bool], lat
 
 def silent(fact: api.BeaconFact, late_s: float = 0.0) -> bool:
     """Whether PHM does not hear the node."""
-    return max(0.0, fact.age_s - late_s) > max(SILENT_PERIODS * fact.period_s, SILENT_S)
+    return max(0.0, fact.silent_s - late_s) > max(SILENT_PERIODS * fact.period_s, SILENT_S)
 
 
 def _opinion(

@@ -102,7 +102,7 @@ class Signs:
         if self.rivals:
             self.doubts.add("rivals")
         # While PHM's own child is late nobody was heard: that is no silence.
-        silent_s = max(0.0, beacon.age_s - fact.age_s)
+        silent_s = max(0.0, beacon.silent_s - fact.age_s)
         if silent_s > WAVER_PERIODS * beacon.period_s:
             self.doubts.add("beacon wavers")
         if silent_s > max(SILENT_PERIODS * beacon.period_s, SILENT_S):
@@ -126,7 +126,7 @@ class Signs:
                 continue
             if any(end.node not in ("", self._node) for end in seen.publishers):
                 continue
-            known_s = max(0.0, rate.silent_s - fact.age_s)
+            known_s = max(0.0, rate.silent_s - rate.not_counted_s - fact.age_s)
             if known_s <= _waver_s(rate, rate_hz):
                 return Evidence(Kind.TOPICS, Says.ALIVE, f"{last(topic)} flows", rate.silent_s)
             silent.append((known_s, topic))

@@ -88,7 +88,7 @@ class Consensus(api.Check):
         lacking = [
             name
             for name in self._required
-            if name in fact.nodes and (name not in beacons or beacons[name].age_s > LOST_S)
+            if name in fact.nodes and (name not in beacons or beacons[name].silent_s > LOST_S)
         ]
         if not lacking:
             return None

@@ -168,7 +168,7 @@ def _publisher(name: str, settings: api.Settings) -> str:
 
 
 def _judged(name: str, said: api.DiagnosticFact, entry: api.WatchedDiagnosticSettings) -> Judged:
-    if said.age_s > entry.timeout:
+    if said.age_s - said.not_counted_s > entry.timeout:
         words = f"has not been heard for {span(said.age_s)}, expected every {span(entry.timeout)} at least"
         return Judged(name, said, _STALE_IS[entry.when_stale], "diagnostic_stale", words, "silent")
     message = clean(said.message) or "no message"

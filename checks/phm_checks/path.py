@@ -121,7 +121,7 @@ class Path(api.Check):
             if not fact.nodes.get(node):
                 known = fact.up_s > self._settings.ros.grace
                 return Hop("application", State.BROKEN if known else State.UNKNOWN, f"{last(node)} not in the graph")
-            if beacon is not None and max(beacon.late_s, beacon.age_s - fact.age_s) > HANG_S:
+            if beacon is not None and max(beacon.late_s, beacon.silent_s - fact.age_s) > HANG_S:
                 return Hop("application", State.BROKEN, f"{last(node)} does not answer")
         return Hop("application", State.OK)
 

@@ -57,7 +57,7 @@ def _picture(wanted: dict[str, object], up_s: float, times: int) -> None:
     topics = wanted["topics"]
     assert isinstance(topics, list)
     empty: list[object] = [[], [], None]
-    picture = ["picture", [up_s, {"/a/n": times}, {t["name"]: empty for t in topics}, 1, True, []]]
+    picture = ["picture", [up_s, {"/a/n": times}, {t["name"]: empty for t in topics}, 1, True, [], 0.0]]
     _write(json.dumps(picture).encode() + b"\n")
 
 
@@ -68,7 +68,7 @@ def _write(data: bytes) -> None:
 
 def _blind() -> int:
     while not select.select([0], [], [], 0.1)[0]:
-        _write(b"x" * 1_500_000 + b'\n["tick",[1.0,{},1]]\n')
+        _write(b"x" * 1_500_000 + b'\n["tick",[1.0,{},1,0.0]]\n')
     return 0
 
 

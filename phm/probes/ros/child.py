@@ -81,9 +81,9 @@ def _report(watch: Watch, out: int, tick_s: float) -> None:
     leak = _Leak(os.environ.get("PHM_DEBUG_ROS_LEAK_MB", ""))
     next_s = time.monotonic()
     orders = Lines()
-    told = False
+    told, late_s = False, 0.0
     while True:
-        _send(out, *watch.look(told=told))
+        _send(out, *watch.look(told=told, late_s=late_s))
         leak.grow()
         if not told:
             next_s = max(next_s + tick_s, time.monotonic())
@@ -91,6 +91,7 @@ def _report(watch: Watch, out: int, tick_s: float) -> None:
         if woken is None:
             return
         told = woken
+        late_s = max(0.0, time.monotonic() - next_s)
 
 
 def _wait(until_s: float, orders: Lines, watch: Watch) -> bool | None:

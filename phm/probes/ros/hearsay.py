@@ -14,6 +14,8 @@ from phm.ros_facts import BeaconFact, DiagnosticFact
 
 _aged_beacon = changer(BeaconFact, "age_s")
 _aged_status = changer(DiagnosticFact, "age_s")
+_late_beacon = changer(BeaconFact, "not_counted_s")
+_late_status = changer(DiagnosticFact, "not_counted_s")
 _Fact = TypeVar("_Fact", BeaconFact, DiagnosticFact)
 
 MAX_NAMES = 500
@@ -83,13 +85,18 @@ class Hearsay:
             for name, fact in news.beacons.items()
         )
 
-    def since(self, now_s: float) -> tuple[dict[str, BeaconFact], dict[str, DiagnosticFact]]:
-        """All of it that proves something, with ages as of `now_s`."""
+    def since(
+        self, now_s: float, late: Callable[[float], float] = lambda passed_s: 0.0
+    ) -> tuple[dict[str, BeaconFact], dict[str, DiagnosticFact]]:
+        """All of it that proves something, with ages as of `now_s`. late: of so many seconds until then, those in which the child did
+        not run."""
         beacons = {name: _aged_beacon(fact, fact.age_s + now_s - at) for name, (at, fact) in self.beacons.items()}
-        return (
-            {name: fact for name, fact in beacons.items() if not self._unproved(fact, now_s)},
-            {name: _aged_status(fact, fact.age_s + now_s - at) for name, (at, fact) in self.diagnostics.items()},
-        )
+        statuses = {name: _aged_status(fact, fact.age_s + now_s - at) for name, (at, fact) in self.diagnostics.items()}
+        beacons |= {name: _late_beacon(fact, late_s) for name, fact in beacons.items() if (late_s := late(fact.age_s))}
+        statuses |= {
+            name: _late_status(fact, late_s) for name, fact in statuses.items() if (late_s := late(fact.age_s))
+        }
+        return {name: fact for name, fact in beacons.items() if not self._unproved(fact, now_s)}, statuses
 
     def _unproved(self, fact: BeaconFact, now_s: float) -> bool:
         """Whether it is silent, and may have been lost among too many."""

@@ -27,8 +27,9 @@ UNEVEN = 0.1
 """Share of the expected rate by which a rate must stray for that."""
 COUNTED = 20
 """Samples of several publishers that a rate is counted from, at least: they come in no even beat."""
-STALL_S = 1.0
-"""Looks further apart than this tell that PHM itself stood still; what is beyond is no silence of the publisher."""
+LATE_S, STALL_S = 0.5, 1.0
+"""Looks further apart than LATE_S, two ticks, tell that PHM itself did not run: of that time half counts as silence of the
+publisher, so that a starved PHM still finds it, and nothing of what is beyond STALL_S."""
 _SHARE = 0.2
 
 
@@ -119,7 +120,7 @@ class Meter:
 
     def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
         """Count the time in which there was no sample though one would have been heard."""
-        since_s = min(STALL_S, now_s - self._last_look_s) if self._last_look_s is not None else 0.0
+        since_s = _listened_s(now_s - self._last_look_s) if self._last_look_s is not None else 0.0
         self._last_look_s = now_s
         if not samples and listening.on:
             self._quiet_s += since_s
@@ -244,6 +245,11 @@ class Meter:
         if newest is None:
             return None
         return newest.age_s(now_s) if self._silence is not None else newest.clock_age_s(now_s)
+
+
+def _listened_s(passed_s: float) -> float:
+    """Of the time between two looks, what counts as silence."""
+    return passed_s if passed_s <= LATE_S else max(LATE_S / 2, min(passed_s, STALL_S) / 2)
 
 
 def _rounded(number: float | None) -> float | None:

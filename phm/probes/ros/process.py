@@ -28,10 +28,12 @@ from phm.probes.ros.protocol import (
     LINE_LIMIT,
     Message,
     Missing,
+    Picture,
     ProtocolError,
     Publish,
     Remark,
     Sandbox,
+    Tick,
     Wanted,
     WantedTopic,
     decode,
@@ -41,6 +43,7 @@ from phm.probes.ros.protocol import (
 from phm.probes.ros.unnamed import UNNAMED_S, Unnamed
 from phm.probes.ros.view import View
 from phm.ros_facts import DiagnosticFact
+from phm.scheduling import NOISE_S, Lateness, Progress
 from phm.settings import Settings
 
 NOT_INSTALLED = (
@@ -82,7 +85,9 @@ class Limits:
     start_s: float = 20.0
     """From start to the first picture: importing rclpy takes seconds on a small board with an SD card."""
     silent_s: float = 3.0
-    """Longest time between two messages; the child sends four a second."""
+    """Longest time between two messages in which the child could run; it sends four a second."""
+    starved_s: float = 30.0
+    """The same in any case. A child that waits for a core gains nothing from being replaced: its start takes more of it."""
     weigh_s: float = 1.0
     doubt_s: float = DOUBT_S
     unnamed_s: float = UNNAMED_S
@@ -132,6 +137,7 @@ class RosProcess:
         self._unnamed = Unnamed(limits.unnamed_s)
         self._lock = threading.Lock()
         self._view = self._blank
+        self._late = Lateness()
         self._post = b""
         self._unsent = 0
         self._remarks: set[str] = set()
@@ -172,10 +178,14 @@ class RosProcess:
             view, why = self._view, self._why
         if view.picture is None:
             raise CannotTell(why)
-        fact = view.fact(view.picture, self._clock.mono())
+        fact = view.fact(view.picture, self._clock.mono(), self._late_s)
         if fact.age_s > self._limits.silent_s:
             raise CannotTell(f"the ROS child has sent no picture of the ROS graph for {fact.age_s:.1f} s")
         return fact
+
+    def _late_s(self, since: float, most_s: float | None = None) -> float:
+        """Of the child, as `Clock.late_s` is of the daemon."""
+        return self._late.late_s(since, self._clock.mono(), most_s)
 
     def problems(self) -> tuple[str, ...]:
         """What keeps PHM from seeing all of the graph, in sentences."""
@@ -267,14 +277,17 @@ class RosProcess:
 
     def _attend(self, life: Life, missing: list[Missing]) -> str:
         """Read until it must be replaced; returns why, or nothing when it ended by itself or on request."""
-        heard_s = weighed_s = self._clock.mono()
+        heard_s = weighed_s = looked_s = self._clock.mono()
+        progress, held_s = Progress(life.pid), 0.0
         limit_s = self._limits.start_s
         dropped = 0
         while not life.over and not self._closing and not self._renew:
             self._hand_post(life)
             lines = life.read(min(0.5, limit_s / 2), self._wake)
             self._drain()
-            now_s = self._clock.mono()
+            before_s, now_s = looked_s, self._clock.mono()
+            looked_s = now_s
+            held_s = 0.0 if lines else held_s + max(progress.turn(now_s), self._clock.late_s(before_s))
             if life.dropped > dropped:
                 dropped = life.dropped
                 self._lose_sight(now_s)
@@ -291,8 +304,9 @@ class RosProcess:
                 else:
                     limit_s = self._limits.silent_s
                     self._take(message, now_s)
-            if now_s - heard_s > limit_s:
-                return f"said nothing for {limit_s:g} s and was killed"
+            if now_s - heard_s - held_s > limit_s or now_s - heard_s > limit_s + self._limits.starved_s:
+                held = f", beside {held_s:.0f} s in which it did not get to run," if held_s >= 1.0 else ""
+                return f"said nothing for {limit_s:g} s{held} and was killed"
             if now_s - weighed_s >= self._limits.weigh_s:
                 weighed_s = now_s
                 self._doubt(now_s)
@@ -314,7 +328,7 @@ class RosProcess:
             return
         # Strangers cannot have the child replaced.
         ghosts = self._ghosts.look({name: picture.nodes.get(name, 0) for name in self._nodes}, now_s)
-        fact = self._view.fact(picture, now_s)
+        fact = self._view.fact(picture, now_s, self._late_s)
         beating = {name for name in self._nodes if name in fact.beacons and fact.beacons[name].missed < SILENT_MISSES}
         unnamed = self._unnamed.look(fact.topics, now_s, beating - fact.nodes.keys())
         if ghosts:
@@ -339,6 +353,8 @@ class RosProcess:
 
     def _take(self, message: Message, now_s: float) -> None:
         with self._lock:
+            if isinstance(message, (Picture, Tick)) and message.late_s >= NOISE_S:
+                self._late.add(now_s - message.late_s, now_s)
             changed = self._view.changed_by(message)
             self._view = self._view.with_message(message, now_s)
         if isinstance(message, Remark) and message.text not in self._remarks and len(self._remarks) < _REMARKS:

@@ -59,7 +59,8 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """The graph as it is now. up_s: how long the child's participant has existed. number: counts pictures of this child.
+    """The graph as it is now. up_s: how long the child's participant has existed. number: counts pictures of this child. late_s: by
+    how much the child looked too late, because it did not get to run.
 
     names_known: whether the names of nodes could be read. problems: sentences about what could not be read or was left out.
     """
@@ -70,18 +71,20 @@ class Picture:
     number: int = 0
     names_known: bool = True
     problems: tuple[str, ...] = ()
+    late_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
     """Nothing changed since the last picture but these: seconds of silence of the topics with a rate.
 
-    picture: the number of that picture. If it never arrived, nothing is known of the graph.
+    picture: the number of that picture. If it never arrived, nothing is known of the graph. late_s: as in `Picture`.
     """
 
     up_s: float
     silent_s: Mapping[str, float | None] = field(default_factory=dict)
     picture: int = 0
+    late_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

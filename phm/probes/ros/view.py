@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from phm.facts import RosFact, TopicFact
@@ -10,12 +10,17 @@ from phm.probes.ros.hearsay import Hearsay
 from phm.probes.ros.protocol import Heard, Message, Others, Picture, Tick
 from phm.probes.ros.records import changer
 from phm.ros_facts import NameFact, RateFact
+from phm.scheduling import Late, never_late
 
+BREAK_S, AGAIN_S = 1.0, 30.0
+"""A child that was so late may have lost others whose leases ended meanwhile, and finds them again. After such a break another
+one counts only so much later: a child that is starved for good must not hide for ever what is missing."""
 FRESH_S = 4.0
 """A silence is told by then, or what is said of its node will not decide it."""
 _with_rate = changer(TopicFact, "rate")
 _with_silence = changer(RateFact, "silent_s")
 _with_age = changer(RateFact, "age_s")
+_with_late = changer(RateFact, "not_counted_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +33,14 @@ class View:
     others: Mapping[str, NameFact] = field(default_factory=dict)
     silent_s: Mapping[str, float | None] = field(default_factory=dict)
     """Of topics with a rate, as of `seen_s`, where that is newer than the picture."""
+    break_s: float = float("-inf")
+    """When the child went on after it had not run for BREAK_S, monotonic seconds."""
 
     def with_message(self, message: Message, now_s: float) -> View:
         picture, hearsay, others, silent_s = self.picture, self.hearsay, self.others, self.silent_s
-        seen_s = self.seen_s
+        seen_s, break_s = self.seen_s, self.break_s
+        if isinstance(message, (Picture, Tick)) and message.late_s >= BREAK_S and now_s - break_s >= AGAIN_S:
+            break_s = now_s
         if isinstance(message, Heard):
             hearsay = hearsay.with_news(message, now_s)
         elif isinstance(message, Others):
@@ -40,7 +49,7 @@ class View:
             picture, silent_s, seen_s = message, {}, now_s
         elif isinstance(message, Tick) and picture is not None and message.picture == picture.number:
             picture, silent_s, seen_s = replace(picture, up_s=message.up_s), message.silent_s, now_s
-        return View(picture, seen_s, hearsay, others, silent_s)
+        return View(picture, seen_s, hearsay, others, silent_s, break_s)
 
     def without_picture(self) -> View:
         """A message was lost, which may have been a picture."""
@@ -52,17 +61,23 @@ class View:
             return self.hearsay.differs(message)
         return isinstance(message, Picture) and (self.picture is None or _shape(self.picture) != _shape(message))
 
-    def fact(self, picture: Picture, now_s: float) -> RosFact:
-        """As a fact, with ages as of `now_s`. picture: that of this view, which there must be."""
+    def fact(self, picture: Picture, now_s: float, late_s: Late = never_late) -> RosFact:
+        """As a fact, with ages as of `now_s`. picture: that of this view, which there must be. late_s: of the child."""
         age_s = max(0.0, now_s - self.seen_s)
-        topics = {name: self._aged(name, topic, age_s) for name, topic in picture.topics.items()}
-        hearsay = self.hearsay.since(now_s)
+
+        def late(passed_s: float) -> float:
+            """Of this time until now; half of it where the child is starved for good."""
+            return min(passed_s, late_s(now_s - passed_s, passed_s / 2))
+
+        topics = {name: self._aged(name, topic, age_s, late) for name, topic in picture.topics.items()}
+        hearsay = self.hearsay.since(now_s, late)
+        up_s = min(picture.up_s + age_s, now_s - self.break_s)
         return RosFact(
-            age_s, picture.up_s + age_s, picture.nodes, topics, *hearsay, self.others, self.hearsay.refused,
+            age_s, up_s, picture.nodes, topics, *hearsay, self.others, self.hearsay.refused,
             picture.names_known, None if self.hearsay.lost_at is None else now_s - self.hearsay.lost_at,
         )  # fmt: skip
 
-    def _aged(self, name: str, topic: TopicFact, age_s: float) -> TopicFact:
+    def _aged(self, name: str, topic: TopicFact, age_s: float, late: Callable[[float], float]) -> TopicFact:
         rate = topic.rate
         if rate is None:
             return topic
@@ -71,6 +86,8 @@ class View:
             return topic
         silent_s += age_s
         aged: RateFact = _with_silence(rate, silent_s)
+        if not_counted_s := late(silent_s):
+            aged = _with_late(aged, not_counted_s)
         if rate.hz == 0.0 and rate.age_s is not None and rate.silent_s is not None:
             # Nothing has come since the picture was made: then it told how long before the look the last one was published.
             aged = _with_age(aged, rate.age_s + max(0.0, silent_s - rate.silent_s))

@@ -60,20 +60,23 @@ class Watch:
         """A descriptor that is readable when the graph may have changed; None where there is none."""
         return self._events.fd
 
-    def look(self, *, told: bool = False) -> list[Message]:
-        """Called once a tick, and told when `events` was readable: what there is to tell the daemon."""
+    def look(self, *, told: bool = False, late_s: float = 0.0) -> list[Message]:
+        """Called once a tick, and told when `events` was readable: what there is to tell the daemon. late_s: how much too late.
+
+        The picture comes last: whoever judges a silence by its time has received what was heard until then.
+        """
         if told:
             self._events.take()
-        messages: list[Message] = [self._picture(told=told)]
-        if self._names.look(time.monotonic()):
-            messages.append(Others(self._names.names))
-        return messages + self._beacons.look() + self._diagnostics.look()
+        picture = self._picture(told=told, late_s=round(late_s, 3))
+        heard = [*self._beacons.look(), *self._diagnostics.look()]
+        others: list[Message] = [Others(self._names.names)] if self._names.look(time.monotonic()) else []
+        return [*heard, *others, picture]
 
     def obey(self, order: Publish) -> None:
         """Called as soon as the daemon has said so."""
         self._diagnostics.publish(order)
 
-    def _picture(self, *, told: bool) -> Picture | Tick:
+    def _picture(self, *, told: bool, late_s: float) -> Picture | Tick:
         """The whole picture when something changed or it is time, else only that nothing did."""
         now_s = time.monotonic()
         changed = self._graph.look(now_s, told=told)
@@ -83,7 +86,7 @@ class Watch:
         states = {name: flow(rate) for name, rate in rates.items()}
         up_s = round(now_s - self._began_s, 3)
         if not changed and states == self._states and now_s < self._next_full_s:
-            return Tick(up_s, {name: rate.silent_s for name, rate in rates.items()}, self._number)
+            return Tick(up_s, {name: rate.silent_s for name, rate in rates.items()}, self._number, late_s)
         self._states = states
         self._next_full_s = now_s + self._full_s
         graph = self._graph
@@ -93,7 +96,7 @@ class Watch:
         }
         self._number += 1
         problems = tuple(filter(None, (*graph.problems, self._names.problem)))
-        return Picture(up_s, graph.nodes, topics, self._number, graph.names_known, problems)
+        return Picture(up_s, graph.nodes, topics, self._number, graph.names_known, problems, late_s)
 
     def close(self) -> None:
         """Leave the graph politely, so that others forget this participant now and not after its lease."""

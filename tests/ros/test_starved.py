@@ -1,0 +1,189 @@
+"""What the ROS child did not see because it did not get to run is no fault of nodes and topics, nor of the child."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from phm import api
+from phm.probes.ros import process
+from phm.probes.ros.meter import Meter
+from phm.probes.ros.process import Limits
+from phm.probes.ros.protocol import Heard, Picture, Tick
+from phm.probes.ros.track import Sample
+from phm.probes.ros.view import AGAIN_S, BREAK_S, View
+from phm.scheduling import Lateness, Progress
+from phm_checks._quorum import silent
+from tests.fakes.ros_bench import Bench, until
+from tests.ros.test_supervision import fake
+
+NODE = "/a/n"
+PICTURE = Picture(100.0, {NODE: 1}, {"/a/t": api.TopicFact((), (), api.RateFact(10.0, 0.1, limit_s=1.0))}, 1)
+
+
+class Child:
+    """The daemon's view of a child whose messages the test writes."""
+
+    def __init__(self) -> None:
+        self.now, self.late = 1000.0, Lateness()
+        self.view = View().with_message(PICTURE, self.now)
+
+    def hear(self) -> None:
+        self.view = self.view.with_message(Heard({NODE: api.BeaconFact(0.0, 0.2)}), self.now)
+
+    def tick(self, passed_s: float, late_s: float = 0.0) -> api.RosFact:
+        self.now += passed_s
+        if late_s:
+            self.late.add(self.now - late_s, self.now)
+        self.view = self.view.with_message(Tick(100.0, {"/a/t": 0.1}, 1, late_s), self.now)
+        return self.fact()
+
+    def fact(self) -> api.RosFact:
+        assert self.view.picture is not None
+        return self.view.fact(self.view.picture, self.now, self.late_s)
+
+    def late_s(self, since: float, most_s: float | None = None) -> float:
+        return self.late.late_s(since, self.now, most_s)
+
+
+def test_a_beacon_is_not_silent_while_the_child_does_not_run() -> None:
+    """Its silence is what is left of its age; while the child runs, silence counts in full."""
+    child = Child()
+    child.hear()
+    fact = child.tick(5.0, 4.8)
+    assert not silent(fact.beacons[NODE])
+    assert fact.beacons[NODE].age_s == pytest.approx(5.0)
+    for _ in range(4):
+        fact = child.tick(0.25)
+    assert silent(fact.beacons[NODE])
+
+
+def test_a_child_that_is_starved_for_good_halves_a_silence_at_most() -> None:
+    """A node that died is found all the same."""
+    child = Child()
+    child.hear()
+    for _ in range(20):
+        fact = child.tick(0.5, 0.49)
+    assert fact.beacons[NODE].silent_s >= 4.5
+
+
+def test_after_a_break_the_graph_proves_absence_as_after_a_start() -> None:
+    """Leases may have ended meanwhile; but breaks that follow each other do not hide for ever what is missing."""
+    child = Child()
+    assert child.tick(0.25).up_s == pytest.approx(100.0)
+    assert child.tick(2.0, BREAK_S).up_s == 0.0
+    assert child.tick(3.0, BREAK_S).up_s == pytest.approx(3.0)
+    assert child.tick(AGAIN_S, BREAK_S / 2).up_s == pytest.approx(AGAIN_S + 3.0)
+    assert child.tick(3.0, BREAK_S).up_s == 0.0
+
+
+def sample(number: int, at_s: float) -> Sample:
+    return Sample(number, int(at_s * 1e9), at_s)
+
+
+@pytest.mark.parametrize(("gap_s", "most_s"), [(0.9, 6.5), (5.0, 31.0)])
+def test_looks_that_are_late_count_half_at_most(gap_s: float, most_s: float) -> None:
+    """A topic is not silent because PHM looked late; one that is, is found within twice its limit, or a few late looks."""
+    meter = Meter(10.0, 3.0)
+    meter.look(100.0, [sample(1, 100.0)])
+    now = 100.0
+    while (fact := meter.look(now := now + gap_s, [])).hz != 0.0:
+        assert now - 100.0 < most_s
+    assert fact.silent_s is not None
+    assert fact.silent_s > 2 * 3.0 - gap_s
+
+
+def test_looks_in_time_count_in_full() -> None:
+    """On a machine with time to spare a silent topic is found as soon as ever."""
+    meter = Meter(10.0, 3.0)
+    meter.look(100.0, [sample(1, 100.0)])
+    found = [step for step in range(1, 20) if meter.look(100.0 + 0.25 * step, []).hz == 0.0]
+    assert found[0] == 13
+
+
+def proc(folder: Path, state: str, ran_s: float, waited_s: float) -> str:
+    (folder / "7").mkdir(exist_ok=True)
+    (folder / "7" / "stat").write_text(f"7 (a ) b) {state} 1 7 7 0 -1", "ascii")
+    (folder / "7" / "schedstat").write_text(f"{int(ran_s * 1e9)} {int(waited_s * 1e9)} 12\n", "ascii")
+    return str(folder)
+
+
+@pytest.mark.parametrize(
+    ("state", "ran_s", "waited_s", "held_s"),
+    [
+        ("S", 0.1, 1.5, 1.5),
+        ("R", 0.1, 0.0, 1.9),
+        ("D", 0.0, 0.0, 2.0),
+        ("S", 0.1, 0.0, 0.0),
+        ("R", 2.0, 0.0, 0.0),
+        ("T", 0.0, 0.0, 0.0),
+    ],
+    ids=["it waited", "it waits for a core", "it waits for the disk", "it sleeps", "it computes", "it is stopped"],
+)
+def test_only_a_process_that_would_run_if_it_could_is_kept_from_running(
+    tmp_path: Path, state: str, ran_s: float, waited_s: float, held_s: float
+) -> None:
+    """By its state and what the kernel counts; one that sleeps, computes or is stopped has no such excuse."""
+    progress = Progress(7, proc(tmp_path, "S", 10.0, 20.0))
+    assert progress.turn(100.0) == 0.0
+    proc(tmp_path, state, 10.0 + ran_s, 20.0 + waited_s)
+    assert progress.turn(102.0) == pytest.approx(held_s)
+
+
+def test_without_the_kernels_count_nothing_is_excused(tmp_path: Path) -> None:
+    """A kernel without schedstat, and a process that is gone."""
+    progress = Progress(7, str(tmp_path))
+    assert (progress.turn(1.0), progress.turn(5.0)) == (0.0, 0.0)
+    mine = Progress(os.getpid())
+    mine.turn(time.monotonic())
+    assert mine.turn(time.monotonic()) >= 0.0
+
+
+@pytest.mark.parametrize(("share", "replaced"), [(1.0, False), (0.0, True)], ids=["starved", "hangs"])
+def test_a_child_is_replaced_for_silence_only_if_it_could_run(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, share: float, replaced: bool
+) -> None:
+    """A starved child is waited for up to `starved_s`, since its successor would be starved as well; one that hangs is not."""
+    held(monkeypatch, share)
+    limits = Limits(start_s=20.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, farewell_s=0.2, starved_s=2.0)
+    probe = bench.probe(command=fake("mute"), limits=limits)
+    until(lambda: probe.restarts >= 1, "a replacement")
+    words = bench.notes[0]
+    assert "said nothing for 0.5 s" in words
+    assert ("did not get to run" in words) is not replaced
+
+
+def held(monkeypatch: pytest.MonkeyPatch, share: float) -> None:
+    class Held(Progress):
+        def __init__(self, pid: int) -> None:
+            super().__init__(pid)
+            self.last: float | None = None
+
+        def turn(self, now: float) -> float:
+            passed_s = 0.0 if self.last is None else now - self.last
+            self.last = now
+            return share * passed_s
+
+    monkeypatch.setattr(process, "Progress", Held)
+
+
+def test_what_was_heard_is_sent_before_the_picture(bench: Bench) -> None:
+    """So that no silence is judged by a picture that is newer than what was heard until then."""
+    from phm.probes.ros.watch import Watch
+
+    order: list[str] = []
+
+    class Looked(Watch):
+        def __init__(self) -> None:
+            part = type("Part", (), {"look": lambda self, *_: [Heard()]})()
+            self._beacons = self._diagnostics = part
+            self._names = type("Names", (), {"look": lambda self, _: False})()
+
+        def _picture(self, *, told: bool, late_s: float) -> Picture | Tick:
+            return Tick(1.0, late_s=late_s)
+
+    order += [type(message).__name__ for message in Looked().look(late_s=0.5)]
+    assert order == ["Heard", "Heard", "Tick"]
