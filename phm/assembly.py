@@ -20,6 +20,7 @@ from phm.probes.files import Files
 from phm.probes.host import Host, clock_synchronized
 from phm.probes.links import Links
 from phm.probes.notices import Notices
+from phm.probes.pressure import Pressure
 from phm.probes.pulse import Pulse
 from phm.probes.ros.process import RosProcess
 from phm.probes.swarm import Swarm
@@ -163,6 +164,7 @@ def assemble(
         links=links,
         swarm=swarm,
         myself=Myself(self_look, ros, links),
+        pressure=Pressure(engine, docker, settings, clock),
     )
     return Parts(engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, world)
 

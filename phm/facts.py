@@ -21,6 +21,12 @@ from phm.link_facts import (
     RadioFact as RadioFact,
     SenderFact as SenderFact,
 )
+from phm.pressure_facts import (
+    ConsumerFact as ConsumerFact,
+    PressureFact as PressureFact,
+    PressureProbe as PressureProbe,
+    StallFact as StallFact,
+)
 from phm.ros_facts import (
     BeaconFact as BeaconFact,
     DiagnosticFact as DiagnosticFact,
@@ -137,6 +143,12 @@ class ContainerFact:
     stop_timeout_s: float | None = None
     """How long the engine then waits before SIGKILL, as the container asks for it (`stop_grace_period`,
     `--stop-timeout`); negative: for ever; None: the engine's default, 10 s."""
+    cgroup_parent: str = ""
+    """The cgroup that the user wants it in; empty: the engine's choice."""
+    cpu_limit: float | None = None
+    """CPUs; None: no limit."""
+    cpu_period_s: float = 0.1
+    """Period in which that limit is given out."""
     maintenance: str = ""
     """The label `phm.maintenance`: a time in which the container is on hold (`phm.maintenance`)."""
 
@@ -282,6 +294,10 @@ class HostFact:
     fans_rpm: tuple[int, ...] = ()
     waiting_percent: float | None = None
     """Share of that time in which some task was ready and had to wait for a core; None when the kernel does not tell."""
+    memory_stalled_percent: float | None = None
+    """Share of that time in which tasks waited for memory and none ran; None when the kernel does not count it."""
+    io_stalled_percent: float | None = None
+    """The same for the disks."""
 
 
 class HostProbe(Protocol):
@@ -329,3 +345,4 @@ class World:
     links: LinkProbe
     swarm: SwarmProbe
     myself: SelfProbe
+    pressure: PressureProbe

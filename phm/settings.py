@@ -135,6 +135,8 @@ class ContainerSettings(Section):
     """Containers that must have started before this one; it is restarted after one of them was restarted by PHM."""
     healthcheck: Literal["auto", "required", "ignore"] = "auto"
     """`auto`: judged when the image has a HEALTHCHECK, else BYPASS. `required`: having none is an error."""
+    pressure: Literal["auto", "ignore"] = "auto"
+    """`ignore`: it may be short of CPU, memory or disk, e.g. because its CPU limit is meant to slow it down."""
     networks: list[Name] = Field(default_factory=list)
     """Networks it must be connected to; PHM joins them itself."""
     address: bool = True
@@ -445,6 +447,42 @@ class HostSettings(Section):
     """Where the host's /dev is mounted in PHM's container (docker/compose.yaml: /host/dev)."""
 
 
+class FaultLimit(Section):
+    """A pair of limits of a frequency; `warn` must not be above `error`."""
+
+    warn: Annotated[Hertz, Field(gt=0)]
+    """WARN from here."""
+    error: Annotated[Hertz, Field(gt=0)]
+    """ERROR from here."""
+
+
+class PressureSettings(Section):
+    """When a container, or the computer, is short of CPU, memory, disk or processes."""
+
+    window: Annotated[Seconds, Field(ge=1, le=60)] = 2.0
+    """Seconds over which the counters of a container are compared."""
+    throttled: Limit = Limit(warn=25, error=50)
+    """Share of time in which a container is stopped by its CPU limit."""
+    waiting: Limit = Limit(warn=75, error=90)
+    """Share of time in which nothing of a container runs although it is ready, because others have the CPUs."""
+    memory: Limit = Limit(warn=40, error=60)
+    """Share of time in which all of a container waits for memory."""
+    memory_faults: FaultLimit = FaultLimit(warn=50, error=200)
+    """Pages a second that a container must read back because its memory limit left no room for them."""
+    io: Limit = Limit(warn=60, error=90)
+    """Share of time in which all of a container waits for the disk, over at least 5 s."""
+    pids: Limit = Limit(warn=90, error=100)
+    """Share of a container's limit of processes and threads in use."""
+    host_memory: Limit = Limit(warn=10, error=30)
+    """Share of time in which all of the computer waits for memory, over `host_window`."""
+    host_io: Limit = Limit(warn=70, error=95)
+    """Share of time in which all of the computer waits for its disks, over `host_window`."""
+    host_window: Annotated[Seconds, Field(ge=1, le=600)] = 10.0
+    """Seconds over which the two are averaged."""
+    cgroups: AbsolutePath = "/sys/fs/cgroup"
+    """Where the host's /sys/fs/cgroup is mounted in PHM's container (docker/compose.yaml: /host/cgroup)."""
+
+
 class ManualStopSettings(Section):
     """What a stop that came from an operator (`docker stop`, `docker compose stop`, `down`) means."""
 
@@ -601,6 +639,8 @@ class Settings(Section):
     """The same status over Zenoh."""
     host: HostSettings = HostSettings()
     """Limits for the companion computer."""
+    pressure: PressureSettings = PressureSettings()
+    """When a container, or the computer, is short of something."""
     recovery: RecoverySettings = RecoverySettings()
     """What may be done about faults."""
     log: LogSettings = LogSettings()

@@ -23,6 +23,7 @@ from phm.clock import Clock, Steps
 from phm.facts import (
     AutopilotFact,
     CannotTell,
+    ConsumerFact,
     ContainerFact,
     DeviceFact,
     DeviceProbe,
@@ -35,6 +36,8 @@ from phm.facts import (
     HostProbe,
     LinkFact,
     LinkProbe,
+    PressureFact,
+    PressureProbe,
     ProcessFact,
     RadioFact,
     RosFact,
@@ -50,7 +53,7 @@ from phm.scheduling import Lateness
 from phm.settings import Settings
 
 __all__ = [
-    "FakeClock", "FakeDevices", "FakeDocker", "FakeFiles", "FakeHost", "FakeLinks", "FakeRos",
+    "FakeClock", "FakeDevices", "FakeDocker", "FakeFiles", "FakeHost", "FakeLinks", "FakePressure", "FakeRos",
     "FakeSelf", "FakeSwarm", "container", "settings", "world",
 ]  # fmt: skip
 
@@ -322,6 +325,37 @@ class FakeHost(_Fake):
         return self.fact
 
 
+class FakePressure(_Fake):
+    """Counters of containers by name: with room for everything and no limit, until `put` or `change` says otherwise.
+
+    `taken` lists who takes the CPUs. A container that was never put has counters that stand still.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.facts: dict[str, PressureFact | None] = {}
+        self.taken: tuple[ConsumerFact, ...] = ()
+        self.consumers_asked = 0
+
+    def put(self, name: str, fact: PressureFact | None) -> None:
+        """The container's counters; None: it does not run."""
+        self.facts[name] = fact
+
+    def change(self, name: str, **fields: Any) -> None:
+        """Replace fields of one container's fact."""
+        fact = self.facts.get(name) or PressureFact(0.0, "cgroup v2")
+        self.facts[name] = dataclasses.replace(fact, **fields)
+
+    def container(self, name: str) -> PressureFact | None:
+        self._asked()
+        return self.facts.get(name, PressureFact(0.0, "cgroup v2"))
+
+    def consumers(self) -> tuple[ConsumerFact, ...]:
+        self.consumers_asked += 1
+        self._asked()
+        return self.taken
+
+
 class FakeRos(_Fake):
     """A picture of the graph, fresh and taken by a child that has looked for a minute."""
 
@@ -425,6 +459,7 @@ def world(
     links: LinkProbe | None = None,
     swarm: SwarmProbe | None = None,
     myself: SelfProbe | None = None,
+    pressure: PressureProbe | None = None,
 ) -> World:
     """A world of fakes, with those parts replaced that are given."""
     return World(
@@ -437,6 +472,7 @@ def world(
         links=links or FakeLinks(),
         swarm=swarm or FakeSwarm(),
         myself=myself or FakeSelf(),
+        pressure=pressure or FakePressure(),
     )
 
 

@@ -11,6 +11,7 @@ from datetime import datetime
 from phm import api
 from phm.api import Level
 from phm_checks._graded import Graded
+from phm_checks._taken import taken_by
 from phm_checks._words import Steady, span
 
 WAITING_PERCENT = 40.0
@@ -38,6 +39,7 @@ class Cpu:
         self._start_s = settings.ros.grace
         self._first: float | None = None
         self._ask_from = float("-inf")
+        self._taken: tuple[str, float] | None = None
 
     def judge(self, fact: api.HostFact, now: float, world: api.World) -> api.Result:
         """The mean of the readings within the window; high use is told once the window is full, or the quick way."""
@@ -54,6 +56,8 @@ class Cpu:
         }
         if fact.waiting_percent is not None:
             values["cpu_waiting_percent"] = round(fact.waiting_percent, 1)
+        # It takes two questions to know who has the CPUs: the first is asked before there is something to report.
+        self._taken = taken_by(world) if fact.cpu_percent >= self._limits.cpu.warn else None
         full = now - self._readings[0][0] >= window_s
         level = self._mean.level(mean)
         quick = self._judge_quickly(fact, now, world)
@@ -68,7 +72,8 @@ class Cpu:
         return self._bad(level, words, mean, values)
 
     def _bad(self, level: Level, words: str, share: float, values: dict[str, api.Value]) -> api.Result:
-        told = f"{words}: find the process with `top`, or give its container a CPU limit"
+        most = f"; {self._taken[0]} takes {self._taken[1]:.1f} CPUs" if self._taken else ""
+        told = f"{words}{most}: find the process with `top`, or give its container a CPU limit"
         return api.Result(level, told, f"CPU {self._steady.show('cpu', share):.0f} %", "cpu_high", values=values)
 
     # ------------------------------------------------------------ the quick way
@@ -102,7 +107,7 @@ class Cpu:
             return None
         words = (
             f"CPU at {least:.0f} % or more for {span(window_s)}, expected below {limits.warn:g} %, and tasks waited for a core "
-            f"in {waiting:.0f} % of that time (/proc/pressure/cpu)"
+            f"in {waiting:.0f} % of that time"
         )
         return (Level.ERROR if least >= limits.error else Level.WARN), words
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._cpu import Cpu
 from phm_checks._graded import Graded
-from phm_checks._words import Steady, brief, clean, joined, listed
+from phm_checks._stalls import Stalls
+from phm_checks._words import Steady, brief, clean, joined, listed, span
 
 __all__ = ["STEP_TOLD_S", "Graded", "Host"]
 
@@ -19,7 +21,7 @@ SUSPECTS = ("memory", "disk")
 
 
 class Host(api.Check):
-    """The machine: units host/cpu, host/memory, host/disk, host/temperature and host/clock."""
+    """The machine: units host/cpu, host/memory, host/io, host/disk, host/temperature and host/clock."""
 
     name, slot, layer = "host", Slot.HOST, Layer.COMPANION
     period_s = 1.0
@@ -31,6 +33,10 @@ class Host(api.Check):
         self._disks: dict[str, Graded] = {}
         self._heat = Graded(limits.temperature_warn, limits.temperature_error)
         self._step: tuple[float, float] | None = None
+        self._window_s = settings.pressure.host_window
+        self._memory_stalls = Stalls(settings.pressure.host_memory, self._window_s)
+        self._io_limit = settings.pressure.host_io
+        self._io_stalls = Stalls(self._io_limit, self._window_s)
         self._steady = Steady(share=0.05)
 
     @classmethod
@@ -39,7 +45,7 @@ class Host(api.Check):
 
     @property
     def units(self) -> Sequence[api.Unit]:
-        parts = ("cpu", "memory", "disk", "temperature", "clock")
+        parts = ("cpu", "memory", "io", "disk", "temperature", "clock")
         return tuple(api.Unit(f"host/{part}", suspect=part in SUSPECTS) for part in parts)
 
     def run(self, world: api.World) -> Mapping[str, api.Result]:
@@ -47,27 +53,65 @@ class Host(api.Check):
         now = world.clock.mono()
         return {
             "host/cpu": self._cpu.judge(fact, now, world),
-            "host/memory": self._judge_memory(fact),
+            "host/memory": self._judge_memory(fact, now),
+            "host/io": self._judge_io(fact, now),
             "host/disk": self._judge_disks(fact),
             "host/temperature": self._judge_temperature(fact),
             "host/clock": self._judge_clock(fact, now),
         }
 
-    def _judge_memory(self, fact: api.HostFact) -> api.Result:
-        used = fact.memory_percent
+    def _judge_memory(self, fact: api.HostFact, now: float) -> api.Result:
+        """How much is used; and, worse, that tasks already wait for it."""
+        used, stalled = fact.memory_percent, self._judge_memory_stalls(fact, now)
         values: dict[str, api.Value] = {
             "memory_percent": round(used, 1),
             "memory_available_bytes": fact.memory_available_bytes,
+            "memory_stalled_percent": _rounded(fact.memory_stalled_percent),
         }
         level = self._memory.level(used)
+        findings = [stalled] if stalled is not None else []
         if level is Level.OK:
             self._steady.forget("memory")
+        else:
+            words = (
+                f"memory at {used:.0f} %, {fact.memory_available_bytes / 1e6:.0f} MB available, expected below "
+                f"{self._limits.memory.warn:g} %: find the leak, or give its container a memory limit"
+            )
+            shown = f"memory {self._steady.show('memory', used):.0f} %"
+            findings.append(self._bad(level, words, shown, "memory_high", values))
+        if not findings:
             return api.ok(f"Memory at {used:.0f} %", **values)
+        first = api.worst(findings)
+        return replace(first, summary=joined([finding.summary for finding in findings]), values=values)
+
+    def _judge_memory_stalls(self, fact: api.HostFact, now: float) -> api.Result | None:
+        level, mean = self._memory_stalls.judge(fact.memory_stalled_percent, now)
+        if level is Level.OK:
+            self._steady.forget("memory stalls")
+            return None
         words = (
-            f"memory at {used:.0f} %, {fact.memory_available_bytes / 1e6:.0f} MB available, expected below "
-            f"{self._limits.memory.warn:g} %: find the leak, or give its container a memory limit"
+            f"the computer waited for memory {mean:.0f} % of the last {span(self._window_s)} (/proc/pressure/memory), with "
+            f"{fact.memory_available_bytes / 1e6:.0f} MB available: find the leak, or give its container a memory limit"
         )
-        return self._bad(level, words, f"memory {self._steady.show('memory', used):.0f} %", "memory_high", values)
+        shown = f"memory stalls {self._steady.show('memory stalls', mean):.0f} %"
+        return self._bad(level, words, shown, "memory_pressure", {})
+
+    def _judge_io(self, fact: api.HostFact, now: float) -> api.Result:
+        level, mean = self._io_stalls.judge(fact.io_stalled_percent, now)
+        if fact.io_stalled_percent is None:
+            return api.bypass(
+                "This kernel does not count how long tasks wait for its disks (psi=1 on its command line)."
+            )
+        values: dict[str, api.Value] = {"io_stalled_percent": _rounded(fact.io_stalled_percent)}
+        if level is Level.OK:
+            self._steady.forget("io")
+            return api.ok(f"Disks keep the computer waiting {fact.io_stalled_percent:.0f} % of the time", **values)
+        words = (
+            f"the computer waited for its disks {mean:.0f} % of the last {span(self._window_s)} (/proc/pressure/io), expected below "
+            f"{self._io_limit.warn:g} %: a slow or worn SD card, or a program that writes more than it takes; write less, or to "
+            "another disk"
+        )
+        return self._bad(level, words, f"disk stalls {self._steady.show('io', mean):.0f} %", "io_pressure", values)
 
     def _judge_disks(self, fact: api.HostFact) -> api.Result:
         if not fact.disks:
@@ -163,3 +207,7 @@ class Host(api.Check):
     @staticmethod
     def _bad(level: Level, words: str, short: str, condition: str, values: Mapping[str, api.Value]) -> api.Result:
         return api.Result(level, words, brief(short), condition, values=values)
+
+
+def _rounded(percent: float | None) -> float | None:
+    return None if percent is None else round(percent, 1)

@@ -11,7 +11,18 @@ from collections.abc import Callable, Iterable, Mapping
 from phm.config import fleet_rules
 from phm.config.problems import shown, unknown
 from phm.config.view import View
-from phm.settings import Celsius, ContainerSettings, HostSettings, Percent, RecoverySettings, Seconds, TopicSettings
+from phm.settings import (
+    Celsius,
+    ContainerSettings,
+    Hertz,
+    HostSettings,
+    Percent,
+    RecoverySettings,
+    Seconds,
+    TopicSettings,
+)
+
+PRESSURE_SHARES = ("throttled", "waiting", "memory", "io", "pids", "host_memory", "host_io")
 
 
 def judge(root: View) -> None:
@@ -261,11 +272,13 @@ def link_ids_are_told_apart(root: View) -> None:
 
 
 def limits_are_in_order(root: View) -> None:
-    for key in ("cpu", "memory", "disk"):
-        limit = root.get("host", key)
+    places = [("host", key, Percent) for key in ("cpu", "memory", "disk")]
+    places += [("pressure", key, Percent) for key in PRESSURE_SHARES]
+    for section, key, kind in (*places, ("pressure", "memory_faults", Hertz)):
+        limit = root.get(section, key)
         warn, error = limit.get("warn"), limit.get("error")
         if warn.given and error.given:
-            in_order(warn, error, Percent, (0.0, 0.0))
+            in_order(warn, error, kind, (0.0, 0.0))
     host, recovery = HostSettings(), RecoverySettings()
     pair = root.get("host", "temperature_warn"), root.get("host", "temperature_error")
     in_order(*pair, Celsius, (host.temperature_warn, host.temperature_error))

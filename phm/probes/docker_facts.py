@@ -23,6 +23,10 @@ class Budget:
     def __init__(self, clock: Clock, limit_s: float) -> None:
         self._clock, self._until = clock, clock.mono() + limit_s
 
+    @property
+    def spent(self) -> bool:
+        return self._clock.mono() >= self._until
+
     def left_s(self) -> float:
         return max(_LEAST_S, self._until - self._clock.mono())
 
@@ -96,8 +100,22 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         privileged=bool(host.get("Privileged")),
         stop_signal=_signal(_part(answer, "Config").get("StopSignal")),
         stop_timeout_s=_seconds(_part(answer, "Config").get("StopTimeout")),
+        cgroup_parent=_text(host.get("CgroupParent")),
+        cpu_limit=_cpu_limit(host),
+        cpu_period_s=_cpu_period_s(host),
         maintenance=_text(_part(_part(answer, "Config"), "Labels").get(LABEL))[:_OUTPUT_CHARS],
     )
+
+
+def _cpu_limit(host: Mapping[str, Any]) -> float | None:
+    """CPUs, by `--cpus` or by `--cpu-quota`."""
+    cpus = _number(host.get("NanoCpus")) / 1e9 or _number(host.get("CpuQuota")) / 1e6 / _cpu_period_s(host)
+    return cpus if cpus > 0 else None
+
+
+def _cpu_period_s(host: Mapping[str, Any]) -> float:
+    period_us = _number(host.get("CpuPeriod"))
+    return period_us / 1e6 if period_us > 0 else 0.1
 
 
 def _signal(value: Any) -> int:

@@ -19,7 +19,8 @@ from pathlib import Path
 from phm.clock import Clock
 from phm.disk_space import space
 from phm.facts import CannotTell, DiskFact, HostFact
-from phm.probes.processor import Processor, head
+from phm.probes.kernel_file import head
+from phm.probes.processor import Processor
 from phm.probes.worker import Worker
 from phm.settings import Settings
 
@@ -113,6 +114,8 @@ class Host:
             return HostFact(
                 cpu_percent=use.busy_percent,
                 waiting_percent=use.waiting_percent,
+                memory_stalled_percent=use.memory_percent,
+                io_stalled_percent=use.io_percent,
                 memory_percent=100.0 * (total - available) / total,
                 memory_available_bytes=available,
                 disks=tuple(self._disk(path, worker) for path, worker in self._disks.items()),

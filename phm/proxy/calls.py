@@ -19,6 +19,8 @@ from phm.transport import docker_bodies
 
 COMMAND_LINES = "-ef"
 """Arguments for `ps` with which `relaunch` looks for its command (`phm.transport.docker.Engine.top`)."""
+STATISTICS = r"/stats\?stream=False&one-shot=True"
+"""One reading, as `phm.transport.docker.Engine.stats` asks for it."""
 _ID_PREFIX = re.compile(r"[0-9a-f]{1,64}")
 _ALIAS = r'"[A-Za-z0-9][A-Za-z0-9_.-]*"'
 _ALIASES = rf'"Aliases": \[{_ALIAS}(?:, {_ALIAS})*\]'
@@ -114,6 +116,9 @@ def _container(subject: Subject, title: str) -> list[Call]:
 
 
 def _looks(subject: Subject, entry: ContainerSettings, settings: Settings) -> Iterator[Call]:
+    if entry.pressure != "ignore":
+        # Used where the host's cgroups are not mounted into PHM, which the configuration does not show.
+        yield Call(f"{entry.key}: its statistics", "GET", STATISTICS, subject)
     nodes = {settings.container_of_node(node.name) for node in settings.ros.nodes}
     topics = {settings.container_of_topic(topic) for topic in settings.ros.topics}
     if entry.key in nodes | topics:

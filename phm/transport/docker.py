@@ -88,6 +88,14 @@ class Engine(Session):
         what = f"list processes of {container}"
         return self._ask(lambda client: client.top(container, ps_args=ps_args), deadline_s, what)
 
+    def stats(self, container: str, *, deadline_s: float | None = None) -> Answer:
+        """What a container has used since its start, of CPU, memory and processes, once.
+
+        Engines of today answer immediately; 20.10 only at the next tick of its collector, after up to 1 s.
+        """
+        what = f"read the statistics of {container}"
+        return self._ask(lambda client: client.stats(container, stream=False, one_shot=True), deadline_s, what)
+
     def _ask(self, fn: Callable[[APIClient], Any], deadline_s: float | None, what: str) -> Answer:
         """One JSON object; anything else is an answer that makes no sense, EngineBroken."""
         return self.call(lambda client: mapping(fn(client)), deadline_s=deadline_s, what=what)

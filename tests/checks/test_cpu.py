@@ -24,12 +24,14 @@ class Bench:
         (self.check,) = Host.build(testing.settings(host=limits, containers=[{"name": "ros_app"}]))
         self.clock, self.host = testing.FakeClock(), testing.FakeHost()
         self.docker = testing.FakeDocker(testing.container("ros_app", started_at="2023-11-01T00:00:00.5Z"))
+        self.pressure = testing.FakePressure()
         self.looks(20.0, **CALM)
 
     def look(self, **fields: Any) -> api.Result:
         self.clock.advance(STEP_S)
         self.host.change(**fields)
-        results = self.check.run(testing.world(clock=self.clock, host=self.host, docker=self.docker))
+        world = testing.world(clock=self.clock, host=self.host, docker=self.docker, pressure=self.pressure)
+        results = self.check.run(world)
         assert not isinstance(results, api.Result)
         return results["host/cpu"]
 
@@ -171,3 +173,49 @@ def test_a_kernel_without_pressure_tells_none(tmp_path: Path) -> None:
     processor = Processor(clock, tmp_path)
     clock.advance(1.0)
     assert processor.use().waiting_percent is None
+
+
+def test_without_pressure_the_run_queues_show_who_waits(tmp_path: Path) -> None:
+    """The eighth figure of each `cpu` line of /proc/schedstat (sched-stats.rst) counts nanoseconds, added up over the CPUs."""
+
+    def waited(first_ns: int, second_ns: int) -> None:
+        lines = [
+            f"cpu{number} 0 0 9 9 9 9 777 {ns} 9\ndomain0 3 1 2" for number, ns in enumerate((first_ns, second_ns))
+        ]
+        (tmp_path / "schedstat").write_text("\n".join(["version 15", "timestamp 4294892", *lines, ""]), "ascii")
+
+    clock = testing.FakeClock()
+    write(tmp_path, "1 0 1 1 0 0 0 0 0 0", None)
+    waited(0, 10**9)
+    processor = Processor(clock, tmp_path)
+    clock.advance(1.0)
+    waited(2 * 10**8, 10**9 + 3 * 10**8)
+    assert processor.use().waiting_percent == pytest.approx(50.0)
+
+
+def test_stalls_for_memory_and_disks_are_those_of_all_tasks(tmp_path: Path) -> None:
+    """The `full` lines: a single task that waits while others run is ordinary."""
+
+    def stalled(full_us: int) -> None:
+        for name in ("memory", "io"):
+            lines = f"some avg10=0.00 total=9{full_us}\nfull avg10=0.00 avg60=0.00 avg300=0.00 total={full_us}\n"
+            (tmp_path / "pressure" / name).write_text(lines, "ascii")
+
+    clock = testing.FakeClock()
+    write(tmp_path, "1 0 1 1 0 0 0 0 0 0", 0)
+    stalled(1_000)
+    processor = Processor(clock, tmp_path)
+    clock.advance(2.0)
+    stalled(501_000)
+    use = processor.use()
+    assert (use.memory_percent, use.io_percent) == (pytest.approx(25.0), pytest.approx(25.0))
+
+
+def test_who_has_the_cpus_is_named_when_they_are_taken() -> None:
+    """Asked only then."""
+    bench = Bench()
+    pressure = testing.FakePressure()
+    pressure.taken = (api.ConsumerFact("slam", 1.83), api.ConsumerFact("ros_app", 0.1))
+    bench.pressure = pressure
+    assert pressure.consumers_asked == 0
+    assert "slam takes 1.8 CPUs" in bench.looks(2.0, **BUSY)[-1].summary

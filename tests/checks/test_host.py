@@ -131,3 +131,49 @@ def test_a_machine_that_cannot_be_read_is_no_fault() -> None:
     bench.host.fail("/proc is not mounted")
     with pytest.raises(api.CannotTell):
         bench.look("cpu")
+
+
+class Stalled:
+    """The check on a machine whose tasks wait for memory or disks; each look is a second after the one before."""
+
+    def __init__(self) -> None:
+        (self.check,) = Host.build(testing.settings())
+        self.clock, self.host = testing.FakeClock(), testing.FakeHost()
+
+    def looks(self, count: int, unit: str, **fields: float | None) -> list[api.Result]:
+        self.host.change(**fields)
+        found = []
+        for _ in range(count):
+            self.clock.advance(1.0)
+            results = self.check.run(testing.world(clock=self.clock, host=self.host))
+            assert not isinstance(results, api.Result)
+            found.append(results[unit])
+        return found
+
+
+def test_disks_that_keep_the_computer_waiting_are_reported_after_a_while() -> None:
+    """With the share, its limit and what to do; a burst of writes is none, and a calm window ends it."""
+    bench = Stalled()
+    assert {result.level for result in bench.looks(12, "host/io", io_stalled_percent=10.0)} == {api.Level.OK}
+    assert {result.level for result in bench.looks(5, "host/io", io_stalled_percent=99.0)} == {api.Level.OK}
+    bench.looks(10, "host/io", io_stalled_percent=10.0)
+    result = bench.looks(12, "host/io", io_stalled_percent=98.0)[-1]
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "io_pressure", "disk stalls 98 %")
+    assert "waited for its disks 98 % of the last 10 s" in result.summary and "SD card" in result.summary
+    assert bench.looks(12, "host/io", io_stalled_percent=1.0)[-1].level is api.Level.OK
+
+
+def test_a_kernel_that_does_not_count_stalls_is_a_bypass() -> None:
+    """Raspberry Pi OS without `psi=1`: the slot does not turn yellow."""
+    result = Stalled().looks(12, "host/io", io_stalled_percent=None)[-1]
+    assert result.bypass and result.level is api.Level.OK and "psi=1" in result.summary
+
+
+def test_waiting_for_memory_is_reported_beside_how_much_is_used() -> None:
+    """A computer can have memory available and no room for what its programs need again and again."""
+    bench = Stalled()
+    result = bench.looks(12, "host/memory", memory_stalled_percent=45.0)[-1]
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "memory_pressure", "memory stalls 45 %")
+    result = bench.looks(1, "host/memory", memory_percent=99.0)[-1]
+    assert "waited for memory 45 %" in result.summary and "memory at 99 %" in result.summary
+    assert bench.looks(12, "host/memory", memory_percent=40.0, memory_stalled_percent=1.0)[-1].level is api.Level.OK

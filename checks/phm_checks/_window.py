@@ -1,0 +1,118 @@
+"""What the counters of a container say about the last seconds. Not a check: files of this folder that begin with an underscore
+are parts of checks.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from phm import api
+
+LEAST_S = 0.4
+"""Over less than this, shares say nothing: the CPU limit is given out ten times a second."""
+MOST_READINGS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """What happened to a container in `seconds`. Shares are in percent of that time; None: cannot be seen."""
+
+    seconds: float
+    cpus: float | None = None
+    throttled: float | None = None
+    waiting: float | None = None
+    memory: float | None = None
+    io: float | None = None
+    faults_hz: float | None = None
+    oom_kills: int = 0
+    refused: int = 0
+
+
+class Window:
+    """The readings of one container, of one life."""
+
+    def __init__(self, longest_s: float) -> None:
+        self._longest_s = longest_s
+        self._facts: deque[api.PressureFact] = deque(maxlen=MOST_READINGS)
+
+    def add(self, fact: api.PressureFact) -> None:
+        """A reading that was given before counts once; one of another life or source forgets all before it."""
+        if self._facts and _other(self._facts[-1], fact):
+            self._facts.clear()
+        if self._facts and fact.at - self._facts[-1].at < LEAST_S / 2:
+            return
+        self._facts.append(fact)
+        while len(self._facts) > 2 and self._facts[1].at <= fact.at - self._longest_s:
+            self._facts.popleft()
+
+    def forget(self) -> None:
+        self._facts.clear()
+
+    def over(self, span_s: float, *, full: bool = False) -> Spent | None:
+        """What the last `span_s` seconds or a little more brought; None while there is too little to compare.
+
+        full: None also while the readings do not reach back so far.
+        """
+        if not self._facts:
+            return None
+        new = self._facts[-1]
+        old = next((fact for fact in reversed(self._facts) if fact.at <= new.at - span_s), self._facts[0])
+        seconds = new.at - old.at
+        if seconds < LEAST_S or (full and seconds < 0.95 * span_s):
+            return None
+        return _spent(old, new, seconds)
+
+
+def _other(old: api.PressureFact, new: api.PressureFact) -> bool:
+    return (old.life, old.source) != (new.life, new.source) or new.at < old.at or _backwards(old, new)
+
+
+def _backwards(old: api.PressureFact, new: api.PressureFact) -> bool:
+    return old.cpu_used_s is not None and new.cpu_used_s is not None and new.cpu_used_s < old.cpu_used_s
+
+
+def _spent(old: api.PressureFact, new: api.PressureFact, seconds: float) -> Spent:
+    throttled = _throttled(old, new, seconds)
+    waiting = _share(old.cpu, new.cpu, seconds)
+    used_s = _risen(old.cpu_used_s, new.cpu_used_s)
+    faults = _risen(old.reread_pages, new.reread_pages)
+    return Spent(
+        seconds,
+        cpus=None if used_s is None else used_s / seconds,
+        throttled=throttled,
+        # The kernel counts tasks that the limit stops among those that wait for a CPU.
+        waiting=None if waiting is None else max(0.0, waiting - (throttled or 0.0)),
+        memory=_share(old.memory, new.memory, seconds),
+        io=_share(old.io, new.io, seconds),
+        faults_hz=None if faults is None else faults / seconds,
+        oom_kills=int(_risen(old.oom_kills, new.oom_kills) or 0),
+        refused=int(_risen(old.pids_refused, new.pids_refused) or 0),
+    )
+
+
+def _throttled(old: api.PressureFact, new: api.PressureFact, seconds: float) -> float | None:
+    """Percent of the time in which the limit kept it from running; 0 without a limit.
+
+    The share of periods in which the limit was used up alone would call a container starved that wants 1 % more than it gets: it
+    is multiplied by the share of the wanted CPU time that was refused. That is right for any number of CPUs, over which the
+    stopped time is added up.
+    """
+    hits, stopped_s = _risen(old.throttled_periods, new.throttled_periods), _risen(old.throttled_s, new.throttled_s)
+    used_s = _risen(old.cpu_used_s, new.cpu_used_s)
+    if new.cpu_limit is None and hits is not None:
+        return 0.0
+    if hits is None or stopped_s is None or used_s is None:
+        return None
+    wanted_s = stopped_s + used_s
+    return 100.0 * min(1.0, hits * new.cpu_period_s / seconds) * stopped_s / wanted_s if wanted_s > 0 else 0.0
+
+
+def _share(old: api.StallFact | None, new: api.StallFact | None, seconds: float) -> float | None:
+    if old is None or new is None or old.full_s is None or new.full_s is None:
+        return None
+    return min(100.0, max(0.0, 100.0 * (new.full_s - old.full_s) / seconds))
+
+
+def _risen(old: float | None, new: float | None) -> float | None:
+    return None if old is None or new is None else max(0.0, new - old)

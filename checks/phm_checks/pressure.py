@@ -1,0 +1,203 @@
+"""Slot 9: each configured container gets the CPU, memory, disk and processes that it needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from phm import api
+from phm.api import Level, Slot
+from phm_checks._easing import Easing
+from phm_checks._per_container import PerContainer
+from phm_checks._taken import OUTSIDE, taken_by
+from phm_checks._window import Spent, Window
+from phm_checks._words import Steady, brief, joined
+
+NEWEST_S = 0.9
+"""The newest part of the window, a little less than the period."""
+IO_S = 5.0
+"""A container that waits for the disk has nothing else to do as long as it waits; a short write to a slow card is no fault."""
+KILLED_TOLD_S = 10.0
+"""A process killed for lack of memory is gone at one reading; it is told for this long so that it is seen."""
+LOOK_FROM = 0.5
+"""From this share of the limit for waiting on, it is found out who has the CPUs: that takes two readings."""
+
+
+class Pressure(PerContainer):
+    """The container's limits, and what others leave of the computer, are enough for it."""
+
+    name, slot = "pressure", Slot.HOST
+    period_s = 1.0
+
+    def __init__(self, entry: api.ContainerSettings, limits: api.PressureSettings, grace_s: float) -> None:
+        super().__init__(entry)
+        self._limits, self._grace_s = limits, grace_s
+        self._window = Window(max(limits.window, IO_S))
+        self._throttled = Easing(limits.throttled.warn, limits.throttled.error)
+        self._waiting = Easing(limits.waiting.warn, limits.waiting.error)
+        self._memory = Easing(limits.memory.warn, limits.memory.error)
+        self._faults = Easing(limits.memory_faults.warn, limits.memory_faults.error)
+        self._io = Easing(limits.io.warn, limits.io.error)
+        self._killed: tuple[float, int] | None = None
+        self._steady = Steady(share=0.1)
+
+    @classmethod
+    def wanted(cls, entry: api.ContainerSettings) -> bool:
+        return entry.pressure != "ignore"
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        entries = [entry for entry in settings.containers if cls.wanted(entry)]
+        return [cls(entry, settings.pressure, settings.ros.grace) for entry in entries]
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        """A start takes what it gets: it has the grace that the nodes in it have."""
+        needs = (f"container/{self.key}",)
+        return (api.Unit(self.unit_id, needs=needs, target=self.key, grace_s=self._grace_s),)
+
+    def run(self, world: api.World) -> api.Result:
+        try:
+            fact = world.pressure.container(self.key)
+        except api.NotPermitted as reason:
+            self._window.forget()
+            return api.bypass(f"What {self.key} is short of cannot be seen: {reason}")
+        if fact is None:
+            self._window.forget()
+            return api.bypass(f"{self.key} does not run, so it is short of nothing")
+        self._window.add(fact)
+        over = self._window.over(self._limits.window)
+        newest = self._window.over(NEWEST_S)
+        if over is None or newest is None:
+            return api.stale(f"pressure on {self.key}: the first reading needs a second one to compare with", brief="")
+        return self._judge(world, fact, over, newest)
+
+    def _judge(self, world: api.World, fact: api.PressureFact, over: Spent, newest: Spent) -> api.Result:
+        findings = [
+            finding
+            for finding in (
+                self._judge_limit(fact, over, newest),
+                self._judge_memory(fact, over, newest, world.clock.mono()),
+                self._judge_io(newest),
+                self._judge_pids(fact, over),
+                self._judge_waiting(world, over, newest),
+            )
+            if finding is not None
+        ]
+        values = _values(fact, over)
+        if not findings:
+            return api.ok(f"{self.key} is short of nothing ({fact.source}{_not_seen(fact)})", **values)
+        first = api.worst(findings)
+        return replace(first, summary=joined([finding.summary for finding in findings]), values=values)
+
+    def _judge_limit(self, fact: api.PressureFact, over: Spent, newest: Spent) -> api.Result | None:
+        level = self._throttled.level(over.throttled, newest.throttled)
+        if level is Level.OK or over.throttled is None:
+            self._steady.forget("throttled")
+            return None
+        limit = "" if fact.cpu_limit is None else f" of {fact.cpu_limit:.2g} CPUs"
+        words = (
+            f"{self.key} throttled {over.throttled:.0f} % of the time by its limit{limit}: raise it, e.g. with `cpus:` in "
+            "Compose or `docker update --cpus`"
+        )
+        shown = self._steady.show("throttled", over.throttled)
+        by = "" if fact.cpu_limit is None else f" by {fact.cpu_limit:.2g} CPU"
+        return self._bad(level, words, f"throttled {shown:.0f}%{by}", "cpu_throttled")
+
+    def _judge_memory(self, fact: api.PressureFact, over: Spent, newest: Spent, now: float) -> api.Result | None:
+        limit = "" if fact.memory_limit is None else f" of {_size(fact.memory_limit)}"
+        short = limit.removeprefix(" of")
+        if newest.oom_kills:
+            self._killed = now, newest.oom_kills
+        levels = self._memory.level(over.memory, newest.memory), self._faults.level(over.faults_hz, newest.faults_hz)
+        if self._killed is not None and now - self._killed[0] < KILLED_TOLD_S:
+            words = (
+                f"{self.key} reached its memory limit{limit}, and the kernel killed {self._killed[1]} of its processes: raise the "
+                "limit (`mem_limit:`, `docker update --memory`), or find the leak"
+            )
+            return self._bad(Level.ERROR, words, f"memory limit{short}: killed", "memory_pressure")
+        level = max(levels)
+        if level is Level.OK:
+            return None
+        reads = f" and reads back {over.faults_hz:.0f} pages a second" if levels[1] is not Level.OK else ""
+        waits = f"waits for memory {over.memory:.0f} % of the time" if over.memory is not None else "waits for memory"
+        words = (
+            f"{self.key} {waits}{reads}, since its memory limit{limit} is used up: raise it (`mem_limit:`, `docker update "
+            "--memory`), or find the leak"
+        )
+        return self._bad(level, words, f"memory limit{short} too small", "memory_pressure")
+
+    def _judge_io(self, newest: Spent) -> api.Result | None:
+        over = self._window.over(IO_S, full=True)
+        level = self._io.level(None if over is None else over.io, newest.io)
+        if level is Level.OK or over is None or over.io is None:
+            self._steady.forget("io")
+            return None
+        words = (
+            f"{self.key} waits for the disk {over.io:.0f} % of the time, expected below {self._limits.io.warn:g} %: a slow or worn "
+            "SD card, an I/O limit, or another program that writes much; write less, or to another disk"
+        )
+        return self._bad(level, words, f"waits {self._steady.show('io', over.io):.0f}% for disk", "io_pressure")
+
+    def _judge_pids(self, fact: api.PressureFact, over: Spent) -> api.Result | None:
+        if fact.pids is None or not fact.pids_limit:
+            return None
+        share, limits = 100.0 * fact.pids / fact.pids_limit, self._limits.pids
+        if share < limits.warn and not over.refused:
+            return None
+        level = Level.ERROR if over.refused or share >= limits.error else Level.WARN
+        refused = f", and {over.refused} more were refused" if over.refused else ""
+        words = (
+            f"{self.key} has {fact.pids} processes and threads at its limit of {fact.pids_limit}{refused}: raise it (`pids_limit:`, "
+            "`docker update --pids-limit`), or find what starts so many"
+        )
+        shown = f"{fact.pids_limit} processes: limit" if level is Level.ERROR else f"near {fact.pids_limit} processes"
+        return self._bad(level, words, shown, "pids_limit")
+
+    def _judge_waiting(self, world: api.World, over: Spent, newest: Spent) -> api.Result | None:
+        level = self._waiting.level(over.waiting, newest.waiting)
+        by = None
+        if newest.waiting is not None and newest.waiting >= LOOK_FROM * self._limits.waiting.warn:
+            by = taken_by(world, self.key)
+        if level is Level.OK or over.waiting is None:
+            self._steady.forget("waiting")
+            return None
+        takes = f"{by[0]} takes {by[1]:.1f} CPUs: stop it, or give it a CPU limit" if by else "see `docker stats`"
+        words = f"{self.key} waits {over.waiting:.0f} % of the time for a CPU that others have; {takes}"
+        short = f"waits {self._steady.show('waiting', over.waiting):.0f}% for CPU"
+        named = brief(f"{self.key} {short}", f"({by[0]})") if by and by[0] != OUTSIDE else ""
+        result = self._bad(level, words, short, "cpu_starved")
+        return replace(result, brief=named) if named.startswith(self.key) else result
+
+    def _bad(self, level: Level, words: str, short: str, condition: str) -> api.Result:
+        return api.Result(level, words, brief(self.key, short), condition, self.key)
+
+
+def _values(fact: api.PressureFact, over: Spent) -> dict[str, api.Value]:
+    shares = {
+        "throttled_percent": over.throttled,
+        "cpu_waiting_percent": over.waiting,
+        "memory_waiting_percent": over.memory,
+        "io_waiting_percent": over.io,
+        "reread_pages_hz": over.faults_hz,
+    }
+    values: dict[str, api.Value] = {
+        "source": fact.source,
+        "cpus_used": None if over.cpus is None else round(over.cpus, 3),
+        "cpu_limit": fact.cpu_limit,
+        "memory_bytes": fact.memory_bytes,
+        "memory_limit_bytes": fact.memory_limit,
+        "pids": fact.pids,
+        "pids_limit": fact.pids_limit,
+    }
+    values.update({name: round(share, 1) for name, share in shares.items() if share is not None})
+    return values
+
+
+def _not_seen(fact: api.PressureFact) -> str:
+    return f"; not seen: {', '.join(fact.not_seen)}" if fact.not_seen else ""
+
+
+def _size(count: int) -> str:
+    """Bytes as Docker writes limits: `64 MB` is 64 MiB there."""
+    return f"{count / 2**30:.3g} GB" if count >= 2**30 else f"{count / 2**20:.3g} MB"

@@ -1,0 +1,225 @@
+"""Reads the files of a container's cgroup, of version 2 or 1, in the host's tree. Read-only; no privilege is needed.
+
+Formats: the kernel's Documentation/admin-guide/cgroup-v2.rst and cgroup-v1/. Where both versions are mounted (hybrid, with
+version 2 at `unified`), limits and counters are those of version 1, and pressure is that of version 2.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from phm.facts import ContainerFact, PressureFact, StallFact
+from phm.probes.kernel_file import head
+
+NEAR_LIMIT = 0.9
+"""Below this share of its memory limit a container's memory.stat, which costs most to read, is not looked at."""
+MOST_GROUPS = 256
+PERIOD_S = 0.1
+"""Of a CPU limit, where nothing else is set."""
+_ID = re.compile(r"[0-9a-f]{64}")
+_SCOPE = re.compile(r"(?:docker-)?([0-9a-f]{64})(?:\.scope)?")
+_PARENT = re.compile(r"[A-Za-z0-9_.@:/-]{1,200}")
+_NO_LIMIT = 1 << 60
+"""Version 1 writes its largest number of pages where there is no limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """One container's directories. `unified` may be that of version 2 alone, or beside version 1."""
+
+    unified: str
+    cpu: str = ""
+    cpuacct: str = ""
+    memory: str = ""
+    pids: str = ""
+
+    @property
+    def version(self) -> int:
+        return 1 if self.cpu else 2
+
+
+def find(root: Path, container: ContainerFact) -> Group | None:
+    """The cgroup of a running container below `root`, where the host's /sys/fs/cgroup is seen; None when it is not there."""
+    if not _ID.fullmatch(container.id):
+        return None
+    for place in _places(container):
+        group = _group(root, place)
+        if group is not None:
+            return group
+    return None
+
+
+def _places(container: ContainerFact) -> Iterator[str]:
+    """Where the engine puts it, with its cgroup driver cgroupfs or systemd, and with a parent of the user's own."""
+    parent = container.cgroup_parent.strip("/")
+    if _PARENT.fullmatch(parent) and ".." not in parent.split("/"):
+        if parent.endswith(".slice"):
+            yield f"{_slice(parent)}/docker-{container.id}.scope"
+        yield f"{parent}/{container.id}"
+    yield f"docker/{container.id}"
+    yield f"system.slice/docker-{container.id}.scope"
+
+
+def _slice(name: str) -> str:
+    """The path of a systemd slice: `a-b.slice` lies in `a.slice`."""
+    words = name.rpartition("/")[2].removesuffix(".slice").split("-")
+    return "/".join("-".join(words[: count + 1]) + ".slice" for count in range(len(words)))
+
+
+def _group(root: Path, place: str) -> Group | None:
+    if (root / "cgroup.controllers").exists():
+        return Group(str(root / place)) if (root / place).is_dir() else None
+    cpu = root / "cpu" / place
+    if not cpu.is_dir():
+        return None
+    unified = root / "unified" / place
+    others = (str(root / name / place) for name in ("cpuacct", "memory", "pids"))
+    return Group(str(unified) if unified.is_dir() else "", str(cpu), *others)
+
+
+def read(group: Group, at: float) -> PressureFact:
+    """What the files say at monotonic second `at`. Raises OSError when the container has gone, ValueError when they make no sense."""
+    return _read_v1(group, at) if group.version == 1 else _read_v2(group, at)
+
+
+def _read_v2(group: Group, at: float) -> PressureFact:
+    base = group.unified
+    cpu = _table(f"{base}/cpu.stat")
+    quota, _, period = (_text(f"{base}/cpu.max") or "max").partition(" ")
+    period_s = int(period or 0) / 1e6 or PERIOD_S
+    used, limit = _number(f"{base}/memory.current"), _number(f"{base}/memory.max")
+    return PressureFact(
+        at, "cgroup v2", _life(base), _not_seen(base, cpu),
+        cpu_limit=int(quota) / (period_s * 1e6) if quota.isdecimal() else None,
+        cpu_used_s=_seconds(cpu, "usage_usec", 1e6), cpu_period_s=period_s,
+        throttled_periods=cpu.get("nr_throttled"), throttled_s=_seconds(cpu, "throttled_usec", 1e6),
+        cpu=_stall(base, "cpu"), memory=_stall(base, "memory"), io=_stall(base, "io"),
+        memory_bytes=used, memory_limit=limit, reread_pages=_reread(f"{base}/memory.stat", used, limit),
+        oom_kills=_table(f"{base}/memory.events").get("oom_kill"),
+        pids=_number(f"{base}/pids.current"), pids_limit=_number(f"{base}/pids.max"),
+        pids_refused=_table(f"{base}/pids.events").get("max"),
+    )  # fmt: skip
+
+
+def _read_v1(group: Group, at: float) -> PressureFact:
+    cpu = _table(f"{group.cpu}/cpu.stat")
+    quota_us, period_us = _number(f"{group.cpu}/cpu.cfs_quota_us"), _number(f"{group.cpu}/cpu.cfs_period_us")
+    period_s = (period_us or 0) / 1e6 or PERIOD_S
+    used_ns = _number(f"{group.cpuacct}/cpuacct.usage")
+    used, limit = _number(f"{group.memory}/memory.usage_in_bytes"), _number(f"{group.memory}/memory.limit_in_bytes")
+    limit = None if limit is None or limit >= _NO_LIMIT else limit
+    base = group.unified
+    return PressureFact(
+        at, "cgroup v1", _life(group.cpu), _not_seen(base, cpu),
+        cpu_limit=quota_us / (period_s * 1e6) if quota_us is not None and quota_us > 0 else None,
+        cpu_used_s=None if used_ns is None else used_ns / 1e9, cpu_period_s=period_s,
+        throttled_periods=cpu.get("nr_throttled"), throttled_s=_seconds(cpu, "throttled_time", 1e9),
+        cpu=_stall(base, "cpu"), memory=_stall(base, "memory"), io=_stall(base, "io"),
+        memory_bytes=used, memory_limit=limit, reread_pages=_reread(f"{group.memory}/memory.stat", used, limit),
+        oom_kills=_table(f"{group.memory}/memory.oom_control").get("oom_kill"),
+        pids=_number(f"{group.pids}/pids.current"), pids_limit=_number(f"{group.pids}/pids.max"),
+        pids_refused=_table(f"{group.pids}/pids.events").get("max"),
+    )  # fmt: skip
+
+
+def used_by_all(root: Path) -> dict[str, float]:
+    """CPU seconds that each container has used, by its full id; of at most MOST_GROUPS containers."""
+    first = root if (root / "cgroup.controllers").exists() else root / "cpuacct"
+    found: dict[str, float] = {}
+    for parent in ("docker", "system.slice"):
+        for name in _names(first / parent):
+            match = _SCOPE.fullmatch(name)
+            used_s = _used_s(str(first / parent / name)) if match else None
+            if match and used_s is not None and len(found) < MOST_GROUPS:
+                found[match[1]] = used_s
+    return found
+
+
+def used_s(group: Group) -> float | None:
+    return _used_s(group.cpuacct or group.unified)
+
+
+def _used_s(base: str) -> float | None:
+    try:
+        version_1 = _number(f"{base}/cpuacct.usage")
+        return version_1 / 1e9 if version_1 is not None else _seconds(_table(f"{base}/cpu.stat"), "usage_usec", 1e6)
+    except ValueError:
+        return None
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return os.listdir(folder)
+    except OSError:
+        return []
+
+
+def _life(base: str) -> str:
+    """Raises OSError when the cgroup has gone. A container that is started again gets another directory of the same name."""
+    return f"{base}@{os.stat(base).st_ino}"
+
+
+def _not_seen(base: str, cpu: Mapping[str, int]) -> tuple[str, ...]:
+    missing = [] if "nr_throttled" in cpu else ["its CPU limit"]
+    if not base or not os.path.exists(f"{base}/cpu.pressure"):
+        missing.append("waiting for CPU, memory and disk (no pressure stall information)")
+    return tuple(missing)
+
+
+def _reread(path: str, used: int | None, limit: int | None) -> int | None:
+    """Pages read again by a process that had to wait: no more than the major faults, and no more than the refaults.
+
+    Files that are read through once are refaults without a major fault; programs and maps that are loaded for the first time are
+    major faults without a refault.
+    """
+    if used is None or limit is None or used < NEAR_LIMIT * limit:
+        return None
+    table = _table(path)
+    faults = table.get("pgmajfault")
+    refaults = [count for name, count in table.items() if name in _REFAULTS]
+    return faults if faults is None or not refaults else min(faults, sum(refaults))
+
+
+_REFAULTS = ("workingset_refault", "workingset_refault_anon", "workingset_refault_file")
+
+
+def _stall(base: str, what: str) -> StallFact | None:
+    found: dict[str, float] = {}
+    for line in ((_text(f"{base}/{what}.pressure") if base else None) or "").splitlines():
+        kind, _, rest = line.partition(" ")
+        total = rest.rpartition("total=")[2]
+        if total.isdecimal():
+            found[kind] = int(total) / 1e6
+    return StallFact(found["some"], found.get("full")) if "some" in found else None
+
+
+def _table(path: str) -> dict[str, int]:
+    """Lines `name number`; others are left out. Empty when the file is not there."""
+    found: dict[str, int] = {}
+    for line in (_text(path) or "").splitlines():
+        name, _, number = line.partition(" ")
+        if number.isdecimal():
+            found[name] = int(number)
+    return found
+
+
+def _number(path: str) -> int | None:
+    """The number in a file; None for `max`, and when the file is not there."""
+    text = _text(path)
+    return None if text is None or text in ("", "max") else int(text)
+
+
+def _seconds(table: Mapping[str, int], name: str, per_s: float) -> float | None:
+    return table[name] / per_s if name in table else None
+
+
+def _text(path: str) -> str | None:
+    """A small file of the kernel; None when it is not there."""
+    try:
+        return head(path, 8192).strip()
+    except OSError:
+        return None

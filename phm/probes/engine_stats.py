@@ -1,0 +1,54 @@
+"""What the engine's statistics of a container say, as a fact: for where the host's cgroups are not mounted into PHM."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from phm.facts import ContainerFact, PressureFact
+
+SOURCE = "engine statistics"
+NOT_SEEN = ("waiting for CPU, memory and disk", "refused processes")
+_NO_LIMIT = 1 << 60
+
+
+def pressure_fact(answer: Mapping[str, Any], container: ContainerFact, at: float) -> PressureFact | None:
+    """The fact in an answer of `GET /containers/ID/stats`, got at monotonic second `at`; None when the container does not run."""
+    cpu, memory, pids = _part(answer, "cpu_stats"), _part(answer, "memory_stats"), _part(answer, "pids_stats")
+    used_ns = _number(_part(cpu, "cpu_usage").get("total_usage"))
+    if not used_ns:
+        return None
+    throttling, details = _part(cpu, "throttling_data"), _part(memory, "stats")
+    used, limit = _number(memory.get("usage")), _number(memory.get("limit"))
+    throttled_ns = _number(throttling.get("throttled_time"))
+    return PressureFact(
+        at, SOURCE, container.life, NOT_SEEN,
+        cpu_limit=container.cpu_limit, cpu_used_s=used_ns / 1e9, cpu_period_s=container.cpu_period_s,
+        throttled_periods=_number(throttling.get("throttled_periods")),
+        throttled_s=None if throttled_ns is None else throttled_ns / 1e9,
+        memory_bytes=used, memory_limit=limit if limit is not None and 0 < limit < _NO_LIMIT else None,
+        reread_pages=_reread(details),
+        pids=_number(pids.get("current")), pids_limit=_pids_limit(pids),
+    )  # fmt: skip
+
+
+def _reread(details: Mapping[str, Any]) -> int | None:
+    """As `phm.probes.cgroups` does; the statistics of version 1 have no refaults."""
+    faults, refaults = _number(details.get("pgmajfault")), _number(details.get("workingset_refault"))
+    return faults if faults is None or not refaults else min(faults, refaults)
+
+
+def _pids_limit(pids: Mapping[str, Any]) -> int | None:
+    """0 and the largest number stand for no limit."""
+    limit = _number(pids.get("limit"))
+    return limit if limit is not None and 0 < limit < 1 << 32 else None
+
+
+def _part(answer: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    part = answer.get(key)
+    return part if isinstance(part, Mapping) else {}
+
+
+def _number(value: Any) -> int | None:
+    """A count; None for anything else, since statistics of an older engine or kernel lack some."""
+    return value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else None

@@ -1,0 +1,283 @@
+"""Slot 9: what a container is short of, by the counters of its cgroup or of the engine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from phm import api, testing
+from phm_checks._words import BRIEF_MAX
+from phm_checks.pressure import KILLED_TOLD_S, Pressure
+
+MIB = 2**20
+FACT = api.PressureFact(
+    0.0, "cgroup v2", "life", cpu_limit=0.03, cpu_used_s=0.0, throttled_periods=0, throttled_s=0.0,
+    cpu=api.StallFact(0.0, 0.0), memory=api.StallFact(0.0, 0.0), io=api.StallFact(0.0, 0.0),
+    memory_bytes=30 * MIB, memory_limit=64 * MIB, reread_pages=0, oom_kills=0, pids=5, pids_limit=20, pids_refused=0,
+)  # fmt: skip
+STARVED = {"cpu_used_s": 0.03, "throttled_periods": 10, "throttled_s": 0.97, "cpu": 0.97}
+"""What a second adds to the counters of a container that wants more than its limit of 0.03 CPUs."""
+
+
+class Bench:
+    """The check on one container; each look is a second after the one before."""
+
+    def __init__(self, fact: api.PressureFact = FACT, **settings: Any) -> None:
+        (self.check,) = Pressure.build(testing.settings(containers=[{"name": "ros_app"}], **settings))
+        self.clock, self.pressure = testing.FakeClock(), testing.FakePressure()
+        self.fact = fact
+        self.world = testing.world(clock=self.clock, pressure=self.pressure)
+
+    def look(self, after_s: float = 1.0, **more: float) -> api.Result:
+        """Let `after_s` pass, in which counters rise by `more` a second (stalls: by their full time), and run the check."""
+        self.clock.advance(after_s)
+        fields: dict[str, Any] = {"at": self.clock.mono()}
+        for name, rise in more.items():
+            old = getattr(self.fact, name)
+            if isinstance(old, api.StallFact):
+                assert old.full_s is not None
+                fields[name] = api.StallFact(old.some_s + rise * after_s, old.full_s + rise * after_s)
+            else:
+                fields[name] = old + type(old)(rise * after_s)
+        self.fact = replace(self.fact, **fields)
+        return self.again()
+
+    def again(self) -> api.Result:
+        self.pressure.put("ros_app", self.fact)
+        result = self.check.run(self.world)
+        assert isinstance(result, api.Result)
+        return result
+
+    def looks(self, count: int, **more: float) -> list[api.Result]:
+        return [self.look(**more) for _ in range(count)]
+
+    def calm(self, count: int = 3) -> None:
+        assert self.looks(count)[-1].level is api.Level.OK
+
+
+def names(results: list[api.Result]) -> list[str]:
+    return [result.level.name for result in results]
+
+
+def test_a_container_stopped_by_its_cpu_limit_is_reported_within_two_looks() -> None:
+    """The text names the resource, the limit and the number, and the line for the operator does, too."""
+    bench = Bench()
+    bench.calm()
+    results = bench.looks(2, **STARVED)
+    assert results[-1].level is api.Level.ERROR and results[-1].condition == "cpu_throttled"
+    assert results[-1].summary.startswith("ros_app throttled 97 % of the time by its limit of 0.03 CPUs: raise it")
+    assert results[-1].brief == "ros_app throttled 97% by 0.03 CPU" and len(results[-1].brief) <= BRIEF_MAX
+    assert results[-1].target == "ros_app"
+
+
+def test_a_limit_that_is_lifted_ends_the_fault_within_three_looks_and_without_a_warning() -> None:
+    """The level is left when the entire window is calm."""
+    bench = Bench()
+    bench.calm()
+    bench.looks(5, **STARVED)
+    assert names(bench.looks(3, cpu_used_s=0.07)) == ["ERROR", "OK", "OK"]
+
+
+def test_a_fault_is_not_left_for_one_calm_second() -> None:
+    """What is starved in bursts is one fault, not several."""
+    bench = Bench()
+    bench.calm()
+    bench.looks(3, **STARVED)
+    for _ in range(4):
+        assert names([bench.look(), bench.look(**STARVED)]) == ["ERROR", "ERROR"]
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        pytest.param({"cpu_used_s": 0.02, "throttled_periods": 1, "throttled_s": 0.05}, id="one period in ten"),
+        pytest.param(
+            {"cpu_used_s": 0.9, "throttled_periods": 10, "throttled_s": 0.1}, id="each period for a tenth of it"
+        ),
+        pytest.param({"cpu": 0.7}, id="waits as on a machine with load 9 per core, and gets what it needs"),
+        pytest.param({"memory": 0.33, "io": 0.3, "reread_pages": 8}, id="page cache is filled up to the limit"),
+        pytest.param({"io": 0.55}, id="a recorder writes"),
+    ],
+)
+def test_what_a_busy_container_does_is_no_pressure(more: dict[str, float]) -> None:
+    """Measured on containers that did what they should."""
+    bench = Bench()
+    bench.calm()
+    assert set(names(bench.looks(8, **more))) == {"OK"}
+
+
+def test_one_second_of_throttling_is_no_fault() -> None:
+    """As when a node starts to compute."""
+    bench = Bench()
+    bench.calm()
+    for _ in range(3):
+        assert "ERROR" not in names([bench.look(0.4, **STARVED), *bench.looks(3)])
+
+
+def test_throttling_is_right_for_any_number_of_cpus() -> None:
+    """The stopped time is added up over the CPUs: four threads with 1.5 CPUs are stopped for 62 % of the time, not 250 %."""
+    bench = Bench(replace(FACT, cpu_limit=1.5))
+    bench.calm()
+    result = bench.looks(3, cpu_used_s=1.5, throttled_periods=10, throttled_s=2.5)[-1]
+    assert "throttled 62 % of the time by its limit of 1.5 CPUs" in result.summary
+
+
+def test_a_container_that_others_keep_from_running_names_who_has_the_cpus() -> None:
+    """It has no limit of its own to blame."""
+    bench = Bench(replace(FACT, cpu_limit=None))
+    bench.calm()
+    assert bench.pressure.consumers_asked == 0
+    bench.pressure.taken = (api.ConsumerFact("slam", 1.83), api.ConsumerFact("ros_app", 0.1))
+    result = bench.looks(3, cpu=0.96, cpu_used_s=0.02)[-1]
+    assert (result.level, result.condition) == (api.Level.ERROR, "cpu_starved")
+    assert "waits 96 % of the time for a CPU that others have; slam takes 1.8 CPUs" in result.summary
+    assert result.brief == "ros_app waits 96% for CPU (slam)"
+
+
+def test_programs_outside_of_containers_are_named_as_such() -> None:
+    """The probe gives them no name."""
+    bench = Bench(replace(FACT, cpu_limit=None))
+    bench.pressure.taken = (api.ConsumerFact("", 1.83),)
+    result = bench.looks(4, cpu=0.96)[-1]
+    assert "programs outside of containers takes 1.8 CPUs" in result.summary
+    assert result.brief == "ros_app waits 96% for CPU"
+
+
+def test_who_has_the_cpus_may_stay_unknown() -> None:
+    """A probe that cannot tell does not keep the fault from being reported."""
+    bench = Bench(replace(FACT, cpu_limit=None))
+    bench.calm()
+    bench.pressure.consumers = lambda: (_ for _ in ()).throw(api.CannotTell("refused"))  # type: ignore[method-assign]
+    assert bench.looks(3, cpu=0.96)[-1].condition == "cpu_starved"
+
+
+def test_throttled_time_does_not_count_as_waiting_for_others() -> None:
+    """The kernel counts it as both."""
+    bench = Bench()
+    bench.calm()
+    assert {result.condition for result in bench.looks(4, **STARVED)[1:]} == {"cpu_throttled"}
+
+
+def test_memory_that_is_read_back_from_disk_is_pressure() -> None:
+    """The limit is just above use: the kernel drops pages of the program, and reads them again."""
+    bench = Bench(replace(FACT, memory_bytes=64 * MIB))
+    bench.calm()
+    result = bench.looks(3, reread_pages=4000, io=0.25)[-1]
+    assert (result.level, result.condition) == (api.Level.ERROR, "memory_pressure")
+    assert "reads back 4000 pages a second" in result.summary and "limit of 64 MB" in result.summary
+    assert result.brief == "ros_app memory limit 64 MB too small"
+
+
+def test_waiting_for_memory_is_pressure() -> None:
+    """The kernel's own measure, for what reads nothing back."""
+    bench = Bench()
+    bench.calm()
+    assert bench.looks(3, memory=0.7)[-1].condition == "memory_pressure"
+
+
+def test_a_process_killed_for_lack_of_memory_is_reported_for_a_while() -> None:
+    """The container goes on without it."""
+    bench = Bench()
+    bench.calm()
+    result = bench.look(oom_kills=1)
+    assert result.level is api.Level.ERROR and "killed 1 of its processes" in result.summary
+    assert names(bench.looks(int(KILLED_TOLD_S)))[-1] == "OK"
+
+
+def test_a_container_that_only_waits_for_the_disk_is_pressure_after_five_seconds() -> None:
+    """A slow card; one long write is none."""
+    bench = Bench()
+    bench.calm(7)
+    results = bench.looks(7, io=0.97)
+    assert results[-1].condition == "io_pressure" and results[-1].level is api.Level.ERROR
+    assert "waits for the disk 97 % of the time" in results[-1].summary
+    assert names(results[:2]) == ["OK", "OK"]
+
+
+def test_a_limit_of_processes_that_is_reached_is_reported_at_once() -> None:
+    """With the limit; near it is a warning."""
+    bench = Bench(replace(FACT, pids=20))
+    result = bench.looks(2)[-1]
+    assert (result.level, result.condition) == (api.Level.ERROR, "pids_limit")
+    assert "20 processes and threads at its limit of 20" in result.summary
+    assert bench.look(pids=-1).level is api.Level.WARN
+    assert bench.look(pids=-10).level is api.Level.OK
+    assert "and 3 more were refused" in bench.look(pids_refused=3).summary
+
+
+def test_several_shortages_are_one_result_with_the_worst_first() -> None:
+    """One unit, one alarm."""
+    bench = Bench(replace(FACT, pids=19))
+    result = bench.looks(4, **STARVED)[-1]
+    assert result.condition == "cpu_throttled" and "19 processes" in result.summary
+
+
+def test_a_container_started_again_is_not_compared_with_its_life_before() -> None:
+    """Its counters begin at 0."""
+    bench = Bench()
+    bench.calm()
+    bench.looks(3, **STARVED)
+    bench.fact = replace(FACT, life="another", at=0.0)
+    assert bench.look().level is api.Level.STALE
+    assert bench.look().level is api.Level.OK
+
+
+def test_counters_that_go_back_are_another_life() -> None:
+    """Where the source shows no life."""
+    bench = Bench()
+    bench.looks(3, **STARVED)
+    bench.fact = replace(FACT, life="life", cpu_used_s=0.0)
+    assert bench.look().level is api.Level.STALE
+
+
+def test_an_answer_that_is_given_twice_counts_once() -> None:
+    """The engine is asked every 2 s, and the check runs every second."""
+    bench = Bench()
+    bench.calm()
+    bench.looks(3, **STARVED)
+    assert bench.again().level is api.Level.ERROR
+
+
+def test_what_does_not_run_or_cannot_be_seen_is_a_bypass() -> None:
+    """The slot of a machine without a source does not turn yellow; an engine that does not answer is unknown."""
+    bench = Bench()
+    bench.pressure.put("ros_app", None)
+    result = bench.check.run(bench.world)
+    assert isinstance(result, api.Result) and result.bypass and "does not run" in result.summary
+    bench.pressure.fail(api.NotPermitted("the proxy refuses it"))
+    result = bench.check.run(bench.world)
+    assert isinstance(result, api.Result) and result.bypass and "the proxy refuses it" in result.summary
+    bench.pressure.fail("no answer")
+    with pytest.raises(api.CannotTell):
+        bench.check.run(bench.world)
+
+
+def test_the_source_and_what_it_does_not_show_are_in_the_text() -> None:
+    """`phm status` prints it."""
+    bench = Bench(
+        replace(FACT, source="engine statistics", not_seen=("waiting for CPU", "refused processes"), cpu=None)
+    )
+    assert bench.looks(3)[-1].summary == (
+        "ros_app is short of nothing (engine statistics; not seen: waiting for CPU, refused processes)"
+    )
+
+
+def test_each_configured_container_has_a_unit_unless_it_is_ignored() -> None:
+    """`pressure/<key>` needs its container, and starts with the grace of what runs in it."""
+    settings = testing.settings(
+        containers=[{"name": "a"}, {"name": "b", "alias": "c"}, {"name": "d", "pressure": "ignore"}],
+        ros={"grace": "9s"},
+    )
+    units = [unit for check in Pressure.build(settings) for unit in check.units]
+    assert [(unit.id, unit.needs, unit.target, unit.grace_s) for unit in units] == [
+        ("pressure/a", ("container/a",), "a", 9.0),
+        ("pressure/c", ("container/c",), "c", 9.0),
+    ]
+
+
+def test_limits_are_settings() -> None:
+    """As in `pressure:`."""
+    bench = Bench(pressure={"throttled": {"warn": "98%", "error": "99%"}, "waiting": {"warn": 99, "error": 100}})
+    assert set(names(bench.looks(5, **STARVED)[2:])) == {"OK"}

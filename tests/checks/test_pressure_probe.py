@@ -1,0 +1,351 @@
+"""The pressure probe on fabricated cgroup trees (formats: the kernel's cgroup-v2.rst and cgroup-v1) and engine answers."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, strategies as st
+
+from phm import testing
+from phm.facts import CannotTell, ConsumerFact, ContainerFact, StallFact
+from phm.probes import cgroups, engine_stats
+from phm.probes.consumers import LEAST_S, MOST_S, Consumers
+from phm.probes.pressure import ENGINE_EVERY_S, Pressure
+from phm.transport.docker import EngineMissing, EngineRefused
+
+ID = "ab" * 32
+OTHER = "cd" * 32
+V2 = {
+    "cpu.stat": "usage_usec 180194\nuser_usec 154453\nsystem_usec 25740\nnice_usec 0\ncore_sched.force_idle_usec 0\n"
+    "nr_periods 43\nnr_throttled 42\nthrottled_usec 3877288\nnr_bursts 0\nburst_usec 0\n",
+    "cpu.max": "3000 100000\n",
+    "cpu.pressure": "some avg10=13.58 avg60=2.45 avg300=0.51 total=2722284\nfull avg10=13.58 avg60=2.45 avg300=0.51 total=2720498\n",
+    "memory.pressure": "some avg10=0.00 avg60=0.00 avg300=0.00 total=0\nfull avg10=0.00 avg60=0.00 avg300=0.00 total=0\n",
+    "io.pressure": "some avg10=0.00 avg60=0.00 avg300=0.00 total=7101\nfull avg10=0.00 avg60=0.00 avg300=0.00 total=7100\n",
+    "memory.current": "66060288\n",
+    "memory.max": "67108864\n",
+    "memory.stat": "anon 2666496\nfile 8663040\npgfault 1778\npgmajfault 700\nworkingset_refault_anon 5\nworkingset_refault_file 600\n",
+    "memory.events": "low 0\nhigh 0\nmax 12\noom 1\noom_kill 1\noom_group_kill 0\n",
+    "pids.current": "7\n",
+    "pids.max": "20\n",
+    "pids.events": "max 3\n",
+}
+V1: dict[str, dict[str, str]] = {
+    "cpu": {
+        "cpu.stat": "nr_periods 32\nnr_throttled 31\nthrottled_time 2846706290\n",
+        "cpu.cfs_quota_us": "5000\n",
+        "cpu.cfs_period_us": "100000\n",
+    },
+    "cpuacct": {"cpuacct.usage": "180194374\n"},
+    "memory": {
+        "memory.usage_in_bytes": "66060288\n",
+        "memory.limit_in_bytes": "67108864\n",
+        "memory.stat": "cache 8663040\nworkingset_refault_file 2123\npgmajfault 10\ntotal_pgmajfault 10\n",
+        "memory.oom_control": "oom_kill_disable 0\nunder_oom 0\noom_kill 2\n",
+    },
+    "pids": {"pids.current": "1\n", "pids.max": "max\n", "pids.events": "max 0\n"},
+}
+STATS = {
+    "pids_stats": {"current": 1, "limit": 20},
+    "cpu_stats": {
+        "cpu_usage": {"total_usage": 180194374},
+        "throttling_data": {"periods": 33, "throttled_periods": 32, "throttled_time": 2939308349},
+    },
+    "memory_stats": {"usage": 11763712, "stats": {"pgmajfault": 10}, "limit": 67108864},
+}
+"""As Engine 20.10 answers, shortened."""
+
+
+def write(folder: Path, files: dict[str, str]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def v2(root: Path, place: str = f"docker/{ID}", **changed: str) -> Path:
+    write(root, {"cgroup.controllers": "cpu io memory pids\n"})
+    write(root / place, {**V2, **{name.replace("_", "."): text for name, text in changed.items()}})
+    return root / place
+
+
+def v1(root: Path, place: str = f"docker/{ID}") -> None:
+    for controller, files in V1.items():
+        write(root / controller / place, files)
+
+
+class Asked:
+    """An engine that counts what it was asked for."""
+
+    timeout_s = 1.0
+
+    def __init__(self, stats: Any = STATS) -> None:
+        self.answer = stats
+        self.asked: list[str] = []
+        self.names: Any = []
+
+    def stats(self, container: str, **_: Any) -> Any:
+        self.asked.append(container)
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+    def list(self, **_: Any) -> Any:
+        self.asked.append("list")
+        if isinstance(self.names, Exception):
+            raise self.names
+        return self.names
+
+
+class Bench:
+    """The probe with one configured container, `ros_app`, whose cgroup is looked for below `root`."""
+
+    def __init__(self, root: Path, stats: Any = STATS, **container: Any) -> None:
+        self.engine, self.clock = Asked(stats), testing.FakeClock()
+        self.docker = testing.FakeDocker(testing.container("ros_app", **{"id": ID, "cpu_limit": 0.05, **container}))
+        settings = testing.settings(containers=[{"name": "ros_app"}], pressure={"cgroups": str(root)})
+        self.probe = Pressure(self.engine, self.docker, settings, self.clock)  # type: ignore[arg-type]
+
+
+def test_version_2_is_read(tmp_path: Path) -> None:
+    """Each file by its documented format; the engine is not asked for statistics."""
+    folder = v2(tmp_path)
+    bench = Bench(tmp_path)
+    fact = bench.probe.container("ros_app")
+    assert fact is not None and bench.engine.asked == []
+    assert fact.life.startswith(str(folder))
+    assert dataclasses.replace(fact, life="") == dataclasses.replace(
+        fact, life="", at=1000.0, source="cgroup v2", not_seen=(), cpu_limit=pytest.approx(0.03), cpu_used_s=0.180194,
+        cpu_period_s=0.1, throttled_periods=42, throttled_s=3.877288, cpu=StallFact(2.722284, 2.720498),
+        memory=StallFact(0.0, 0.0), io=StallFact(0.007101, 0.0071), memory_bytes=66060288, memory_limit=67108864,
+        reread_pages=605, oom_kills=1, pids=7, pids_limit=20, pids_refused=3,
+    )  # fmt: skip
+
+
+def test_version_1_is_read_with_the_pressure_of_a_hybrid(tmp_path: Path) -> None:
+    """Counters in nanoseconds; pressure only where version 2 is mounted beside it."""
+    v1(tmp_path)
+    fact = Bench(tmp_path).probe.container("ros_app")
+    assert fact is not None
+    assert (fact.source, fact.cpu_limit, fact.throttled_periods, fact.throttled_s) == (
+        "cgroup v1",
+        0.05,
+        31,
+        2.84670629,
+    )
+    assert (fact.cpu_used_s, fact.memory_limit, fact.reread_pages, fact.oom_kills) == (0.180194374, 67108864, 10, 2)
+    assert (fact.pids, fact.pids_limit, fact.pids_refused, fact.cpu) == (1, None, 0, None)
+    assert fact.not_seen == ("waiting for CPU, memory and disk (no pressure stall information)",)
+    write(tmp_path / "unified" / "docker" / ID, {"cpu.pressure": V2["cpu.pressure"]})
+    fact = Bench(tmp_path).probe.container("ros_app")
+    assert fact is not None and fact.cpu == StallFact(2.722284, 2.720498) and fact.not_seen == ()
+
+
+def test_no_limit_is_none(tmp_path: Path) -> None:
+    """`max`, -1, and the largest number of pages of version 1."""
+    v2(tmp_path / "2", cpu_max="max 100000\n", memory_max="max\n", pids_max="max\n")
+    write(tmp_path / "1" / "cpu" / "docker" / ID, {**V1["cpu"], "cpu.cfs_quota_us": "-1\n"})
+    write(tmp_path / "1" / "memory" / "docker" / ID, {"memory.limit_in_bytes": "9223372036854771712\n"})
+    for name in "12":
+        fact = Bench(tmp_path / name).probe.container("ros_app")
+        assert fact is not None and (fact.cpu_limit, fact.memory_limit, fact.pids_limit) == (None, None, None)
+
+
+def test_memory_stat_is_read_near_the_limit_alone(tmp_path: Path) -> None:
+    """It is the dearest of the files, and says nothing while there is room."""
+    v2(tmp_path, memory_current="1000\n")
+    fact = Bench(tmp_path).probe.container("ros_app")
+    assert fact is not None and fact.reread_pages is None
+
+
+@pytest.mark.parametrize(
+    ("parent", "place"),
+    [
+        ("", f"docker/{ID}"),
+        ("", f"system.slice/docker-{ID}.scope"),
+        ("/apps", f"apps/{ID}"),
+        ("apps-ros.slice", f"apps.slice/apps-ros.slice/docker-{ID}.scope"),
+    ],
+)
+def test_a_cgroup_is_found_below_the_known_parents(tmp_path: Path, parent: str, place: str) -> None:
+    """Of both drivers of the engine, and of the user's own `cgroup_parent`."""
+    v2(tmp_path, place)
+    bench = Bench(tmp_path, cgroup_parent=parent)
+    fact = bench.probe.container("ros_app")
+    assert fact is not None and fact.source == "cgroup v2"
+
+
+@pytest.mark.parametrize("name", ["../../etc", "/../..", "a" * 300, "a\0b", "$(id)"])
+def test_a_parent_that_leads_elsewhere_is_not_followed(tmp_path: Path, name: str) -> None:
+    """It is what a user wrote; the engine's own places are looked at all the same."""
+    v2(tmp_path)
+    fact = Bench(tmp_path, cgroup_parent=name).probe.container("ros_app")
+    assert fact is not None and fact.source == "cgroup v2"
+    strange = testing.container("x", id="../../etc", cgroup_parent=name)
+    assert cgroups.find(tmp_path, strange) is None
+
+
+def test_another_life_has_another_text(tmp_path: Path) -> None:
+    """A container that is started again gets another directory of the same name."""
+    folder = v2(tmp_path)
+    bench = Bench(tmp_path)
+    first = bench.probe.container("ros_app")
+    folder.rename(tmp_path / "gone")
+    v2(tmp_path)
+    second = bench.probe.container("ros_app")
+    assert first is not None and second is not None and first.life != second.life
+
+
+def test_the_engine_is_asked_where_there_is_no_cgroup(tmp_path: Path) -> None:
+    """At most every 2 s, with what its statistics lack in the fact; the limit is that of the container."""
+    bench = Bench(tmp_path / "nowhere")
+    fact = bench.probe.container("ros_app")
+    assert fact is not None and fact.source == "engine statistics" and fact.not_seen == engine_stats.NOT_SEEN
+    assert (fact.cpu_limit, fact.throttled_periods, fact.throttled_s) == (0.05, 32, 2.939308349)
+    assert (fact.memory_bytes, fact.memory_limit, fact.reread_pages) == (11763712, 67108864, 10)
+    assert (fact.pids, fact.pids_limit, fact.cpu_used_s) == (1, 20, 0.180194374)
+    assert bench.probe.container("ros_app") is fact and bench.engine.asked == [ID]
+    bench.clock.advance(ENGINE_EVERY_S)
+    assert bench.probe.container("ros_app") is not fact and bench.engine.asked == [ID, ID]
+
+
+def test_files_that_come_or_go_change_the_source(tmp_path: Path) -> None:
+    """A container that was recreated, or a mount that came later."""
+    bench = Bench(tmp_path)
+    sources = []
+    for change in (lambda: None, lambda: v2(tmp_path), lambda: (tmp_path / "docker" / ID).rename(tmp_path / "gone")):
+        change()
+        bench.clock.advance(ENGINE_EVERY_S)
+        fact = bench.probe.container("ros_app")
+        assert fact is not None
+        sources.append(fact.source)
+    assert sources == ["engine statistics", "cgroup v2", "engine statistics"]
+
+
+def test_what_does_not_run_has_no_counters(tmp_path: Path) -> None:
+    """By the container's state, by an answer without use, or because it has gone since."""
+    assert Bench(tmp_path, status="exited").probe.container("ros_app") is None
+    assert Bench(tmp_path, stats={"cpu_stats": {"cpu_usage": {"total_usage": 0}}}).probe.container("ros_app") is None
+    assert Bench(tmp_path, stats=EngineMissing("gone")).probe.container("ros_app") is None
+    bench = Bench(tmp_path)
+    bench.docker.remove("ros_app")
+    assert bench.probe.container("ros_app") is None
+
+
+def test_a_refusal_is_passed_on(tmp_path: Path) -> None:
+    """As a proxy answers that does not know the call."""
+    with pytest.raises(EngineRefused):
+        Bench(tmp_path, stats=EngineRefused("403")).probe.container("ros_app")
+    with pytest.raises(CannotTell, match="no container other is configured"):
+        Bench(tmp_path).probe.container("other")
+
+
+@given(text=st.text(max_size=200), name=st.sampled_from(sorted(V2)))
+def test_whatever_a_file_holds_is_a_fact_or_cannot_be_told(tmp_path_factory: Any, text: str, name: str) -> None:
+    """No other exception leaves the probe."""
+    root = tmp_path_factory.mktemp("tree")
+    v2(root, **{name.replace(".", "_"): text})
+    with contextlib.suppress(CannotTell):
+        assert Bench(root).probe.container("ros_app") is not None
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["usage", "limit", "stats"]), inner, max_size=3)
+    ),
+    max_leaves=5,
+)
+
+
+@given(part=JSON, name=st.sampled_from(["pids_stats", "cpu_stats", "memory_stats"]))
+def test_whatever_the_engine_answers_is_a_fact_or_nothing(part: Any, name: str) -> None:
+    """Fields of other types are left out."""
+    container = ContainerFact("a", ID, "running", "then")
+    fact = engine_stats.pressure_fact({**STATS, name: part}, container, 1.0)
+    assert fact is None or fact.source == engine_stats.SOURCE
+
+
+class Crowd:
+    """Two containers, of which one is configured, on a machine whose CPUs are counted in `proc`."""
+
+    def __init__(self, tmp_path: Path, files: bool = True) -> None:
+        self.root, self.proc = tmp_path / "cgroup", tmp_path / "proc"
+        self.engine, self.clock, self.files = Asked(), testing.FakeClock(), files
+        self.engine.names = [{"Id": OTHER, "Names": ["/slam"], "State": "running"}]
+        if files:
+            write(self.root, {"cgroup.controllers": "cpu\n"})
+        self.after(0, 0, 0)
+        self.consumers = Consumers(self.engine, self.root, self.clock, lambda: {ID: "ros_app"}, self.proc)  # type: ignore[arg-type]
+
+    def after(self, ours_s: float, slam_s: float, all_s: float) -> None:
+        """So many CPU seconds have been used in all since the start."""
+        write(self.proc, {"stat": f"cpu  {round(all_s * 100)} 0 0 500 20 0 0 0 0 0\n"})
+        if self.files:
+            write(self.root / "docker" / ID, {"cpu.stat": f"usage_usec {round(ours_s * 1e6)}\n"})
+            write(
+                self.root / "system.slice" / f"docker-{OTHER}.scope",
+                {"cpu.stat": f"usage_usec {round(slam_s * 1e6)}\n"},
+            )
+            write(self.root / "system.slice" / "cron.service", {"cpu.stat": "usage_usec 9\n"})
+
+
+def test_consumers_are_named_most_first(tmp_path: Path) -> None:
+    """By key or by the engine's name; what runs outside of containers has none. The first question has nothing to compare with."""
+    crowd = Crowd(tmp_path)
+    assert crowd.consumers.read() == ()
+    crowd.clock.advance(2.0)
+    crowd.after(0.2, 3.0, 3.9)
+    read = [(fact.name, round(fact.cpus, 2)) for fact in crowd.consumers.read()]
+    assert read == [("slam", 1.5), ("", 0.35), ("ros_app", 0.1)]
+    assert crowd.engine.asked == ["list"]
+
+
+def test_consumers_are_not_looked_for_more_often_than_useful(tmp_path: Path) -> None:
+    """Several checks ask at a time; and what was long ago says nothing about now."""
+    crowd = Crowd(tmp_path)
+    crowd.consumers.read()
+    crowd.clock.advance(1.0)
+    crowd.after(0.0, 1.0, 1.0)
+    first = crowd.consumers.read()
+    crowd.clock.advance(LEAST_S / 2)
+    assert crowd.consumers.read() is first and first[0].name == "slam"
+    crowd.clock.advance(MOST_S + 1)
+    assert crowd.consumers.read() == ()
+
+
+def test_a_container_that_the_engine_does_not_name_keeps_its_id(tmp_path: Path) -> None:
+    """As behind a proxy, which allows no list."""
+    crowd = Crowd(tmp_path)
+    crowd.engine.names = EngineRefused("403")
+    crowd.consumers.read()
+    crowd.clock.advance(1.0)
+    crowd.after(0.0, 1.0, 1.0)
+    assert crowd.consumers.read() == (ConsumerFact(f"container {OTHER[:12]}", 1.0),)
+
+
+def test_without_cgroups_the_engine_says_who_has_the_cpus(tmp_path: Path) -> None:
+    """One call for each running container, the configured ones first."""
+    crowd = Crowd(tmp_path, files=False)
+    crowd.consumers.read()
+    assert crowd.engine.asked == ["list", ID, OTHER]
+    crowd.clock.advance(1.0)
+    crowd.engine.answer = {"cpu_stats": {"cpu_usage": {"total_usage": 680194374}}}
+    assert {fact.name: round(fact.cpus, 2) for fact in crowd.consumers.read()}["slam"] == 0.5
+
+
+def test_an_engine_that_is_slow_is_not_asked_about_all(tmp_path: Path) -> None:
+    """The budget is for all questions together."""
+    crowd = Crowd(tmp_path, files=False)
+    slow = crowd.engine.stats
+
+    def stats(container: str, **more: Any) -> Any:
+        crowd.clock.advance(5.0)
+        return slow(container, **more)
+
+    crowd.engine.stats = stats  # type: ignore[method-assign]
+    crowd.consumers.read()
+    assert crowd.engine.asked == ["list", ID]

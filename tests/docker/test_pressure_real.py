@@ -1,0 +1,176 @@
+"""The pressure check against real containers: through the files of their cgroups, and through the engine's statistics."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm import api, testing
+from phm.clock import SystemClock
+from phm.probes.docker import Docker
+from phm.probes.pressure import Pressure as Probe
+from phm.transport.docker import Engine
+from phm_checks.pressure import Pressure
+
+FILES, STATISTICS = "/sys/fs/cgroup", "/nowhere"
+LOOK_S = 0.5
+LIMIT_S = 90.0
+"""For whatever is waited for: the machine may be as busy as it likes."""
+BUSY = "while :; do :; done"
+THRASH = """
+import mmap, os
+size = 40 << 20
+with open("/tmp/data", "wb") as file:
+    for _ in range(40):
+        file.write(os.urandom(1 << 20))
+pages = mmap.mmap(os.open("/tmp/data", os.O_RDONLY), size, prot=mmap.PROT_READ)
+pages.madvise(mmap.MADV_RANDOM)
+while True:
+    sum(pages[place] for place in range(0, size, 4096))
+"""
+"""Needs the same 40 MB of a file again and again, as a program needs its code."""
+STREAM = "while :; do dd if=/dev/zero of=/tmp/data bs=1M count=200 2>/dev/null; cat /tmp/data >/dev/null; done"
+
+
+class Agent:
+    """The check and the probe on one real container, as PHM uses them."""
+
+    def __init__(self, engine: Engine, name: str, source: str) -> None:
+        # This machine may be overloaded while the test runs: waiting for others is no part of it.
+        limits = {"cgroups": source, "waiting": {"warn": 100, "error": 100}}
+        settings = testing.settings(containers=[{"name": name, "alias": "ros_app"}], pressure=limits)
+        (self.check,) = Pressure.build(settings)
+        clock = SystemClock()
+        self.docker = Docker(engine, settings, clock)
+        self.world = testing.world(
+            clock=clock, docker=self.docker, pressure=Probe(engine, self.docker, settings, clock)
+        )
+        self.seen: list[api.Result] = []
+
+    def look(self) -> api.Result:
+        result = self.check.run(self.world)
+        assert isinstance(result, api.Result)
+        self.seen.append(result)
+        return result
+
+    def until(self, wanted: Callable[[api.Result], bool], what: str) -> api.Result:
+        end = time.monotonic() + LIMIT_S
+        while True:
+            result = self.look()
+            if wanted(result):
+                return result
+            if time.monotonic() > end:
+                pytest.fail(f"waited {LIMIT_S:g} s for {what}; last: {result}")
+            threading.Event().wait(LOOK_S)
+
+    def is_ok(self) -> api.Result:
+        return self.until(lambda result: result.level is api.Level.OK and not result.bypass, "no pressure")
+
+    def is_error(self, condition: str) -> api.Result:
+        def found(result: api.Result) -> bool:
+            return result.level is api.Level.ERROR and result.condition == condition
+
+        return self.until(found, condition)
+
+
+@pytest.fixture(params=[pytest.param(FILES, id="files"), pytest.param(STATISTICS, id="statistics")])
+def source(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def test_a_cpu_limit_that_starves_is_named_and_ends_when_it_is_lifted(real: Any, engine: Engine, source: str) -> None:
+    """`docker update --cpus 0.03`, and back."""
+    made = real.container(BUSY)
+    agent = Agent(engine, made.name, source)
+    agent.is_ok()
+    made.update(cpu_quota=3000, cpu_period=100000)
+    result = agent.is_error("cpu_throttled")
+    assert "% of the time by its limit of 0.03 CPUs: raise it" in result.summary and "by 0.03 CPU" in result.brief
+    made.update(cpu_quota=-1)
+    agent.is_ok()
+
+
+def test_a_limit_of_processes_that_is_reached_is_named(real: Any, engine: Engine, source: str) -> None:
+    """Until some have ended."""
+    made = real.container("sleep 600 & sleep 600 & sleep 600 & wait", pids_limit=50)
+    agent = Agent(engine, made.name, source)
+    agent.is_ok()
+    # docker-py's own `update` knows no limit of processes.
+    body = {"PidsLimit": 5}
+    engine.call(lambda client: client._post_json(client._url("/containers/{0}/update", made.id), data=body))
+    assert "at its limit of 5" in agent.is_error("pids_limit").summary
+    made.kill(signal="SIGKILL")
+    agent.docker.invalidate()
+    agent.until(lambda result: result.bypass, "the end of the container")
+
+
+def test_a_memory_limit_below_what_is_needed_again_and_again_is_named(real: Any, engine: Engine, source: str) -> None:
+    """The container is not killed: its pages are dropped and read back. With room, it ends."""
+    made = real.container(f"exec python3 -c '{THRASH}'", mem_limit="90m", memswap_limit="90m")
+    agent = Agent(engine, made.name, source)
+    agent.is_ok()
+    until_read(made, 40 << 20)
+    made.update(mem_limit="30m", memswap_limit="30m")
+    result = agent.is_error("memory_pressure")
+    assert "memory limit of 30 MB" in result.summary and "pages a second" in result.summary
+    made.update(mem_limit="90m", memswap_limit="90m")
+    agent.is_ok()
+
+
+def test_a_memory_limit_that_the_page_cache_fills_is_no_pressure(real: Any, engine: Engine, source: str) -> None:
+    """Files that are written and read through at the limit, as a recorder does."""
+    made = real.container(STREAM, mem_limit="40m", memswap_limit="40m")
+    agent = Agent(engine, made.name, source)
+    agent.until(lambda result: (result.values.get("memory_bytes") or 0) > (36 << 20), "a full page cache")  # type: ignore[operator]
+    for _ in range(12):
+        assert agent.look().condition != "memory_pressure", agent.seen[-1].summary
+        threading.Event().wait(LOOK_S)
+
+
+def test_a_container_started_again_is_judged_anew(real: Any, engine: Engine, source: str) -> None:
+    """Its counters begin at 0, in another cgroup of the same name."""
+    made = real.container(BUSY, cpu_quota=3000, cpu_period=100000)
+    agent = Agent(engine, made.name, source)
+    agent.is_error("cpu_throttled")
+    made.restart(timeout=0)
+    agent.docker.invalidate()
+    agent.until(lambda result: result.level is api.Level.STALE or result.bypass, "a first reading of the new life")
+    agent.is_error("cpu_throttled")
+
+
+def test_the_real_cgroup_of_a_container_shows_everything(real: Any, engine: Engine) -> None:
+    """On this machine's version, whichever it is."""
+    made = real.container(BUSY, cpu_quota=50000, cpu_period=100000, mem_limit="64m", pids_limit=20)
+    agent = Agent(engine, made.name, FILES)
+    fact = agent.world.pressure.container("ros_app")
+    assert fact is not None and fact.source in ("cgroup v1", "cgroup v2")
+    assert (fact.cpu_limit, fact.memory_limit, fact.pids_limit) == (0.5, 64 << 20, 20)
+    assert fact.throttled_periods is not None and fact.throttled_s is not None and fact.cpu_used_s is not None
+    assert fact.pids is not None and fact.pids_refused == 0 and fact.memory_bytes
+    assert fact.cpu is not None and fact.cpu.full_s is not None and Path("/proc/pressure/cpu").exists()
+
+
+def test_who_has_the_cpus_is_known_by_name(real: Any, engine: Engine, source: str) -> None:
+    """Also of a container that is not configured."""
+    made, other = real.container(), real.container(f"{BUSY} & {BUSY}")
+    agent = Agent(engine, made.name, source)
+    agent.is_ok()
+    end = time.monotonic() + LIMIT_S
+    found: tuple[api.ConsumerFact, ...] = ()
+    while other.name not in [fact.name for fact in found]:
+        assert time.monotonic() < end, found
+        threading.Event().wait(LOOK_S)
+        found = agent.world.pressure.consumers()
+
+
+def until_read(made: Any, size: int) -> None:
+    """Until the program has its file in memory."""
+    end = time.monotonic() + LIMIT_S
+    while made.stats(stream=False, one_shot=True)["memory_stats"].get("usage", 0) < size:
+        assert time.monotonic() < end, "the program did not read its file"
+        threading.Event().wait(LOOK_S)
