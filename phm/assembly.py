@@ -108,6 +108,15 @@ class Parts:
     def remembered(self, container: str, network: str) -> Attachment | None:
         return self.docker.remembered(container, network)
 
+    def caught_up(self) -> bool:
+        """Whether all that the engine has reported is applied: see `Watch.caught_up`."""
+        return self.watch is None or self.watch.caught_up()
+
+    def catch_up(self) -> None:
+        """Wait until it is."""
+        if self.watch is not None:
+            self.watch.catch_up()
+
     def closers(self, *, links: bool = True) -> tuple[tuple[str, Callable[[], None]], ...]:
         """What ends each part, by name: those that have somebody to say goodbye to come first. `links`: these as well."""
         found: list[tuple[str, Callable[[], None]]] = []

@@ -244,6 +244,9 @@ class Daemon:
     # ------------------------------------------------------------ wiring
 
     def _observe(self, batch: Batch) -> None:
+        """What the engine reported before these results were there is applied first: it may explain them."""
+        if not batch.overdue:  # STALE, and brought by the heart, which waits for nobody
+            self.parts.catch_up()
         self.pipeline.observe(dict(batch.units), batch.started, batch.duration_s, overdue=batch.overdue)
 
     def _wake(self, subject: str) -> None:
@@ -399,7 +402,8 @@ class Daemon:
                     self.pipeline.begin_pass()
                     next_pass = max(next_pass + self.settings.interval, now)
                 calm_s = min(CALM_S, self.engine.look_for_overdue(), next_pass - now)
-                self.pipeline.tick()
+                if self.parts.caught_up():
+                    self.pipeline.tick()
             except Exception:  # a defect that shows in one beat must not end all: passes and deadlines hang on it
                 logger.exception("the heart missed a beat")
             wait_s = WATCH_S if self.pipeline.waiting else max(WATCH_S, calm_s)

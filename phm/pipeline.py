@@ -127,8 +127,8 @@ class Pipeline:
         self._apply(lambda now: self._tracker.expect_end(target, now, at_most_s))
 
     def ended(self, target: str) -> None:
-        """An event says that the container has ended: a stop is over."""
-        self._apply(lambda now: self._tracker.ended(target))
+        """An event says that the container has ended: see `Tracker.ended`."""
+        self._apply(lambda now: self._tracker.ended(target, now))
 
     def stopping(self, target: str) -> bool:
         """Whether the container has got a signal to end, is given time for it, and has not ended yet."""

@@ -19,7 +19,7 @@ from phm.settings import Settings
 from phm.transport.docker import Engine, EngineMissing
 
 FRESH_S = 0.2
-"""Several checks ask about one container at the same moment: they share an answer this young."""
+"""An answer this young serves where it only leads to another question, and for PHM's own container."""
 _MYSELF = "\0myself"  # no container can have this name
 _ID = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])")
 _BY_DOCKER = ("/etc/hostname", "/etc/hosts", "/etc/resolv.conf")
@@ -54,19 +54,22 @@ class Docker:
         return str(self._engine.version().get("Version") or "unknown version")
 
     def container(self, name: str) -> ContainerFact | None:
+        return self._container(name, 0.0)
+
+    def _container(self, name: str, young_s: float) -> ContainerFact | None:
         wanted = self._settings.container(name)
         if wanted is None:
             raise CannotTell(f"no container {name} is configured")
-        return self._shared(name, lambda budget: find(self._engine, wanted, budget))
+        return self._shared(name, lambda budget: find(self._engine, wanted, budget), young_s)
 
     def processes(self, name: str) -> tuple[ProcessFact, ...]:
-        fact = self.container(name)
+        fact = self._container(name, FRESH_S)
         if fact is None or not fact.running:
             raise CannotTell(f"{name} does not run, so it has no processes")
         return self._processes.look(fact.id)
 
     def myself(self) -> ContainerFact | None:
-        return self._shared(_MYSELF, self._find_myself)
+        return self._shared(_MYSELF, self._find_myself, FRESH_S)
 
     def network_id(self, name: str) -> str:
         try:
@@ -102,14 +105,20 @@ class Docker:
 
     # ------------------------------------------------------------ one question for all who ask at once
 
-    def _shared(self, key: str, ask: Callable[[Budget], ContainerFact | None]) -> ContainerFact | None:
+    def _shared(
+        self, key: str, ask: Callable[[Budget], ContainerFact | None], young_s: float
+    ) -> ContainerFact | None:
+        """The answer to a question that was asked at most `young_s` before this call, or since: who waits while another thread
+        asks shares its answer with those who wait, too. A check's result counts from when its run began, so nothing that it
+        is made of may be older.
+        """
         entry = self._entries[key]
         called_at = self._clock.mono()
         # Whoever holds the lock is through with it when its own deadline has passed.
         if not entry.lock.acquire(timeout=self._engine.timeout_s + 1):
             raise CannotTell(f"the Docker Engine is still busy with an earlier question about {key.strip(chr(0))}")
         try:
-            if not self._usable(entry, called_at):
+            if not self._usable(entry, called_at, young_s):
                 self._ask(entry, ask)
             if entry.error is not None:
                 raise entry.error.with_traceback(None)
@@ -117,10 +126,10 @@ class Docker:
         finally:
             entry.lock.release()
 
-    def _usable(self, entry: _Entry, called_at: float) -> bool:
+    def _usable(self, entry: _Entry, called_at: float, young_s: float) -> bool:
         if entry.error is not None and entry.done_at > called_at:
             return True  # failed while we waited: to try again would only queue up the deadlines
-        return entry.generation == self._generation and self._clock.mono() - entry.asked_at < FRESH_S
+        return entry.generation == self._generation and called_at - entry.asked_at <= young_s
 
     def _ask(self, entry: _Entry, ask: Callable[[Budget], ContainerFact | None]) -> None:
         entry.asked_at, entry.generation = self._clock.mono(), self._generation

@@ -29,6 +29,9 @@ BACKOFF_S = 0.1
 BACKOFF_MAX_S = 5.0
 CONFIRM_S = 0.2
 """A difference is looked at again after this: the event that explains it may be on its way."""
+BEHIND_S = 10.0
+"""A reader of the stream that is behind for longer hangs, or never comes to rest: nobody waits for it any more."""
+BEHIND_LOOK_S = 0.005
 AGAIN_S = 1.0
 """The engine tells each disconnect twice, a few milliseconds apart (seen with 20.10)."""
 KILL_S = 11.0
@@ -132,6 +135,7 @@ class Watch:
         self._stream: EventStream | None = None
         self._connected, self._since = False, ""
         self._compared_at: float | None = None
+        self._behind_since: float | None = None
         self._threads = [
             threading.Thread(target=self._follow, name="phm-docker-events", daemon=True),
             threading.Thread(target=self._compare, name="phm-docker-compare", daemon=True),
@@ -156,6 +160,22 @@ class Watch:
         at = self._compared_at
         limit_s = 3 * self._compare_s + self._engine.timeout_s
         return self._connected and at is not None and self._clock.mono() - at <= limit_s
+
+    def caught_up(self) -> bool:
+        """Whether `on_event` has returned for every event that the engine had sent when this was asked."""
+        stream = self._stream
+        if stream is None or stream.caught_up():
+            self._behind_since = None
+            return True
+        now, since = self._clock.mono(), self._behind_since
+        if since is None:
+            self._behind_since = now
+        return since is not None and now - since > BEHIND_S
+
+    def catch_up(self) -> None:
+        """Wait until it has; not at all in most cases, and BEHIND_S at most."""
+        while not self.caught_up() and not self._stopping.is_set():
+            self._clock.wait(self._stopping, BEHIND_LOOK_S)
 
     # ------------------------------------------------------------ the stream
 

@@ -7,6 +7,15 @@ the container is told, so that it cannot miss the life in which that happens.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
+
+
+class Saw(Enum):
+    """What a run has seen: the life that was known, one that an event had announced, or one that no event has reported."""
+
+    KNOWN = "known"
+    ANNOUNCED = "announced"
+    NEWS = "news"
 
 
 @dataclass(slots=True)
@@ -37,16 +46,18 @@ class Lives:
         life.heard_at = now
         return True
 
-    def saw(self, target: str, unit: str, seen: str, started: float) -> bool:
-        """A run that began at `started` saw this life; whether that is news. The first one ever seen is none."""
+    def saw(self, target: str, unit: str, seen: str, started: float) -> Saw:
+        """A run that began at `started` saw this life. The first one ever seen is no news."""
         life = self._of.setdefault(target, _Life())
         life.teller = life.teller or unit
         if unit != life.teller:
-            return False
+            return Saw.KNOWN
         changed, heard = life.seen not in ("", seen), life.heard_at is not None
         life.seen = seen
         if life.heard_at is not None and (changed or started >= life.heard_at):
             life.heard_at = None
         if changed and not heard:
             life.unheard = True
-        return changed and not heard
+        if not changed:
+            return Saw.KNOWN
+        return Saw.ANNOUNCED if heard else Saw.NEWS

@@ -8,7 +8,7 @@ from dataclasses import replace
 from phm.model import LIFE, Fault, Level, Outcome, Result, Stamp, Transition, UnitState
 from phm.needs import Needs
 from phm.tracker.episodes import Episodes
-from phm.tracker.lives import Lives
+from phm.tracker.lives import Lives, Saw
 from phm.tracker.rules import SURE_S, judge, not_known_yet, too_early
 from phm.tracker.units import NEVER, Entry, Hold, Pause, Scene, Step, Tracked
 
@@ -130,8 +130,8 @@ class Tracker:
         entry.bad_in_a_row = entry.bad_in_a_row + 1 if result.level.bad else 0
         entry.told = replace(entry.told, duration_s=duration_s)
         life = result.values.get(LIFE)
-        if entry.target and isinstance(life, str) and life and self._lives.saw(entry.target, unit, life, started):
-            self._begin_anew(entry.target, now, step)
+        if entry.target and isinstance(life, str) and life:
+            self._see_life(entry.target, unit, life, started, now, step)
         self._judge(entry, now, step)
         self._judge_dependents(entry, now, step)
         step.waiting = entry.waiting or any(other.waiting for other in self._scene.downstream(entry.id))
@@ -227,10 +227,14 @@ class Tracker:
                 )  # what looked bad a moment before may have been the beginning of the end
         return Step()
 
-    def ended(self, target: str) -> Step:
-        """The container has ended: what is bad in it from now on follows from that."""
+    def ended(self, target: str, now: Stamp) -> Step:
+        """The container has ended, an event says: what was seen of its parts until now may follow from that, and what was seen
+        of the container itself is over. Both are run again before anything is published about a part; no grace is given.
+        """
+        step = Step()
         self._stops.pop(target, None)
-        return Step()
+        self._outdate(target, now, step)
+        return step
 
     def stopping(self, target: str, now: float) -> bool:
         return self._scene.stopping(target, now)
@@ -319,13 +323,33 @@ class Tracker:
         below = {name for unit in touched for name in self.needs.downstream(unit)}
         self._give_grace([*touched, *sorted(below.difference(touched))], now, step)
 
+    def _see_life(self, target: str, unit: str, life: str, started: float, now: Stamp, step: Step) -> None:
+        """A run has seen the container in this life; results from before a life that is new to it prove nothing."""
+        saw = self._lives.saw(target, unit, life, started)
+        if saw is Saw.NEWS:
+            self._begin_anew(target, now, step)
+        elif saw is Saw.ANNOUNCED:
+            self._outdate(target, now, step)
+
+    def _outdate(self, target: str, now: Stamp, step: Step) -> None:
+        """What was seen until now of all that need the target proves nothing bad any more."""
+        for name in self._needing(target):
+            entry = self._units[name]
+            entry.grant(now.mono, now.mono)
+            if entry.raw is not None and entry.raw.level is not Level.OK:
+                step.rerun.add(name)
+
+    def _needing(self, target: str) -> Iterable[str]:
+        """All units that need one of the target's."""
+        own = [entry.id for entry in self._units.values() if entry.target == target]
+        return dict.fromkeys(name for unit in own for name in self.needs.downstream(unit))
+
     def _begin_anew(self, target: str, now: Stamp, step: Step) -> None:
         self._stops.pop(target, None)
-        own = [entry.id for entry in self._units.values() if entry.target == target]
-        for name in own:
-            self._units[name].begin_life(now.mono)
-        below = dict.fromkeys(name for unit in own for name in self.needs.downstream(unit))
-        self._give_grace(below, now, step)
+        for entry in self._units.values():
+            if entry.target == target:
+                entry.begin_life(now.mono)
+        self._give_grace(self._needing(target), now, step)
 
     def _give_grace(self, units: Iterable[str], now: Stamp, step: Step) -> None:
         """What was seen before no longer counts: look again, and give it time to come back."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import select
 import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -58,11 +59,36 @@ def _open(sock: socket.socket, address: Any) -> socket.socket:
     return sock
 
 
+class _Socket(socket.socket):
+    """A socket that shows whether its reader waits for more."""
+
+    waiting = False
+    """Nothing that was received before is still being handled: it was read, and its reader has come back for more."""
+
+    def recv_into(self, buffer: Any, nbytes: int = 0, flags: int = 0) -> int:
+        """Look first and read then: what has been received is unread on the socket until `waiting` is False."""
+        self.waiting = True
+        try:
+            self.recv(1, socket.MSG_PEEK)
+        finally:
+            self.waiting = False
+        return super().recv_into(buffer, nbytes, flags)
+
+    def unread(self) -> bool:
+        """Whether something was received that nobody has read, or the other end has closed."""
+        poll = select.poll()
+        try:
+            poll.register(self, select.POLLIN)
+        except ValueError:
+            return False  # closed here
+        return bool(poll.poll(0))
+
+
 class _UnixConnection(urllib3.connection.HTTPConnection):
     socket_path = ""
 
     def connect(self) -> None:
-        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        sock = _Socket(socket.AF_UNIX, socket.SOCK_STREAM)
         sock.settimeout(_seconds(self.timeout))
         self.sock = _open(sock, self.socket_path)
 
@@ -80,7 +106,7 @@ class _TcpConnection(urllib3.connection.HTTPConnection):
             if call is not None:
                 call.failure = error
             raise
-        sock = socket.socket(family, socket.SOCK_STREAM)
+        sock = _Socket(family, socket.SOCK_STREAM)
         sock.settimeout(limit_s)
         self.sock = _open(sock, address)
 
@@ -184,6 +210,14 @@ class EventStream:
         self.closed = True
         for sock in self._sockets:
             cut(sock)
+
+    def caught_up(self) -> bool:
+        """Whether each event that had been received when this was asked has been handled; asked from any thread.
+
+        The order of the two questions matters: what is received after the first may be handled at any time.
+        """
+        sockets = [sock for sock in self._sockets if isinstance(sock, _Socket) and sock.fileno() >= 0]
+        return self.closed or not any(sock.unread() or not sock.waiting for sock in sockets)
 
     def __enter__(self) -> EventStream:
         return self

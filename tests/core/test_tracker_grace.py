@@ -179,7 +179,7 @@ def test_a_stop_that_takes_its_time_is_no_fault() -> None:
     assert bench.opened == []
     assert bench.level("nodes") is Level.STALE
     assert "app is being stopped" in bench.tracker.state("nodes").result.summary
-    bench.take(bench.tracker.ended("app"))
+    bench.take(bench.tracker.ended("app", bench.stamp()))
     bench.see("container", BAD)
     assert (bench.opened, bench.blocked_by("nodes")) == (["container"], "container")
 

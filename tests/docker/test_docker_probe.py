@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from pathlib import Path
 from typing import Any
@@ -145,16 +146,41 @@ def test_an_answer_without_a_state_cannot_be_told() -> None:
 
 
 def test_checks_that_ask_together_share_one_answer(fake: FakeEngine, ask: Engine) -> None:
-    """Within 0.2 s the engine is asked once; then again."""
+    """At one moment the engine is asked once; whoever asks later gets an answer from after its question."""
     fake.containers["app"] = container("app")
     clock = FakeClock()
     docker = probe(ask, {"name": "app"}, clock=clock)
     docker.container("app")
     docker.container("app")
     assert asked(fake, "GET /containers/app/json") == 1
-    clock.advance(0.25)
+    clock.advance(0.01)
     docker.container("app")
     assert asked(fake, "GET /containers/app/json") == 2
+
+
+def test_an_answer_from_before_the_question_is_not_shared(fake: FakeEngine, ask: Engine) -> None:
+    """A container that has ended without an event since somebody else asked is seen to have ended: the run began after it."""
+    fake.containers["app"] = container("app")
+    clock = FakeClock()
+    docker = probe(ask, {"name": "app"}, clock=clock)
+    docker.container("app")
+    fake.set("app", status="exited", silently=True)
+    clock.advance(0.05)
+    fact = docker.container("app")
+    assert fact is not None
+    assert fact.status == "exited"
+
+
+def test_a_list_of_processes_asks_for_the_container_no_second_time(fake: FakeEngine, ask: Engine) -> None:
+    """The check has just looked at the container, and its processes are those of that id, or the engine refuses."""
+    fake.containers["app"] = container("app")
+    clock = FakeClock()
+    docker = probe(ask, {"name": "app"}, clock=clock)
+    docker.container("app")
+    clock.advance(0.05)
+    with contextlib.suppress(CannotTell):
+        docker.processes("app")
+    assert asked(fake, "GET /containers/app/json") == 1
 
 
 def test_an_event_makes_the_shared_answer_old(fake: FakeEngine, ask: Engine) -> None:

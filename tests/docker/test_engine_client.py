@@ -148,7 +148,7 @@ def test_a_forbidden_socket_says_which_group_is_needed(monkeypatch: pytest.Monke
         def connect(self, address: object) -> None:
             raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("phm.transport.docker_http.socket.socket", Forbidden)
+    monkeypatch.setattr("phm.transport.docker_http._Socket", Forbidden)
     with pytest.raises(EngineUnreachable, match="add the docker group with group_add"):
         Engine(f"unix://{tmp_path}/engine.sock").ping()
 

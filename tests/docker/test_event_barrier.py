@@ -1,0 +1,136 @@
+"""Events that the engine has sent are applied before results are judged, also while the thread that reads them is late."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from phm.clock import SystemClock
+from phm.daemon import Daemon
+from phm.engine import Batch
+from phm.probes.docker_watch import DockerEvent, Watch
+from phm.testing import settings
+from phm.transport.docker import Engine
+from tests.fakes.engine import DropStream, FakeEngine, container
+
+Until = Callable[[Callable[[], object], str], None]
+
+
+class Late:
+    """A listener whose thread is late: it takes each event, and goes on when the test says so."""
+
+    def __init__(self) -> None:
+        self.taken: list[DockerEvent] = []
+        self.applied: list[DockerEvent] = []
+        self.go = threading.Event()
+
+    def __call__(self, event: DockerEvent) -> None:
+        self.taken.append(event)
+        self.go.wait(60)
+        self.applied.append(event)
+
+
+@pytest.fixture
+def late(fake: FakeEngine) -> Iterator[tuple[Watch, Late]]:
+    fake.containers["app"] = container("app")
+    engine, listener = Engine(fake.url, timeout_s=4.0), Late()
+    watch = Watch(engine, settings(containers=[{"name": "app"}], docker={"compare": 60.0}), SystemClock(), listener)
+    watch.start()
+    assert fake.wait(lambda server: server.streams == 1)
+    yield watch, listener
+    listener.go.set()
+    watch.stop()
+    engine.close()
+
+
+def test_a_reader_that_waits_for_the_next_event_has_caught_up(
+    fake: FakeEngine, late: tuple[Watch, Late], until: Until
+) -> None:
+    """With nothing sent, nobody has to wait for it, however long the stream has been open."""
+    watch, _ = late
+    until(watch.caught_up, "the open stream")
+
+
+def test_an_event_that_is_being_applied_or_unread_is_waited_for(
+    fake: FakeEngine, late: tuple[Watch, Late], until: Until
+) -> None:
+    """The first is in the late listener's hands, the second lies on the socket; both are applied when the wait is over."""
+    watch, listener = late
+    until(watch.caught_up, "the open stream")
+    fake.set("app", status="exited", exit_code=1)
+    until(lambda: listener.taken, "the first event")
+    fake.set("app", status="running")
+    assert not watch.caught_up()
+    waited: list[int] = []
+
+    def wait() -> None:
+        watch.catch_up()
+        waited.append(len(listener.applied))
+
+    waiter = threading.Thread(target=wait, daemon=True)
+    waiter.start()
+    waiter.join(0.3)
+    assert waiter.is_alive()
+    listener.go.set()
+    until(lambda: waited, "the end of the wait")
+    assert waited == [2]
+
+
+def test_a_stream_that_is_closed_is_not_waited_for(fake: FakeEngine, late: tuple[Watch, Late], until: Until) -> None:
+    """An engine that is away sends nothing that could be applied."""
+    watch, _ = late
+    until(watch.caught_up, "the open stream")
+    fake.fault = DropStream()
+    assert fake.wait(lambda server: server.streams == 0)
+    until(watch.caught_up, "the end of the stream")
+
+
+@pytest.fixture
+def daemon(fake: FakeEngine, tmp_path: Path) -> Iterator[Daemon]:
+    fake.containers["app"] = container("app")
+    made = settings(
+        state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"), log={"directory": str(tmp_path / "log")},
+        checks={"host": {"enabled": False}}, containers=[{"name": "app", "healthcheck": "ignore"}],
+        docker={"socket": fake.url}, ros={"nodes": [], "topics": []}, recovery={"mode": "off"},
+    )  # fmt: skip
+    daemon = Daemon(made)
+    daemon.start()
+    yield daemon
+    daemon.stop()
+
+
+def test_results_and_time_wait_for_the_events_before_them(
+    fake: FakeEngine, daemon: Daemon, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While an event is not applied no result is judged, and nothing is published because time has passed; the heart goes on."""
+    until(lambda: daemon.pipeline.complete and daemon.parts.caught_up(), "the first report")
+    taken, go, order = threading.Event(), threading.Event(), list[str]()
+
+    def late(*event: str) -> None:
+        taken.set()
+        go.wait(60)
+        order.append("event")
+
+    def result(units: object, started: float, *more: object, **others: object) -> None:
+        if started == run.started:
+            order.append("result")
+
+    monkeypatch.setattr(daemon.holds, "happened", late)
+    fake.set("app", status="exited", exit_code=1)
+    assert taken.wait(20)
+    for _ in range(2):  # one that was under way when the event came is over after the second
+        beats = daemon._beat
+        daemon.beat_soon()
+        until(lambda: daemon._beat > beats, "a beat of the heart")  # noqa: B023
+    monkeypatch.setattr(daemon.pipeline, "observe", result)
+    monkeypatch.setattr(daemon.pipeline, "tick", lambda: order.append("time"))
+    run = Batch(dict.fromkeys(["container/app"], daemon.pipeline.states()[0].result), daemon.clock.mono(), 0.0, "test")
+    bring = threading.Thread(target=daemon._observe, args=(run,), daemon=True)
+    bring.start()
+    bring.join(0.3)
+    go.set()
+    until(lambda: "time" in order and not bring.is_alive(), "the result that was brought, and time")
+    assert order[0] == "event"
