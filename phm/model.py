@@ -166,7 +166,9 @@ class Fault:
     `suspects` names units that were ERROR then and can be behind anything, a full disk: a hint, not a verdict;
     `well_s` is for how many seconds the unit had been told as OK, without a break, when it broke;
     `well_in_life_s` the same in all since its target's container was last seen to be started, breaks or not; `life_seen`
-    whether that start was seen at all: else the container runs for longer than PHM.
+    whether that start was seen at all: else the container runs for longer than PHM; `life` names the life of that container in
+    which the fault opened, as a check saw it last (`phm.facts.ContainerFact.life`), empty where none is known or PHM has been
+    restarted since.
     """
 
     id: str
@@ -184,6 +186,7 @@ class Fault:
     well_s: float = 0.0
     well_in_life_s: float = 0.0
     life_seen: bool = False
+    life: str = ""
 
 
 @dataclass(frozen=True, slots=True)

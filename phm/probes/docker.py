@@ -105,9 +105,7 @@ class Docker:
 
     # ------------------------------------------------------------ one question for all who ask at once
 
-    def _shared(
-        self, key: str, ask: Callable[[Budget], ContainerFact | None], young_s: float
-    ) -> ContainerFact | None:
+    def _shared(self, key: str, ask: Callable[[Budget], ContainerFact | None], young_s: float) -> ContainerFact | None:
         """The answer to a question that was asked at most `young_s` before this call, or since: who waits while another thread
         asks shares its answer with those who wait, too. A check's result counts from when its run began, so nothing that it
         is made of may be older.

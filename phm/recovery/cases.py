@@ -16,6 +16,9 @@ class Case:
     """One open fault. `told` remembers what was said, to say it once."""
 
     fault: Fault
+    life: str = field(init=False)
+    """Of the container (`phm.recovery.lives.Life.name`): nothing is done for the fault in another one before it was found there,
+    too. Empty: any."""
     told: set[str] = field(default_factory=set)
     refused: bool = False
     approval: Approval | None = None
@@ -27,6 +30,9 @@ class Case:
     """Its container was on hold when it was last looked at."""
     cut_short: bool = False
     """Restored, with an action under way: the target is held until it is healed or acted on anew."""
+
+    def __post_init__(self) -> None:
+        self.life = self.fault.life
 
     def now_is(self, fault: Fault) -> None:
         """What is wrong may be another thing by now, for which other actions are known."""

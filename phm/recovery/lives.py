@@ -55,6 +55,11 @@ class Life:
     by: str = FOUND
 
     @property
+    def name(self) -> str:
+        """As checks call it: see `phm.facts.ContainerFact.life`."""
+        return f"{self.id}@{self.started}"
+
+    @property
     def whose(self) -> str:
         """The container for whose sake PHM began this life; empty when others did."""
         name = self.by.removeprefix("phm:")

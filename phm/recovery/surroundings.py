@@ -57,9 +57,28 @@ class Surroundings:
         now, self._life = self._shop.clock.mono(), self._shop.lives.look(self._target)
         restarted = self._life is not None and not self._life.same(before)
         for case in cases:
+            self._follow(case)
             waits = overtaken or (restarted and case.fault.id != mine.fault.id)
             proof_from = now + (self._shop.grace_s(case.fault.unit) if waits else 0.0)
             case.proof_from = max(proof_from, case.proof_from or proof_from)
+
+    def outlived(self, case: Case) -> bool:
+        """Whether the container is no longer in the life in which the fault was found: it has had its restart, whoever did it.
+
+        A run that begins after the grace of that restart must then find the unit in ERROR before anything is done.
+        """
+        life = self._shop.lives.look(self._target)
+        if life is None or case.life in ("", life.name):
+            return False
+        case.life = life.name
+        after_grace = self._shop.clock.mono() + self._shop.grace_s(case.fault.unit)
+        case.proof_from = max(after_grace, case.proof_from or after_grace)
+        return True
+
+    def _follow(self, case: Case) -> None:
+        """What is required of the case from now on holds for the life at hand."""
+        if self._life is not None:
+            case.life = self._life.name
 
     def note_hold(self, case: Case) -> None:
         """After a hold, or once it is decided that it was not stopped by hand, nothing is done before a fresh run has found the unit in ERROR."""
@@ -102,6 +121,7 @@ class Surroundings:
             return
         now, mine = self._shop.clock.mono(), self._life.by == by_phm(self._target)
         for case in cases:
+            self._follow(case)
             if case.cut_short and not mine:
                 case.cut_short = False
                 self._shop.hands.release(self._target, case, worked=False)

@@ -206,6 +206,8 @@ class TargetWorker:
             case.proof_from = None
             decision = self._decide(case.fault, approved=case.approval is not None)
             if isinstance(decision, Act):
+                if decision.action not in self._shop.free_actions and self._around.outlived(case):
+                    return 0  # judged by what is found in this life
                 return self._perform(case, decision)
             again = self._say(case, decision)
             if again is not None:

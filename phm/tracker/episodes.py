@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from phm.model import Fault, FaultClosed, FaultOpened, Level, Outcome, Result, Stamp
+from phm.tracker.lives import Lives
 from phm.tracker.units import NEVER, Entry, Scene, Step
 
 CONFIGURATION = "configuration"
@@ -15,8 +16,8 @@ RESTORED = "restored after a restart of PHM"
 class Episodes:
     """Opens and closes the faults of all units. Invariant: a unit has at most one open fault."""
 
-    def __init__(self, scene: Scene, prefix: str) -> None:
-        self._scene, self._prefix = scene, prefix
+    def __init__(self, scene: Scene, prefix: str, lives: Lives) -> None:
+        self._scene, self._prefix, self._lives = scene, prefix, lives
         self._count = 0
         self._taken: frozenset[str] = frozenset()
 
@@ -61,6 +62,7 @@ class Episodes:
             well_s=now.mono - entry.told.since.mono if entry.told.level is Level.OK else 0.0,
             well_in_life_s=entry.well_in_life_s(now.mono),
             life_seen=entry.born != NEVER,
+            life=self._lives.newest(result.target) if result.target else "",
         )
         step.events.append(FaultOpened(now, entry.fault))
 

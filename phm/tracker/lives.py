@@ -37,6 +37,11 @@ class Lives:
     def __init__(self) -> None:
         self._of: dict[str, _Life] = {}
 
+    def newest(self, target: str) -> str:
+        """The life of the container that a check saw last; empty: none."""
+        life = self._of.get(target)
+        return life.seen if life is not None else ""
+
     def heard(self, target: str, now: float) -> bool:
         """An event says that the container has been started; whether that is news."""
         life = self._of.setdefault(target, _Life())

@@ -35,8 +35,8 @@ class Tracker:
         self._stops: dict[str, float] = {}
         self._pauses: dict[str, Pause] = {}
         self._scene = Scene(self._units, self.needs, self._holds, self._stops, self._pauses)
-        self._episodes = Episodes(self._scene, fault_prefix)
         self._lives = Lives()
+        self._episodes = Episodes(self._scene, fault_prefix, self._lives)
         for entry in tracked:
             nothing = Result(Level.STALE, "no result yet")
             told = UnitState(entry.unit.id, entry.check, entry.slot, entry.layer, Level.STALE, nothing, now)

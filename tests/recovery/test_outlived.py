@@ -1,0 +1,101 @@
+"""A fault is acted on in the life of the container in which it was found; in a later one it must be found again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from phm import testing
+from phm.api import ok
+from phm.model import Event, FaultOpened, Phase
+from tests.recovery.agent import Agent, Containers, Of
+
+CONTAINER, ONE, TWO = "container/app", "nodes/app", "more/app"
+UNITS = {
+    CONTAINER: Of("app"),
+    ONE: Of("app", (CONTAINER,), grace_s=4.0),
+    TWO: Of("app", (CONTAINER,), grace_s=4.0),
+}
+
+
+@pytest.fixture
+def agent() -> Iterator[Agent]:
+    made = Agent(UNITS, Containers("app"), testing.FakeClock(), verify=10.0, backoff=0.1)
+    made.behave = lambda key, context, fault: restart(made)
+    seen(made)
+    made.rest(5.0)
+    yield made
+    made.stop()
+    made.clock.advance(1000)
+
+
+def seen(agent: Agent) -> None:
+    """The container's check names the life that it sees."""
+    agent.found[CONTAINER] = ok("running", life=agent.containers.facts["app"].life)
+
+
+def restart(agent: Agent) -> None:
+    agent.containers.start("app")
+    seen(agent)
+
+
+def test_a_restart_by_others_between_fault_and_action_is_the_restart(agent: Agent) -> None:
+    """Recovery had to wait, and the container was restarted meanwhile: what comes back in time is not restarted again."""
+    agent.missing = "a network"
+    agent.bad[ONE] = "broken"
+    agent.until(lambda: Phase.REFUSED in agent.steps(), "the wait")
+    restart(agent)
+    agent.missing = ""
+    agent.rest(3.0)
+    del agent.bad[ONE]
+    agent.rest(10.0)
+    assert agent.runs == []
+    assert [event.fault.by for event in agent.closed()] == ["itself"]
+
+
+def test_what_does_not_come_back_in_the_new_life_is_acted_on_after_its_grace(agent: Agent) -> None:
+    """Somebody's restart that has not helped keeps nobody from the next one."""
+    agent.missing = "a network"
+    agent.bad[ONE] = "broken"
+    agent.until(lambda: Phase.REFUSED in agent.steps(), "the wait")
+    restart(agent)
+    agent.missing = ""
+    agent.rest(3.0)
+    assert agent.runs == []
+    agent.until(lambda: agent.runs == [("app", ONE)], "the action")
+
+
+def test_a_second_fault_of_the_life_before_gets_no_restart_of_its_own(agent: Agent) -> None:
+    """Recovery learns of it only when the restart for the first one is over, as on a machine on which its thread is late."""
+    late: list[Event] = []
+    subscription = next(one for one in agent.bus._subscriptions if one.name == "recovery")
+
+    def handle(event: Event) -> None:
+        if isinstance(event, FaultOpened) and event.fault.unit == TWO:
+            late.append(event)
+        else:
+            agent.executor.handle(event)
+
+    subscription._handler = handle
+    agent.bad[ONE] = agent.bad[TWO] = "broken"
+    agent.until(lambda: agent.runs, "the restart")
+    del agent.bad[ONE]
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "its proof")
+    assert sorted(agent.opened()) == [TWO, ONE]
+    agent.executor.handle(late[0])
+    agent.rest(2.0)
+    del agent.bad[TWO]
+    agent.rest(10.0)
+    assert agent.runs == [("app", ONE)]
+
+
+def test_a_fault_of_the_life_at_hand_is_acted_on_immediately(agent: Agent) -> None:
+    """Also one that opens after several restarts."""
+    for _ in range(3):
+        restart(agent)
+        agent.rest(5.0)
+    agent.bad[ONE] = "broken"
+    agent.until(lambda: agent.opened() == [ONE], "the fault")
+    agent.rest(0.5)
+    assert agent.runs == [("app", ONE)]
