@@ -191,7 +191,12 @@ class Ledger:
 
 
 def _differs(old: BeaconFact, new: BeaconFact) -> bool:
-    return (old.birth, old.late_s, old.period_s) != (new.birth, new.late_s, new.period_s)
+    return _told(old) != _told(new)
+
+
+def _told(fact: BeaconFact) -> tuple[object, ...]:
+    """What the daemon must know as it is now. Before the first turn of an executor its lateness means nothing."""
+    return fact.birth, fact.late_s, fact.period_s, fact.turns > 0
 
 
 def portions(news: Heard, first: Collection[str]) -> list[Heard]:
