@@ -315,7 +315,7 @@ class Daemon:
         docker = self.parts.world.docker
         return ActionContext(
             self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
-            listed_nodes=lambda: self.parts.world.ros.look().nodes, reopen=self.parts.reopen, age_s=self.clock.age_s,
+            listed_nodes=lambda: self.parts.world.ros.look().nodes, reopen=self.parts.reopen,
             on_hold=self._hold_words,
         )  # fmt: skip
 

@@ -41,10 +41,6 @@ def _no_graph() -> Mapping[str, int]:
     raise CannotTell("no ROS graph is watched")
 
 
-def _unknown_age(utc: float) -> float | None:
-    return None
-
-
 def _no_link(link: str, timeout_s: float) -> bool:
     return False
 
@@ -73,7 +69,6 @@ class ActionContext:
     link:       the MAVLink endpoint of this name now, or None when there is none.
     autopilot:  the vehicle's autopilot now, or None when it was never received.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
-    age_s:      seconds since something was stamped (UTC), whatever the clock did since; None: not possible (`phm.clock.Steps`).
     on_hold:    why nothing may be done to a container for the sake of another: it is on hold, or stopped by hand; empty: it may.
     holding:    while it is entered, what breaks in that other container follows from this fault's repair.
     """
@@ -87,7 +82,6 @@ class ActionContext:
     link: Callable[[str], LinkFact | None] = _no_link_fact
     autopilot: Callable[[], AutopilotFact | None] = _no_autopilot
     clock: Clock = field(default_factory=SystemClock)
-    age_s: Callable[[float], float | None] = _unknown_age
     reopen: Callable[[str, float], bool] = _no_link
     holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
     on_hold: Callable[[str], str] = lambda key: ""
