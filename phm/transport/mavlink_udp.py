@@ -57,8 +57,9 @@ class _Sending(_Udp):
 
     proven = False
 
+    @abstractmethod
     def _send(self, frame: bytes) -> None:
-        raise NotImplementedError
+        """Raises OSError."""
 
     def write(self, frame: bytes) -> int:
         try:
