@@ -95,6 +95,8 @@ class Action(ABC):
     on_myself: ClassVar[bool] = False
     takes_down: ClassVar[Reach] = Reach.CONTAINER
     """What goes down with it for a moment: what is flight-critical among that is left alone while armed."""
+    starts: ClassVar[bool] = True
+    """Whether it may start or restart its container. The engine may do that late, also after PHM itself has ended."""
     proof_s: ClassVar[float] = 0.0
     """The unit and all that needs it must be found well by runs that began this long after the action: for actions after
     which all looks well for a moment (a container that starts and ends again, a node that is listed but cut off)."""

@@ -162,7 +162,8 @@ class TargetWorker:
         permit(self._container, self._history, now.mono, forbidden=forbidden, settings=settings)
 
     def _as_asked(self, asked: Case) -> float:
-        """As `_perform`. Judged again: the autopilot may have been armed since, or another action used the budget up."""
+        """As `_perform`; 0 also when it was refused. Decided again each time: the autopilot may have been armed since, or
+        another action may have used the budget up."""
         try:
             self._permit()
             void = self._approvals.void(asked, "restart")
@@ -172,7 +173,7 @@ class TargetWorker:
             self._publish(asked.fault, "restart", Phase.REFUSED, str(error))
             self._asked = None
             return 0
-        wait_s = self._perform(Case(asked.fault), Act("restart", 1))
+        wait_s = self._perform(Case(asked.fault, asked.told), Act("restart", 1))
         if wait_s == 0:
             self._asked = None
         return wait_s
@@ -193,7 +194,10 @@ class TargetWorker:
         cases = self._current()
         waits = [LIFE_S] if self._around.take_note(cases) else []
         if self._asked is not None:
-            return self._as_asked(self._asked)
+            wait_s = self._as_asked(self._asked)
+            if wait_s == 0:
+                return 0
+            waits.append(wait_s)
         for case in cases:
             waits += self._check_approval(case)
             if case.refused:
@@ -206,7 +210,11 @@ class TargetWorker:
             case.proof_from = None
             decision = self._decide(case.fault, approved=case.approval is not None)
             if isinstance(decision, Act):
-                return self._perform(case, decision)
+                wait_s = self._perform(case, decision)
+                if wait_s == 0:
+                    return 0
+                waits.append(wait_s)  # nothing was done: other faults must not wait for that
+                continue
             again = self._say(case, decision)
             if again is not None:
                 waits.append(max(POLL_S, again - self._shop.clock.mono()))
@@ -232,7 +240,11 @@ class TargetWorker:
         )
 
     def _wait_for_proof(self, unit: str, proof_from: float) -> float:
-        left_s = proof_from - self._shop.clock.mono()
+        now = self._shop.clock.mono()
+        hold = self._shop.holds.on(self._target, now)
+        if hold is not None:
+            return hold.until - now  # until then its units are STALE, whatever their checks find
+        left_s = proof_from - now
         if left_s > 0:
             return min(left_s, PROOF_S)
         self._shop.pipeline.look_again(unit, *self._shop.pipeline.suffering(unit, proof_from))

@@ -52,6 +52,7 @@ class MakeRoom(Action):
     """
 
     name = "make_room"
+    starts = False
     takes_down = Reach.NOTHING
     deadline_s = 60.0
 

@@ -18,6 +18,7 @@ class Reconnect(Action):
     """
 
     name = "reconnect"
+    starts = False
     takes_down = Reach.NETWORK
     # A node that has lost its network for good stays listed until its lease ends (1 s with config/fastdds.xml).
     proof_s = 2.0

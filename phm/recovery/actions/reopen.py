@@ -30,6 +30,7 @@ class Reopen(Action):
     connection that only one side believes in. A serial port keeps its DTR up meanwhile, so nothing behind it is reset."""
 
     name = "reopen"
+    starts = False
     on_myself = True
     deadline_s = OPEN_S + RADIO_S + 4.0
 
