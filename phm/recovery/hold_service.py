@@ -96,6 +96,7 @@ class HoldService:
         if not 1.0 <= length_s <= self._rules.hold_max:
             raise HoldRefused(f"a hold lasts 1 s to {self._rules.hold_max:g} s (recovery.hold_max), not {length_s:g} s")
         self._refuse_in_flight(container)
+        unsure = self._unsure(container)
         now = self._clock.stamp()
         hold = Hold(container, OPERATOR, now.mono + length_s, by, one_line(reason)[:MAX_TEXT])
         with self._lock:
@@ -104,7 +105,7 @@ class HoldService:
                 f"{action} of {key}" for key in self._of(hold) if (action := self._pipeline.acting_on(key))
             )
         finishing = f"; {', '.join(at_work)}, which is under way, is finished first" if at_work else ""
-        return f"{_name(hold)} is {hold.words(now)}{finishing}", self._json(hold)
+        return f"{_name(hold)} is {hold.words(now)}{finishing}{unsure}", self._json(hold)
 
     def release(self, container: str, by: str) -> tuple[str, dict[str, Any]]:
         """End the holds of a container; ALL: every hold. Raises HoldRefused."""
@@ -328,6 +329,16 @@ class HoldService:
             raise HoldRefused(
                 f"{container or 'a container'} is flight-critical and the autopilot is armed: its failures stay visible"
             )
+
+    def _unsure(self, container: str) -> str:
+        """What an operator must know who puts something flight-critical on hold and is not known to be on the ground.
+
+        It is not refused: a hold does nothing, and at a bench there is no autopilot. Armed includes a silence after armed.
+        """
+        armed, keys = self._world.armed(), [key for key in self._keys if container in (ALL, key)]
+        if armed.state is not State.UNKNOWN or not self._critical(keys):
+            return ""
+        return f"; the vehicle is not known to be disarmed ({armed.why}): the hold ends when the autopilot is armed"
 
     def _json(self, hold: Hold) -> dict[str, Any]:
         now = self._clock.stamp()

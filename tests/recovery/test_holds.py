@@ -34,7 +34,7 @@ class Scene:
 
     def __init__(
         self, folder: Path | None = None, clock: FakeClock | None = None, containers: Containers | None = None,
-        **recovery: Any,
+        bad: dict[str, str] | None = None, **recovery: Any,
     ) -> None:  # fmt: skip
         self.clock, self.containers = clock or FakeClock(), containers or Containers("app", "cam")
         self.armed = ArmedState.DISARMED
@@ -51,6 +51,7 @@ class Scene:
         self.service._apply(("app", "cam"))
         look = self.agent.look
         self.agent.look = lambda: (self.service.tick(), look())[1]  # type: ignore[method-assign]
+        self.agent.bad = bad or {}
         self.agent.rest(0.5)
 
     def hold(self, container: str = "app", for_s: float | None = 60.0, reason: str = "new firmware") -> str:
@@ -275,6 +276,26 @@ def test_what_is_flight_critical_is_not_put_on_hold_while_armed(scene: Scene, co
     with pytest.raises(HoldRefused, match="flight-critical"):
         scene.hold(container)
     scene.hold("cam")
+
+
+@pytest.mark.parametrize("container", ["app", ALL])
+def test_what_is_flight_critical_is_put_on_hold_when_the_armed_state_is_unknown(scene: Scene, container: str) -> None:
+    """A bench has no autopilot, and a hold does nothing; the answer says what is not known, and arming ends the hold."""
+    scene.armed = ArmedState.UNKNOWN
+    said = scene.hold(container)
+    assert said.endswith(
+        "the vehicle is not known to be disarmed (as the test says): the hold ends when the autopilot is armed"
+    )
+    assert "not known" not in scene.hold("cam")
+    scene.agent.rest(1)
+    scene.armed = ArmedState.ARMED
+    scene.agent.rest(3)
+    assert [hold["container"] for hold in scene.service.snapshot()] == ["cam"]
+
+
+def test_on_the_ground_a_hold_is_granted_without_a_warning(scene: Scene) -> None:
+    """The autopilot is known to be disarmed."""
+    assert "not known" not in scene.hold("app")
 
 
 def test_take_off_ends_what_must_not_be_missed(scene: Scene) -> None:
@@ -535,6 +556,26 @@ def test_a_hold_survives_a_restart_of_phm(scenes: Any, tmp_path: Path) -> None:
     second.agent.rest(60)
     assert second.agent.opened() == []
     second.agent.until(lambda: second.agent.opened() == ["container/app"], "the end of the hold")
+
+
+def test_while_on_hold_no_check_is_run_for_the_sake_of_recovery(
+    scenes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault from before a restart of PHM: what is found on hold does not count, and a fresh run is asked for afterwards."""
+    first = scenes(tmp_path, **PATIENT)
+    first.agent.behave = lambda key, context, fault: None
+    first.agent.bad = {"container/app": "broken"}
+    first.agent.until(lambda: first.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
+    first.hold(for_s=100)
+    first.agent.rest(5)
+    first.agent.stop()
+    second = scenes(tmp_path, first.clock, bad={"container/app": "broken"}, **PATIENT)
+    looks: list[str] = []
+    monkeypatch.setattr(second.agent.pipeline, "look_again", lambda *units: looks.extend(units))
+    second.agent.rest(60)
+    assert looks == []
+    second.agent.until(lambda: looks, "the fresh run")
+    second.agent.until(lambda: Phase.STARTED in second.agent.steps(), "the next attempt")
 
 
 def test_a_stop_that_is_over_when_phm_starts_holds_nothing(scenes: Any, tmp_path: Path) -> None:
