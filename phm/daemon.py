@@ -167,7 +167,7 @@ class Daemon:
         return tuple(closing.hung)
 
     def _note_subscribers(self) -> None:
-        """Whoever listens to the links now belongs to this daemon, and what comes from now on to the next."""
+        """What listens to the links now belongs to this daemon, and what comes from now on to the next."""
         if self.parts.mavlink is not None:
             self._subscribers = self.parts.mavlink.subscribers()
 
@@ -349,7 +349,7 @@ class Daemon:
                 done = join(container, self._action_context())
             except CannotTell as error:
                 self.pipeline.note("PHM", f"could not join the networks of {container.key}: {error}")
-            except Exception as error:  # an answer of a kind that nobody foresaw must not keep ROS from starting
+            except Exception as error:  # an unexpected answer must not keep ROS from starting
                 logger.exception("the networks of %s could not be joined", container.key)
                 words = f"could not join the networks of {container.key}: {type(error).__name__}: {error}"
                 self.pipeline.note("PHM", words)

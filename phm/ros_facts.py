@@ -97,7 +97,7 @@ class BeaconFact:
     """The newest beacon of one node (`phm.beacon`).
 
     period_s: how often it means to send. late_s: how late its executor ran its newest beat, by its own word.
-    birth: changes when the node is started anew. beats: how many it has sent in this life, as of a second ago at most; of
+    birth: changes when the node is restarted. beats: how many it has sent in this life, as of a second ago at most; of
     a node that is not configured, as of its last news. views: what it says about its neighbours, by full node name. turns:
     how often its executor turned in this life, as of the same moment; 0: never yet, or it is not watched, and late_s means
     nothing. witness: the process that speaks; its nodes hear as one.

@@ -268,7 +268,7 @@ class Watch:
         return bool(left_ns and 0 <= at_ns - left_ns < AGAIN_S * 1e9)
 
     def _is_replaced(self, key: str, container_id: str) -> bool:
-        """Whether another container has taken the place of this one: its end concerns nobody."""
+        """Whether another container has taken the place of this one: its end is not a fault."""
         with self._lock:
             return self._current.get(key, container_id) != container_id
 

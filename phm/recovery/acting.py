@@ -29,7 +29,7 @@ ASK_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What came of it: a sentence for the log, whether the step was done, and whether PHM was told that it may not.
+    """What came of it: a sentence for the log, whether the step was done, and whether it was not permitted.
 
     forbidden: the vehicle was armed between the decision and the call to the engine.
     postponed: nothing was done because something that it needs is not there.
@@ -63,7 +63,7 @@ class Acting:
     def begin(self) -> bool:
         """Take the target in hand; False when another container's repair is restarting it, or somebody is stopping it: it must
         not be killed before the time is over that it was given to end. False also when no thread can be started: an action
-        that cannot even begin is no attempt.
+        that cannot even begin does not count as an attempt.
         """
         if self._shop.pipeline.stopping(self._target.key) or not self._shop.hands.take(self._target.key, self):
             return False

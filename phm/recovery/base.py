@@ -31,7 +31,7 @@ class ActionFailed(Exception):
 
 
 class NotYet(ActionFailed):
-    """Something that the step needs is not there, and nothing was changed: it is done later, and this is no attempt.
+    """Something that the step needs is not there, and nothing was changed: it is done later, and this does not count as an attempt.
 
     The message says what is waited for.
     """

@@ -77,5 +77,5 @@ class GuardedEngine:
 
 
 def guarded(engine: Engine, safeguard: Safeguard, forbids: Forbids) -> Engine:
-    """The same engine to whoever uses it."""
+    """The same engine to its users."""
     return cast(Engine, GuardedEngine(engine, safeguard, forbids))

@@ -333,7 +333,7 @@ class HoldService:
     def _unsure(self, container: str) -> str:
         """What an operator must know who puts something flight-critical on hold and is not known to be on the ground.
 
-        It is not refused: a hold does nothing, and at a bench there is no autopilot. Armed includes a silence after armed.
+        It is not refused: a hold does nothing, and a bench has no autopilot. Armed includes a silence after armed.
         """
         armed, keys = self._world.armed(), [key for key in self._keys if container in (ALL, key)]
         if armed.state is not State.UNKNOWN or not self._critical(keys):

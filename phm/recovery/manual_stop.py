@@ -1,4 +1,4 @@
-"""Tells a stop that came from an operator from a crash, by the engine's events. Pure; the caller brings time.
+"""Distinguishes an operator's stop from a crash, by the engine's events. Pure; the caller brings time.
 
 What the engine reports (seen with Docker 20.10 and Compose 2.26)::
 
@@ -66,7 +66,7 @@ class ManualStops:
     ) -> None:
         """One event of the container `key`. own: the event is PHM's doing. late: PHM's call has given up, and the engine has not.
 
-        A restart that the engine finishes late ends the container before it starts it: that end is no fault yet.
+        A restart that the engine finishes late ends the container before it starts it: that end is not a fault yet.
         """
         if late and action in ("die", "stop"):
             self._of[key] = _Ending(now + STOPPED_S, ended=True)

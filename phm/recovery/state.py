@@ -244,7 +244,7 @@ def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> KeptHold:
     )
     until, left_s = float(body["until_mono"]), float(body["left_s"])
     if not (abs(until) < 1e12 and abs(left_s) < 1e12):
-        raise ValueError("the end of a hold is no time")
+        raise ValueError("the end of a hold is not a time")
     hold = carried(Hold(target, source, until, by, reason, occurrence), left_s, now.mono, same_boot=same_boot)
     return KeptHold(hold, hold.until - now.mono)
 

@@ -332,7 +332,7 @@ class TargetWorker:
         return 0
 
     def _end(self, attempt: Attempt | None) -> None:
-        """Counted before it is told: whoever kills PHM in between loses no attempt. None: nothing was tried."""
+        """Counted before it is published: no attempt is lost when PHM is killed in between. None: nothing was tried."""
         if attempt is not None:
             self._history.add(attempt)
         self._under_way = None

@@ -106,7 +106,7 @@ def test_a_step_of_the_clock_before_phms_start_makes_no_file_old(disk: Path, sta
 
 
 def test_a_clock_that_is_not_known_for_long_enough_is_waited_for(disk: Path) -> None:
-    """That is no attempt, and ends as soon as files of `older_than` can be told from newer ones."""
+    """That is no attempt, and ends as soon as files of `older_than` can be distinguished from newer ones."""
     old, clock = put(disk / "bags/old.mcap", 98_000, 24 * HOUR_S), watched(60.0)
     rooms: list[dict[str, Any]] = [{"files": ["*.mcap"]}, {"files": ["*.log"], "older_than": 1200}]
     assert "for another 540 s: what the clock was set to" in waits_for(disk, *rooms, clock=clock)
