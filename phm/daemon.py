@@ -100,7 +100,7 @@ class Daemon:
         self.desk: Desk | None = None
         timeout_s = settings.mavlink.autopilot_timeout
         self.armed = ArmedMonitor(self.parts.world.links.autopilot, timeout_s, self.clock)
-        world = HoldWorld(self.armed.now, self.parts.world.docker.container, self._acting_on)
+        world = HoldWorld(self.armed.now, self.parts.world.docker.container, self._acting_on, self.parts.event_stream)
         self.holds = HoldService(settings, self._held, self.pipeline, self.bus.publish, self.clock, world)
         self.memory = Memory(settings, self.pipeline, self.bus, self.clock, self.armed)
         self._looks = self._stalled = 0

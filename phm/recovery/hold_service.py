@@ -13,7 +13,7 @@ from typing import Any
 
 from phm import threads
 from phm.clock import Clock
-from phm.facts import CannotTell, ContainerFact
+from phm.facts import COMPLETE, CannotTell, ContainerFact, EventStreamFact
 from phm.maintenance import LABEL, parse
 from phm.model import Event, HoldChanged
 from phm.pipeline import Pipeline
@@ -35,6 +35,14 @@ FLYING_S = 1.0
 """While there is a hold or a window, the armed state is looked at this often."""
 WINDOWS_S, LABELS_S = 5.0, 30.0
 """Maintenance windows, and the labels that name some, are looked at this often."""
+REPLAYED_S = 0.15
+"""What happened while the event stream was closed is replayed within this time once it is open."""
+CLOSED_S = 3.0
+"""A container that ends while the event stream is closed is started no later than this after the stream broke."""
+LOOK_S = 0.1
+"""While the event stream is closed, it is looked at this often."""
+STOP_MAX_S = 121.0
+"""The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.docker_watch.STOP_S`)."""
 _DONE = {Verdict.STOPPED: "stopped", Verdict.REMOVED: "removed"}
 
 
@@ -48,12 +56,14 @@ class HoldWorld:
 
     armed:     the vehicle's armed state; what is not known counts as in the air.
     container: the engine's view of a configured container now, for its label. Raises CannotTell.
+    stream:    the engine's event stream now.
     own:       whether what the engine does to a container may be PHM's doing: an action at work, or a call without an answer.
     """
 
     armed: Callable[[], Armed]
     container: Callable[[str], ContainerFact | None]
     own: Callable[[str], bool]
+    stream: Callable[[], EventStreamFact] = lambda: COMPLETE
 
 
 class HoldService:
@@ -67,6 +77,7 @@ class HoldService:
         self._publish, self._clock, self._world = publish, clock, world
         self._keys = tuple(entry.key for entry in settings.containers)
         self._stops = ManualStops()
+        holds.explained_until = self._explained_until
         self._flew: bool | None = None
         self._complained: set[tuple[str, str]] = set()
         self._windows_at = self._labels_at = float("-inf")
@@ -130,7 +141,10 @@ class HoldService:
         with self._lock:
             now, own = self._clock.mono(), self._world.own(container)
             late = own and not self._pipeline.acting_on(container)
-            self._stops.event(container, action, detail, now, own=own, late=late, container_id=container_id)
+            missed = now - self._world.stream().complete_since < STOP_MAX_S
+            self._stops.event(
+                container, action, detail, now, own=own, late=late, missed=missed, container_id=container_id
+            )
             if action == "start":
                 self._runs(container)
             self._apply([container])
@@ -155,6 +169,14 @@ class HoldService:
         return max(0.0, min(dues)) if dues else None
 
     # ------------------------------------------------------------ inside
+
+    def _explained_until(self, now: float) -> float | None:
+        """While the event stream is closed, nothing tells a stop from a crash; both are replayed when it is open again."""
+        stream = self._world.stream()
+        until = stream.since + (REPLAYED_S if stream.open else CLOSED_S)
+        if now >= until:
+            return None
+        return until if stream.open else min(until, now + LOOK_S)
 
     def _loop(self) -> None:
         while not self._stopping:

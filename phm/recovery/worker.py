@@ -37,6 +37,8 @@ PROOF_S = 0.5
 """A fault that is to be judged afresh is looked at again this often."""
 WAITS_S = 1.0
 """While something that an action needs is not there, it is looked for this often; mostly its event comes first."""
+ENDED = "exited"
+"""The condition of a container that may have been stopped by hand."""
 LIFE_S = 2.0
 """While attempts on the container count, it is looked at this often to see whether somebody else has started it again."""
 
@@ -265,7 +267,7 @@ class TargetWorker:
             start_s=shop.context.settings.ros.grace,
             approved=approved,
             hold=(hold.until, hold.words(now)) if hold is not None else None,
-            undecided=shop.holds.undecided(self._target, now.mono),
+            undecided=shop.holds.undecided(self._target, now.mono, ended=fault.result.condition == ENDED),
             stopped_by_hand=shop.holds.stopped_by_hand(self._target),
         )
 

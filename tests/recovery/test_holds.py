@@ -12,11 +12,12 @@ from typing import Any
 import pytest
 
 from phm.daemon import Daemon
+from phm.facts import COMPLETE, EventStreamFact
 from phm.model import FaultClosed, HoldChanged, Level, Outcome, Phase, Stamp
 from phm.probes.docker_watch import DockerEvent
 from phm.recovery.armed import Armed, LastKnown, State as ArmedState
 from phm.recovery.executor import NotApprovable, NotNow
-from phm.recovery.hold_service import HoldRefused, HoldService, HoldWorld
+from phm.recovery.hold_service import CLOSED_S, HoldRefused, HoldService, HoldWorld
 from phm.recovery.holds import ALL, Hold, Holds
 from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
 from phm.testing import FakeClock, settings
@@ -44,7 +45,10 @@ class Scene:
         )  # fmt: skip
         self.holds: Holds = self.agent.executor._shop.holds
         acting_on = self.agent.executor.acting_on
-        world = HoldWorld(lambda: Armed(self.armed, "as the test says"), self.containers.facts.get, acting_on)
+        self.stream = COMPLETE
+        world = HoldWorld(
+            lambda: Armed(self.armed, "as the test says"), self.containers.facts.get, acting_on, lambda: self.stream
+        )
         self.service = HoldService(
             self.agent.settings, self.holds, self.agent.pipeline, self.agent.bus.publish, self.clock, world
         )
@@ -437,6 +441,61 @@ def test_a_crash_with_an_open_fault_is_healed_after_the_verdict(scenes: Any) -> 
     scene.containers.end("app")
     scene.agent.bad = {"container/app": "exited"}
     scene.agent.until(lambda: scene.agent.runs, "the restart")
+
+
+def test_a_stop_whose_signal_was_missed_is_not_undone(scenes: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stream was opened after the `kill`: the alarm comes with the `die`, and the action waits for a `stop`."""
+    monkeypatch.setattr("phm.recovery.manual_stop.UNSURE_S", 1.0)
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
+    scene.agent.rest(1)
+    scene.happen(STOP[1])
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.rest(0.5)
+    assert scene.agent.opened() == ["container/app"]
+    scene.happen(STOP[2])
+    scene.agent.rest(30)
+    assert scene.changes() == [("app", True)] and scene.agent.runs == []
+
+
+def test_a_crash_after_the_stream_was_opened_is_healed(scenes: Any) -> None:
+    """No `stop` follows; the alarm does not wait for one."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
+    scene.agent.rest(1)
+    scene.happen(STOP[1])
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.step()
+    assert scene.agent.opened() == ["container/app"]
+    scene.agent.until(lambda: scene.agent.runs, "the start")
+    assert scene.changes() == []
+
+
+def test_an_end_while_the_stream_is_closed_is_not_acted_on_before_it_is_explained(scenes: Any) -> None:
+    """When it is open again, the engine replays what happened."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(False, scene.clock.mono(), 0.0)
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.rest(CLOSED_S / 2)
+    scene.stream = EventStreamFact(True, scene.clock.mono(), 0.0)
+    scene.happen(*STOP)
+    scene.agent.rest(30)
+    assert scene.changes() == [("app", True)] and scene.agent.runs == []
+
+
+@pytest.mark.parametrize(("condition", "waits"), [("exited", True), ("broken", False)])
+def test_a_stream_that_stays_closed_keeps_nothing_from_being_healed(scenes: Any, condition: str, waits: bool) -> None:
+    """What has ended is acted on CLOSED_S after the stream broke, and what else is wrong is acted on immediately."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(False, scene.clock.mono(), 0.0)
+    scene.agent.bad = {"container/app": condition}
+    scene.agent.rest(CLOSED_S / 2)
+    assert scene.agent.runs == ([] if waits else [("app", "container/app")])
+    scene.agent.rest(CLOSED_S)
+    assert scene.agent.runs[0] == ("app", "container/app")
 
 
 def test_a_dependant_that_was_stopped_by_hand_is_not_started(scenes: Any) -> None:
