@@ -18,9 +18,10 @@ from phm.maintenance import LABEL, parse
 from phm.model import Event, HoldChanged
 from phm.pipeline import Pipeline
 from phm.recovery.armed import Armed, State
+from phm.recovery.dependants import dependants
 from phm.recovery.holds import ALL, MAX_TEXT, OPERATOR, STOP, WINDOW, Hold, Holds
 from phm.recovery.manual_stop import ManualStops, Verdict
-from phm.settings import ContainerSettings, Settings
+from phm.settings import Settings
 from phm.wire.report import iso
 from phm.wire.text import one_line
 
@@ -82,6 +83,8 @@ class HoldService:
         self._complained: set[tuple[str, str]] = set()
         self._windows_at = self._labels_at = float("-inf")
         self._labels: dict[str, str] = {}
+        self._facts: dict[str, ContainerFact] = {}
+        """The newest of each container, also of one that was removed: what lives in its namespaces depends on it."""
         self._seen: set[str] = set()
         self._lock = threading.RLock()
         self._wake, self._stopping = threading.Event(), False
@@ -288,6 +291,8 @@ class HoldService:
             except CannotTell:
                 continue
             self._labels[key] = fact.maintenance if fact is not None else ""
+            if fact is not None:
+                self._facts[key] = fact
             if fact is not None and fact.running and (key not in self._seen or key in stopped):
                 with self._lock:
                     self._runs(key)
@@ -342,14 +347,18 @@ class HoldService:
             )
 
     def _critical(self, keys: Iterable[str]) -> bool:
-        entries: list[ContainerSettings | None] = [self._settings.container(key) for key in keys]
-        return any(entry is not None and entry.flight_critical for entry in entries)
+        """Whether one of these is flight-critical, or something is that it would take down (`phm.recovery.dependants`)."""
+        entries = self._settings.containers
+        critical = {entry.key for entry in entries if entry.flight_critical}
+        facts = dict(self._facts)
+        return bool(critical) and any(critical & {key, *dependants(key, facts, entries)} for key in keys)
 
     def _refuse_in_flight(self, container: str) -> None:
         keys = [key for key in self._keys if container in (ALL, key)]
         if self._flying() and self._critical(keys):
             raise HoldRefused(
-                f"{container or 'a container'} is flight-critical and the autopilot is armed: its failures stay visible"
+                f"{container or 'a container'} is flight-critical, or another one that depends on it, and the autopilot is "
+                "armed: its failures stay visible"
             )
 
     def _unsure(self, container: str) -> str:

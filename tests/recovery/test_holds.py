@@ -17,7 +17,7 @@ from phm.model import FaultClosed, HoldChanged, Level, Outcome, Phase, Stamp
 from phm.probes.docker_watch import DockerEvent
 from phm.recovery.armed import Armed, LastKnown, State as ArmedState
 from phm.recovery.executor import NotApprovable, NotNow
-from phm.recovery.hold_service import CLOSED_S, HoldRefused, HoldService, HoldWorld
+from phm.recovery.hold_service import CLOSED_S, LABELS_S, HoldRefused, HoldService, HoldWorld
 from phm.recovery.holds import ALL, Hold, Holds
 from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
 from phm.testing import FakeClock, settings
@@ -280,6 +280,33 @@ def test_what_is_flight_critical_is_not_put_on_hold_while_armed(scene: Scene, co
     with pytest.raises(HoldRefused, match="flight-critical"):
         scene.hold(container)
     scene.hold("cam")
+
+
+def shared_network(scene: Scene) -> None:
+    """app lives in the network of cam."""
+    scene.containers.facts["app"] = replace(scene.containers.facts["app"], network_mode="container:cam")
+    scene.agent.rest(2 * LABELS_S)
+
+
+def test_what_takes_a_flight_critical_container_down_is_not_put_on_hold_while_armed(scene: Scene) -> None:
+    """Its failure would take down the critical one, and must stay visible as well; a hold from before ends with arming."""
+    shared_network(scene)
+    scene.hold("cam", 600.0)
+    scene.armed = ArmedState.ARMED
+    scene.agent.rest(3)
+    assert scene.service.snapshot() == []
+    with pytest.raises(HoldRefused, match="flight-critical"):
+        scene.hold("cam")
+
+
+def test_a_stop_that_takes_a_flight_critical_container_down_is_never_respected_quietly(scenes: Any) -> None:
+    scene = scenes(on_manual_stop="respect")
+    shared_network(scene)
+    scene.armed = ArmedState.ARMED
+    scene.agent.rest(1)
+    stopped(scene, "cam")
+    scene.agent.until(lambda: scene.agent.opened() == ["container/cam"], "the alarm")
+    assert scene.changes() == []
 
 
 @pytest.mark.parametrize("container", ["app", ALL])
