@@ -22,8 +22,8 @@ from phm.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMITS = Limits()
-FIRST_DOMAIN, DOMAINS = 60, 60
-"""Clear of 0, which others use, and below 128, above which ports collide with ephemeral ones."""
+FIRST_DOMAIN, DOMAINS = 60, 42
+"""Clear of 0, which others use, and up to 101: the ports of 102 are ephemeral ones, which any socket may have."""
 _turns = itertools.count(os.getpid())
 _open: list[Bench] = []
 """What a test that fails for want of something describes."""
@@ -114,7 +114,7 @@ class Bench:
         lines = [f"ROS domain {self.domain}; /dev/shm has {len(os.listdir('/dev/shm'))} files; notes: {self.notes}"]
         for process in self._processes:
             code = process.poll()
-            lines.append(f"process {process.pid} {'runs' if code is None else f'ended with {code}'}: {process.args}")
+            lines.append(f"process {process.pid} {'runs' if code is None else f'ended with {code}'}: {process.args!r}")
         for probe in self._probes:
             child = f"runs as {probe.pid}" if probe.pid and not gone(probe.pid) else "does not run"
             lines.append(f"a probe, whose child {child}, after {probe.restarts} restarts; problems: {probe.problems()}")
