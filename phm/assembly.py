@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from phm.clock import Clock
-from phm.facts import Attachment, CannotTell, LinkFact, RosFact, RosProbe, SelfFact, World
+from phm.facts import COMPLETE, Attachment, CannotTell, EventStreamFact, LinkFact, RosFact, RosProbe, SelfFact, World
 from phm.probes.attachments import RememberingDocker
 from phm.probes.devices import Devices
 from phm.probes.docker import Docker
@@ -75,6 +75,10 @@ class Parts:
             self.watch.start()
         if self.pulse is not None:
             self.pulse.start()
+
+    def event_stream(self) -> EventStreamFact:
+        """The engine's event stream now; complete when no container is configured."""
+        return self.watch.fact if self.watch is not None else COMPLETE
 
     def start_ros(self) -> None:
         if self.ros is not None:

@@ -102,7 +102,7 @@ class Daemon:
         self.desk: Desk | None = None
         timeout_s = settings.mavlink.autopilot_timeout
         self.armed = ArmedMonitor(self.parts.world.links.autopilot, timeout_s, self.clock)
-        world = HoldWorld(self.armed.now, self.parts.world.docker.container, self._acting_on)
+        world = HoldWorld(self.armed.now, self.parts.world.docker.container, self._acting_on, self.parts.event_stream)
         self.holds = HoldService(settings, self._held, self.pipeline, self.bus.publish, self.clock, world)
         self.relief = Relief(self.parts.engine, self.parts.world.docker.container, self.pipeline, self.clock)
         self.memory = Memory(settings, self.pipeline, self.bus, self.clock, self.armed)
@@ -171,7 +171,7 @@ class Daemon:
         return tuple(closing.hung)
 
     def _note_subscribers(self) -> None:
-        """Whoever listens to the links now belongs to this daemon, and what comes from now on to the next."""
+        """What listens to the links now belongs to this daemon, and what comes from now on to the next."""
         if self.parts.mavlink is not None:
             self._subscribers = self.parts.mavlink.subscribers()
 
@@ -332,7 +332,7 @@ class Daemon:
         docker = self.parts.world.docker
         return ActionContext(
             self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
-            listed_nodes=lambda: self.parts.world.ros.look().nodes, reopen=self.parts.reopen, age_s=self.clock.age_s,
+            listed_nodes=lambda: self.parts.world.ros.look().nodes, reopen=self.parts.reopen,
             on_hold=self._hold_words, relief=self.relief,
         )  # fmt: skip
 
@@ -366,7 +366,7 @@ class Daemon:
                 done = join(container, self._action_context())
             except CannotTell as error:
                 self.pipeline.note("PHM", f"could not join the networks of {container.key}: {error}")
-            except Exception as error:  # an answer of a kind that nobody foresaw must not keep ROS from starting
+            except Exception as error:  # an unexpected answer must not keep ROS from starting
                 logger.exception("the networks of %s could not be joined", container.key)
                 words = f"could not join the networks of {container.key}: {type(error).__name__}: {error}"
                 self.pipeline.note("PHM", words)

@@ -164,6 +164,22 @@ class ContainerFact:
 
 
 @dataclass(frozen=True, slots=True)
+class EventStreamFact:
+    """The engine's event stream. open, since: whether it is open, and since when it is so (monotonic seconds).
+
+    complete_since: nothing that happened after this (monotonic seconds) was missed; infinity: not known.
+    """
+
+    open: bool
+    since: float
+    complete_since: float = float("inf")
+
+
+COMPLETE = EventStreamFact(True, float("-inf"), float("-inf"))
+"""Open for ever."""
+
+
+@dataclass(frozen=True, slots=True)
 class ProcessFact:
     """One process of a container, as the host's `ps` tells it. Zombies are left out: they have ended."""
 

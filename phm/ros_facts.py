@@ -99,9 +99,10 @@ class BeaconFact:
     """The newest beacon of one node (`phm.beacon`).
 
     period_s: how often it means to send. late_s: how late its executor ran its newest beat, by its own word.
-    birth: changes when the node is started anew. beats: how many it has sent in this life, as of a second ago at most.
-    views: what it says about its neighbours, by full node name. turns: how often its executor turned in this life; 0:
-    never yet, or it is not watched, and late_s means nothing. witness: the process that speaks; its nodes hear as one.
+    birth: changes when the node is restarted. beats: how many it has sent in this life, as of a second ago at most; of
+    a node that is not configured, as of its last news. views: what it says about its neighbours, by full node name. turns:
+    how often its executor turned in this life, as of the same moment; 0: never yet, or it is not watched, and late_s means
+    nothing. witness: the process that speaks; its nodes hear as one.
     rivals: how many other processes beat under the same name, each and this one several times since it began.
     copied_by: who else uses the identity of this process (name of a node, or of a writer); refused, but reported.
     """

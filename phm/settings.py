@@ -417,7 +417,7 @@ class RoomSettings(Section):
     files: Annotated[list[Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^/]+$")]], Field(min_length=1)]
     """Names, or patterns with `*` and `?`, of the files that may go, in the folder and below."""
     older_than: Annotated[Seconds, Field(ge=10)] = 600.0
-    """Seconds since a file was changed last before it may go."""
+    """Seconds since a file was changed last before it may go; PHM must have watched the clock for as long."""
 
 
 class HostSettings(Section):

@@ -2,7 +2,7 @@
 
 A handler runs in the main thread, between two steps of whatever that is doing. One that calls `Event.set` stops for ever when the
 main thread is inside `wait` of that same event, which holds the event's lock. The kernel's part of Python writes each signal's
-number into a pipe instead (`signal.set_wakeup_fd`), and whoever waits for signals reads it.
+number into a pipe instead (`signal.set_wakeup_fd`), and the thread that waits for signals reads it.
 """
 
 from __future__ import annotations

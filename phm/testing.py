@@ -77,8 +77,8 @@ class FakeClock:
     def __init__(self, mono: float = 1000.0, utc: float = 1_700_000_000.0) -> None:
         self._mono = mono
         self._utc = utc
-        self._steps = Steps()
-        self._steps.note(Stamp(utc, mono))
+        self.steps = Steps()
+        self.steps.note(Stamp(utc, mono))
         self._lateness = Lateness()
         self._sleepers: list[_Sleeper] = []
         self._moved = threading.Condition()
@@ -95,9 +95,8 @@ class FakeClock:
         with self._moved:
             return Stamp(utc=self._utc, mono=self._mono)
 
-    def age_s(self, utc: float) -> float | None:
-        with self._moved:
-            return self._steps.age_s(utc, Stamp(self._utc, self._mono))
+    def latest(self, utc: float) -> float:
+        return self.steps.latest(utc)
 
     def advance(self, seconds: float) -> None:
         """Move both clocks forward and wake the threads whose time has come."""
@@ -106,7 +105,7 @@ class FakeClock:
         with self._moved:
             self._mono += seconds
             self._utc += seconds
-            self._steps.note(Stamp(self._utc, self._mono))
+            self.steps.note(Stamp(self._utc, self._mono))
             self._moved.notify_all()
 
     def be_late(self, seconds: float) -> None:
@@ -122,7 +121,7 @@ class FakeClock:
         """Set UTC forward or back, as an NTP client does; nobody wakes."""
         with self._moved:
             self._utc += seconds
-            self._steps.note(Stamp(self._utc, self._mono))
+            self.steps.note(Stamp(self._utc, self._mono))
 
     @property
     def sleepers(self) -> int:

@@ -10,17 +10,19 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from phm.gcs.lines import read
 from phm.model import Slot
 from sitl.bench import machine
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
-from sitl.ground import Ground
+from sitl.ground import Ground, TextLine
 from sitl.record import Event, Record
 from sitl.screen import screen
 from sitl.stack import Stack
@@ -84,22 +86,13 @@ class Demo:
         return self._judge(fault, unit, moment, mark, heard)
 
     def _judge(self, fault: Fault, unit: str, moment: float, mark: int, heard: int) -> Outcome:
-        events = self.record.events[mark:]
-        # A busy machine may well raise an alarm about its own load meanwhile; it is shown, and is not what is judged.
-        told = [event for event in events if event["event"] == "fault_opened"]
-        outcome = Outcome(fault, unit, [event for event in told if event["slot"] != Slot.HOST])
-        for event in events:
-            if event["event"] == "fault_opened" and event["unit"] == unit and outcome.detected_s is None:
-                outcome.detected_s = event["mono"] - moment
-            if _verified(event, unit) and outcome.healed_s is None:
-                outcome.healed_s, outcome.by = event["mono"] - moment, event["action"]
-        for line in list(self.ground.lines)[heard:]:
+        events, lines = self.record.events[mark:], list(self.ground.lines)[heard:]
+        for line in lines:
             self.console.print(f"[cyan]ground[/]  {line.text}")
-            if "FAIL" in line.text and outcome.told_s is None:
-                outcome.told_s = line.mono - moment
-        for event in told:
-            self.console.print(f"[red]fault[/]   {event['unit']}: {event['summary']}")
-        return outcome
+        for event in events:
+            if event["event"] == "fault_opened":
+                self.console.print(f"[red]fault[/]   {event['unit']}: {event['summary']}")
+        return judge(fault, unit, moment, events, lines)
 
     def table(self, outcomes: list[Outcome]) -> Table:
         table = Table(title="Faults of this run, seconds after each was there", box=box.SIMPLE_HEAD)
@@ -120,6 +113,30 @@ class Demo:
         lines = text.read_text(errors="replace").splitlines()[-40:] if text.exists() else ["(there is no log)"]
         for line in lines:
             self.console.print(line, markup=False, highlight=False)
+
+
+def judge(fault: Fault, unit: str, moment: float, events: Sequence[Event], lines: Sequence[TextLine]) -> Outcome:
+    """What became of a fault that was there from `moment` on, by PHM's record and by what the ground received.
+
+    A busy machine may well raise an alarm about its own load meanwhile: that is shown, and is not what is judged.
+    """
+    opened = [event for event in events if event["event"] == "fault_opened"]
+    named = next((event for event in opened if event["unit"] == unit), None)
+    healed = next((event for event in events if _verified(event, unit)), None)
+    outcome = Outcome(fault, unit, [event for event in opened if event["slot"] != Slot.HOST])
+    if named is not None:
+        received = next((line for line in lines if _reports(line.text, named["slot"])), None)
+        outcome.detected_s = named["mono"] - moment
+        outcome.told_s = received.mono - moment if received is not None else None
+    if healed is not None:
+        outcome.healed_s, outcome.by = healed["mono"] - moment, healed["action"]
+    return outcome
+
+
+def _reports(text: str, slot: int) -> bool:
+    """Whether a STATUSTEXT says that a unit of this slot has failed."""
+    line = read(text)
+    return line is not None and line.word == "FAIL" and line.slot == slot
 
 
 def _verified(event: Event, unit: str) -> bool:

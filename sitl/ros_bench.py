@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -67,7 +68,7 @@ class Cost:
     worst: float
 
 
-class Way:
+class Way(ABC):
     """A process that measures, and the rates (Hz) that it has found by now."""
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
@@ -76,8 +77,8 @@ class Way:
     def mark(self) -> None:
         """Measuring begins now."""
 
-    def rates(self) -> list[float]:
-        raise NotImplementedError
+    @abstractmethod
+    def rates(self) -> list[float]: ...
 
 
 class Sampler(Way):

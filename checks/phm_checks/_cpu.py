@@ -131,10 +131,9 @@ def _rank(level: Level) -> int:
 
 
 def _age_s(fact: api.ContainerFact, world: api.World) -> float:
-    """Seconds since the container was started; infinite when its engine's stamp cannot be read or lies ahead."""
+    """Seconds since the container was started; infinite when its engine's stamp cannot be read."""
     try:
         started = datetime.fromisoformat(fact.started_at[:19] + "+00:00").timestamp()
     except ValueError:
         return float("inf")
-    age_s = world.clock.age_s(started)
-    return float("inf") if age_s is None else age_s
+    return world.clock.mono() - world.clock.latest(started)

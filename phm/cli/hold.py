@@ -39,7 +39,7 @@ class Duration(click.ParamType):  # type: ignore[type-arg]
 def command(ctx: click.Context, container: str, for_s: float | None, reason: str, run_dir: str, as_json: bool) -> None:
     """Keep recovery from a container, or from all, for a while.
 
-    PHM does nothing to it until the hold ends, and what is bad there meanwhile is no alarm. An action that is under way is
+    PHM does nothing to it until the hold ends, and what is bad there meanwhile raises no alarm. An action that is under way is
     finished first. A second hold takes the place of the first. `phm release` ends it; starting the container does not.
     Exit code 0: it is on hold; 1: it was refused, or the daemon does not answer.
     """

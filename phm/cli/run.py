@@ -34,7 +34,7 @@ def uncollected() -> Iterator[None]:
 def command(config: str | None) -> None:
     """Run the daemon until SIGTERM.
 
-    Reads the configuration, then checks, heals and tells until SIGTERM or SIGINT; SIGHUP reloads it, as `phm reload`
+    Reads the configuration, then checks, recovers and reports until SIGTERM or SIGINT; SIGHUP reloads it, as `phm reload`
     does. A bad configuration ends it with exit code 78 before anything is opened, another PHM with the same state_dir
     or run_dir with 75.
     """

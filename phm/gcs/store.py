@@ -30,7 +30,7 @@ class Store:
 
     def __init__(self, expected: Iterable[int] = (), own: tuple[int, int] = (0, 0), *, signed: bool = False) -> None:
         """expected: agents that are missed before they were ever heard. own: our own MAVLink ids, not judged here. signed: what is
-        not signed is no PHM's."""
+        not signed is not PHM's."""
         self.fleet, self._own, self._signed = Fleet(expected), own, signed
 
     def hear(self, frame: Frame, link: str, at: Stamp) -> list[News]:

@@ -22,7 +22,7 @@ class Ledger:
     """Not thread-safe."""
 
     def __init__(self) -> None:
-        self._began = self._told_at = float("-inf")
+        self._began = self._logged_at = float("-inf")
         self._shown = self._dropped = 0
         self._results: Counter[str] = Counter()
         self._senders: Counter[str] = Counter()
@@ -47,9 +47,9 @@ class Ledger:
 
     def due(self, now: float) -> list[str]:
         """Lines about what was counted, at most once a period."""
-        if now - self._told_at < PERIOD_S or not (self._results or self._dropped):
+        if now - self._logged_at < PERIOD_S or not (self._results or self._dropped):
             return []
-        self._told_at = now
+        self._logged_at = now
         lines = [self._counted()] if self._results else []
         if self._dropped:
             lines.append(f"{self._dropped} commands were dropped unread: too many came at once")

@@ -11,12 +11,12 @@ import logging
 import signal
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from phm import threads
 from phm.clock import Clock
-from phm.facts import CannotTell
+from phm.facts import CannotTell, EventStreamFact
 from phm.model import Stamp
 from phm.probes.docker_compare import Expected, after, differences
 from phm.probes.docker_facts import Budget, find
@@ -41,6 +41,9 @@ STOP_S = 121.0
 `docker stop -t` gives, but only that it is over, by SIGKILL."""
 ENDLESS_STOP_S = 601.0
 """The same for a container that asks to be waited for without an end."""
+MISSED_S = 2.0
+"""The engine replays what happened while the stream was closed, from its last 256 events, those of healthchecks included. After
+a longer interruption some may be missing."""
 _DEADLY = ("2", "3", "15")
 _MAX_IDS = 1000
 REPLACES = "com.docker.compose.replace"
@@ -134,6 +137,8 @@ class Watch:
         self._stopping, self._compare_now = threading.Event(), threading.Event()
         self._stream: EventStream | None = None
         self._connected, self._since = False, ""
+        self._opened_at: float | None = None
+        self.fact = EventStreamFact(False, clock.mono())
         self._compared_at: float | None = None
         self._behind_since: float | None = None
         self._threads = [
@@ -194,7 +199,8 @@ class Watch:
             except Exception:  # a defect in reading must not end the watch for ever
                 silent = False
                 logger.exception("the event stream could not be read")
-            self._connected = False
+            if self._connected:
+                self._connected, self.fact = False, replace(self.fact, open=False, since=self._clock.mono())
             if not silent:
                 self._turned()
             # A stream that is dropped as soon as it is opened must not be reopened ten times a second.
@@ -205,17 +211,28 @@ class Watch:
                 wait_s = min(wait_s * 2, BACKOFF_MAX_S)
 
     def _read_stream(self) -> None:
-        with self._engine.events(self._since, FILTERS) as stream:
+        opened_at = self._clock.mono()
+        with self._engine.events(self._since or self._since_opened(opened_at), FILTERS) as stream:
             self._stream = stream
             if self._stopping.is_set():
                 return
-            self._connected = True
+            self._opened_at = opened_at if self._opened_at is None else self._opened_at
+            self._connected, self.fact = True, self._reopened(opened_at)
             self._turned()
             self._compare_now.set()
             for raw in stream:
                 event = self._understand(raw)
                 if event is not None:
                     self._tell(event)
+
+    def _since_opened(self, now: float) -> str:
+        """From when on to replay events when none has come yet: since the stream was first open. Empty: it never was."""
+        return "" if self._opened_at is None else f"{self._clock.utc() - (now - self._opened_at):.9f}"
+
+    def _reopened(self, opened_at: float) -> EventStreamFact:
+        replayed = self.fact.complete_since <= opened_at and opened_at - self.fact.since <= MISSED_S
+        now = self._clock.mono()
+        return EventStreamFact(True, now, self.fact.complete_since if replayed else now)
 
     def _understand(self, raw: Mapping[str, Any]) -> DockerEvent | None:
         """The event in our words, taken into what we expect; None when it concerns nobody."""
@@ -288,7 +305,7 @@ class Watch:
         return bool(left_ns and 0 <= at_ns - left_ns < AGAIN_S * 1e9)
 
     def _is_replaced(self, key: str, container_id: str) -> bool:
-        """Whether another container has taken the place of this one: its end concerns nobody."""
+        """Whether another container has taken the place of this one: its end is not a fault."""
         with self._lock:
             return self._current.get(key, container_id) != container_id
 

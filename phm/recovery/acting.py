@@ -7,6 +7,7 @@ import logging
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import cast
 
 from phm import threads
 from phm.facts import CannotTell, NotPermitted
@@ -14,10 +15,11 @@ from phm.model import Fault
 from phm.recovery.armed import State
 from phm.recovery.base import Action, ActionFailed, NotYet, Unneeded
 from phm.recovery.critical import FlightCritical, Reach
-from phm.recovery.guarded_engine import guarded
+from phm.recovery.guarded_engine import GuardedEngine
 from phm.recovery.hands import InOtherHands
 from phm.recovery.shop import Shop
 from phm.settings import ContainerSettings
+from phm.transport.docker import Engine
 
 logger = logging.getLogger(__name__)
 
@@ -27,7 +29,7 @@ ASK_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What came of it: a sentence for the log, whether the step was done, and whether PHM was told that it may not.
+    """What came of it: a sentence for the log, whether the step was done, and whether it was not permitted.
 
     forbidden: the vehicle was armed between the decision and the call to the engine.
     postponed: nothing was done because something that it needs is not there.
@@ -53,6 +55,7 @@ class Acting:
     ) -> None:
         self._approved_at = approved_at
         self._shop, self._target, self._fault, self._action = shop, target, fault, action
+        self._engine = GuardedEngine(shop.context.engine, shop.safeguard, self._forbids)
         self._given_up = False
         self._outcome: list[Done] = []
         self._go, self._finished = threading.Event(), threading.Event()
@@ -60,7 +63,7 @@ class Acting:
     def begin(self) -> bool:
         """Take the target in hand; False when another container's repair is restarting it, or somebody is stopping it: it must
         not be killed before the time is over that it was given to end. False also when no thread can be started: an action
-        that cannot even begin is no attempt.
+        that cannot even begin does not count as an attempt.
         """
         if self._shop.pipeline.stopping(self._target.key) or not self._shop.hands.take(self._target.key, self):
             return False
@@ -109,10 +112,10 @@ class Acting:
             self._finished.set()
 
     def _work(self) -> Done:
-        engine = guarded(self._shop.context.engine, self._shop.safeguard, self._forbids)
-        context = replace(self._shop.context, engine=engine, holding=self._holding)
+        engine = self._engine
+        context = replace(self._shop.context, engine=cast(Engine, engine), holding=self._holding)
         try:
-            with self._shop.lives.acting(self._target.key, self._target.key):
+            with self._life(engine):
                 said = self._action.run(self._target, self._fault, context)
             return Done(str(said), ok=True, unneeded=isinstance(said, Unneeded))
         except FlightCritical as error:
@@ -126,6 +129,15 @@ class Acting:
         except BaseException as error:  # plug-in code, which may also exit: its thread is ours, and the attempt failed
             logger.exception("action %s crashed", self._action.name)
             return Done(f"the action crashed: {type(error).__name__}: {error}")
+
+    def _life(self, engine: GuardedEngine) -> contextlib.AbstractContextManager[None]:
+        """What an operator starts or stops while an action is at work that starts nothing is not PHM's doing."""
+        key = self._target.key
+        return (
+            self._shop.lives.acting(key, key, engine.take_unanswered)
+            if self._action.starts
+            else contextlib.nullcontext()
+        )
 
     def _forbids(self, key: str, reach: Reach) -> str:
         return self._shop.safeguard.forbids(key, reach, self._approved_at)
@@ -141,7 +153,7 @@ class Acting:
                 raise InOtherHands(f"{key} is being stopped")
             hands.hold(key, self, fault.unit, action, at_most_s)
             try:
-                with self._shop.lives.acting(key, self._target.key):
+                with self._shop.lives.acting(key, self._target.key, self._engine.take_unanswered):
                     yield
             finally:
                 hands.release(key, self, worked=True)

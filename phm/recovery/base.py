@@ -32,7 +32,7 @@ class ActionFailed(Exception):
 
 
 class NotYet(ActionFailed):
-    """Something that the step needs is not there, and nothing was changed: it is done later, and this is no attempt.
+    """Something that the step needs is not there, and nothing was changed: it is done later, and this does not count as an attempt.
 
     The message says what is waited for.
     """
@@ -40,10 +40,6 @@ class NotYet(ActionFailed):
 
 def _no_graph() -> Mapping[str, int]:
     raise CannotTell("no ROS graph is watched")
-
-
-def _unknown_age(utc: float) -> float | None:
-    return None
 
 
 def _no_link(link: str, timeout_s: float) -> bool:
@@ -74,7 +70,6 @@ class ActionContext:
     link:       the MAVLink endpoint of this name now, or None when there is none.
     autopilot:  the vehicle's autopilot now, or None when it was never received.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
-    age_s:      seconds since something was stamped (UTC), whatever the clock did since; None: not possible (`phm.clock.Steps`).
     relief:     lowers CPU weights and puts them back later.
     on_hold:    why nothing may be done to a container for the sake of another: it is on hold, or stopped by hand; empty: it may.
     holding:    while it is entered, what breaks in that other container follows from this fault's repair.
@@ -89,7 +84,6 @@ class ActionContext:
     link: Callable[[str], LinkFact | None] = _no_link_fact
     autopilot: Callable[[], AutopilotFact | None] = _no_autopilot
     clock: Clock = field(default_factory=SystemClock)
-    age_s: Callable[[float], float | None] = _unknown_age
     reopen: Callable[[str, float], bool] = _no_link
     holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
     on_hold: Callable[[str], str] = lambda key: ""
@@ -104,6 +98,8 @@ class Action(ABC):
     on_myself: ClassVar[bool] = False
     takes_down: ClassVar[Reach] = Reach.CONTAINER
     """What goes down with it for a moment: what is flight-critical among that is left alone while armed."""
+    starts: ClassVar[bool] = True
+    """Whether it may start or restart its container. The engine may do that late, also after PHM itself has ended."""
     proof_s: ClassVar[float] = 0.0
     """The unit and all that needs it must be found well by runs that began this long after the action: for actions after
     which all looks well for a moment (a container that starts and ends again, a node that is listed but cut off)."""

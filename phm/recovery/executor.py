@@ -108,8 +108,8 @@ class Executor:
                 f"{what} was cut short when PHM ended: it counts as an attempt and is taken up again if needed"
             )
         self._shop.lives.restore(state.recovery.lives)
-        acting = {**state.recovery.unfinished, **{target: target for target in state.recovery.under_way}}
-        for key, who in acting.items():
+        cut_short = {target for target, cut in state.recovery.under_way.items() if self._starts(cut.attempt.action)}
+        for key, who in {**state.recovery.unfinished, **{target: target for target in cut_short}}.items():
             self._shop.lives.unfinished(key, who)
         if self._shop.context.relief is not None:
             self._shop.context.relief.restore(state.recovery.lowered)
@@ -128,6 +128,11 @@ class Executor:
                 mine = action if action is not None and action.fault == fault.id else None
                 self._worker(target).restored(fault, case, mine)
         return tuple(notes)
+
+    def _starts(self, action: str) -> bool:
+        """Whether it may start its container again; True also for one that is no longer installed."""
+        kind = self._shop.actions.get(action)
+        return kind is None or kind.starts
 
     def kept(self) -> RecoveryState:
         """What is to survive PHM; any thread may ask."""

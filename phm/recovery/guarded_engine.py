@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from phm.recovery.critical import FlightCritical, Reach, Safeguard
-from phm.transport.docker import Engine
+from phm.transport.docker import Engine, EngineNotConnected, EngineTimeout, EngineUnreachable
 
 READS = frozenset({
     "ping", "version", "list", "inspect", "inspect_network", "top", "stat_path", "read_file", "copy_file", "fetch_file", "events",
@@ -25,6 +25,8 @@ REACH = {
 """What a call takes down; those that are not here: the container."""
 BRINGS_BACK = frozenset({"start", "unpause", "connect"})
 """Not refused for what the same action took down: half done is worse than done."""
+STARTS = frozenset({"start", "restart"})
+"""Calls that the engine may still carry out after it gave no answer: they start a container."""
 
 Forbids = Callable[[str, Reach], str]
 
@@ -37,6 +39,7 @@ class GuardedEngine:
         """forbids: a container's key and what is taken down -> why not, empty: it may be done."""
         self._engine, self._safeguard, self._forbids = engine, safeguard, forbids
         self._down: set[str] = set()
+        self._unanswered = 0
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._engine, name)
@@ -46,9 +49,20 @@ class GuardedEngine:
         def guarded(*args: Any, **kwargs: Any) -> Any:
             given = inspect.signature(found).bind(*args, **kwargs).arguments
             self._ask(name, str(given.get("container") or given.get("ref") or ""))
-            return found(*args, **kwargs)
+            try:
+                return found(*args, **kwargs)
+            except EngineNotConnected:
+                raise
+            except (EngineTimeout, EngineUnreachable):
+                self._unanswered += name in STARTS
+                raise
 
         return guarded
+
+    def take_unanswered(self) -> int:
+        """How many calls that start a container were sent and not answered since the last `take_unanswered`."""
+        count, self._unanswered = self._unanswered, 0
+        return count
 
     def _ask(self, call: str, ref: str) -> None:
         """Raises FlightCritical, and CannotTell when the engine does not say which container is meant."""
@@ -64,5 +78,5 @@ class GuardedEngine:
 
 
 def guarded(engine: Engine, safeguard: Safeguard, forbids: Forbids) -> Engine:
-    """The same engine to whoever uses it."""
+    """The same engine to its users."""
     return cast(Engine, GuardedEngine(engine, safeguard, forbids))

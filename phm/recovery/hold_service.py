@@ -13,14 +13,15 @@ from typing import Any
 
 from phm import threads
 from phm.clock import Clock
-from phm.facts import CannotTell, ContainerFact
+from phm.facts import COMPLETE, CannotTell, ContainerFact, EventStreamFact
 from phm.maintenance import LABEL, parse
 from phm.model import Event, HoldChanged
 from phm.pipeline import Pipeline
 from phm.recovery.armed import Armed, State
+from phm.recovery.dependants import dependants
 from phm.recovery.holds import ALL, MAX_TEXT, OPERATOR, STOP, WINDOW, Hold, Holds
 from phm.recovery.manual_stop import ManualStops, Verdict
-from phm.settings import ContainerSettings, Settings
+from phm.settings import Settings
 from phm.wire.report import iso
 from phm.wire.text import one_line
 
@@ -35,6 +36,14 @@ FLYING_S = 1.0
 """While there is a hold or a window, the armed state is looked at this often."""
 WINDOWS_S, LABELS_S = 5.0, 30.0
 """Maintenance windows, and the labels that name some, are looked at this often."""
+REPLAYED_S = 0.15
+"""What happened while the event stream was closed is replayed within this time once it is open."""
+CLOSED_S = 3.0
+"""A container that ends while the event stream is closed is started no later than this after the stream broke."""
+LOOK_S = 0.1
+"""While the event stream is closed, it is looked at this often."""
+STOP_MAX_S = 121.0
+"""The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.docker_watch.STOP_S`)."""
 _DONE = {Verdict.STOPPED: "stopped", Verdict.REMOVED: "removed"}
 
 
@@ -48,12 +57,14 @@ class HoldWorld:
 
     armed:     the vehicle's armed state; what is not known counts as in the air.
     container: the engine's view of a configured container now, for its label. Raises CannotTell.
+    stream:    the engine's event stream now.
     own:       whether what the engine does to a container may be PHM's doing: an action at work, or a call without an answer.
     """
 
     armed: Callable[[], Armed]
     container: Callable[[str], ContainerFact | None]
     own: Callable[[str], bool]
+    stream: Callable[[], EventStreamFact] = lambda: COMPLETE
 
 
 class HoldService:
@@ -67,10 +78,13 @@ class HoldService:
         self._publish, self._clock, self._world = publish, clock, world
         self._keys = tuple(entry.key for entry in settings.containers)
         self._stops = ManualStops()
+        holds.explained_until = self._explained_until
         self._flew: bool | None = None
         self._complained: set[tuple[str, str]] = set()
         self._windows_at = self._labels_at = float("-inf")
         self._labels: dict[str, str] = {}
+        self._facts: dict[str, ContainerFact] = {}
+        """The newest of each container, also of one that was removed: what lives in its namespaces depends on it."""
         self._seen: set[str] = set()
         self._lock = threading.RLock()
         self._wake, self._stopping = threading.Event(), False
@@ -96,6 +110,7 @@ class HoldService:
         if not 1.0 <= length_s <= self._rules.hold_max:
             raise HoldRefused(f"a hold lasts 1 s to {self._rules.hold_max:g} s (recovery.hold_max), not {length_s:g} s")
         self._refuse_in_flight(container)
+        unsure = self._unsure(container)
         now = self._clock.stamp()
         hold = Hold(container, OPERATOR, now.mono + length_s, by, one_line(reason)[:MAX_TEXT])
         with self._lock:
@@ -104,7 +119,7 @@ class HoldService:
                 f"{action} of {key}" for key in self._of(hold) if (action := self._pipeline.acting_on(key))
             )
         finishing = f"; {', '.join(at_work)}, which is under way, is finished first" if at_work else ""
-        return f"{_name(hold)} is {hold.words(now)}{finishing}", self._json(hold)
+        return f"{_name(hold)} is {hold.words(now)}{finishing}{unsure}", self._json(hold)
 
     def release(self, container: str, by: str) -> tuple[str, dict[str, Any]]:
         """End the holds of a container; ALL: every hold. Raises HoldRefused."""
@@ -129,7 +144,10 @@ class HoldService:
         with self._lock:
             now, own = self._clock.mono(), self._world.own(container)
             late = own and not self._pipeline.acting_on(container)
-            self._stops.event(container, action, detail, now, own=own, late=late, container_id=container_id)
+            missed = now - self._world.stream().complete_since < STOP_MAX_S
+            self._stops.event(
+                container, action, detail, now, own=own, late=late, missed=missed, container_id=container_id
+            )
             if action == "start":
                 self._runs(container)
             self._apply([container])
@@ -154,6 +172,14 @@ class HoldService:
         return max(0.0, min(dues)) if dues else None
 
     # ------------------------------------------------------------ inside
+
+    def _explained_until(self, now: float) -> float | None:
+        """While the event stream is closed, nothing tells a stop from a crash; both are replayed when it is open again."""
+        stream = self._world.stream()
+        until = stream.since + (REPLAYED_S if stream.open else CLOSED_S)
+        if now >= until:
+            return None
+        return until if stream.open else min(until, now + LOOK_S)
 
     def _loop(self) -> None:
         while not self._stopping:
@@ -265,6 +291,8 @@ class HoldService:
             except CannotTell:
                 continue
             self._labels[key] = fact.maintenance if fact is not None else ""
+            if fact is not None:
+                self._facts[key] = fact
             if fact is not None and fact.running and (key not in self._seen or key in stopped):
                 with self._lock:
                     self._runs(key)
@@ -319,15 +347,29 @@ class HoldService:
             )
 
     def _critical(self, keys: Iterable[str]) -> bool:
-        entries: list[ContainerSettings | None] = [self._settings.container(key) for key in keys]
-        return any(entry is not None and entry.flight_critical for entry in entries)
+        """Whether one of these is flight-critical, or something is that it would take down (`phm.recovery.dependants`)."""
+        entries = self._settings.containers
+        critical = {entry.key for entry in entries if entry.flight_critical}
+        facts = dict(self._facts)
+        return bool(critical) and any(critical & {key, *dependants(key, facts, entries)} for key in keys)
 
     def _refuse_in_flight(self, container: str) -> None:
         keys = [key for key in self._keys if container in (ALL, key)]
         if self._flying() and self._critical(keys):
             raise HoldRefused(
-                f"{container or 'a container'} is flight-critical and the autopilot is armed: its failures stay visible"
+                f"{container or 'a container'} is flight-critical, or another one that depends on it, and the autopilot is "
+                "armed: its failures stay visible"
             )
+
+    def _unsure(self, container: str) -> str:
+        """What an operator must know who puts something flight-critical on hold and is not known to be on the ground.
+
+        It is not refused: a hold does nothing, and a bench has no autopilot. Armed includes a silence after armed.
+        """
+        armed, keys = self._world.armed(), [key for key in self._keys if container in (ALL, key)]
+        if armed.state is not State.UNKNOWN or not self._critical(keys):
+            return ""
+        return f"; the vehicle is not known to be disarmed ({armed.why}): the hold ends when the autopilot is armed"
 
     def _json(self, hold: Hold) -> dict[str, Any]:
         now = self._clock.stamp()

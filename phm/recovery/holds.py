@@ -68,6 +68,8 @@ class Holds:
         self._done: dict[tuple[str, str], None] = {}
         self.armed_before = False
         """Whether the vehicle was armed when the PHM before this one knew last: what was on hold then may stay so."""
+        self.explained_until: Callable[[float], float | None] = lambda now: None
+        """Until when an event may come that explains why a container has ended (monotonic seconds); None: none is to come."""
         self._lock = threading.Lock()
         self.changed: Callable[[], None] = lambda: None
 
@@ -112,10 +114,15 @@ class Holds:
         if before != until:
             self.changed()
 
-    def undecided(self, target: str, now: float) -> float | None:
-        """When to look again at a target of which it is not decided yet whether an operator stopped it; None: it is decided."""
+    def undecided(self, target: str, now: float, *, ended: bool = False) -> float | None:
+        """When to look again at a target of which it is not decided yet whether an operator stopped it; None: it is decided.
+
+        ended: it has ended, and what is to be done is for that.
+        """
         until = self._undecided.get(target)
-        return None if until is None or now >= until + LATE_S else max(until, now)
+        if until is None or now >= until + LATE_S:
+            return self.explained_until(now) if ended else None
+        return max(until, now)
 
     def binds(self, target: str, now: float) -> bool:
         """Whether nothing may be done to the target now."""

@@ -10,7 +10,8 @@ container that ends again and again does not make PHM begin anew for ever:
 - **By the engine's own restart policy** (its counter is above 0; a start by hand sets it to 0): never. It has done what
   PHM's restart would have done, and nothing was mended. It is watched: after it, units get their grace.
 - **By PHM**, for this container's sake or another's: never. Also when the engine does it late: after the call's deadline, or
-  after PHM itself has ended in the middle of it. A call without an answer is followed by at most one start that is PHM's.
+  after PHM itself has ended in the middle of it. A call to start or restart it that was sent and not answered is followed by at most one start
+  that is PHM's.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ from dataclasses import dataclass, replace
 
 from phm.clock import Clock
 from phm.facts import CannotTell, ContainerFact
-from phm.transport.docker import EngineTimeout, EngineUnreachable
 
 FOUND, ENGINE, OTHERS, RECREATED, COUNTED = "found", "engine", "others", "recreated", "counted"
 """Who began a life: it was there when first looked at; the restart policy; others; others, who made a new container; and
@@ -148,8 +148,11 @@ class Lives:
             self._lives.pop(key, None)
 
     @contextlib.contextmanager
-    def acting(self, key: str, who: str) -> Iterator[None]:
-        """While it is entered, and until the outcome was seen, a new life of `key` is PHM's doing, for the sake of `who`."""
+    def acting(self, key: str, who: str, unanswered: Callable[[], int] = lambda: 0) -> Iterator[None]:
+        """While it is entered, and until the outcome was seen, a new life of `key` is PHM's doing, for the sake of `who`.
+
+        unanswered: how many calls that start `key` had no answer meanwhile; asked once, at the end.
+        """
         actor = _Actor(who)
         with self._lock(key):
             self._see(key)  # what others did until now is theirs
@@ -159,10 +162,10 @@ class Lives:
             self._actors[key] = actor
         try:
             yield
-        except (EngineTimeout, EngineUnreachable):
-            actor.unanswered, actor.until = actor.unanswered + 1, self._clock.mono() + UNFINISHED_S
-            raise
         finally:
+            count = unanswered()
+            if count:
+                actor.unanswered, actor.until = actor.unanswered + count, self._clock.mono() + UNFINISHED_S
             actor.ended = self._clock.mono()
 
     def unfinished(self, key: str, who: str) -> None:

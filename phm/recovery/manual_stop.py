@@ -1,4 +1,4 @@
-"""Tells a stop that came from an operator from a crash, by the engine's events. Pure; the caller brings time.
+"""Distinguishes an operator's stop from a crash, by the engine's events. Pure; the caller brings time.
 
 What the engine reports (seen with Docker 20.10 and Compose 2.26)::
 
@@ -26,6 +26,8 @@ STOP_FOLLOWS_S = 3.0
 """`stop` follows `die` within 0.1 s on an idle machine; without it, the end was a crash or `docker kill`."""
 REMOVED_S = 0.5
 """`destroy` follows the `die` of `docker rm -f` within 0.1 s; until then it looks like `docker kill`."""
+UNSURE_S = 0.15
+"""An end whose `kill` may have been missed is acted on this much later, since `stop` follows `die` within 0.1 s on an idle machine."""
 ASKED_S = 3600.0
 """A container that does not end so long after it was asked to does not stop: `docker stop -t` may give it that much time."""
 SIGKILL = "signal 9"
@@ -48,6 +50,8 @@ class _Ending:
     killed: bool = False
     """By SIGKILL alone."""
     ended: bool = False
+    unsure: bool = False
+    """A crash, unless a `stop` follows: published as ever, and only not acted on yet."""
     replaced: bool = False
     replaced_by: float = float("-inf")
     """Until when a replacement that was made is to take its place, also if the old one has ended before."""
@@ -62,11 +66,13 @@ class ManualStops:
         self._of: dict[str, _Ending] = {}
 
     def event(
-        self, key: str, action: str, detail: str, now: float, *, own: bool, late: bool = False, container_id: str = ""
-    ) -> None:
+        self, key: str, action: str, detail: str, now: float, *, own: bool, late: bool = False, missed: bool = False,
+        container_id: str = "",
+    ) -> None:  # fmt: skip
         """One event of the container `key`. own: the event is PHM's doing. late: PHM's call has given up, and the engine has not.
+        missed: a `kill` before it may have been missed.
 
-        A restart that the engine finishes late ends the container before it starts it: that end is no fault yet.
+        A restart that the engine finishes late ends the container before it starts it: that end is not a fault yet.
         """
         if late and action in ("die", "stop"):
             self._of[key] = _Ending(now + STOPPED_S, ended=True)
@@ -80,6 +86,8 @@ class ManualStops:
             self._of[key] = _Ending(now + RECREATED_S, Verdict.REMOVED, ended=True)
         elif key in self._of and action in ("die", "stop"):
             self._end(self._of[key], action, now)
+        elif action == "die" and missed:
+            self._of[key] = _Ending(now + UNSURE_S, ended=True, unsure=True)
         elif action == "stop":  # its `kill` was before PHM looked; a crash has no `stop`
             self._of[key] = _Ending(now + STOPPED_S, Verdict.STOPPED, ended=True)
         if action in ("die", "stop", "destroy") and key in self._of:
@@ -101,8 +109,8 @@ class ManualStops:
         return [(key, ending.verdict) for key, ending in found]
 
     def undecided(self) -> frozenset[str]:
-        """Containers whose end is not to be judged yet."""
-        return frozenset(self._of)
+        """Containers whose end is not to be published yet."""
+        return frozenset(key for key, ending in self._of.items() if not ending.unsure)
 
     def leave_until(self, key: str, now: float) -> float | None:
         """Until when nothing is to be done to a container that has ended or is being replaced; None: it need not be left alone."""
@@ -129,5 +137,5 @@ class ManualStops:
             ending.ended = True
             wait_s = REMOVED_S if ending.killed and not ending.replaced else STOP_FOLLOWS_S
         else:
-            ending.verdict, wait_s = Verdict.STOPPED, STOPPED_S
+            ending.verdict, ending.unsure, wait_s = Verdict.STOPPED, False, STOPPED_S
         ending.until = now + (RECREATED_S if ending.replaced else wait_s)

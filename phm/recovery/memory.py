@@ -34,6 +34,8 @@ class Memory:
         """Put open faults back, from the file or as `given` by the daemon that this one replaces; nothing is published yet."""
         self._given = given is not None
         self._state, self._warning = (given, "") if given is not None else self._file.load(self._window_s)
+        if not self._given:
+            self._clock.steps.resume(self._state.clock)
         self._events = self._pipeline.restore(self._state.faults, self._state.given_up)
         if self._armed is not None:
             self._armed.restore(self._state.recovery.armed)

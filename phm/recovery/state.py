@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from phm.clock import MAX_STEPS
 from phm.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.armed import LastKnown
 from phm.recovery.history import CLEAN_S, KEPT, Attempt
@@ -20,7 +21,7 @@ from phm.recovery.relief import Lowered
 
 VERSION = 2
 READ = (1, 2)
-"""Version 1 knew of no lives, and of no attempts that do not count."""
+"""1 knew of no lives, and of no attempts that do not count."""
 MAX_FAULTS = 256
 MAX_TARGETS = 64
 MAX_TEXT = 2000
@@ -85,6 +86,8 @@ class State:
     faults: tuple[Fault, ...] = ()
     given_up: tuple[Fault, ...] = ()
     recovery: RecoveryState = field(default_factory=RecoveryState)
+    clock: tuple[tuple[float, float], ...] = ()
+    """How the UTC clock was set on this start of the machine, as far as PHM has seen (`phm.clock.Steps.kept`)."""
 
 
 # ---------------------------------------------------------------- to and from JSON
@@ -120,6 +123,7 @@ def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
         "lives": {target: _life(life, now) for target, life in list(recovery.lives.items())[:MAX_TARGETS]},
         "armed": None if recovery.armed is None else _last_known(recovery.armed, now),
         "unfinished": dict(list(recovery.unfinished.items())[:MAX_TARGETS]),
+        "clock": [list(period) for period in state.clock[-MAX_STEPS:]],
     }
 
 
@@ -188,7 +192,10 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
             tuple(_read_lowered(body) for body in document.get("lowered", [])[:MAX_TARGETS]),
         )
         faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
-        return State(faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery)
+        clock = tuple((float(offset), float(begin)) for offset, begin in document.get("clock", [])[-MAX_STEPS:])
+        return State(
+            faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery, clock if same else ()
+        )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise Unbelievable(f"a part of it is wrong: {type(error).__name__}: {str(error)[:80]}") from None
 
@@ -243,7 +250,7 @@ def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> KeptHold:
     )
     until, left_s = float(body["until_mono"]), float(body["left_s"])
     if not (abs(until) < 1e12 and abs(left_s) < 1e12):
-        raise ValueError("the end of a hold is no time")
+        raise ValueError("the end of a hold is not a time")
     hold = carried(Hold(target, source, until, by, reason, occurrence), left_s, now.mono, same_boot=same_boot)
     return KeptHold(hold, hold.until - now.mono)
 

@@ -137,7 +137,8 @@ class Keeper:
 
     def state(self) -> State:
         """What is to be kept, as it is now; any thread may ask."""
-        return State(plain(self._pipeline.open_faults()), plain(self._pipeline.given_up()), self._recovery())
+        faults, given_up = plain(self._pipeline.open_faults()), plain(self._pipeline.given_up())
+        return State(faults, given_up, self._recovery(), self._clock.steps.kept())
 
     def problem(self) -> str:
         return self._problem

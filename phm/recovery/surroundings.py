@@ -49,7 +49,7 @@ class Surroundings:
         return True
 
     def attempted(self, cases: Iterable[Case], mine: Case, before: Life | None, *, overtaken: bool) -> None:
-        """An attempt of the container's own, for the case `mine`, is over: the life at hand now is no surprise.
+        """An attempt of the container's own, for the case `mine`, is over: the current life is expected.
 
         What was found until now says nothing about what to do next, for that case as for the others. These get the grace of
         their units when the container is no longer in the life that it was in `before`.

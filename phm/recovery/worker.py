@@ -37,6 +37,8 @@ PROOF_S = 0.5
 """A fault that is to be judged afresh is looked at again this often."""
 WAITS_S = 1.0
 """While something that an action needs is not there, it is looked for this often; mostly its event comes first."""
+ENDED = "exited"
+"""The condition of a container that may have been stopped by hand."""
 LIFE_S = 2.0
 """While attempts on the container count, it is looked at this often to see whether somebody else has started it again."""
 
@@ -56,6 +58,7 @@ class TargetWorker:
         self._history = history
         self._under_way: UnderWay | None = None
         self._asked: Case | None = None
+        self._left_down: dict[str, Case] = {}
         self._cases, self._around = Cases(target), Surroundings(target, shop, history)
         self._approvals = Approvals(target, shop, self._publish)
         self._lock = threading.Lock()
@@ -162,7 +165,8 @@ class TargetWorker:
         permit(self._container, self._history, now.mono, forbidden=forbidden, settings=settings)
 
     def _as_asked(self, asked: Case) -> float:
-        """As `_perform`. Judged again: the autopilot may have been armed since, or another action used the budget up."""
+        """As `_perform`; 0 also when it was refused. Decided again each time: the autopilot may have been armed since, or
+        another action may have used the budget up."""
         try:
             self._permit()
             void = self._approvals.void(asked, "restart")
@@ -172,7 +176,7 @@ class TargetWorker:
             self._publish(asked.fault, "restart", Phase.REFUSED, str(error))
             self._asked = None
             return 0
-        wait_s = self._perform(Case(asked.fault), Act("restart", 1))
+        wait_s = self._perform(Case(asked.fault, asked.told), Act("restart", 1))
         if wait_s == 0:
             self._asked = None
         return wait_s
@@ -193,7 +197,10 @@ class TargetWorker:
         cases = self._current()
         waits = [LIFE_S] if self._around.take_note(cases) else []
         if self._asked is not None:
-            return self._as_asked(self._asked)
+            wait_s = self._as_asked(self._asked)
+            if wait_s == 0:
+                return 0
+            waits.append(wait_s)
         for case in cases:
             waits += self._check_approval(case)
             if case.refused:
@@ -208,7 +215,11 @@ class TargetWorker:
             if isinstance(decision, Act):
                 if decision.action not in self._shop.free_actions and self._around.outlived(case):
                     return 0  # judged by what is found in this life
-                return self._perform(case, decision)
+                wait_s = self._perform(case, decision)
+                if wait_s == 0:
+                    return 0
+                waits.append(wait_s)  # nothing was done: other faults must not wait for that
+                continue
             again = self._say(case, decision)
             if again is not None:
                 waits.append(max(POLL_S, again - self._shop.clock.mono()))
@@ -216,10 +227,16 @@ class TargetWorker:
 
     def _keep_starting(self, waits: list[float]) -> float | None:
         """A container that is down is worth a start now and then, also when recovery has given up on it. As `_next`."""
-        for fault in self._around.left_down():
+        down = self._around.left_down()
+        self._left_down = {fault.id: self._left_down.get(fault.id, Case(fault)) for fault in down}
+        for fault in down:
             decision = self._decide(fault, approved=False, given_up=True)
             if isinstance(decision, Act):
-                return self._perform(Case(fault), decision)
+                wait_s = self._perform(self._left_down[fault.id], decision)
+                if wait_s == 0:
+                    return 0
+                waits.append(wait_s)
+                continue
             again = decision.until if isinstance(decision, Wait) else getattr(decision, "again_at", None)
             if again is not None:
                 waits.append(max(POLL_S, again - self._shop.clock.mono()))
@@ -245,7 +262,11 @@ class TargetWorker:
         )
 
     def _wait_for_proof(self, unit: str, proof_from: float) -> float:
-        left_s = proof_from - self._shop.clock.mono()
+        now = self._shop.clock.mono()
+        hold = self._shop.holds.on(self._target, now)
+        if hold is not None:
+            return hold.until - now  # until then its units are STALE, whatever their checks find
+        left_s = proof_from - now
         if left_s > 0:
             return min(left_s, PROOF_S)
         self._shop.pipeline.look_again(unit, *self._shop.pipeline.suffering(unit, proof_from))
@@ -268,7 +289,7 @@ class TargetWorker:
             given_up=given_up,
             shared_actions=shop.shared_actions,
             hold=(hold.until, hold.words(now)) if hold is not None else None,
-            undecided=shop.holds.undecided(self._target, now.mono),
+            undecided=shop.holds.undecided(self._target, now.mono, ended=fault.result.condition == ENDED),
             stopped_by_hand=shop.holds.stopped_by_hand(self._target),
         )
 
@@ -335,7 +356,7 @@ class TargetWorker:
         return 0
 
     def _end(self, attempt: Attempt | None) -> None:
-        """Counted before it is told: whoever kills PHM in between loses no attempt. None: nothing was tried."""
+        """Counted before it is published: no attempt is lost when PHM is killed in between. None: nothing was tried."""
         if attempt is not None:
             self._history.add(attempt)
         self._under_way = None

@@ -186,7 +186,7 @@ class RotatingLines:
         base = os.path.basename(self.path)
         extra = [name for name in os.listdir(directory) if (rotated_number(base, name) or 0) > self._files]
         for path in (os.path.join(directory, name) for name in extra):
-            with contextlib.suppress(OSError):  # what cannot be removed is no reason not to log
+            with contextlib.suppress(OSError):  # a file that cannot be removed must not stop the log
                 if _ours(path):
                     os.unlink(path)
 

@@ -3,7 +3,7 @@
 Each agent computes it for itself from the same views, with no leader and no rounds: views are small, sent often, and
 old ones do not count. An observer is an agent that this one hears and whose view is young, and this one itself.
 An agent is *lost* when more observers have lost it than hear it, and *unheard by some* otherwise; who hears it and who
-does not is told in both cases. No vote of others makes an agent lost that this one hears itself. In a split network each
+does not is reported in both cases. No vote of others makes an agent lost that this one hears itself. In a split network each
 side sees the other as lost, which is what either can know; it says so as a split when several vanish together.
 """
 

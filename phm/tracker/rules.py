@@ -107,12 +107,12 @@ def consequence(look: Look) -> Verdict | None:
 
 
 def not_known(look: Look) -> Verdict | None:
-    """5. STALE is told at once and closes nothing: not knowing is no cure."""
+    """5. STALE is published immediately and closes nothing: unknown does not mean recovered."""
     return Verdict(look.result) if look.result.level is Level.STALE else None
 
 
 def being_stopped(look: Look) -> Verdict | None:
-    """6. What breaks in a container that was given a signal to end and time for it goes with it, and is no fault.
+    """6. What breaks in a container that was given a signal to end and time for it goes with it, and is not a fault.
 
     Until the container has ended, or its time for it is over. A fault that is open already goes on.
     """

@@ -94,7 +94,7 @@ class Entry:
     given_up: Fault | None = None
     """The fault that recovery gave up on, while `escalated`."""
     conditions: set[str] = field(default_factory=set)
-    """Those that its faults have had since it was last OK: giving up on one of them is no reason to ignore another."""
+    """Those that its faults have had since it was last OK: giving up on one of them must not hide another."""
 
     @property
     def id(self) -> str:

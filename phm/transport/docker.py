@@ -26,6 +26,7 @@ from phm.transport.docker_errors import (
     EngineConflict,
     EngineError,
     EngineMissing,
+    EngineNotConnected,
     EngineRefused,
     EngineTimeout,
     EngineUnreachable,
@@ -36,8 +37,8 @@ from phm.transport.docker_session import FAILURES, Answer, Session, mapping
 from phm.transport.docker_tar import FileCopy, pack, unpack
 
 __all__ = [
-    "Engine", "EngineBroken", "EngineConflict", "EngineError", "EngineMissing", "EngineRefused",
-    "EngineTimeout", "EngineUnreachable", "EventStream", "FileCopy",
+    "Engine", "EngineBroken", "EngineConflict", "EngineError", "EngineMissing", "EngineNotConnected",
+    "EngineRefused", "EngineTimeout", "EngineUnreachable", "EventStream", "FileCopy",
 ]  # fmt: skip
 
 ACT_MARGIN_S = 10.0

@@ -29,6 +29,10 @@ class EngineUnreachable(EngineError):
     """No connection: no socket, no permission, nobody listens, or the connection broke."""
 
 
+class EngineNotConnected(EngineUnreachable):
+    """No connection could be made: the engine has not got the request."""
+
+
 class EngineRefused(EngineError, NotPermitted):
     """HTTP 403, as socket proxies answer."""
 
@@ -96,16 +100,16 @@ def _no_connection(error: OSError, url: str, limit_s: float, what: str) -> Engin
         return _late(url, limit_s, what)
     path = url.removeprefix("unix://")
     if error.errno in (errno.EACCES, errno.EPERM):
-        return EngineUnreachable(
+        return EngineNotConnected(
             f"PHM may not open {path} (permission denied): add the docker group with group_add in the compose file"
         )
     if error.errno == errno.ENOENT:
-        return EngineUnreachable(
+        return EngineNotConnected(
             f"there is no {path}: start the Docker Engine, or mount its socket into PHM's container"
         )
     if error.errno == errno.ECONNREFUSED:
-        return EngineUnreachable(f"no Docker Engine listens at {url}: start it, e.g. `systemctl start docker`")
-    return EngineUnreachable(f"no connection to the Docker Engine at {url}: {_short(error)}")
+        return EngineNotConnected(f"no Docker Engine listens at {url}: start it, e.g. `systemctl start docker`")
+    return EngineNotConnected(f"no connection to the Docker Engine at {url}: {_short(error)}")
 
 
 def _short(error: BaseException) -> str:

@@ -21,7 +21,7 @@ from urllib3.exceptions import HTTPError
 from phm.clock import Clock, SystemClock
 from phm.facts import CannotTell
 from phm.transport.deadline import Call, Watchdog
-from phm.transport.docker_errors import EngineUnreachable, translate
+from phm.transport.docker_errors import EngineNotConnected, EngineUnreachable, translate
 from phm.transport.docker_http import client_for, resolver_for, using
 
 T = TypeVar("T")
@@ -69,7 +69,7 @@ class Session:
         with self._watchdog.watch(limit_s) as call, using(call):
             try:
                 if call.expired:
-                    raise EngineUnreachable("PHM is closing its connection to the Docker Engine")
+                    raise EngineNotConnected("PHM is closing its connection to the Docker Engine")
                 yield self._client(limit_s), call
             except CannotTell as error:
                 # Our own reading may stumble over the end of file that the watchdog caused.

@@ -67,13 +67,13 @@ class MavlinkHub:
     def clock_problem(self) -> str:
         """Why it is not known how old signed frames are, else empty. A clock that is behind what was signed is either wrong, and
         then frames that were recorded since look new; or it is right, and another one is ahead: only a clock that is known
-        to be synchronized tells the two apart."""
+        to be synchronized distinguishes the two."""
         ahead_s = self._signing.ahead_s() if self._signing is not None else 0.0
         if ahead_s <= self._command_age_s or self._synchronized():
             return ""
         return (
             f"signed frames are {ahead_s:.0f} s ahead of this computer's clock, which is not known to be synchronized, so "
-            "an old command could not be told from a new one: set this computer's clock, or the sender's"
+            "an old command could not be distinguished from a new one: set this computer's clock, or the sender's"
         )
 
     def problem(self) -> str:

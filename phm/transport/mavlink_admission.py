@@ -1,14 +1,17 @@
 """Which peers a listening endpoint keeps when more come than it has room for. Pure; the caller brings time.
 
-Anybody on the network can come with many source ports or open many connections, so one address has half of the places at
-most, a peer that is idle makes room for a new one, and with signing on some places are kept for peers that sign.
+Any host on the network can come with many source ports or open many connections, so one address has half of the places at
+most, a peer that is idle makes room for a new one, and so does one of the address that has most. The only peer of its address
+is displaced by none that does not sign while it sends. With signing on some places are kept for peers that sign.
 """
 
 from __future__ import annotations
 
 import ipaddress
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 MAX_PEERS = 16
@@ -88,7 +91,7 @@ class Admission:
             return self._oldest(neighbours, now, IDLE_S)
         if len(self._peers) < MAX_PEERS and (len(unsigned) < self._open or self._on_trial):
             return []
-        return self._oldest(unsigned, now, IDLE_S) or self._trial()[:1] or None
+        return self._oldest(unsigned, now, IDLE_S) or self._of_a_crowd(unsigned, len(neighbours))
 
     def _unsigned(self) -> list[Any]:
         """In the order in which they came."""
@@ -97,6 +100,14 @@ class Admission:
     def _trial(self) -> list[Any]:
         """Those in reserved places that have not signed so far, oldest first."""
         return self._unsigned()[self._open :]
+
+    def _of_a_crowd(self, keys: list[Any], fewer: int) -> list[Any] | None:
+        """The newest of the address that has most of these, if that has more than the new peer's address will have."""
+        counts = Counter(self._peers[key].address for key in keys)
+        address, most = max(counts.items(), key=itemgetter(1), default=("", 0))
+        if most < fewer + 2:
+            return None
+        return [next(key for key in reversed(keys) if self._peers[key].address == address)]
 
     def _oldest(self, keys: Iterable[Any], now: float, silent_s: float) -> list[Any] | None:
         """The one of these that was silent for longest, if that is so long."""

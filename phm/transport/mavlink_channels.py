@@ -119,7 +119,7 @@ class StreamChannel(Channel):
 
 
 class TcpServer(Channel):
-    """Listens; every client hears everything. A client that does not read loses frames and harms nobody. Who is a client where
+    """Listens; every client hears everything. A client that does not read loses frames and affects no other. Who is a client where
     more come than there is room for is `Admission`'s."""
 
     def __init__(self, listener: socket.socket, codec: Codec, clock: Clock) -> None:

@@ -1,4 +1,4 @@
-"""MAVLink by UDP: to one peer, to a network, or waiting for whoever sends. Part of `phm.transport.mavlink_channels`."""
+"""MAVLink by UDP: to one peer, to a network, or waiting for peers that send. Part of `phm.transport.mavlink_channels`."""
 
 from __future__ import annotations
 
@@ -57,8 +57,9 @@ class _Sending(_Udp):
 
     proven = False
 
+    @abstractmethod
     def _send(self, frame: bytes) -> None:
-        raise NotImplementedError
+        """Raises OSError."""
 
     def write(self, frame: bytes) -> int:
         try:
@@ -70,7 +71,7 @@ class _Sending(_Udp):
                 # The kernel reports an ICMP error about an earlier datagram instead of sending this one.
                 self._send(frame)
         except ConnectionError:
-            return 1  # nobody listens there yet, which is no news about this channel
+            return 1  # nothing listens there yet, which says nothing about this channel
         except OSError as error:
             if error.errno in _BUSY:
                 self._codec.counters.dropped += 1

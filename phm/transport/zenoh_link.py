@@ -185,7 +185,7 @@ class ZenohLink:
         self._answer(declared)
 
     def _answer(self, declared: Declared) -> None:
-        """At most MAX_QUERIES in one turn: whoever asks all the time must not keep the status from being published."""
+        """At most MAX_QUERIES in one turn: a peer that asks all the time must not keep the status from being published."""
         for _ in range(min(len(self._queries), MAX_QUERIES)):
             declared.answer(self._queries.popleft(), self._newest if self._present else b"")
             self._answered += 1

@@ -42,7 +42,7 @@ def files(path: Path | str) -> list[Path]:
 def rotated_number(base: str, name: str) -> int | None:
     """The number that rotation gave to `name`, a file of the log `base`; None when rotation never makes that name.
 
-    An operator's copy, such as ``phm.jsonl.20261121``, is no part of the log.
+    An operator's copy, such as ``phm.jsonl.20261121``, is not part of the log.
     """
     digits = name.removeprefix(f"{base}.")
     if digits == name or not _NUMBER.fullmatch(digits) or int(digits) > MOST_FILES:

@@ -12,7 +12,7 @@ The contract. Every line begins with the agent (``A01`` to ``A250``) and a word;
     A01 WARN 6 flapping: node_1 dead          it fails and recovers again and again; told when it rests
     A01 ADVISE 2 restart ros_app #17          what PHM would do, and was told not to do; 17 is the fault's number
     A01 GAVE UP 2 ros_app exited #17          PHM cannot heal this: it is the operator's now
-    A01 HOLD 2 ros_app 10 min: new firmware   an operator wants it left alone; what is bad there is no failure
+    A01 HOLD 2 ros_app 10 min: new firmware   an operator wants it left alone; what is bad there is not a failure
     A01 HOLD 2 ros_app over                   the end of that
     A01 OK 2 restart done: ros_app            what an operator asked for is done, and the container is well
     A01 WARN 2 restart failed: ros_app        it did not help, or was refused in the end

@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from docker import DockerClient
+from docker.errors import APIError
 from docker.models.containers import Container
 
 NULL, ZERO = "/dev/null", "/dev/zero"
 STOP_S = 3
 PID_LIMIT_S = 5.0
 TRIES = 3
+FREEZES, FREEZE_AGAIN_S = 20, 0.5
 LAYERS = ("companion", "container", "ros", "link")
 
 
@@ -158,6 +160,18 @@ def put(container: Container, path: str, content: bytes, mode: int = 0o644) -> N
         archive.addfile(entry, io.BytesIO(content))
     if not container.put_archive(folder, packed.getvalue()):
         raise RuntimeError(f"the engine did not take {path} for {container.name}")
+
+
+def freeze(container: Container) -> None:
+    """Pause a container. On a starved machine with cgroup v1 the kernel now and then does not freeze it in time: try again."""
+    for left in reversed(range(FREEZES)):
+        try:
+            container.pause()
+            return
+        except APIError as error:
+            if not left or "unable to freeze" not in str(error):
+                raise
+        time.sleep(FREEZE_AGAIN_S)
 
 
 class Fault(ABC):

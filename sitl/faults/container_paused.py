@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from sitl.faults.base import Agent, Fault
+from sitl.faults.base import Agent, Fault, freeze
 
 
 class Injection(Fault):
@@ -17,7 +17,7 @@ class Injection(Fault):
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
-        agent.app.pause()
+        freeze(agent.app)
         return moment
 
     def clear(self, agent: Agent) -> None:

@@ -22,6 +22,8 @@ with open(filler, "wb") as file:
 """
 SHARE, COUNT, AGE_S = "0.5", "4", "3600"
 """Of the disk, in recordings of earlier flights; how many they are, and how old."""
+OLDER_THAN = "10s"
+"""PHM knows an age only as far as it has watched the clock, and agents of a simulation are started just before."""
 LEFT = "0.03"
 """Share of the disk that is left free: below PHM's limit, 5 %."""
 
@@ -37,7 +39,7 @@ class Injection(Fault):
     needs = frozenset({"configuration"})
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
-        room = f"\n  make_room:\n    - {{path: {BAGS}, files: ['*.mcap']}}"
+        room = f"\n  make_room:\n    - {{path: {BAGS}, files: ['*.mcap'], older_than: {OLDER_THAN}}}"
         return {"\n  disks: [/]": f"\n  disks: [/, /tmp]{room}"}
 
     def inject(self, agent: Agent) -> float:

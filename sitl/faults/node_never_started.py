@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from sitl.faults.base import Agent, Fault, put
+from sitl.faults.base import Agent, Fault, freeze, put
 from sitl.faults.container_created import copied
 
 LEFT_OUT = "/tmp/left_out"
@@ -25,12 +25,16 @@ class Injection(Fault):
     def inject(self, agent: Agent) -> float:
         old = agent.app
         service, copy = str(old.name), copied(agent, old)
-        put(copy, LEFT_OUT, b"node_1\n")
-        moment = time.monotonic()
-        copy.start()
-        # Two names cannot be changed at once. PHM looks within milliseconds, and would rightly tell a container that is missing.
-        sidecar = agent.sidecar
-        sidecar.pause()
+        try:
+            put(copy, LEFT_OUT, b"node_1\n")
+            moment = time.monotonic()
+            copy.start()
+            # Two names cannot be changed at once. PHM looks within milliseconds, and would rightly report a missing container.
+            sidecar = agent.sidecar
+            freeze(sidecar)
+        except Exception:
+            copy.remove(force=True)  # else its nodes would run beside those of the old one
+            raise
         try:
             old.rename(f"{service}-old")
             copy.rename(service)

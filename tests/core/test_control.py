@@ -15,17 +15,17 @@ import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
-from phm.control import MAX_CONNECTIONS, Control
+from phm.control import MAX_CONNECTIONS, Control, HoldDesk
 from phm.wire import control as wire
 
 
 class Daemon:
     """A control socket with what it was asked for."""
 
-    def __init__(self, run_dir: Path) -> None:
+    def __init__(self, run_dir: Path, holds: HoldDesk | None = None) -> None:
         self.run_dir = run_dir
         self.notes: list[tuple[str, str]] = []
-        self.control = Control(str(run_dir), self.approve, lambda kind, text: self.notes.append((kind, text)))
+        self.control = Control(str(run_dir), self.approve, lambda kind, text: self.notes.append((kind, text)), holds)
         self.control.start()
         self.until(lambda: (run_dir / wire.NAME).exists())
 

@@ -17,7 +17,7 @@ from phm.engine import Batch, Engine, Scheduled
 from phm.probes.link_cadence import Cadence
 from phm.probes.link_flow import Flow
 from phm.probes.link_pilot import Pilot
-from phm.scheduling import NOISE_S, PERIOD_S, Lateness, waited_s
+from phm.scheduling import NOISE_S, PERIOD_S, Lateness
 from phm.swarm.peers import LOST_PERIODS, Peers
 from phm.testing import FakeClock, world
 from phm.transport.deadline import Watchdog
@@ -74,14 +74,6 @@ def test_the_longest_pause_counts_in_full_and_all_others_up_to_the_deadline_itse
     since = clock.mono()
     starved(clock, 60.0)
     assert clock.late_s(since, 3.5) <= 3.5 + PERIOD_S
-
-
-def test_the_kernels_count_of_waiting_is_read() -> None:
-    """Of a process that is there a number that does not fall, of another one nothing."""
-    before = waited_s(os.getpid())
-    assert before is not None
-    assert (waited_s(os.getpid()) or 0.0) >= before
-    assert waited_s(2**22 + 1) is None
 
 
 PAUSED = """

@@ -420,3 +420,39 @@ def test_a_kill_says_how_long_the_container_may_take_to_end(
     until(lambda: heard, "the event")
     assert heard[0].harmless is (end_s == 0)
     assert (heard[0].detail, heard[0].end_s) == (f"signal {signal}", end_s)
+
+
+def test_events_are_replayed_also_when_none_had_come_before_the_stream_broke(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+) -> None:
+    """From when the stream was first open."""
+    fake.containers["app"] = container("app")
+    made, heard = watch({"name": "app"}, compare=60.0)
+    until(made.healthy, "the first comparison")
+    fake.fault = DropStream()
+    assert fake.wait(lambda server: server.streams == 0)
+    fake.set("app", status="paused")
+    fake.set("app", status="running")
+    fake.fault = None
+    until(lambda: len(heard) == 2, "the missed events")
+    assert heard.texts() == ["app pause", "app start"]
+
+
+@pytest.mark.parametrize(("missed_s", "complete"), [(60.0, True), (0.0, False)])
+def test_the_stream_says_since_when_nothing_was_missed(
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until, monkeypatch: pytest.MonkeyPatch,
+    missed_s: float, complete: bool,
+) -> None:  # fmt: skip
+    """A short interruption is replayed; after a long one, and at the start, something may be missing."""
+    monkeypatch.setattr("phm.probes.docker_watch.MISSED_S", missed_s)
+    fake.containers["app"] = container("app")
+    made, _ = watch({"name": "app"})
+    until(lambda: made.fact.open, "the stream")
+    before = made.fact
+    assert before.complete_since == before.since
+    fake.fault = DropStream()
+    until(lambda: not made.fact.open, "the interruption")
+    assert made.fact.since >= before.since
+    fake.fault = None
+    until(lambda: made.fact.open, "the stream again")
+    assert (made.fact.complete_since == before.complete_since) is complete

@@ -19,6 +19,7 @@ from phm.transport.docker import (
     EngineConflict,
     EngineError,
     EngineMissing,
+    EngineNotConnected,
     EngineRefused,
     EngineTimeout,
     EngineUnreachable,
@@ -128,7 +129,7 @@ def test_a_refusal_is_not_permitted_and_everything_is_cannot_tell() -> None:
 
 def test_a_missing_socket_names_its_path(tmp_path: Path) -> None:
     """Without a socket the sentence says which path was tried."""
-    with pytest.raises(EngineUnreachable, match=r"there is no .*/none\.sock"):
+    with pytest.raises(EngineNotConnected, match=r"there is no .*/none\.sock"):
         Engine(f"unix://{tmp_path}/none.sock").ping()
 
 
@@ -137,7 +138,7 @@ def test_a_dead_socket_says_that_nobody_listens(tmp_path: Path) -> None:
     left = socket.socket(socket.AF_UNIX)
     left.bind(str(tmp_path / "left.sock"))
     left.close()
-    with pytest.raises(EngineUnreachable, match="no Docker Engine listens"):
+    with pytest.raises(EngineNotConnected, match="no Docker Engine listens"):
         Engine(f"unix://{tmp_path}/left.sock").ping()
 
 
@@ -149,7 +150,7 @@ def test_a_forbidden_socket_says_which_group_is_needed(monkeypatch: pytest.Monke
             raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("phm.transport.docker_http._Socket", Forbidden)
-    with pytest.raises(EngineUnreachable, match="add the docker group with group_add"):
+    with pytest.raises(EngineNotConnected, match="add the docker group with group_add"):
         Engine(f"unix://{tmp_path}/engine.sock").ping()
 
 
@@ -159,7 +160,7 @@ def test_a_tcp_engine_that_nobody_serves_is_unreachable() -> None:
         port = server.getsockname()[1]
         with pytest.raises(EngineTimeout):
             Engine(f"tcp://127.0.0.1:{port}", timeout_s=0.3).ping()
-    with pytest.raises(EngineUnreachable, match=f"127.0.0.1:{port}"):
+    with pytest.raises(EngineNotConnected, match=f"127.0.0.1:{port}"):
         Engine(f"tcp://127.0.0.1:{port}", timeout_s=5).ping()
 
 
@@ -280,7 +281,7 @@ def test_close_cuts_what_is_under_way_and_refuses_the_rest(fake: FakeEngine) -> 
     engine.close()
     thread.join(10)
     assert len(caught) == 1
-    with pytest.raises(EngineUnreachable, match="closing"):
+    with pytest.raises(EngineNotConnected, match="closing"):
         engine.ping()
 
 

@@ -22,9 +22,11 @@ from phm.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMITS = Limits()
-FIRST_DOMAIN, DOMAINS = 60, 60
-"""Clear of 0, which others use, and below 128, above which ports collide with ephemeral ones."""
+FIRST_DOMAIN, DOMAINS = 60, 42
+"""Clear of 0, which others use, and up to 101: the ports of 102 are ephemeral ones, which any socket may have."""
 _turns = itertools.count(os.getpid())
+_open: list[Bench] = []
+"""What a test that fails for want of something describes."""
 
 
 def claim_domain() -> tuple[int, IO[bytes]]:
@@ -42,13 +44,13 @@ def claim_domain() -> tuple[int, IO[bytes]]:
 
 
 def until(condition: Callable[[], Any], what: str, limit_s: float = 60.0) -> Any:
-    """Poll an observable; the deadline only bounds a failing test."""
+    """Poll an observable; the deadline only bounds a failing test, which says what there was instead."""
     end_s = time.monotonic() + limit_s
     while time.monotonic() < end_s:
         if value := condition():
             return value
         time.sleep(0.01)
-    raise AssertionError(f"not within {limit_s:g} s: {what}")
+    raise AssertionError("\n".join([f"not within {limit_s:g} s: {what}", *(bench.state() for bench in _open)]))
 
 
 class Bench:
@@ -65,29 +67,28 @@ class Bench:
         self.notes: list[str] = []
         self.changes = 0
         self.on_change: Callable[[], object] = lambda: None
+        self._probes: list[RosProcess] = []
+        self._processes: list[subprocess.Popen[bytes]] = []
         self._closing = contextlib.ExitStack()
         self._closing.callback(lock.close)
+        _open.append(self)
+        self._closing.callback(_open.remove, self)
 
     def node(self, name: str, *arguments: str, module: str = "sitl.node") -> subprocess.Popen[bytes]:
         """A demo node in /agent_1 with the short-lease profile that we ship."""
         environ = {**self.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds.xml")}
         command = [sys.executable, "-m", module, "--name", name, "--namespace", "/agent_1", *arguments]
-        process = subprocess.Popen(command, env=environ)
-        self._closing.callback(_end, process)
-        return process
+        return self._keep(subprocess.Popen(command, env=environ))
 
     def source(self, hz: float, path: Path) -> None:
         """A publisher that writes to `path` what it really published; see `ros_source`."""
         script = ROOT / "tests" / "fakes" / "ros_source.py"
-        process = subprocess.Popen([sys.executable, str(script), str(hz), str(path)], env=self.environ)
-        self._closing.callback(_end, process)
+        self._keep(subprocess.Popen([sys.executable, str(script), str(hz), str(path)], env=self.environ))
 
     def script(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
         """A script of tests/fakes, with pipes to its standard input and output."""
         command = [sys.executable, str(ROOT / "tests" / "fakes" / name), *arguments]
-        process = subprocess.Popen(command, env=self.environ, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        self._closing.callback(_end, process)
-        return process
+        return self._keep(subprocess.Popen(command, env=self.environ, stdin=subprocess.PIPE, stdout=subprocess.PIPE))
 
     def probe(
         self,
@@ -103,9 +104,30 @@ class Bench:
         probe = RosProcess(
             settings, SystemClock(), self._changed, self.notes.append, merged, command=command, limits=limits
         )
+        self._probes.append(probe)
         self._closing.callback(probe.close)
         probe.start()
         return probe
+
+    def state(self) -> str:
+        """What a test that waited in vain has in front of it: the domain, its processes, what each probe knows and why not more."""
+        lines = [f"ROS domain {self.domain}; /dev/shm has {len(os.listdir('/dev/shm'))} files; notes: {self.notes}"]
+        for process in self._processes:
+            code = process.poll()
+            lines.append(f"process {process.pid} {'runs' if code is None else f'ended with {code}'}: {process.args!r}")
+        for probe in self._probes:
+            child = f"runs as {probe.pid}" if probe.pid and not gone(probe.pid) else "does not run"
+            lines.append(f"a probe, whose child {child}, after {probe.restarts} restarts; problems: {probe.problems()}")
+            try:
+                lines.append(f"    its picture: {probe.look()}")
+            except CannotTell as error:
+                lines.append(f"    it cannot tell: {error}")
+        return "\n".join(lines)
+
+    def _keep(self, process: subprocess.Popen[bytes]) -> subprocess.Popen[bytes]:
+        self._processes.append(process)
+        self._closing.callback(_end, process)
+        return process
 
     def _changed(self) -> None:
         self.changes += 1

@@ -11,22 +11,39 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
+from phm.recovery.hold_service import HoldService
 from phm.wire import control as wire
 from phm.wire.control import MAX_REQUEST
 from tests.core.test_control import Daemon
 from tests.fuzz.hostile import messages
 from tests.fuzz.targets import folder, fuzzed
+from tests.recovery.test_holds import Scene
 
 LIMIT_S = 30.0
+MAX_HOLD_S = 4 * 3600.0
 REQUESTS = [
     {"do": "ping"}, {"do": "approve", "fault": "ab12-1"}, {"do": "note", "kind": "INJECT", "text": "words"},
+    {"do": "reload"}, {"do": "hold", "container": "app", "for_s": 60.0, "reason": "new firmware"},
+    {"do": "hold", "container": "", "for_s": None, "reason": ""}, {"do": "release", "container": "app"},
+    {"do": "release", "container": ""},
 ]  # fmt: skip
-LINES = st.sampled_from(REQUESTS).flatmap(messages) | st.sampled_from([b"x" * MAX_REQUEST, b"", b"[" * 5000, b"\xff"])
+LINES = (
+    st.sampled_from(REQUESTS).flatmap(messages)
+    | st.sampled_from([json.dumps(request).encode("ascii") for request in REQUESTS])
+    | st.sampled_from([b"x" * MAX_REQUEST, b"", b"[" * 5000, b"\xff"])
+)
+
+
+@cache
+def _holds() -> HoldService:
+    return Scene().service
 
 
 @cache
 def _daemon() -> Daemon:
-    return Daemon(Path(folder()))
+    daemon = Daemon(Path(folder()), _holds())
+    daemon.control.reload = lambda: json.dumps({"changed": []})
+    return daemon
 
 
 def _said(daemon: Daemon, lines: list[bytes]) -> bytes:
@@ -50,6 +67,12 @@ def test_any_request_is_answered_and_the_next_one_served(lines: list[bytes]) -> 
         assert isinstance(answer["ok"], bool)
         assert isinstance(answer["text"] if answer["ok"] else answer["error"], str)
     assert all(kind == "INJECT" and text.isprintable() for kind, text in daemon.notes)
+    for hold in _holds().snapshot():
+        assert (
+            hold["container"] in (None, "app", "cam")
+            and 0 < hold["left_s"] <= MAX_HOLD_S
+            and hold["reason"].isprintable()
+        )
     end = time.monotonic() + LIMIT_S
     while not daemon.serves():
         assert time.monotonic() < end

@@ -7,24 +7,8 @@ import json
 
 from hypothesis import strategies as st
 
+from phm.probes.ros import protocol as pipe
 from phm.probes.ros.lines import Lines
-from phm.probes.ros.protocol import (
-    LINE_LIMIT,
-    Heard,
-    Picture,
-    ProtocolError,
-    Publish,
-    Remark,
-    Tick,
-    Wanted,
-    WantedTopic,
-    decode,
-    decode_order,
-    decode_wanted,
-    encode,
-    encode_order,
-    encode_wanted,
-)  # fmt: skip
 from phm.ros_facts import BeaconFact, DiagnosticFact, NeighbourFact
 from tests.fuzz.hostile import messages
 from tests.fuzz.targets import fuzzed
@@ -32,9 +16,12 @@ from tests.fuzz.targets import fuzzed
 BEACON = BeaconFact(0.0, 0.2, 0.0, "w.1", 5, {"/b": NeighbourFact(True, 0.4, 0.0)}, 3, "w")
 STATUS = DiagnosticFact(0.0, 1, "words", "board", {"a": "b"})
 SENT = [
-    encode(Picture(1.0, {"/a": 1}, problems=("one",))), encode(Tick(1.0, {"/t": 0.5, "/u": None}, 3)),
-    encode(Heard({"/a": BEACON}, {"s": STATUS}, {"/b": 0.1}, 2)), encode(Remark("words")),
-    encode_order(Publish(1.0, {"s": STATUS})), encode_wanted(Wanted("agent_1", 3, (WantedTopic("/t", 10.0),))),
+    *map(pipe.encode, (
+        pipe.Picture(1.0, {"/a": 1}, problems=("one",)), pipe.Tick(1.0, {"/t": 0.5, "/u": None}, 3),
+        pipe.Heard({"/a": BEACON}, {"s": STATUS}, {"/b": 0.1}, 2), pipe.Remark("words"),
+    )),
+    pipe.encode_order(pipe.Publish(1.0, {"s": STATUS})),
+    pipe.encode_wanted(pipe.Wanted("agent_1", 3, (pipe.WantedTopic("/t", 10.0),))),
 ]  # fmt: skip
 STREAMS = st.sampled_from(SENT).flatmap(lambda line: messages(json.loads(line)))
 
@@ -42,21 +29,21 @@ STREAMS = st.sampled_from(SENT).flatmap(lambda line: messages(json.loads(line)))
 @fuzzed("ROS pipe", line=STREAMS)
 def test_any_line_is_a_message_or_a_protocol_error(line: bytes) -> None:
     """In both directions; what is a message can be written again."""
-    with contextlib.suppress(ProtocolError):
-        message = decode(line)
-        assert decode(encode(message)) == message
-    with contextlib.suppress(ProtocolError):
-        order = decode_order(line)
-        assert decode_order(encode_order(order)) == order
-    with contextlib.suppress(ProtocolError):
-        decode_wanted(line)
+    with contextlib.suppress(pipe.ProtocolError):
+        message = pipe.decode(line)
+        assert pipe.decode(pipe.encode(message)) == message
+    with contextlib.suppress(pipe.ProtocolError):
+        order = pipe.decode_order(line)
+        assert pipe.decode_order(pipe.encode_order(order)) == order
+    with contextlib.suppress(pipe.ProtocolError):
+        pipe.decode_wanted(line)
 
 
 @fuzzed(
     "ROS pipe, lines",
     pieces=st.lists(
         st.binary(max_size=60)
-        | st.sampled_from([b"\n", b"x" * LINE_LIMIT, b"x" * (LINE_LIMIT // 2), b"x\n" * 100, *SENT]),
+        | st.sampled_from([b"\n", b"x" * pipe.LINE_LIMIT, b"x" * (pipe.LINE_LIMIT // 2), b"x\n" * 100, *SENT]),
         max_size=12,
     ),
 )
@@ -66,7 +53,7 @@ def test_lines_are_the_same_however_the_stream_is_cut(pieces: list[bytes]) -> No
     lines = [line for piece in pieces for line in cut.add(piece)]
     stream = b"".join(pieces)
     complete = stream.split(b"\n")[:-1]
-    assert lines == [line for line in complete if len(line) <= LINE_LIMIT]
+    assert lines == [line for line in complete if len(line) <= pipe.LINE_LIMIT]
     assert whole.add(stream) == lines
-    too_long = sum(len(line) > LINE_LIMIT for line in stream.split(b"\n"))
+    too_long = sum(len(line) > pipe.LINE_LIMIT for line in stream.split(b"\n"))
     assert (cut.dropped, whole.dropped) == (too_long, too_long)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given, strategies as st
 
 from phm.transport.mavlink_admission import IDLE_S, MAX_PEERS, PER_ADDRESS, PROVE_S, RESERVED, Admission
 
 
-def full(admission: Admission, *, now: float = 0.0) -> list[str]:
-    """As many strangers as get in, of as many addresses as it takes."""
-    came = [f"10.0.0.{n // PER_ADDRESS}:{n}" for n in range(2 * MAX_PEERS)]
-    return [key for key in came if admission.admit(key, key.partition(":")[0], now) is not None]
+def full(admission: Admission, per_address: int = PER_ADDRESS) -> list[str]:
+    """Those who are in after as many strangers came as there are places."""
+    for key in [f"10.0.0.{n // per_address}:{n}" for n in range(MAX_PEERS)]:
+        admission.admit(key, key.partition(":")[0], 0.0)
+    return admission.peers
 
 
 def test_one_address_leaves_room_for_others() -> None:
@@ -22,15 +24,40 @@ def test_one_address_leaves_room_for_others() -> None:
 
 
 def test_the_oldest_idle_peer_makes_room() -> None:
-    """And no peer that has just sent something does."""
+    """And no peer does that has just sent something and is the only one of its address."""
     admission = Admission(signs=False)
-    came = full(admission)
+    came = full(admission, per_address=1)
     assert len(came) == MAX_PEERS
     for key in came[1:]:
         admission.heard(key, IDLE_S, signed=False)
     assert admission.admit("early", "10.0.1.1", IDLE_S - 0.1) is None
     assert admission.admit("ground", "10.0.1.1", IDLE_S) == [came[0]]
     assert admission.admit("late", "10.0.1.2", IDLE_S) is None
+
+
+@pytest.mark.parametrize("signs", [True, False])
+def test_connections_that_come_fast_push_no_new_peer_out(signs: bool) -> None:
+    """Before it can have signed, or at all where none signs: a place is taken only from the address that has most."""
+    admission = Admission(signs=signs, on_trial=signs)
+    crowd = [f"10.0.0.{n % 2}:{n}" for n in range(100)]
+    for key in crowd:
+        admission.admit(key, key.partition(":")[0], 0.0)
+    assert len(admission.peers) == MAX_PEERS
+    assert admission.admit("ground", "10.0.9.9", 0.1) is not None
+    for key in [key for key in crowd if key not in admission]:
+        admission.admit(key, key.partition(":")[0], 0.2)
+        assert "ground" in admission
+
+
+def test_active_peers_of_two_addresses_lock_no_third_one_out() -> None:
+    """The newest of the address that has most makes room, so that who was there first stays."""
+    admission = Admission(signs=False)
+    came = full(admission)
+    for key in came:
+        admission.heard(key, 0.5, signed=False)
+    assert admission.admit("ground", "10.0.9.9", 0.6) == [came[PER_ADDRESS - 1]]
+    assert admission.admit("second", "10.0.9.9", 0.6) == [came[-1]]
+    assert admission.admit("back", "10.0.0.0", 0.6) is None
 
 
 def test_of_one_address_its_own_idle_peer_makes_room() -> None:
@@ -57,13 +84,15 @@ def test_a_connection_has_a_reserved_place_until_it_had_time_to_sign() -> None:
     """It can sign only after it was admitted; who does stays, who does not goes, and the next one has its turn."""
     admission = Admission(signs=True, on_trial=True)
     came = full(admission)
-    assert len(came) > MAX_PEERS
+    assert len(came) == MAX_PEERS
     trial = admission.peers[-RESERVED:]
     for key in admission.peers:
         admission.heard(key, PROVE_S, signed=key == trial[1])
     assert admission.unproven(PROVE_S) == []
     assert admission.unproven(PROVE_S + 0.1) == [trial[0], *trial[2:]]
-    assert admission.admit("ground", "10.0.9.9", PROVE_S) == [trial[0]]
+    for key in admission.unproven(PROVE_S + 0.1):
+        admission.forget(key)
+    assert admission.admit("ground", "10.0.9.9", PROVE_S + 0.1) == []
 
 
 def test_an_ipv6_host_is_its_network() -> None:

@@ -23,6 +23,7 @@ from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
 from phm.settings import ContainerSettings, Settings
 from phm.tracker import Tracked, Tracker
+from phm.transport.docker import EngineError
 
 STEP_S = 0.1
 ARMED = Armed(State.ARMED, "the autopilot is armed")
@@ -62,6 +63,23 @@ class Containers:
         self.facts[key] = replace(self.facts[key], status="exited")
 
 
+class Silent:
+    """An engine that does nothing; each call raises `fails`, if it is set."""
+
+    def __init__(self) -> None:
+        self.fails: EngineError | None = None
+
+    def restart(self, ref: str) -> None:
+        self._answer()
+
+    def inspect(self, ref: str) -> None:
+        self._answer()
+
+    def _answer(self) -> None:
+        if self.fails is not None:
+            raise self.fails
+
+
 class Agent:
     """One life of PHM. `bad` maps units to the condition that their checks find; all others are well.
 
@@ -83,6 +101,8 @@ class Agent:
         self.runs: list[tuple[str, str]] = []
         self.missing = ""
         """What actions wait for, in words."""
+        self.not_missing: set[str] = set()
+        """Units whose actions do not wait for it."""
         self.armed = False
         self._monitor = monitor
         self.acting: list[str] = []
@@ -109,7 +129,10 @@ class Agent:
         if self.memory is not None:
             self.memory.restore()
         self.bus.subscribe("test", self.events.append)
-        context = ActionContext(cast(Any, None), self.settings, containers.facts.get, lambda: None, lambda a, b: None)
+        self.engine = Silent()
+        context = ActionContext(
+            cast(Any, self.engine), self.settings, containers.facts.get, lambda: None, lambda a, b: None
+        )
         plan = Plan((), tracked, Needs({entry.unit.id: entry.needs for entry in tracked}))
         graces = {name: of.grace_s for name, of in units.items()}
         shop = Shop(
@@ -126,10 +149,11 @@ class Agent:
 
         class Simulated(Action):
             name = of
+            starts = of in ("start", "restart")
             deadline_s = 100.0
 
             def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-                return agent.missing
+                return agent.missing if fault.unit not in agent.not_missing else ""
 
             def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
                 agent.runs.append((target.key, fault.unit))

@@ -15,9 +15,9 @@ from phm.daemon import Daemon
 from phm.model import ActionEvent, Event, Phase
 from phm.testing import settings
 from phm.transport.dialect import mavlink
-from phm.transport.docker import Engine
 from phm.wire import control
 from tests.fakes.mavlink import Sender, free_port, heartbeat
+from tests.proxy.haproxy import Door
 
 pytestmark = pytest.mark.engine
 
@@ -58,8 +58,8 @@ class Beats:
 class Vehicle:
     """`owner` lacks a file, which a restart would heal; `pilot` shares its network and is flight-critical."""
 
-    def __init__(self, real: Any, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, real: Any, folder: Path, door: Door) -> None:
+        self.folder, self._door, self._client = folder, door, real.client
         owner = real.container(f"touch {NEEDED}; {RUN}")
         pilot = real.container(RUN, network_mode=f"container:{owner.id}")
         self.owner, self.pilot = owner, pilot
@@ -67,6 +67,7 @@ class Vehicle:
         self.beats = {name: Beats(port) for name, port in self.ports.items()}
         self.events: list[Event] = []
         self.daemon: Daemon | None = None
+        self._opened = False
 
     def start(self) -> None:
         containers = [
@@ -80,12 +81,15 @@ class Vehicle:
         ]
         folder = self.folder
         made = settings(
-            agent={"id": 7}, interval=2, containers=containers, mavlink={"endpoints": endpoints},
+            agent={"id": 7}, interval=2, docker=self._door.section, containers=containers, mavlink={"endpoints": endpoints},
             recovery={"ladders": {"file_missing": ["restart"]}, "stop_timeout": "2s", "verify": "10s"},
             state_dir=str(folder / "state"), run_dir=str(folder / "run"), log={"directory": str(folder / "log")},
             checks={"host": {"enabled": False}},
         )  # fmt: skip
         self.events = []
+        if not self._opened:
+            self._door.open(made)
+            self._opened = True
         self.daemon = Daemon(made)
         self.daemon.bus.subscribe("test", self.events.append)
         self.daemon.start()
@@ -101,8 +105,9 @@ class Vehicle:
     def advised(self, words: str) -> bool:
         return any(phase is Phase.ADVISED and words in detail for phase, detail in self.actions())
 
-    def started(self, engine: Engine) -> list[str]:
-        return [str(engine.inspect(made.id)["State"]["StartedAt"]) for made in (self.owner, self.pilot)]
+    def started(self) -> list[str]:
+        inspect = self._client.api.inspect_container
+        return [str(inspect(made.id)["State"]["StartedAt"]) for made in (self.owner, self.pilot)]
 
     def gate(self) -> str:
         assert self.daemon is not None
@@ -124,18 +129,18 @@ def until(condition: Callable[[], object], what: str) -> None:
 
 
 @pytest.fixture
-def vehicle(real: Any, tmp_path: Path) -> Iterator[Vehicle]:
-    made = Vehicle(real, tmp_path)
+def vehicle(real: Any, tmp_path: Path, door: Door) -> Iterator[Vehicle]:
+    made = Vehicle(real, tmp_path, door)
     yield made
     made.stop()
     for beats in made.beats.values():
         beats.close()
 
 
-def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehicle, engine: Engine) -> None:
+def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehicle) -> None:
     """Armed, silent, a stranger's disarmed by the ground, PHM restarted: nothing; a fresh disarmed: both are restarted."""
 
-    before = vehicle.started(engine)
+    before = vehicle.started()
     vehicle.beats["fc"].says = True
     vehicle.start()
     until(lambda: vehicle.gate() == "the autopilot is armed", "the armed heartbeat")
@@ -147,7 +152,7 @@ def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehi
     vehicle.beats["ground"].says = False
     until(lambda: any("come by ground" in text for text in vehicle.daemon.parts.world.links.problems()), "the stranger")  # type: ignore[union-attr]
     vehicle.passes(3)
-    assert vehicle.started(engine) == before
+    assert vehicle.started() == before
 
     vehicle.stop()
     vehicle.start()
@@ -156,24 +161,24 @@ def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehi
     assert vehicle.daemon is not None
     assert vehicle.daemon.health()["flight_critical"] == expected
     vehicle.passes(3)
-    assert vehicle.started(engine) == before
+    assert vehicle.started() == before
     assert [phase for phase, _ in vehicle.actions() if phase is Phase.STARTED] == []
 
     vehicle.beats["fc"].runs_s = 3.0
     vehicle.beats["fc"].says = False
     until(lambda: "may have rebooted in the air" in vehicle.gate(), "the disarmed of an autopilot that has just booted")
     vehicle.passes(3)
-    assert vehicle.started(engine) == before
+    assert vehicle.started() == before
     vehicle.beats["fc"].runs_s = 600.0
     until(lambda: any(phase is Phase.VERIFIED for phase, _ in vehicle.actions()), "the repair on the ground")
-    after = vehicle.started(engine)
+    after = vehicle.started()
     assert before[0] < after[0] < after[1]
     share_network(vehicle)
 
 
-def test_what_an_operator_approves_in_the_air_is_done_whole(vehicle: Vehicle, engine: Engine) -> None:
+def test_what_an_operator_approves_in_the_air_is_done_whole(vehicle: Vehicle) -> None:
     """By the control socket, as `phm approve` does it: also the flight-critical dependant that the advice names follows."""
-    before = vehicle.started(engine)
+    before = vehicle.started()
     vehicle.beats["fc"].says = True
     vehicle.start()
     until(lambda: vehicle.gate() == "the autopilot is armed", "the armed heartbeat")
@@ -184,7 +189,7 @@ def test_what_an_operator_approves_in_the_air_is_done_whole(vehicle: Vehicle, en
     said = control.ask(str(vehicle.folder / "run"), {"do": "approve", "fault": fault.id}, timeout_s=30.0)
     assert said == "approved: restart owner for files/owner"
     until(lambda: any(phase is Phase.VERIFIED for phase, _ in vehicle.actions()), "the repair")
-    after = vehicle.started(engine)
+    after = vehicle.started()
     assert before[0] < after[0] < after[1]
     share_network(vehicle)
 

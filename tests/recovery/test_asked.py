@@ -121,3 +121,29 @@ def test_a_restart_that_does_not_help_becomes_a_fault_of_the_container(agents: l
     assert Phase.FAILED in phases(made)
     assert phases(made)[-1] is Phase.VERIFIED
     assert len(made.runs) == 2
+
+
+def test_a_restart_that_waits_for_a_network_says_so_once_and_ends(agents: list[Agent]) -> None:
+    """It waits for as long as an approval holds, `recovery.approval`."""
+    made = agent(agents, approval="30s")
+    made.missing = "there is no network swarm"
+    made.executor.restart("app", "255/190")
+    made.rest(20.0)
+    assert [event.detail for event in made.of(ActionEvent)] == ["app is left alone for now: there is no network swarm"]
+    made.rest(60.0)
+    assert phases(made) == [Phase.REFUSED, Phase.REFUSED]
+    assert "it was not possible within 30 s" in made.of(ActionEvent)[1].detail
+    made.missing = ""
+    made.rest(5.0)
+    assert made.runs == []
+
+
+def test_a_restart_that_waits_for_a_network_is_done_when_it_is_there(agents: list[Agent]) -> None:
+    """Faults of the container are handled meanwhile."""
+    made = agent(agents)
+    made.missing = "there is no network swarm"
+    made.executor.restart("app", "255/190")
+    made.rest(5.0)
+    made.missing = ""
+    made.until(lambda: Phase.VERIFIED in phases(made), "the restart")
+    assert phases(made) == [Phase.REFUSED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]

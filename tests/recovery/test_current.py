@@ -145,3 +145,28 @@ def test_an_action_that_waits_for_something_is_no_attempt(start: Start) -> None:
     agent.missing = ""
     agent.until(lambda: Phase.VERIFIED in agent.steps(), "the reconnection")
     assert agent.steps() == [Phase.REFUSED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+
+
+def test_what_waits_for_a_network_keeps_no_other_fault_of_the_container_waiting(start: Start) -> None:
+    """Its step is postponed, and the next fault is decided on."""
+    agent = start()
+    agent.missing, agent.not_missing = "there is no network swarm", {"nodes/one"}
+    agent.found["network/app"] = OFF
+    agent.until(lambda: Phase.REFUSED in agent.steps(), "the wait for the network")
+    agent.found["nodes/one"] = HUNG
+    agent.until(lambda: agent.runs, "the other fault's action")
+    assert agent.runs[0] == ("app", "nodes/one")
+
+
+def test_an_approval_is_acted_on_while_another_fault_of_the_container_waits_for_a_network(start: Start) -> None:
+    """It would end otherwise before anything was done."""
+    agent = start(mode="advise")
+    agent.missing, agent.not_missing = "there is no network swarm", {"nodes/one"}
+    agent.found = {"network/app": OFF, "nodes/one": HUNG}
+    agent.until(lambda: len(agent.acted(Phase.ADVISED)) == 2, "the advice")
+    faults = {fault.unit: fault.id for fault in agent.pipeline.open_faults()}
+    agent.executor.approve(faults["network/app"])
+    agent.until(lambda: Phase.REFUSED in agent.steps(), "the wait for the network")
+    agent.executor.approve(faults["nodes/one"])
+    agent.until(lambda: agent.runs, "the approved action")
+    assert agent.runs[0] == ("app", "nodes/one")

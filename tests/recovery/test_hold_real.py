@@ -17,7 +17,9 @@ from click.testing import CliRunner
 from phm.cli import group
 from phm.daemon import Daemon
 from phm.model import ActionEvent, Event, FaultOpened, HoldChanged, Level, Phase
+from phm.probes.docker_watch import FILTERS
 from phm.testing import settings
+from phm.transport.docker import EngineNotConnected
 
 LIMIT_S = 90.0
 RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
@@ -175,6 +177,50 @@ def test_a_crash_is_no_stop(phm: Any, project: Project, words: tuple[str, ...]) 
     project.docker(*(word.format(project.container) for word in words))
     agent.until(lambda: Phase.VERIFIED in agent.phases(), "the container to be started")
     assert agent.faults() == [agent.unit] and agent.holds(began=True) == []
+
+
+def test_a_stop_while_the_event_stream_is_interrupted_is_not_undone(
+    phm: Any, project: Project, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PHM sees that the container has ended before it hears why: the alarm is raised, and the engine's replay is waited for."""
+    monkeypatch.setattr("phm.recovery.hold_service.CLOSED_S", 10 * LIMIT_S)
+    agent = phm(**RESPECT)
+    engine, watch = agent.daemon.parts.engine, agent.daemon.parts.watch
+    with monkeypatch.context() as closed:
+
+        def refuse(*words: Any) -> Any:
+            raise EngineNotConnected("the test keeps the event stream closed")
+
+        closed.setattr(engine, "events", refuse)
+        watch._stream.close()
+        agent.until(lambda: not watch.fact.open, "the interruption")
+        project.docker("stop", project.container)
+        agent.until(lambda: agent.faults() == [agent.unit], "the alarm")
+        seen = agent.daemon.pipeline._pass_number
+        agent.until(lambda: agent.daemon.pipeline._pass_number >= seen + 2, "two passes")
+        assert agent.phases() == []
+    agent.until(lambda: agent.holds(began=True), "the hold")
+    assert "stopped by hand" in agent.holds(began=True)[0]
+    assert Phase.STARTED not in agent.phases()
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_an_end_whose_kill_was_missed_is_acted_on_when_no_stop_follows(
+    phm: Any, project: Project, monkeypatch: pytest.MonkeyPatch, stops: bool
+) -> None:
+    """PHM was started between the `kill` and the `die`; only with a `stop` was it stopped by hand."""
+    actions = tuple(action for action in FILTERS["event"] if action != "kill")
+    monkeypatch.setattr("phm.probes.docker_watch.FILTERS", {**FILTERS, "event": actions})
+    if stops:
+        monkeypatch.setattr("phm.recovery.manual_stop.UNSURE_S", 10 * LIMIT_S)
+    agent = phm(**RESPECT)
+    project.docker("stop" if stops else "kill", project.container)
+    if stops:
+        agent.until(lambda: agent.holds(began=True), "the hold")
+        assert Phase.STARTED not in agent.phases()
+    else:
+        agent.until(lambda: Phase.VERIFIED in agent.phases(), "the container to be started")
+        assert agent.holds(began=True) == []
 
 
 def test_a_restart_of_phm_itself_is_no_stop_by_hand(phm: Any, project: Project) -> None:

@@ -12,11 +12,12 @@ from typing import Any
 import pytest
 
 from phm.daemon import Daemon
+from phm.facts import COMPLETE, EventStreamFact
 from phm.model import FaultClosed, HoldChanged, Level, Outcome, Phase, Stamp
 from phm.probes.docker_watch import DockerEvent
 from phm.recovery.armed import Armed, LastKnown, State as ArmedState
 from phm.recovery.executor import NotApprovable, NotNow
-from phm.recovery.hold_service import HoldRefused, HoldService, HoldWorld
+from phm.recovery.hold_service import CLOSED_S, LABELS_S, HoldRefused, HoldService, HoldWorld
 from phm.recovery.holds import ALL, Hold, Holds
 from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
 from phm.testing import FakeClock, settings
@@ -34,7 +35,7 @@ class Scene:
 
     def __init__(
         self, folder: Path | None = None, clock: FakeClock | None = None, containers: Containers | None = None,
-        **recovery: Any,
+        bad: dict[str, str] | None = None, **recovery: Any,
     ) -> None:  # fmt: skip
         self.clock, self.containers = clock or FakeClock(), containers or Containers("app", "cam")
         self.armed = ArmedState.DISARMED
@@ -44,13 +45,17 @@ class Scene:
         )  # fmt: skip
         self.holds: Holds = self.agent.executor._shop.holds
         acting_on = self.agent.executor.acting_on
-        world = HoldWorld(lambda: Armed(self.armed, "as the test says"), self.containers.facts.get, acting_on)
+        self.stream = COMPLETE
+        world = HoldWorld(
+            lambda: Armed(self.armed, "as the test says"), self.containers.facts.get, acting_on, lambda: self.stream
+        )
         self.service = HoldService(
             self.agent.settings, self.holds, self.agent.pipeline, self.agent.bus.publish, self.clock, world
         )
         self.service._apply(("app", "cam"))
         look = self.agent.look
         self.agent.look = lambda: (self.service.tick(), look())[1]  # type: ignore[method-assign]
+        self.agent.bad = bad or {}
         self.agent.rest(0.5)
 
     def hold(self, container: str = "app", for_s: float | None = 60.0, reason: str = "new firmware") -> str:
@@ -277,6 +282,53 @@ def test_what_is_flight_critical_is_not_put_on_hold_while_armed(scene: Scene, co
     scene.hold("cam")
 
 
+def shared_network(scene: Scene) -> None:
+    """app lives in the network of cam."""
+    scene.containers.facts["app"] = replace(scene.containers.facts["app"], network_mode="container:cam")
+    scene.agent.rest(2 * LABELS_S)
+
+
+def test_what_takes_a_flight_critical_container_down_is_not_put_on_hold_while_armed(scene: Scene) -> None:
+    """Its failure would take down the critical one, and must stay visible as well; a hold from before ends with arming."""
+    shared_network(scene)
+    scene.hold("cam", 600.0)
+    scene.armed = ArmedState.ARMED
+    scene.agent.rest(3)
+    assert scene.service.snapshot() == []
+    with pytest.raises(HoldRefused, match="flight-critical"):
+        scene.hold("cam")
+
+
+def test_a_stop_that_takes_a_flight_critical_container_down_is_never_respected_quietly(scenes: Any) -> None:
+    scene = scenes(on_manual_stop="respect")
+    shared_network(scene)
+    scene.armed = ArmedState.ARMED
+    scene.agent.rest(1)
+    stopped(scene, "cam")
+    scene.agent.until(lambda: scene.agent.opened() == ["container/cam"], "the alarm")
+    assert scene.changes() == []
+
+
+@pytest.mark.parametrize("container", ["app", ALL])
+def test_what_is_flight_critical_is_put_on_hold_when_the_armed_state_is_unknown(scene: Scene, container: str) -> None:
+    """A bench has no autopilot, and a hold does nothing; the answer says what is not known, and arming ends the hold."""
+    scene.armed = ArmedState.UNKNOWN
+    said = scene.hold(container)
+    assert said.endswith(
+        "the vehicle is not known to be disarmed (as the test says): the hold ends when the autopilot is armed"
+    )
+    assert "not known" not in scene.hold("cam")
+    scene.agent.rest(1)
+    scene.armed = ArmedState.ARMED
+    scene.agent.rest(3)
+    assert [hold["container"] for hold in scene.service.snapshot()] == ["cam"]
+
+
+def test_on_the_ground_a_hold_is_granted_without_a_warning(scene: Scene) -> None:
+    """The autopilot is known to be disarmed."""
+    assert "not known" not in scene.hold("app")
+
+
 def test_take_off_ends_what_must_not_be_missed(scene: Scene) -> None:
     """Holds of flight-critical containers, with a message; an operator's hold of another one stays."""
     scene.hold("app", 600.0)
@@ -418,6 +470,61 @@ def test_a_crash_with_an_open_fault_is_healed_after_the_verdict(scenes: Any) -> 
     scene.agent.until(lambda: scene.agent.runs, "the restart")
 
 
+def test_a_stop_whose_signal_was_missed_is_not_undone(scenes: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stream was opened after the `kill`: the alarm comes with the `die`, and the action waits for a `stop`."""
+    monkeypatch.setattr("phm.recovery.manual_stop.UNSURE_S", 1.0)
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
+    scene.agent.rest(1)
+    scene.happen(STOP[1])
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.rest(0.5)
+    assert scene.agent.opened() == ["container/app"]
+    scene.happen(STOP[2])
+    scene.agent.rest(30)
+    assert scene.changes() == [("app", True)] and scene.agent.runs == []
+
+
+def test_a_crash_after_the_stream_was_opened_is_healed(scenes: Any) -> None:
+    """No `stop` follows; the alarm does not wait for one."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
+    scene.agent.rest(1)
+    scene.happen(STOP[1])
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.step()
+    assert scene.agent.opened() == ["container/app"]
+    scene.agent.until(lambda: scene.agent.runs, "the start")
+    assert scene.changes() == []
+
+
+def test_an_end_while_the_stream_is_closed_is_not_acted_on_before_it_is_explained(scenes: Any) -> None:
+    """When it is open again, the engine replays what happened."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(False, scene.clock.mono(), 0.0)
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.rest(CLOSED_S / 2)
+    scene.stream = EventStreamFact(True, scene.clock.mono(), 0.0)
+    scene.happen(*STOP)
+    scene.agent.rest(30)
+    assert scene.changes() == [("app", True)] and scene.agent.runs == []
+
+
+@pytest.mark.parametrize(("condition", "waits"), [("exited", True), ("broken", False)])
+def test_a_stream_that_stays_closed_keeps_nothing_from_being_healed(scenes: Any, condition: str, waits: bool) -> None:
+    """What has ended is acted on CLOSED_S after the stream broke, and what else is wrong is acted on immediately."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(False, scene.clock.mono(), 0.0)
+    scene.agent.bad = {"container/app": condition}
+    scene.agent.rest(CLOSED_S / 2)
+    assert scene.agent.runs == ([] if waits else [("app", "container/app")])
+    scene.agent.rest(CLOSED_S)
+    assert scene.agent.runs[0] == ("app", "container/app")
+
+
 def test_a_dependant_that_was_stopped_by_hand_is_not_started(scenes: Any) -> None:
     """Neither before that is decided nor afterwards, until somebody starts it."""
     scene = scenes(on_manual_stop="advise")
@@ -535,6 +642,26 @@ def test_a_hold_survives_a_restart_of_phm(scenes: Any, tmp_path: Path) -> None:
     second.agent.rest(60)
     assert second.agent.opened() == []
     second.agent.until(lambda: second.agent.opened() == ["container/app"], "the end of the hold")
+
+
+def test_while_on_hold_no_check_is_run_for_the_sake_of_recovery(
+    scenes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault from before a restart of PHM: what is found on hold does not count, and a fresh run is asked for afterwards."""
+    first = scenes(tmp_path, **PATIENT)
+    first.agent.behave = lambda key, context, fault: None
+    first.agent.bad = {"container/app": "broken"}
+    first.agent.until(lambda: first.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
+    first.hold(for_s=100)
+    first.agent.rest(5)
+    first.agent.stop()
+    second = scenes(tmp_path, first.clock, bad={"container/app": "broken"}, **PATIENT)
+    looks: list[str] = []
+    monkeypatch.setattr(second.agent.pipeline, "look_again", lambda *units: looks.extend(units))
+    second.agent.rest(60)
+    assert looks == []
+    second.agent.until(lambda: looks, "the fresh run")
+    second.agent.until(lambda: Phase.STARTED in second.agent.steps(), "the next attempt")
 
 
 def test_a_stop_that_is_over_when_phm_starts_holds_nothing(scenes: Any, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from phm import testing
-from phm.clock import Clock, SystemClock
+from phm.clock import Clock
 from phm.recovery.actions import make_room
 from phm.recovery.actions.make_room import MakeRoom
 from phm.recovery.base import ActionFailed
@@ -43,18 +43,37 @@ def put(path: Path, size: int, age_s: float = HOUR_S) -> Path:
     return path
 
 
-def run(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> str:
+def watched(seconds: float = 5 * HOUR_S) -> testing.FakeClock:
+    """The clock, as of one that was watched for so long."""
+    clock = testing.FakeClock(mono=50_000.0, utc=time.time() - seconds)
+    clock.advance(seconds)
+    return clock
+
+
+def settings_of(disk: Path, *rooms: dict[str, Any]) -> Settings:
     """With the default limits: the goal is below 76.5 %."""
-    settings = Settings.model_validate(
+    return Settings.model_validate(
         {
             "agent": {"name": "a", "id": 1},
             "host": {"make_room": [{"path": str(disk / "bags"), **room} for room in rooms]},
         }
     )
+
+
+def ask(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> tuple[MakeRoom, tuple[Any, ...]]:
     target = as_container(f"disk:{disk}")
     assert target is not None
-    context = SimpleNamespace(settings=settings, age_s=(clock or SystemClock()).age_s)
-    return MakeRoom().run(target, None, context)  # type: ignore[arg-type]
+    return MakeRoom(), (target, None, SimpleNamespace(settings=settings_of(disk, *rooms), clock=clock or watched()))
+
+
+def run(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> str:
+    action, about = ask(disk, *rooms, clock=clock)
+    return action.run(*about)
+
+
+def waits_for(disk: Path, *rooms: dict[str, Any], clock: Clock) -> str:
+    action, about = ask(disk, *rooms, clock=clock)
+    return action.waits_for(*about)
 
 
 def test_the_oldest_go_until_there_is_room(disk: Path) -> None:
@@ -69,7 +88,7 @@ def test_the_oldest_go_until_there_is_room(disk: Path) -> None:
 
 def test_a_step_of_the_clock_makes_no_file_old(disk: Path) -> None:
     """A recording closed a minute ago stays when the clock is set forward; one that is really old is removed."""
-    clock = testing.FakeClock(mono=50_000.0, utc=time.time())
+    clock = watched()
     closed, old = put(disk / "bags/closed.mcap", 40_000, 0.0), put(disk / "bags/old.mcap", 58_000, 3 * HOUR_S)
     clock.advance(60.0)
     clock.jump_utc(HOUR_S)
@@ -77,18 +96,51 @@ def test_a_step_of_the_clock_makes_no_file_old(disk: Path) -> None:
     assert closed.exists() and not old.exists()
 
 
+@pytest.mark.parametrize("stamped_s", [50 * 365 * 24 * HOUR_S, 2 * HOUR_S, 0.0, -HOUR_S])
+def test_a_step_of_the_clock_before_phms_start_makes_no_file_old(disk: Path, stamped_s: float) -> None:
+    """Without a battery-backed clock: stamped by the clock of the boot, which was set, and then PHM was started."""
+    closed, clock = put(disk / "bags/closed.mcap", 98_000, stamped_s), watched(60.0)
+    with pytest.raises(ActionFailed, match="removed 0 old files"):
+        run(disk, {"files": ["*.mcap"]}, clock=clock)
+    assert closed.exists()
+
+
+def test_a_clock_that_is_not_known_for_long_enough_is_waited_for(disk: Path) -> None:
+    """That is no attempt, and ends as soon as files of `older_than` can be distinguished from newer ones."""
+    old, clock = put(disk / "bags/old.mcap", 98_000, 24 * HOUR_S), watched(60.0)
+    rooms: list[dict[str, Any]] = [{"files": ["*.mcap"]}, {"files": ["*.log"], "older_than": 1200}]
+    assert "for another 540 s: what the clock was set to" in waits_for(disk, *rooms, clock=clock)
+    clock.advance(541.0)
+    assert waits_for(disk, *rooms, clock=clock) == ""
+    run(disk, *rooms, clock=clock)
+    assert not old.exists()
+
+
+def test_what_can_only_be_older_than_the_watching_goes_first_by_its_stamp(disk: Path) -> None:
+    """A recording of this flight with a stamp of 1970 is newer than one of yesterday."""
+    clock = testing.FakeClock(mono=100.0, utc=100.0)
+    clock.advance(100.0)
+    first = put(disk / "bags/first.mcap", 38_000, time.time() - clock.utc())
+    clock.jump_utc(time.time() - clock.utc())
+    clock.advance(HOUR_S)
+    older, old = (put(disk / f"bags/{day}.mcap", 20_000, day * 24 * HOUR_S) for day in (2, 1))
+    put(disk / "log.txt", 18_000)
+    run(disk, {"files": ["*.mcap"]}, clock=clock)
+    assert not older.exists() and old.exists() and first.exists()
+
+
 def test_a_folder_of_many_names_is_read_one_by_one(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The oldest of all go, wherever they are listed, and no more are held than MOST."""
     monkeypatch.setattr(make_room, "MOST", 3)
     files = [put(disk / f"bags/{number}.log", 1000, HOUR_S + 60 * (number * 37 % 100)) for number in range(99)]
     most: list[int] = []
-    largest = heapq.nlargest
+    smallest = heapq.nsmallest
 
-    def nlargest(count: int, found: Iterable[Any]) -> list[Any]:
+    def nsmallest(count: int, found: Iterable[Any]) -> list[Any]:
         most.append(count)
-        return largest(count, found)
+        return smallest(count, found)
 
-    monkeypatch.setattr(heapq, "nlargest", nlargest)
+    monkeypatch.setattr(heapq, "nsmallest", nsmallest)
     oldest = sorted(files, key=lambda file: file.stat().st_mtime)[:3]
     with pytest.raises(ActionFailed, match="removed 3 old files"):
         run(disk, {"files": ["*.log"]})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from phm.recovery.manual_stop import REMOVED_S, STOPPED_S, ManualStops, Verdict
+from phm.recovery.manual_stop import REMOVED_S, STOPPED_S, UNSURE_S, ManualStops, Verdict
 
 TERM, KILL = ("kill", "signal 15"), ("kill", "signal 9")
 DIE, STOP, DESTROY, START = ("die", "exit code 0"), ("stop", ""), ("destroy", ""), ("start", "")
@@ -114,3 +114,16 @@ def test_a_kill_is_published_soon() -> None:
     stops.event("app", *KILL, 0.0, own=False)
     stops.event("app", *DIE, 1.0, own=False)
     assert stops.next_due() == 1.0 + REMOVED_S
+
+
+def test_an_end_whose_signal_may_have_been_missed_is_published_and_waited_on() -> None:
+    """The event stream was interrupted: a `stop` makes it a stop by hand, and without one it was a crash."""
+    for then, verdict in ((STOP, Verdict.STOPPED), (None, Verdict.CRASHED)):
+        stops = ManualStops()
+        stops.event("app", *DIE, 0.0, own=False, missed=True)
+        assert not stops.undecided()
+        assert stops.leave_until("app", 0.0) == pytest.approx(UNSURE_S)
+        if then is not None:
+            stops.event("app", *then, UNSURE_S / 2, own=False, missed=True)
+            assert stops.undecided() == {"app"}
+        assert stops.due(60.0) == [("app", verdict)]

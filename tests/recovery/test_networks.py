@@ -90,6 +90,16 @@ def test_one_of_two_networks_that_is_there_is_connected_to(fake: FakeEngine, ask
     assert [attached.network_id for attached in made.fact("app").networks] == ["new"]  # type: ignore[union-attr]
 
 
+def test_a_missing_network_is_waited_for_when_the_others_are_connected(fake: FakeEngine, ask: Engine) -> None:
+    """There is nothing to do until it is there, so no action begins."""
+    made = agent(fake, ask, exists=True, attached={"swarm": "new"})
+    made.settings.containers[0].networks.append("radio")
+    assert "there is no network radio" in waits(made, Reconnect)
+    made = agent(fake, ask, exists=True)
+    made.settings.containers[0].networks.append("radio")
+    assert waits(made, Reconnect) == ""
+
+
 @pytest.mark.parametrize("mode", ["host", "none", "container:other"])
 def test_a_container_without_networks_of_its_own_waits_for_none(fake: FakeEngine, ask: Engine, mode: str) -> None:
     """Nothing connects it."""

@@ -11,9 +11,12 @@ import pytest
 from phm import testing
 from phm.model import ActionEvent, Fault, Phase
 from phm.recovery.base import ActionContext
-from phm.transport.docker import EngineTimeout
+from phm.transport.docker import EngineError, EngineNotConnected, EngineTimeout, EngineUnreachable
 from tests.recovery.agent import Agent, Containers, Of
 
+LATE = EngineTimeout("the engine did not answer within 20 s")
+BROKEN = EngineUnreachable("the connection to the engine broke")
+ABSENT = EngineNotConnected("no Docker Engine listens")
 UNITS = {"health/app": Of("app", grace_s=2.0)}
 RULES: dict[str, Any] = {"same_failure": 2, "verify": 5.0, "backoff": 0.1, "budget": 50}
 
@@ -249,10 +252,8 @@ def test_a_start_long_before_the_first_attempt_excuses_nothing(yard: Yard) -> No
 def late(agent: Agent) -> None:
     """The engine does not answer within the deadline, and restarts the container all the same, one at a time."""
 
-    def act(key: str, context: ActionContext, fault: Fault) -> None:
-        raise EngineTimeout("the engine did not answer within 20 s")
-
-    agent.behave = act
+    agent.engine.fails = LATE
+    agent.behave = lambda key, context, fault: context.engine.restart(key)
 
 
 def test_a_restart_that_the_engine_finishes_late_excuses_no_attempt(yard: Yard) -> None:
@@ -334,3 +335,47 @@ def test_a_dependants_restart_that_phms_end_interrupted_is_phms_own(yard: Yard) 
     second.rest(60.0)
     assert [target for target, _ in second.runs] == []
     assert not any("somebody else" in note for note in second.notes())
+
+
+@pytest.mark.parametrize(
+    ("call", "fails", "own"),
+    [("inspect", LATE, False), ("restart", LATE, True), ("restart", BROKEN, True), ("restart", ABSENT, False)],
+)
+def test_only_a_start_that_was_sent_and_not_answered_leaves_the_container_phms_own(
+    yard: Yard, call: str, fails: EngineError, own: bool
+) -> None:
+    """What an operator stops after any other call that failed is not PHM's doing."""
+    agent = yard.phm(backoff=600.0, backoff_max=600.0)
+    agent.rest(3.0)
+    agent.engine.fails = fails
+    agent.behave = lambda key, context, fault: getattr(context.engine, call)(key)
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: Phase.FAILED in agent.steps(), "the deadline")
+    agent.rest(3.0)
+    assert agent.executor.acting_on("app") is own
+
+
+@pytest.mark.parametrize("action", ["relaunch", "restart"])
+def test_what_happens_while_an_action_is_at_work_that_starts_nothing_is_not_phms_own(yard: Yard, action: str) -> None:
+    """An operator's `docker stop` during a relaunch is a stop by hand."""
+    agent = yard.phm(actions=(action,), ladders={"broken": [action]})
+    agent.rest(3.0)
+    seen: list[bool] = []
+    agent.behave = lambda key, context, fault: seen.append(agent.executor.acting_on("app"))
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: seen, "the action")
+    assert seen[0] is (action == "restart")
+
+
+@pytest.mark.parametrize("action", ["relaunch", "restart"])
+def test_only_an_action_that_starts_leaves_the_container_phms_own_when_cut_short(yard: Yard, action: str) -> None:
+    """The engine cannot finish a start for which it was not asked."""
+    ladder = {"actions": (action,), "ladders": {"broken": [action]}}
+    first = yard.phm(**ladder)
+    first.rest(3.0)
+    first.behave = lambda key, context, fault: first.pause(lambda: False)
+    first.bad["health/app"] = "broken"
+    first.until(lambda: first.runs, "the action")
+    first.stop()
+    second = yard.phm(**ladder)
+    assert second.executor.acting_on("app") is (action == "restart")

@@ -19,6 +19,7 @@ from phm.recovery.lives import OTHERS, Life
 from phm.recovery.relief import Lowered
 from phm.recovery.state import Case, RecoveryState, State, Unbelievable, UnderWay, carry, decode, encode
 from phm.recovery.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
+from tests.recovery.agent import Agent, Containers, Of
 
 BOOT, OTHER = "boot-a", "boot-b"
 WINDOW_S = 600.0
@@ -57,6 +58,7 @@ FULL = State(
         {"app": "app", "side": "app"},
         lowered=(Lowered("other", "id3", 512, "pressure/app"),),
     ),
+    ((900.0, 20.0), (910.0, 60.0)),
 )
 
 
@@ -74,6 +76,7 @@ def test_on_another_boot_times_are_converted_through_utc() -> None:
     """An attempt 5 s before the writing is 65 s old a minute later, whatever the new monotonic clock shows."""
     document = through_json(FULL, Stamp(1010.0, 100.0))
     state = decode(document, OTHER, Stamp(1070.0, 20.0), WINDOW_S)
+    assert state.clock == ()  # how the clock was set on another boot says nothing of this one
     assert state.recovery.attempts["app"][-1].at == pytest.approx(20.0 - 65.0)
     life = state.recovery.lives["app"]
     assert [life.since, life.made] == pytest.approx([20.0 - 63.0, 20.0 - 68.0])
@@ -214,3 +217,19 @@ def test_an_unreadable_state_is_a_sentence(tmp_path: Path) -> None:
     state, warning = file.load(WINDOW_S)
     assert state == State()
     assert "cannot read" in warning
+
+
+@pytest.mark.parametrize(("step_s", "known_since"), [(0.0, 500.0), (7200.0, None)])
+def test_how_the_clock_was_set_is_known_over_a_restart(
+    tmp_path: Path, step_s: float, known_since: float | None
+) -> None:
+    """Unless it was set meanwhile: then no PHM has seen how often."""
+    clocks = [testing.FakeClock(mono=500.0)]
+    for begin in range(2):
+        if begin:
+            clocks.append(testing.FakeClock(clocks[0].mono() + 5.0, clocks[0].utc() + 5.0 + step_s))
+        phm = Agent({"container/app": Of("app")}, Containers("app"), clocks[begin], folder=tmp_path)
+        later = clocks[begin].mono()
+        phm.rest(30.0)
+        phm.stop()
+    assert clocks[1].steps.known_since() == (known_since or later)

@@ -99,6 +99,16 @@ def test_news_is_told_whole(news: str) -> None:
     assert set(heard(book, 1.2).beacons) == {A}
 
 
+@pytest.mark.parametrize("configured", [(), (A,)], ids=["stranger", "configured"])
+def test_the_first_turn_of_an_executor_is_news(configured: tuple[str, ...]) -> None:
+    """A beat that was heard before the executor ran does not stand for all later ones, whoever's node it is."""
+    book = ledger(*configured)
+    book.add(BEACON_FORMAT, text({A: {**node(), "turns": 0}}), 1.0)
+    assert heard(book, 1.0).beacons[A].turns == 0
+    book.add(BEACON_FORMAT, text(), 1.2)
+    assert heard(book, 1.2).beacons[A].turns == 3
+
+
 def test_a_view_is_kept_until_the_next() -> None:
     """Views come once a second, beats five times."""
     book = ledger(A, B)

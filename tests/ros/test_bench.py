@@ -20,7 +20,7 @@ def test_a_domain_in_use_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None
         locks.append(lock)
     try:
         assert len(set(domains)) == 3
-        assert all(60 <= domain < 120 for domain in domains)
+        assert all(ros_bench.FIRST_DOMAIN <= domain < 102 for domain in domains)
     finally:
         for lock in locks:
             lock.close()

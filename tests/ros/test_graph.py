@@ -25,6 +25,11 @@ def rate_of(fact: RosFact) -> RateFact:
     return fact.topics[TOPIC].rate or RateFact(None, None)
 
 
+def named(fact: RosFact) -> bool:
+    """The only topic has both ends, each with the name of its node, which may come a moment later."""
+    return all(side and side[0].node for side in (fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers))
+
+
 def test_a_killed_node_leaves_the_picture(bench: Bench) -> None:
     """With the profile that we ship, a node ended by SIGKILL is out of the picture long before the usual 20 s."""
     node = bench.node("node_1", "--publish", "topic_1:10")
@@ -51,12 +56,11 @@ def test_endpoints_are_told_by_node_type_and_quality(bench: Bench) -> None:
     bench.node("node_1", "--publish", "topic_1:10")
     bench.node("node_2", "--subscribe", "topic_1")
     probe = bench.probe([{"name": TOPIC, "rate": 10}, {"name": "/agent_1/other"}])
-    fact = seen(
-        probe,
-        lambda fact: fact.topics[TOPIC].publishers and fact.topics[TOPIC].subscribers and rate_of(fact).hz
-        and fact,
-        "both ends and a rate",
-    )  # fmt: skip
+
+    def whole(fact: RosFact) -> RosFact | None:
+        return fact if len(fact.nodes) == 2 and named(fact) and rate_of(fact).hz else None
+
+    fact = seen(probe, whole, "both ends, their nodes and a rate")
     (publisher,), (subscriber,) = fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers
     plain = EndpointFact(
         "/agent_1/node_1", STRING, "reliable", "volatile", None, "automatic", None, publisher.type_hash
@@ -73,13 +77,7 @@ def test_every_policy_of_an_endpoint_is_told(bench: Bench) -> None:
     strict = "reliability=best_effort,durability=transient_local,liveliness=manual_by_topic,deadline=0.5,lease=2"
     bench.script("ros_ends.py", "talker", f"pub:topic_1:{strict}", "sub:topic_1")
     probe = bench.probe([{"name": TOPIC}])
-
-    def named(fact: RosFact) -> RosFact | None:
-        # An end may be known a moment before the name of its node.
-        ends = (fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers)
-        return fact if all(side and side[0].node for side in ends) else None
-
-    fact = seen(probe, named, "both ends")
+    fact = seen(probe, lambda fact: named(fact) and fact, "both ends")
     (publisher,), (subscriber,) = fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers
     assert replace(publisher, type_hash="") == EndpointFact(
         "/agent_1/talker", STRING, "best_effort", "transient_local", 0.5, "manual_by_topic", 2.0

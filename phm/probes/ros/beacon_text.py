@@ -39,7 +39,7 @@ def log_texts(data: bytes) -> tuple[str, str]:
 
 
 def beacons_in(text: str) -> Iterator[tuple[str, BeaconFact, bool]]:
-    """The nodes of one message: full name, fact (age 0), and whether it tells of neighbours.
+    """The nodes of one message: full name, fact (age 0), and whether it lists neighbours.
 
     Raises ValueError, TypeError, KeyError, AttributeError, OverflowError or RecursionError for anything else.
     """
@@ -47,10 +47,10 @@ def beacons_in(text: str) -> Iterator[tuple[str, BeaconFact, bool]]:
         raise ValueError("too long")
     said = json.loads(text)
     witness, period_s = _word(said["witness"]), _number(said["period_s"], *PERIODS_S)
-    nodes, told = said["nodes"], said.get("views")
-    if not nodes or len(nodes) > MAX_NODES or len(told or ()) > MAX_NEIGHBOURS:
+    nodes, seen = said["nodes"], said.get("views")
+    if not nodes or len(nodes) > MAX_NODES or len(seen or ()) > MAX_NEIGHBOURS:
         raise ValueError("none, or too many")
-    views = {_name(name): _view(view) for name, view in told.items()} if told else {}
+    views = {_name(name): _view(view) for name, view in seen.items()} if seen else {}
     facts = []
     for name, node in nodes.items():
         fact = BeaconFact(
@@ -63,7 +63,7 @@ def beacons_in(text: str) -> Iterator[tuple[str, BeaconFact, bool]]:
             turns=_count(node["turns"]),
             witness=witness,
         )
-        facts.append((_name(name), fact, told is not None))
+        facts.append((_name(name), fact, seen is not None))
     return iter(facts)
 
 

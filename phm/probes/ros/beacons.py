@@ -91,7 +91,7 @@ class Beacons:
         return chosen
 
     def _listed(self) -> Mapping[bytes, str] | None:
-        """The writers of beacons that discovery lists, with the names of their nodes; None where it cannot tell."""
+        """The writers of beacons that discovery lists, with the names of their nodes; None where it does not know."""
         try:
             infos = self._node.get_publishers_info_by_topic(BEACON)
         except Exception:  # a name that is not UTF-8

@@ -21,15 +21,19 @@ from phm.probes.ros.protocol import (
     Message,
     Missing,
     ProtocolError,
+    Remark,
     Sandbox,
     decode_order,
     decode_wanted,
     encode,
 )
+from phm.probes.ros.second_look import SecondLook
 
 if TYPE_CHECKING:
     from phm.probes.ros.watch import Watch
 
+MISSED = "the ROS child looks with a new participant: the one before had missed {}"
+MAX_MISSED = 300
 _PR_SET_PDEATHSIG = 1
 
 _PROFILE = b"""<?xml version="1.0" encoding="UTF-8"?>
@@ -62,7 +66,7 @@ def main() -> int:
         _send(out, Missing(error.name or "", str(error)))
         return EXIT_MISSING
     try:
-        _report(watch, out, wanted.tick_s)
+        watch = _report(watch, out, wanted.tick_s)
     except BrokenPipeError:
         return 0
     watch.close()
@@ -77,19 +81,26 @@ def _restrict() -> Sandbox:
     return Sandbox(sandbox.enter(os.environ.get(INSTALLS, "").split(os.pathsep)))
 
 
-def _report(watch: Watch, out: int, tick_s: float) -> None:
+def _report(watch: Watch, out: int, tick_s: float) -> Watch:
+    """Until the pipe is closed. Returns the watch of then, which need not be the one of the start."""
     leak = _Leak(os.environ.get("PHM_DEBUG_ROS_LEAK_MB", ""))
     next_s = time.monotonic()
+    second = SecondLook(watch.second, next_s)
     orders = Lines()
     told, late_s = False, 0.0
     while True:
         _send(out, *watch.look(told=told, late_s=late_s))
+        if missed := second.look(time.monotonic(), watch.known, lacking=watch.lacking):
+            _send(out, Remark(MISSED.format(", ".join(missed)[:MAX_MISSED])))
+            watch = watch.renewed()
+            second.renewed(time.monotonic())
         leak.grow()
         if not told:
             next_s = max(next_s + tick_s, time.monotonic())
         woken = _wait(next_s, orders, watch)
         if woken is None:
-            return
+            second.close()
+            return watch
         told = woken
         late_s = max(0.0, time.monotonic() - next_s)
 

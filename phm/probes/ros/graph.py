@@ -42,7 +42,7 @@ class Graph:
         self._node = node
         self._topics = tuple(topics)
         self._full_s = full_s
-        self._configured = frozenset(configured)
+        self.configured = frozenset(configured)
         self._next_full_s = 0.0
         self._counts: tuple[int, ...] = ()
         self._unsettled = False
@@ -80,7 +80,7 @@ class Graph:
             return {}
         self.names_known = True
         listed = Counter(printable(full_name(name, namespace)) for name, namespace in found if not name.startswith(OWN))
-        nodes, left_out = kept_nodes(listed, self._configured)
+        nodes, left_out = kept_nodes(listed, self.configured)
         if left_out:
             self._of_names[f"the ROS domain has more nodes than PHM keeps, {MAX_STRANGERS} that are not configured"] = (
                 None
@@ -110,7 +110,7 @@ class Graph:
         subscribers = self._ask(
             node.get_subscriptions_info_by_topic, node.get_subscriber_names_and_types_by_node, node.count_subscribers
         )
-        (publishers, subscribers), left_out = kept_ends((publishers, subscribers), self._configured)
+        (publishers, subscribers), left_out = kept_ends((publishers, subscribers), self.configured)
         if left_out:
             self._of_ends["the configured topics have more publishers and subscribers than PHM can pass on"] = None
         changed = (publishers, subscribers) != (self.publishers, self.subscribers)
@@ -139,7 +139,7 @@ class Graph:
     ) -> tuple[EndpointFact, ...]:
         """Ends of the configured nodes, without their quality; the others go by the name that is to blame."""
         found = []
-        for name in self._configured & self.nodes.keys():
+        for name in self.configured & self.nodes.keys():
             namespace, _, short = name.rpartition("/")
             types = None
             with contextlib.suppress(Exception):  # the node has left, or one of its types has a bad name

@@ -87,7 +87,7 @@ class Ledger:
     """Whose beacons the child has received. Pure but for what it remembers: times are handed in, monotonic seconds.
 
     nodes: those of the configuration, which are never passed over for want of room. listed: asked for the writers that
-    discovery lists now, with the names of their nodes; None where it cannot tell.
+    discovery lists now, with the names of their nodes; None where it does not know.
 
     Invariant: a process (`witness`) is bound to the writer that used its name first, until that one has fallen silent and
     left the graph.
@@ -137,7 +137,7 @@ class Ledger:
             heard.doubt, heard.fact = doubt, seen
             if name not in self._nodes and now_s - heard.at_s > FORGET_S:
                 del self._heard[name]
-        told = {name: self._heard[name].now(now_s) for name in self._news if name in self._heard}
+        news = {name: self._heard[name].now(now_s) for name in self._news if name in self._heard}
         beats = self._beats - self._news
         ages = {name: self._heard[name].now(now_s).age_s for name in beats if name in self._heard}
         if len(self._writers) > len(self._heard):
@@ -145,7 +145,7 @@ class Ledger:
             self._writers = {name: writer for name, writer in self._writers.items() if name in witnesses}
         more_refused = self.refused != self._told_refused
         self._news, self._beats, self._told_refused = set(), set(), self.refused
-        return Heard(beacons=told, ages=ages, refused=self.refused) if told or ages or more_refused else None
+        return Heard(beacons=news, ages=ages, refused=self.refused) if news or ages or more_refused else None
 
     def _is_genuine(self, witness: str, writer: bytes | None, at_s: float) -> bool:
         """False for what another writer says in the name of a process that is bound to its own."""
@@ -191,7 +191,12 @@ class Ledger:
 
 
 def _differs(old: BeaconFact, new: BeaconFact) -> bool:
-    return (old.birth, old.late_s, old.period_s) != (new.birth, new.late_s, new.period_s)
+    return _told(old) != _told(new)
+
+
+def _told(fact: BeaconFact) -> tuple[object, ...]:
+    """What the daemon must know as it is now. Before the first turn of an executor its lateness means nothing."""
+    return fact.birth, fact.late_s, fact.period_s, fact.turns > 0
 
 
 def portions(news: Heard, first: Collection[str]) -> list[Heard]:

@@ -16,11 +16,12 @@ from rclpy.parameter import Parameter
 from phm.probes.ros.beacons import Beacons
 from phm.probes.ros.diagnostics import Diagnostics
 from phm.probes.ros.gauge import Gauge
-from phm.probes.ros.graph import Graph
+from phm.probes.ros.graph import OWN, Graph
 from phm.probes.ros.graph_events import GraphEvents
 from phm.probes.ros.hearsay import Own
 from phm.probes.ros.names import Names
 from phm.probes.ros.protocol import Message, Others, Picture, Publish, Tick, Wanted
+from phm.probes.ros.second_look import Known, Scout
 from phm.probes.ros.view import flow
 from phm.ros_facts import RateFact, TopicFact
 
@@ -28,18 +29,12 @@ from phm.ros_facts import RateFact, TopicFact
 class Watch:
     """One look a tick; nothing in it waits."""
 
-    def __init__(self, wanted: Wanted) -> None:
-        self._context: Any = Context()
-        # Without logging set up rcl creates no log directory: the sidecar's file system is read-only.
-        self._context.init(args=[], initialize_logging=False, domain_id=wanted.domain)
-        self._node: Any = Node(
-            "_phm_" + re.sub(r"\W", "_", wanted.agent, flags=re.ASCII),
-            context=self._context,
-            start_parameter_services=False,
-            enable_rosout=False,
-            use_global_arguments=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
+    def __init__(self, wanted: Wanted, number: int = 0) -> None:
+        """number: of the newest picture before."""
+        self._wanted = wanted
+        self.known: Known = frozenset()
+        """What the last look has found of nodes and ends that are configured."""
+        self._context, self._node = _participant(wanted, wanted.agent)
         self._began_s = time.monotonic()
         self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
         self._gauges = {
@@ -51,8 +46,7 @@ class Watch:
         self._events = GraphEvents(self._node, self._context)
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
-        self._number = 0
-        """Of the newest picture."""
+        self._number = number
         self._states: dict[str, tuple[float | None, bool, str]] = {}
 
     @property
@@ -72,6 +66,22 @@ class Watch:
         others: list[Message] = [Others(self._names.names)] if self._names.look(time.monotonic()) else []
         return [*heard, *others, picture]
 
+    @property
+    def lacking(self) -> bool:
+        """Whether a node that is configured is not listed, or a topic with a rate has no publisher."""
+        return not self._graph.nodes.keys() >= set(self._wanted.nodes) or any(
+            not self._graph.publishers[name] for name in self._gauges
+        )
+
+    def second(self) -> Scout:
+        """Another participant, that looks at the same graph."""
+        return _Second(self._wanted)
+
+    def renewed(self) -> Watch:
+        """Closes this one. Returns one that has a participant of its own, and begins anew."""
+        self.close()
+        return Watch(self._wanted, self._number)
+
     def obey(self, order: Publish) -> None:
         """Called as soon as the daemon has said so."""
         self._diagnostics.publish(order)
@@ -80,6 +90,8 @@ class Watch:
         """The whole picture when something changed or it is time, else only that nothing did."""
         now_s = time.monotonic()
         changed = self._graph.look(now_s, told=told)
+        if changed:
+            self.known = _known(self._graph)
         rates: dict[str, RateFact] = {}
         for name, gauge in self._gauges.items():
             rates[name] = gauge.look(now_s, self._graph.publishers[name])
@@ -103,3 +115,44 @@ class Watch:
         self._events.close()
         self._node.destroy_node()
         self._context.try_shutdown()
+
+
+class _Second:
+    """A participant that reads nothing but the graph."""
+
+    def __init__(self, wanted: Wanted) -> None:
+        self._context, self._node = _participant(wanted, f"{wanted.agent}_second")
+        self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
+
+    def known(self, now_s: float) -> Known:
+        self._graph.look(now_s)
+        return _known(self._graph)
+
+    def close(self) -> None:
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def _participant(wanted: Wanted, name: str) -> tuple[Any, Any]:
+    """A context with one hidden node."""
+    context: Any = Context()
+    # Without logging set up rcl creates no log directory: the sidecar's file system is read-only.
+    context.init(args=[], initialize_logging=False, domain_id=wanted.domain)
+    node: Any = Node(
+        OWN + re.sub(r"\W", "_", name, flags=re.ASCII),
+        context=context,
+        start_parameter_services=False,
+        enable_rosout=False,
+        use_global_arguments=False,
+        parameter_overrides=[Parameter("start_type_description_service", value=False)],
+    )
+    return context, node
+
+
+def _known(graph: Graph) -> Known:
+    """Of strangers only what they have to do with a configured topic: nobody else is to keep PHM busy."""
+    nodes = {(name,) for name in graph.nodes if name in graph.configured}
+    sides = {"publisher": graph.publishers, "subscriber": graph.subscribers}
+    return frozenset(nodes) | {
+        (topic, side, end.node) for side, ends in sides.items() for topic in ends for end in ends[topic] if end.node
+    }

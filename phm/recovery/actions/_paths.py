@@ -12,7 +12,7 @@ FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 def open_plain(path: str, flags: int) -> int:
     """A descriptor of what is at the absolute `path`, to be closed.
 
-    Whoever may write into a folder on the way may put a link in the place of the next one, and so choose what PHM reads, copies or
+    A program that may write into a folder on the way may put a link in the place of the next one, and so choose what PHM reads, copies or
     removes with its own rights. Raises OSError, ELOOP or ENOTDIR for a link.
     """
     *parents, name = PurePosixPath(os.path.normpath(path)).parts[1:] or (".",)

@@ -13,6 +13,7 @@ class Join(Action):
     """Connect PHM's own container to the networks of a container, so that it can see its nodes."""
 
     name = "join"
+    starts = False
     on_myself = True
 
     # A network that PHM's container is on is there at once.

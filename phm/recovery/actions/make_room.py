@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import heapq
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -32,9 +33,14 @@ MOST_REFUSED = 3
 
 @dataclass(frozen=True, order=True)
 class Old:
-    """A file that may be removed: last changed `age_s` seconds ago, at `path` below the folder of the configuration."""
+    """A file that may be removed, at `path` below the folder of the configuration.
 
-    age_s: float
+    changed: the latest monotonic moment at which it can have been changed last. It orders what was stamped while PHM watched
+        the clock; what is older has one moment in common, and is ordered by its stamp.
+    """
+
+    changed: float
+    stamp: float
     path: str
     size: int
 
@@ -46,12 +52,23 @@ class MakeRoom(Action):
     """
 
     name = "make_room"
+    starts = False
     takes_down = Reach.NOTHING
     deadline_s = 60.0
 
     @classmethod
     def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
         return bool(path_of(target.key)) and bool(settings.host.make_room)
+
+    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+        needed_s = min(place.older_than for place in context.settings.host.make_room)
+        left_s = needed_s - (context.clock.mono() - context.clock.steps.known_since())
+        if left_s <= 0:
+            return ""
+        return (
+            f"files unchanged for {needed_s:.0f} s (host.make_room, older_than) cannot be distinguished from newer ones for another "
+            f"{math.ceil(left_s)} s: what the clock was set to before PHM started to watch it is unknown"
+        )
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         disk, host = path_of(target.key), context.settings.host
@@ -91,7 +108,7 @@ def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str], con
         if os.fstat(folder).st_dev != os.stat(disk).st_dev:
             problems.append(f"{place.path} is on another disk")
             return
-        for old in heapq.nlargest(MOST, _old_files(folder, place, context)):
+        for old in heapq.nsmallest(MOST, _old_files(folder, place, context)):
             if used_percent(disk) < goal or refused >= MOST_REFUSED:
                 return
             try:
@@ -107,7 +124,7 @@ def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str], con
 
 def _old_files(folder: int, place: RoomSettings, context: ActionContext) -> Iterator[Old]:
     """What may be removed. A file that is still written, or was a moment ago, is not; nor one that only a step of the clock
-    has made old."""
+    has made old, whether PHM has seen that step or not."""
     home = os.fstat(folder).st_dev
     for path, entry in islice(_entries(folder, home), MOST_SEEN):
         if not _named(path, place.files):
@@ -115,9 +132,9 @@ def _old_files(folder: int, place: RoomSettings, context: ActionContext) -> Iter
         with contextlib.suppress(OSError):  # removed meanwhile
             if entry.is_file(follow_symlinks=False):
                 seen = entry.stat(follow_symlinks=False)
-                age_s = context.age_s(seen.st_mtime)
-                if seen.st_dev == home and age_s is not None and age_s >= place.older_than:
-                    yield Old(age_s, path, seen.st_blocks * 512)
+                changed = context.clock.latest(seen.st_mtime)
+                if seen.st_dev == home and context.clock.mono() - changed >= place.older_than:
+                    yield Old(changed, seen.st_mtime, path, seen.st_blocks * 512)
 
 
 def _named(path: str, patterns: list[str]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from phm.facts import ContainerFact
 from phm.model import Fault
 from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import connect, missing, network_id, not_there
@@ -18,6 +19,7 @@ class Reconnect(Action):
     """
 
     name = "reconnect"
+    starts = False
     takes_down = Reach.NETWORK
     # A node that has lost its network for good stays listed until its lease ends (1 s with config/fastdds.xml).
     proof_s = 2.0
@@ -29,20 +31,14 @@ class Reconnect(Action):
 
     def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         gone = missing(target.networks, context)
-        return not_there(gone) if gone and len(gone) == len(target.networks) else ""
+        return not_there(gone) if gone and not _due(target, fault, present(target, context), context) else ""
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
-        attached = {entry.name: entry for entry in fact.networks}
-        silent = fault.result.condition == "address_silent"
+        gone = missing(target.networks, context)
         done: list[str] = []
-        gone: list[str] = []
-        for name in target.networks:
-            network, now = network_id(name, context), attached.get(name)
-            is_as_it_must_be = now is not None and now.network_id == network and (now.address or not target.address)
-            if network and is_as_it_must_be and not silent:
-                continue
-            reached = bool(network) and connect(target, fact, name, network, context)
+        for name, network in _due(target, fault, fact, context):
+            reached = connect(target, fact, name, network, context)
             (done if reached else gone).append(name)
         if gone and not done:
             raise NotYet(not_there(gone))
@@ -50,3 +46,15 @@ class Reconnect(Action):
             return Unneeded(f"{target.key} is connected already")
         waits = f"; {not_there(gone)}" if gone else ""
         return f"reconnected {target.key} to {', '.join(done)}{waits}"
+
+
+def _due(target: ContainerSettings, fault: Fault, fact: ContainerFact, context: ActionContext) -> list[tuple[str, str]]:
+    """Name and id of each existing network that the container is to be connected to; all of them when its address is silent."""
+    attached = {entry.name: entry for entry in fact.networks}
+    due = []
+    for name in target.networks:
+        network, now = network_id(name, context), attached.get(name)
+        is_as_it_must_be = now is not None and now.network_id == network and (now.address or not target.address)
+        if network and (fault.result.condition == "address_silent" or not is_as_it_must_be):
+            due.append((name, network))
+    return due

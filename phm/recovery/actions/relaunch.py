@@ -18,6 +18,7 @@ class Relaunch(Action):
     """
 
     name = "relaunch"
+    starts = False
     takes_down = Reach.NOTHING
     # A node that cannot start computes for a moment, too, while the name of the dead one is still listed.
     proof_s = 2.0

@@ -15,7 +15,7 @@ OPEN_S = 8.0
 FLOWS_S = 1.0
 """Where something came within this time, the endpoint is not silent."""
 PROMPT_S = 2.0
-"""Whoever is there sends within this time of the connection being open: an autopilot a heartbeat a second. What comes later has
+"""A live peer sends within this time of the connection being open: an autopilot a heartbeat a second. What comes later has
 come back by itself."""
 RADIO_S = 11.0
 BOOT_S = 3.0
@@ -30,6 +30,7 @@ class Reopen(Action):
     connection that only one side believes in. A serial port keeps its DTR up meanwhile, so nothing behind it is reset."""
 
     name = "reopen"
+    starts = False
     on_myself = True
     deadline_s = OPEN_S + RADIO_S + 4.0
 

@@ -10,7 +10,7 @@ from phm.settings import ContainerSettings
 
 
 class Restart(Action):
-    """Stop gracefully (SIGTERM, stop time-out), start, then restart whoever depends on it.
+    """Stop gracefully (SIGTERM, stop time-out), start, then restart its dependants.
 
     Not while a network that the container is to be on is missing: a restart does not bring that back, and may leave the
     container stopped.

@@ -34,6 +34,7 @@ class Restore(Action):
     """
 
     name = "restore"
+    starts = False
     takes_down = Reach.NOTHING
     deadline_s = 90.0
 

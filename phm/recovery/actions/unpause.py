@@ -13,6 +13,7 @@ class Unpause(Action):
     """Let a paused container go on."""
 
     name = "unpause"
+    starts = False
     takes_down = Reach.NOTHING
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:

@@ -1,0 +1,89 @@
+"""Whether the child's participant has missed something for good, which a second one sees. Pure; the caller brings time.
+
+When the lease of a node runs out for PHM alone while the two exchange their endpoints, as on a companion that is overloaded at its
+start, Fast DDS forgets what it had and asks for it again, and the node takes for received what it was told was received: it sends
+nothing. PHM then misses the node, or some of its ends, for as long as the node lives (measured with Jazzy and Kilted).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Protocol
+
+CALM_S = 5.0
+"""From a start, or a loss, to the look: what is only late has come by then."""
+CONFIRM_S = 2.0
+"""For so long must the second participant know what the first does not."""
+OPEN_S = 10.0
+"""How long the second one exists: on an overloaded machine it takes seconds to find what there is."""
+REST_S, REST_MOST_S = 15.0, 900.0
+"""Between two looks. Doubled while something is found each time, or is still missing all the same."""
+
+Known = frozenset[tuple[str, ...]]
+"""What a participant knows: nodes as (name,), and ends of topics as (topic, side, name of the node)."""
+
+
+class Scout(Protocol):
+    """The second participant."""
+
+    def known(self, now_s: float) -> Known: ...
+
+    def close(self) -> None: ...
+
+
+class SecondLook:
+    """Decides when a second participant looks, and what the first one has missed.
+
+    There is a look after the start, after something left, and, more and more rarely, while something that is wanted is missing.
+    """
+
+    def __init__(self, open_scout: Callable[[], Scout], now_s: float) -> None:
+        self._open = open_scout
+        self._scout: Scout | None = None
+        self._opened_s = 0.0
+        self._missed: dict[tuple[str, ...], float] = {}
+        self._known: Known = frozenset()
+        self._due_s: float | None = now_s + CALM_S
+        self._rested_s = now_s
+        self._rest_s = REST_S
+
+    def look(self, now_s: float, known: Known, *, lacking: bool) -> Collection[str]:
+        """Called once a tick: names of nodes and topics that the first participant has missed, mostly none.
+
+        known: what the first one knows. lacking: whether it lacks something that is configured.
+        """
+        left, self._known = self._known - known, known
+        if (left or lacking) and self._due_s is None:
+            self._due_s = now_s + CALM_S
+        if self._scout is None:
+            if self._due_s is not None and now_s >= max(self._due_s, self._rested_s):
+                self._begin(now_s)
+            return ()
+        more = self._scout.known(now_s) - known
+        self._missed = {one: self._missed.get(one, now_s) for one in more}
+        found = {one[0] for one, since_s in self._missed.items() if now_s - since_s >= CONFIRM_S}
+        if found or now_s - self._opened_s >= OPEN_S:
+            self._end(now_s, again=lacking or bool(found))
+        return sorted(found)
+
+    def renewed(self, now_s: float) -> None:
+        """The first participant is another one from now on."""
+        self._known, self._due_s = frozenset(), now_s + CALM_S
+
+    def close(self) -> None:
+        """Safe to call twice."""
+        scout, self._scout = self._scout, None
+        if scout is not None:
+            scout.close()
+
+    def _begin(self, now_s: float) -> None:
+        self._due_s, self._opened_s, self._missed = None, now_s, {}
+        try:
+            self._scout = self._open()
+        except Exception:  # rclpy's own kinds, at a limit of threads or participants: the first one has to do
+            self._end(now_s, again=True)
+
+    def _end(self, now_s: float, *, again: bool) -> None:
+        self.close()
+        self._rest_s = min(2 * self._rest_s, REST_MOST_S) if again else REST_S
+        self._rested_s = now_s + self._rest_s
