@@ -603,6 +603,13 @@ class DockerSettings(Section):
     """PHM's own container; default: found out by itself."""
 
 
+class ProcessSettings(Section):
+    """PHM's own processes."""
+
+    nice: Annotated[int, Field(ge=-20, le=19)] | None = None
+    """Their scheduling priority, where PHM may set it. In a container its CPU weight counts instead. Default: unchanged."""
+
+
 class CheckSettings(Section):
     """Overrides for one check, by its name as in `phm checks`."""
 
@@ -647,6 +654,8 @@ class Settings(Section):
     """The log on board."""
     docker: DockerSettings = DockerSettings()
     """The Docker Engine."""
+    process: ProcessSettings = ProcessSettings()
+    """PHM's own processes."""
     checks: dict[str, CheckSettings] = Field(default_factory=dict)
     """Overrides by check name."""
     state_dir: AbsolutePath = "/var/lib/phm"
