@@ -96,6 +96,9 @@ class Judgement:
     """The evidence, the decisive first."""
     busy_s: float = 0.0
     """Alive, but so busy that it has not answered for this long."""
+    witnessed: bool = False
+    """It was in the graph or had a process in this life, and the engine says that its process has ended or is stopped, or its
+    container: no lateness looks like that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +131,8 @@ def fuse(evidence: Iterable[Evidence], past: Past) -> Judgement:
     unanswered = case.says(Kind.BEACON, Says.SILENT, Says.LATE)
     busy_s = unanswered.lasted_s if state is State.ALIVE and busy is not None and unanswered is not None else 0.0
     pieces = sorted(case.of.values(), key=lambda piece: (piece.kind is not decisive, piece.kind))
-    return Judgement(state, "; ".join(piece.words for piece in pieces), busy_s)
+    witnessed = state in (State.DEAD, State.HUNG) and decisive in (Kind.CONTAINER, Kind.PROCESS)
+    return Judgement(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed)
 
 
 def container(case: Case) -> Verdict:

@@ -172,7 +172,9 @@ def _units(rows: Iterable[Json]) -> Table:
     table = _table("slot", "unit", "level", "what")
     for row in sorted(rows, key=lambda row: int(row["slot"])):
         level = str(row["level"])
-        what = f"blocked by {row['blocked_by']}" if row["blocked_by"] else row["summary"]
+        cause, what = f"blocked by {row['blocked_by']}", str(row["summary"])
+        if row["blocked_by"] and not what.startswith(cause):
+            what = cause
         table.add_row(str(row["slot"]), _plain(row["id"]), _plain(level, _STYLES.get(level, "")), _plain(what))
     return table
 

@@ -315,6 +315,24 @@ def test_a_killed_node_is_dead_as_soon_as_its_topic_wavers() -> None:
     assert ": its process 71 has ended; silent for 0.2 s: topic_1; " in result.summary
 
 
+def test_only_what_its_process_shows_is_conclusive() -> None:
+    """That a process has ended or is stopped was seen itself; that a node left the graph may come of lateness."""
+    bench = rated()
+    bench.after(3.0)
+    assert api.CONCLUSIVE not in bench.result().values
+    bench.processes(MAIN, api.ProcessFact(71, 1, "T", 5.0, ONE.command))
+    bench.ros.change(topics=flowing(0.5))
+    stopped = bench.after(1.0)
+    assert (stopped.condition, stopped.values.get(api.CONCLUSIVE)) == ("node_hung", True)
+    bench.processes(MAIN, ONE)
+    bench.ros.change(nodes={})
+    left = bench.after(8.0)
+    assert (left.condition, left.values.get(api.CONCLUSIVE)) == ("node_missing", None)
+    bench.processes(MAIN)
+    dead = bench.after(12.0)
+    assert (dead.condition, dead.values.get(api.CONCLUSIVE)) == ("node_missing", True)
+
+
 def test_a_killed_node_is_dead_as_soon_as_its_beacon_wavers() -> None:
     """Two beats missed: a reason to look, and the look proves it."""
     bench = Bench()
