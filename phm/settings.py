@@ -469,7 +469,7 @@ class PressureSettings(Section):
     """Share of time in which all of a container waits for memory."""
     memory_faults: FaultLimit = FaultLimit(warn=50, error=200)
     """Pages a second that a container must read back because its memory limit left no room for them."""
-    io: Limit = Limit(warn=60, error=90)
+    io: Limit = Limit(warn=50, error=75)
     """Share of time in which all of a container waits for the disk, over at least 5 s."""
     pids: Limit = Limit(warn=90, error=100)
     """Share of a container's limit of processes and threads in use."""
