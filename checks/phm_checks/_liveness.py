@@ -34,6 +34,8 @@ class Says(Enum):
     """Frozen from outside: it will do nothing until it is let go."""
     SILENT = "silent"
     GONE = "gone"
+    ENDING = "ending"
+    """Of a container: it goes, and all in it, and the engine has not noticed yet."""
 
 
 class State(Enum):
@@ -136,7 +138,10 @@ def fuse(evidence: Iterable[Evidence], past: Past) -> Judgement:
 
 
 def container(case: Case) -> Verdict:
-    """1. Nothing lives in a container that does not run, and nothing moves in one that is paused."""
+    """1. Nothing lives in a container that does not run, and nothing moves in one that is paused. What is missing in one that ends
+    goes with it: the engine will say so."""
+    if case.says(Kind.CONTAINER, Says.ENDING):
+        return State.UNKNOWN, Kind.CONTAINER
     if case.says(Kind.CONTAINER, Says.GONE):
         return State.DEAD, Kind.CONTAINER
     return (State.HUNG, Kind.CONTAINER) if case.says(Kind.CONTAINER, Says.STOPPED) else None
