@@ -61,7 +61,7 @@ from phm.facts import (
     TopicFact,
     World,
 )
-from phm.model import Layer, Level, Result, Slot, Value
+from phm.model import CERTAIN, CONCLUSIVE, Layer, Level, Result, Slot, Value
 from phm.settings import (
     ContainerSettings,
     DeviceSettings,
@@ -77,6 +77,8 @@ from phm.settings import (
 )
 
 __all__ = [
+    "CERTAIN",
+    "CONCLUSIVE",
     "Attachment",
     "AutopilotFact",
     "BeaconFact",

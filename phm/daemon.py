@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import os
 import threading
 import uuid
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from phm.last_end import LastEnd
 from phm.model import ActionEvent, Event, Phase, Stamp, UnitState
 from phm.pipeline import Pipeline
 from phm.plan import Plan, make
+from phm.priority import oom_score_adj
 from phm.probes.docker_watch import DockerEvent
 from phm.recovery.actions import join
 from phm.recovery.armed import ArmedMonitor
@@ -234,6 +236,7 @@ class Daemon:
             "dropped": dict(fact.dropped),
             "problems": list(fact.problems),
             "ros_restarts": fact.ros_restarts,
+            "process": {"nice": os.getpriority(os.PRIO_PROCESS, 0), "oom_score_adj": oom_score_adj()},
             "late_percent": round(100 * self.clock.late_s(self.clock.mono() - WINDOW_S) / WINDOW_S, 1),
             **({"flight_critical": critical} if critical["containers"] else {}),
             "ros_sandbox": self.parts.ros.sandbox if self.parts.ros is not None else None,

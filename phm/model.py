@@ -16,6 +16,8 @@ LIFE = "life"
 """The value by which a unit with a target says which life of that container it saw (`ContainerFact.life`)."""
 CERTAIN = "certain"
 """The value True says that time would not change what is wrong: grace, which is for incomplete pictures, need not end first."""
+CONCLUSIVE = "conclusive"
+"""The value True says that what is wrong was seen itself, and not concluded from lateness or silence: starvation does not explain it."""
 ON_HOLD = "on_hold"
 """The condition of a STALE unit whose target is on hold: it is bad, on purpose, and no fault."""
 NEVER_WELL = "never_well"
@@ -96,6 +98,7 @@ class Result:
                shorter with evidence that nothing above it is the cause, longer for what was seen to mend itself.
     decides_s: a STALE result that only time can change: from the start of its container it takes at most so many seconds
                until it is OK or ERROR. The verification of an action waits for that.
+    age_s:     how old the evidence is where no newer could be had: the engine's health check probes in its own time.
     """
 
     level: Level
@@ -107,6 +110,7 @@ class Result:
     bypass: bool = False
     settle_s: float | None = None
     decides_s: float | None = None
+    age_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -165,6 +165,11 @@ class Pipeline:
         with self._lock:
             return self._tracker.found_bad(unit, mono)
 
+    def starved(self, unit: str) -> str:
+        """The pressure unit that explains what is wrong with this one; empty: none does. See `Tracker.starved`."""
+        with self._lock:
+            return self._tracker.starved(unit, self._clock.stamp())
+
     def newest(self, unit: str, mono: float) -> Result | None:
         """The unit's newest result, published or not, if its run began after `mono`."""
         with self._lock:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from phm.api import Check
 from phm.engine import Scheduled
 from phm.needs import Needs
 from phm.settings import CheckSettings, Settings
 from phm.tracker import Tracked, all_needs
+
+PRESSURE = "pressure/"
+"""Units that say whether a container is starved: this and its key."""
+HOST_PRESSURE = ("host/cpu", "host/io", "host/memory")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +51,28 @@ def make(settings: Settings, checks: Mapping[str, type[Check]]) -> Plan:
         by_check.setdefault(check.name, []).extend(unit.id for unit in check.units)
     scheduled = tuple(_schedule(check, override, settings) for check, override in instances)
     tracked = tuple(entry for check, override in instances for entry in _track(check, override, by_check))
-    return Plan(scheduled, tracked, Needs({entry.unit.id: entry.needs for entry in tracked}))
+    needs = Needs({entry.unit.id: entry.needs for entry in tracked})
+    return Plan(scheduled, _with_starved_by(tracked, needs, settings), needs)
+
+
+def _with_starved_by(tracked: Sequence[Tracked], needs: Needs, settings: Settings) -> tuple[Tracked, ...]:
+    """Each unit with the pressure units that can explain its symptoms: its own container's, those of what it needs, the host's.
+
+    The pressure of a container may follow from the host's, the host's from nothing. One that recovery can relieve has a
+    fault of its own, whatever the host does: that is what the action is for.
+    """
+    targets = {entry.unit.id: entry.unit.target for entry in tracked}
+    critical = {entry.key for entry in settings.containers if entry.flight_critical}
+    relieved = {f"{PRESSURE}{key}" for key in critical} if settings.recovery.relieve else set()
+
+    def starved_by(unit: str) -> tuple[str, ...]:
+        if unit in HOST_PRESSURE or unit in relieved:
+            return ()
+        homes = () if unit.startswith(PRESSURE) else (targets[unit], *(targets[name] for name in needs.upstream(unit)))
+        names = (*(f"{PRESSURE}{home}" for home in dict.fromkeys(homes)), *HOST_PRESSURE)
+        return tuple(name for name in names if name in targets)
+
+    return tuple(replace(entry, starved_by=starved_by(entry.unit.id)) for entry in tracked)
 
 
 def _schedule(check: Check, override: CheckSettings, settings: Settings) -> Scheduled:

@@ -22,8 +22,8 @@ from phm.settings import Settings
 
 logger = logging.getLogger(__name__)
 
-FIXED = ("agent", "mavlink", "state_dir", "run_dir")
-"""Sections that cannot change at run time: who the agent is, its links, and the directories that are locked."""
+FIXED = ("agent", "mavlink", "process", "state_dir", "run_dir")
+"""Sections that cannot change at run time: who the agent is, its links, its priority, and the directories that are locked."""
 ANSWER_S = 30.0
 MAX_PROBLEMS = 100
 

@@ -10,6 +10,7 @@ from phm.clock import SystemClock
 from phm.daemon import LOOK_S, STALLED_END_S, Daemon
 from phm.guard import Guard
 from phm.instance_lock import InstanceLock
+from phm.priority import apply
 from phm.reload import Read, Reloader
 from phm.settings import Settings
 from phm.signals import Signals
@@ -27,10 +28,11 @@ def run(settings: Settings, read: Read | None = None) -> int:
     lock = InstanceLock(settings.state_dir, settings.run_dir)
     lock.acquire()
     guard = Guard()
+    priority = apply(settings.process)
     clock = SystemClock()
     clock.measure()
     daemon = Daemon(settings, clock, guard)
-    daemon.own_problems.append(lambda: lock.problem)
+    daemon.own_problems += [lambda: lock.problem, lambda: priority.problem]
     reloader = Reloader(read or (lambda: settings), guard)
     with Signals(*ENDING, signal.SIGCONT, signal.SIGHUP) as signals:
         daemon.start()

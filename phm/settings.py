@@ -469,7 +469,7 @@ class PressureSettings(Section):
     """Share of time in which all of a container waits for memory."""
     memory_faults: FaultLimit = FaultLimit(warn=50, error=200)
     """Pages a second that a container must read back because its memory limit left no room for them."""
-    io: Limit = Limit(warn=60, error=90)
+    io: Limit = Limit(warn=50, error=75)
     """Share of time in which all of a container waits for the disk, over at least 5 s."""
     pids: Limit = Limit(warn=90, error=100)
     """Share of a container's limit of processes and threads in use."""
@@ -603,6 +603,13 @@ class DockerSettings(Section):
     """PHM's own container; default: found out by itself."""
 
 
+class ProcessSettings(Section):
+    """PHM's own processes."""
+
+    nice: Annotated[int, Field(ge=-20, le=19)] | None = None
+    """Their scheduling priority, where PHM may set it. In a container its CPU weight counts instead. Default: unchanged."""
+
+
 class CheckSettings(Section):
     """Overrides for one check, by its name as in `phm checks`."""
 
@@ -647,6 +654,8 @@ class Settings(Section):
     """The log on board."""
     docker: DockerSettings = DockerSettings()
     """The Docker Engine."""
+    process: ProcessSettings = ProcessSettings()
+    """PHM's own processes."""
     checks: dict[str, CheckSettings] = Field(default_factory=dict)
     """Overrides by check name."""
     state_dir: AbsolutePath = "/var/lib/phm"

@@ -34,6 +34,8 @@ class Says(Enum):
     """Frozen from outside: it will do nothing until it is let go."""
     SILENT = "silent"
     GONE = "gone"
+    ENDING = "ending"
+    """Of a container: it goes, and all in it, and the engine has not noticed yet."""
 
 
 class State(Enum):
@@ -96,6 +98,9 @@ class Judgement:
     """The evidence, the decisive first."""
     busy_s: float = 0.0
     """Alive, but so busy that it has not answered for this long."""
+    witnessed: bool = False
+    """It was in the graph or had a process in this life, and the engine says that its process has ended or is stopped, or its
+    container: no lateness looks like that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,11 +133,15 @@ def fuse(evidence: Iterable[Evidence], past: Past) -> Judgement:
     unanswered = case.says(Kind.BEACON, Says.SILENT, Says.LATE)
     busy_s = unanswered.lasted_s if state is State.ALIVE and busy is not None and unanswered is not None else 0.0
     pieces = sorted(case.of.values(), key=lambda piece: (piece.kind is not decisive, piece.kind))
-    return Judgement(state, "; ".join(piece.words for piece in pieces), busy_s)
+    witnessed = state in (State.DEAD, State.HUNG) and decisive in (Kind.CONTAINER, Kind.PROCESS)
+    return Judgement(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed)
 
 
 def container(case: Case) -> Verdict:
-    """1. Nothing lives in a container that does not run, and nothing moves in one that is paused."""
+    """1. Nothing lives in a container that does not run, and nothing moves in one that is paused. What is missing in one that ends
+    goes with it: the engine will say so."""
+    if case.says(Kind.CONTAINER, Says.ENDING):
+        return State.UNKNOWN, Kind.CONTAINER
     if case.says(Kind.CONTAINER, Says.GONE):
         return State.DEAD, Kind.CONTAINER
     return (State.HUNG, Kind.CONTAINER) if case.says(Kind.CONTAINER, Says.STOPPED) else None

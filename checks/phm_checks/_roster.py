@@ -31,6 +31,9 @@ SLOWER = 2.0
 """The same in times of what the slowest of the others took, should this start be a slow one."""
 WINDOW_S, BUSY_SHARE = 3.0, 0.5
 """A process that used this share of a processor over at least this time computes. `ps` gives whole seconds."""
+ENDING_S = 11.0
+"""The engine says that a container runs until all its processes have ended: measured up to 1.5 s after its first process was killed,
+while the others are missing one by one. It waits for 10 s itself before it gives up on one that was killed."""
 _KEPT = 12
 NEVER = float("-inf")
 
@@ -103,6 +106,9 @@ class Roster:
         """How long after the first of the container's nodes each was started, at most, in all lives before."""
         self._status = ""
         self._life = ""
+        self._first = 0
+        """The container's first process, once a list of this life has shown it."""
+        self._ending_since: float | None = None
         self._born_at = NEVER
         self._began_at: dict[str, float] = {}
         self._listed_at: float | None = None
@@ -130,10 +136,21 @@ class Roster:
         if fact is None or not fact.running:
             return
         try:
-            self._take(world.docker.processes(self.key), world.clock.mono())
+            processes = world.docker.processes(self.key)
         except api.CannotTell:
             return
         self._again_s = 0.0
+        if not self._ends(fact.pid, processes, world.clock.mono()):
+            self._take(processes, world.clock.mono())
+
+    def _ends(self, first: int, processes: Sequence[api.ProcessFact], now: float) -> bool:
+        """Whether the first process has ended, which ends all others: then who is missing says nothing. Where lists never show it,
+        nobody knows."""
+        if any(process.pid == first for process in processes):
+            self._first, self._ending_since = first, None
+        elif self._first == first and self._ending_since is None:
+            self._ending_since = now
+        return self._ending_since is not None and now - self._ending_since < ENDING_S
 
     def _due(self, now: float, doubts: Collection[Hashable], blind: bool) -> bool:
         waited = now - self._asked_at
@@ -160,7 +177,7 @@ class Roster:
             if life.partition("@")[0] != self._life.partition("@")[0]:
                 # Another container may name its processes in another manner.
                 self._ways = dict.fromkeys(self._ways, BARE)
-            self._life = life
+            self._life, self._first, self._ending_since = life, 0, None
             self._known.clear()
 
     def _take(self, processes: Sequence[api.ProcessFact], now: float) -> None:
@@ -224,6 +241,9 @@ class Roster:
     def container(self, now: float) -> Evidence | None:
         """What the state of the container says of all its nodes; nothing while it runs."""
         age_s = now - self._asked_at
+        if self._status == "running" and self._ending_since is not None and now - self._ending_since < ENDING_S:
+            words = f"its container is ending: its first process {self._first} has ended"
+            return Evidence(Kind.CONTAINER, Says.ENDING, words, age_s)
         if self._status in ("", "running") or age_s > OLD_S:
             return None
         says = Says.STOPPED if self._status == "paused" else Says.GONE

@@ -16,6 +16,11 @@ class Health(PerContainer):
 
     name, slot = "health", Slot.CONTAINER
 
+    def __init__(self, entry: api.ContainerSettings) -> None:
+        super().__init__(entry)
+        self._probed: object = None
+        self._looked_at = self._newer_than = float("-inf")
+
     @classmethod
     def wanted(cls, entry: api.ContainerSettings) -> bool:
         return entry.healthcheck != "ignore"
@@ -26,6 +31,7 @@ class Health(PerContainer):
 
     def run(self, world: api.World) -> api.Result:
         fact = world.docker.container(self.key)
+        began_at = self._note_probe(fact, world.clock.mono())
         if fact is None or not fact.running:
             return api.stale(f"health of {self.key} is not known while it does not run")
         output = clean(fact.health_output)
@@ -38,7 +44,7 @@ class Health(PerContainer):
                 f"health check of {self.key} has not run since the container was paused", brief="", **values
             )
         if fact.health == "unhealthy":
-            return api.error(
+            unhealthy = api.error(
                 f"health check of {self.key} failed {fact.health_streak} times in a row, expected healthy. Last output: "
                 f"{output or 'none'}. `docker inspect {fact.name}` shows the earlier ones",
                 brief=brief(self.key, "unhealthy"),
@@ -46,12 +52,25 @@ class Health(PerContainer):
                 target=self.key,
                 **values,
             )
+            return replace(unhealthy, age_s=world.clock.mono() - began_at)
         if fact.health == "starting":
             decides_s = fact.healthcheck.decides_s if fact.healthcheck is not None else None
             within = f", which may take {span(decides_s)} from its start" if decides_s is not None else ""
             words = f"health check of {self.key} has not decided yet (starting){within}"
             return replace(api.stale(words, brief="", **values), decides_s=decides_s)
         return self._none(values)
+
+    def _note_probe(self, fact: api.ContainerFact | None, now: float) -> float:
+        """When the engine's newest probe began, at the earliest (monotonic seconds); -inf: before PHM looked first.
+
+        A probe that fails counts up the streak; it came after the look before, and may have taken its whole time-out.
+        """
+        probed = None if fact is None else (fact.life, fact.health, fact.health_streak)
+        if probed != self._probed:
+            timeout_s = fact.healthcheck.timeout_s if fact is not None and fact.healthcheck is not None else 0.0
+            self._probed, self._newer_than = probed, self._looked_at - timeout_s
+        self._looked_at = now
+        return self._newer_than
 
     def _none(self, values: dict[str, api.Value]) -> api.Result:
         if self.entry.healthcheck != "required":

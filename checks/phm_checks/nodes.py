@@ -180,7 +180,9 @@ class Nodes(api.Check):
         level, words, short, condition = self._words(node, judgement, fact, why)
         values: dict[str, api.Value] = {"listed": node.signs.count, "process": told}
         if judgement.state is State.NEVER_STARTED and roster is not None and roster.left_out(name):
-            values["certain"] = True
+            values[api.CERTAIN] = True
+        if judgement.witnessed or judgement.state is State.DUPLICATE:
+            values[api.CONCLUSIVE] = True
         if condition == "node_missing" and node.wanted.container in cut_off:
             return _unreached(node, judgement, values)
         target = node.wanted.container if level is Level.ERROR else ""

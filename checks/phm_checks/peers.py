@@ -62,6 +62,7 @@ class Peers(api.Check):
             values["not_listed"] = _names(fact.strangers)
         if found:
             first = api.worst(found)
+            values[api.CONCLUSIVE] = first.values.get(api.CONCLUSIVE) is True
             words = joined([result.summary for result in found])
             return api.Result(first.level, words, first.brief, first.condition, values=values)
         if not fact.peers:
@@ -84,6 +85,7 @@ class Peers(api.Check):
                 "broken, or something happened to all of those",
                 brief=brief(f"split {len(here)}/{fact.members}", f"lost {_names(self._away, 3)}"),
                 condition="split",
+                conclusive=len(here) > 1,
             )
         ]
 
@@ -97,6 +99,8 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
         "heard_by": len(peer.heard_by),
         "unheard_by": len(peer.unheard_by),
     }
+    if set(peer.unheard_by) - {fact.own}:
+        values[api.CONCLUSIVE] = True  # by the word of others, too: not because this agent is late
     dissent = f", but {_names(peer.heard_by)} hear it" if peer.heard_by else ""
     silent = "" if peer.age_s is None else f", here for {span(peer.age_s)}"
     if peer.state == "lost":

@@ -122,7 +122,7 @@ class Topics(api.Check):
         self._said.pop(topic.name, None)
         found = [*self._audit(topic, seen), *self._unfed(topic, seen, fact, now)]
         if found:
-            worst = api.worst(found)
+            worst = _between(api.worst(found))
             if worst.condition in BETWEEN and all_alive((*seen.publishers, *seen.subscribers), fact):
                 worst = replace(worst, settle_s=SURE_S)
             self._said[topic.name] = worst
@@ -299,6 +299,12 @@ def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *
     theirs = [stray for stray in near if stray.used_by([full(node) for node in lacking])]
     likely = theirs or [stray for stray in near if absent or (stray.sure and stray.one_sided)]
     return "".join(f" {sentence(name, stray)}" for stray in likely[:SHOWN])
+
+
+def _between(found: api.Result) -> api.Result:
+    """What is wrong between ends that are there is seen, not concluded: a node that is late does not change it."""
+    values = {**found.values, api.CONCLUSIVE: True}
+    return replace(found, values=values) if found.condition in BETWEEN else found
 
 
 def _unit(topic: api.TopicSettings) -> str:

@@ -172,7 +172,9 @@ def _units(rows: Iterable[Json]) -> Table:
     table = _table("slot", "unit", "level", "what")
     for row in sorted(rows, key=lambda row: int(row["slot"])):
         level = str(row["level"])
-        what = f"blocked by {row['blocked_by']}" if row["blocked_by"] else row["summary"]
+        cause, what = f"blocked by {row['blocked_by']}", str(row["summary"])
+        if row["blocked_by"] and not what.startswith(cause):
+            what = cause
         table.add_row(str(row["slot"]), _plain(row["id"]), _plain(level, _STYLES.get(level, "")), _plain(what))
     return table
 
@@ -206,6 +208,9 @@ def _health(health: Json) -> list[RenderableType]:
     late_percent = health.get("late_percent", 0)
     if late_percent >= LATE_PERCENT:
         parts.append(_plain(f"PHM did not get to run for {late_percent:.0f} % of the last minute", "yellow"))
+    process = health.get("process", {})
+    if any(process.values()):
+        parts.append(_plain(f"priority: nice {process.get('nice')}, oom_score_adj {process.get('oom_score_adj')}"))
     if health.get("ros_sandbox"):
         parts.append(_plain(f"ROS child not fully restricted: {health['ros_sandbox']}", "yellow"))
     parts += [_plain(f"overdue: {name}", "yellow") for name in health.get("overdue", ())]

@@ -93,7 +93,7 @@ def _read_v2(group: Group, at: float) -> PressureFact:
     period_s = int(period or 0) / 1e6 or PERIOD_S
     used, limit = _number(f"{base}/memory.current"), _number(f"{base}/memory.max")
     return PressureFact(
-        at, "cgroup v2", _life(base), _not_seen(base, cpu),
+        at, "cgroup v2", _life(base), _not_seen(base, cpu, used),
         cpu_limit=int(quota) / (period_s * 1e6) if quota.isdecimal() else None,
         cpu_used_s=_seconds(cpu, "usage_usec", 1e6), cpu_period_s=period_s,
         throttled_periods=cpu.get("nr_throttled"), throttled_s=_seconds(cpu, "throttled_usec", 1e6),
@@ -114,7 +114,7 @@ def _read_v1(group: Group, at: float) -> PressureFact:
     limit = None if limit is None or limit >= _NO_LIMIT else limit
     base = group.unified
     return PressureFact(
-        at, "cgroup v1", _life(group.cpu), _not_seen(base, cpu),
+        at, "cgroup v1", _life(group.cpu), _not_seen(base, cpu, used),
         cpu_limit=quota_us / (period_s * 1e6) if quota_us is not None and quota_us > 0 else None,
         cpu_used_s=None if used_ns is None else used_ns / 1e9, cpu_period_s=period_s,
         throttled_periods=cpu.get("nr_throttled"), throttled_s=_seconds(cpu, "throttled_time", 1e9),
@@ -163,8 +163,11 @@ def _life(base: str) -> str:
     return f"{base}@{os.stat(base).st_ino}"
 
 
-def _not_seen(base: str, cpu: Mapping[str, int]) -> tuple[str, ...]:
+def _not_seen(base: str, cpu: Mapping[str, int], memory_bytes: int | None) -> tuple[str, ...]:
+    """What the kernel does not count for this container: a controller that is off, or no pressure stall information (`psi=1`)."""
     missing = [] if "nr_throttled" in cpu else ["its CPU limit"]
+    if memory_bytes is None:
+        missing.append("its memory limit")
     if not base or not os.path.exists(f"{base}/cpu.pressure"):
         missing.append("waiting for CPU, memory and disk (no pressure stall information)")
     return tuple(missing)

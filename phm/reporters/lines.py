@@ -187,11 +187,11 @@ def following(fault: Fault, text: str) -> str:
 
 
 def _message(state: UnitState) -> str:
+    summary = state.result.summary
     if state.level is not Level.STALE:
-        return state.result.summary
-    return (
-        f"{state.unit}: blocked by {state.blocked_by}" if state.blocked_by else f"{state.unit}: {state.result.summary}"
-    )
+        return summary
+    cause = f"blocked by {state.blocked_by}"
+    return f"{state.unit}: {summary if not state.blocked_by or summary.startswith(cause) else cause}"
 
 
 def _check_lines(at: Stamp, states: Sequence[UnitState], faults: Mapping[str, Fault]) -> Iterator[str]:

@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from phm.model import CERTAIN, ON_HOLD, Level, Result
+from phm.model import CERTAIN, CONCLUSIVE, ON_HOLD, Level, Result
+from phm.tracker import starvation
 from phm.tracker.units import Entry, Pending, Scene
 
 UNKNOWN_S = 10.0
@@ -98,35 +99,57 @@ def on_hold(look: Look) -> Verdict | None:
 def consequence(look: Look) -> Verdict | None:
     """4. A result that is not OK while something the unit needs is bad is a consequence: STALE `blocked_by` the first cause.
 
-    If it had been told as a fault of its own, that fault is closed as reattributed.
+    If it had been told as a fault of its own, that fault is closed as reattributed; to a symptom of which it is not decided
+    yet whether it follows from starvation only when that is told. What is bad by starvation alone is no cause here (5).
     """
     cause = _cause(look)
     if not cause:
         return None
-    return KEEP if cause == look.entry.id else _blocked(look, cause)
+    undecided = look.entry.fault is not None and starvation.undecided(look.scene.units[cause])
+    return KEEP if undecided or cause == look.entry.id else _blocked(look, cause)
+
+
+def starved(look: Look) -> Verdict | None:
+    """5. A symptom that starvation explains (`phm.tracker.starvation`) is STALE `blocked_by` the pressure unit while that is ERROR.
+
+    When it is over, symptoms get time to go; what is still there then is a fault of its own. A fault that was open before
+    goes on; one that was published just before is reattributed. What is not explained is blocked by a need that is bad by
+    starvation alone, unless it is conclusive: that is judged as ever.
+    """
+    entry, cause = look.entry, starvation.cause(look.entry, look.scene)
+    if cause is not None:
+        return KEEP if starvation.before(entry, cause) else _blocked(look, cause.id)
+    if starvation.recovering(entry, look.now) and not _known(entry):
+        return Verdict(not_known_yet(look.result))
+    if look.result.values.get(CONCLUSIVE) is True:
+        return None
+    above = _cause(look, by_starvation=True)
+    if not above:
+        return None
+    return KEEP if _known(entry) else _blocked(look, above)
 
 
 def not_known(look: Look) -> Verdict | None:
-    """5. STALE is published immediately and closes nothing: unknown does not mean recovered."""
+    """6. STALE is published immediately and closes nothing: unknown does not mean recovered."""
     return Verdict(look.result) if look.result.level is Level.STALE else None
 
 
 def being_stopped(look: Look) -> Verdict | None:
-    """6. What breaks in a container that was given a signal to end and time for it goes with it, and is not a fault.
+    """7. What breaks in a container that was given a signal to end and time for it goes with it, and is not a fault.
 
     Until the container has ended, or its time for it is over. A fault that is open already goes on.
     """
     entry = look.entry
     if not look.scene.stopping(entry.target, look.now) or not look.scene.is_part(entry.id):
         return None
-    if entry.fault is not None or entry.told_given_up:
+    if _known(entry):
         return KEEP
     summary = f"{entry.target} is being stopped: {look.result.summary}"
     return Verdict(replace(look.result, level=Level.STALE, summary=summary, brief="", condition=""))
 
 
 def grace(look: Look) -> Verdict | None:
-    """7. A bad result during grace is `not known yet`, unless its check is certain of it.
+    """8. A bad result during grace is `not known yet`, unless its check is certain of it.
 
     Grace ends early when the unit has been OK for SURE_S, or its `memory_s` where that is longer.
     What was seen before the grace began never counts again: the unit is run anew. It begins with PHM itself; after a
@@ -140,38 +163,39 @@ def grace(look: Look) -> Verdict | None:
 
 
 def settled(look: Look) -> Verdict:
-    """8. Otherwise everything that the unit needs is run again.
+    """9. Otherwise everything that the unit needs is run again, and the pressure units that could explain a symptom.
 
     A bad result is told only when it was bad `failures` times in a row, has lasted `settle_s` (the result's own, or else
     its unit's), and each need, and with `settle_s` the unit too, has answered in a run that began after that. Needs that
-    are STALE may be the cause: they get UNKNOWN_S to be known, not for ever. What was seen before a need changed says
-    nothing about now.
+    are STALE may be the cause: they get UNKNOWN_S to be known, not for ever. So do pressure units to answer; one that cannot
+    tell explains nothing. What was seen before a need changed says nothing about now.
     """
     entry, unit = look.entry, look.entry.spec.unit
     if entry.told.level is look.result.level and not entry.told.blocked_by and not entry.anew:
         return Verdict(look.result)
-    upstream = look.scene.upstream(entry.id)
+    upstream, symptom = look.scene.upstream(entry.id), starvation.explained(look.result)
     pending, ask = entry.pending, frozenset[str]()
     if pending is None:
         pending, ask = Pending(look.now), frozenset(other.id for other in upstream)
     settle_s = unit.settle_s if look.result.settle_s is None else look.result.settle_s
-    lasted = pending.since + settle_s
+    lasted = pending.since + (max(settle_s, symptom.settle_s) if symptom is not None else settle_s)
     if look.now < lasted:
         return Verdict(pending=pending, ask=ask)
     witnesses = (entry, *upstream) if settle_s > 0 else upstream
-    silent = frozenset(other.id for other in witnesses if other.started < lasted)
+    silent = frozenset(other.id for other in witnesses if other.started < lasted) | _unasked(look, lasted)
     if not pending.asked:
         pending, ask = replace(pending, asked=True), ask | silent
     unknown = look.now - pending.since < UNKNOWN_S and any(other.unknown for other in upstream)
+    rising = look.now < lasted + starvation.RISING_S and starvation.may_follow(entry, look.scene)
     if any(other.told.since.mono > entry.started for other in upstream):
         return Verdict(pending=pending, ask=ask | {entry.id})
-    if silent or unknown or entry.bad_in_a_row < entry.spec.failures:
+    if silent or unknown or rising or entry.bad_in_a_row < entry.spec.failures:
         return Verdict(pending=pending, ask=ask)
     return Verdict(look.result, ask=ask)
 
 
 RULES: tuple[Callable[[Look], Verdict | None], ...] = (
-    well, repair_at_work, on_hold, consequence, not_known, being_stopped, grace, settled,
+    well, repair_at_work, on_hold, consequence, starved, not_known, being_stopped, grace, settled,
 )  # fmt: skip
 
 
@@ -196,16 +220,35 @@ def _unproven(entry: Entry, look: Look) -> bool:
     return proving or look.now < entry.unproven_until
 
 
-def _cause(look: Look) -> str:
-    """The first unit upstream that is failing, or whose OK is kept back: grace for what needs it begins when that is told.
+def _unasked(look: Look, lasted: float) -> frozenset[str]:
+    """Pressure units that could explain the result, and have not answered since."""
+    if look.now >= lasted + UNKNOWN_S:
+        return frozenset()
+    return frozenset(other.id for other in starvation.witnesses(look.entry, look.scene) if other.started < lasted)
+
+
+def _known(entry: Entry) -> bool:
+    """Published as a fault: open, or given up."""
+    return entry.fault is not None or entry.told_given_up
+
+
+def _cause(look: Look, *, by_starvation: bool = False) -> str:
+    """The first unit upstream that is failing, by starvation alone or not, or whose OK is kept back: grace for what needs it
+    begins when that is told.
 
     If that one is under repair, the fault being repaired.
     """
     for other in look.scene.upstream(look.entry.id):
-        if other.failing or _unproven(other, look):
+        if (other.failing or _unproven(other, look)) and _merely_starved(other, look) is by_starvation:
             hold = look.scene.holds.get(other.target)
             return hold.owner if hold is not None and other.fault is None else other.id
     return ""
+
+
+def _merely_starved(other: Entry, look: Look) -> bool:
+    if _known(other):
+        return False
+    return starvation.cause(other, look.scene) is not None or starvation.recovering(other, look.now)
 
 
 def _blocked(look: Look, cause: str) -> Verdict:

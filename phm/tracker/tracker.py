@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from phm.model import LIFE, Fault, Level, Outcome, Result, Stamp, Transition, UnitState
 from phm.needs import Needs
+from phm.tracker import starvation
 from phm.tracker.episodes import Episodes
 from phm.tracker.lives import Lives, Saw
 from phm.tracker.rules import SURE_S, judge, not_known_yet, too_early
@@ -90,6 +91,17 @@ class Tracker:
         below = (self._units[name] for name in self._below(self._units[unit]))
         return tuple(entry.id for entry in below if entry.failing or entry.started < mono)
 
+    def starved(self, unit: str, now: Stamp) -> str:
+        """The pressure unit that explains what is wrong with this one, now or until a moment ago; empty: none does.
+
+        Recovery leaves a fault alone meanwhile that was open before: a restart needs what there is too little of.
+        """
+        entry = self._units[unit]
+        starver = starvation.cause(entry, self._scene)
+        if starver is not None:
+            return starver.id
+        return entry.starver if starvation.recovering(entry, now.mono) else ""
+
     def open_faults(self) -> tuple[Fault, ...]:
         return tuple(entry.fault for entry in self._units.values() if entry.fault is not None)
 
@@ -134,6 +146,8 @@ class Tracker:
             self._see_life(entry.target, unit, life, started, now, step)
         self._judge(entry, now, step)
         self._judge_dependents(entry, now, step)
+        if unit in self._scene.starved:
+            self._note_starvation(entry, now, step)
         step.waiting = entry.waiting or any(other.waiting for other in self._scene.downstream(entry.id))
         return step
 
@@ -143,12 +157,17 @@ class Tracker:
         for target in [target for target, hold in self._holds.items() if now.mono >= hold.until]:
             self._release(target, now, step)
         step.waiting = bool(self._holds)
+        for name in self._scene.starved:
+            if self._units[name].starving is not None and self._units[name].unknown:
+                self._note_starvation(self._units[name], now, step)
         for entry in self._units.values():
             if entry.untold:
                 self._judge(entry, now, step)
             step.waiting |= entry.waiting
+            if starvation.recovering(entry, now.mono) and now.mono - entry.started >= ASK_AGAIN_S:
+                step.rerun.add(entry.id)
             if entry.pending is not None:
-                waiting = (entry, *self._scene.upstream(entry.id))
+                waiting = (entry, *self._scene.upstream(entry.id), *starvation.witnesses(entry, self._scene))
                 step.rerun.update(other.id for other in waiting if now.mono - other.started >= ASK_AGAIN_S)
                 if entry.spec.unit.settle_s > 0 and now.mono - entry.started >= LOOK_AGAIN_S:
                     step.rerun.add(entry.id)
@@ -292,6 +311,19 @@ class Tracker:
             if other.raw is not None and other.raw.level is not Level.OK:
                 self._judge(other, now, step)
 
+    def _note_starvation(self, entry: Entry, now: Stamp, step: Step) -> None:
+        """A pressure unit has been looked at: symptoms that wait for that are judged, and all when it began or ended."""
+        changed = starvation.observe(entry, now.mono)
+        for other in self._scene.starved[entry.id]:
+            if changed and entry.starving is None:
+                starvation.over(other, entry.id, now.mono)
+            if other.raw is None or not other.raw.level.bad:
+                continue
+            if changed and entry.starving is None:
+                step.rerun.add(other.id)
+            if changed or other.pending is not None:
+                self._judge(other, now, step)
+
     def _came_well(self, entry: Entry, result: Result, now: Stamp, step: Step) -> None:
         recovered = entry.harmed or entry.told.level is Level.ERROR or bool(entry.told.blocked_by)
         entry.harmed = False
@@ -299,6 +331,7 @@ class Tracker:
         entry.well_since = now.mono if entry.well_since is None else entry.well_since
         if now.mono - entry.well_since >= max(SURE_S, entry.spec.unit.memory_s):
             entry.quiet_until = min(entry.quiet_until, now.mono)
+            entry.symptoms_quiet = min(entry.symptoms_quiet, now.mono)
         self._tell(entry, result, now, step)
         if entry.fault is not None:
             self._episodes.close(entry, Outcome.RESOLVED, entry.fault.by or ITSELF, now, step)

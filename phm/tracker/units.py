@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from phm.api import Unit
 from phm.model import Event, Fault, Layer, Level, Result, Slot, UnitState
@@ -23,6 +24,8 @@ class Tracked:
     failures: int = 1
     needs: tuple[str, ...] = ()
     """All needs: the unit's own and those that the configuration adds."""
+    starved_by: tuple[str, ...] = ()
+    """Pressure units that can explain its symptoms: its container's, those of the containers that it needs, the host's."""
 
 
 @dataclass(slots=True)
@@ -66,6 +69,15 @@ class Pending:
     """Its witnesses have been called for the last time before it is told."""
 
 
+@dataclass(frozen=True, slots=True)
+class Starving:
+    """A pressure unit finds that tasks stand still: since when, as of when (monotonic seconds), and in which way."""
+
+    since: float
+    seen: float
+    condition: str
+
+
 @dataclass(slots=True)
 class Entry:
     """Everything known about one unit. `raw` is its newest result, `told` what is published."""
@@ -93,6 +105,14 @@ class Entry:
     escalated: bool = False
     given_up: Fault | None = None
     """The fault that recovery gave up on, while `escalated`."""
+    starving: Starving | None = None
+    """Of a pressure unit: it explains the symptoms of those that it starves."""
+    starver: str = ""
+    """The pressure unit that starved it last."""
+    symptoms_from: float = NEVER
+    """When starvation last ended: symptoms of which the evidence is older prove nothing."""
+    symptoms_quiet: float = NEVER
+    """Until then symptoms may still follow from it."""
     conditions: set[str] = field(default_factory=set)
     """Those that its faults have had since it was last OK: giving up on one of them must not hide another."""
 
@@ -166,7 +186,7 @@ class Entry:
         return self.raw is None or self.raw.level is Level.STALE
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Scene:
     """All units, who needs whom, by target the actions at work, until when it is given time to end (monotonic seconds), and
     the pauses. The tracker fills it, the rules only look."""
@@ -184,6 +204,15 @@ class Scene:
         """Whether the unit needs another one of its own target, as a node needs its container."""
         entry = self.units[unit]
         return bool(entry.target) and any(other.target == entry.target for other in self.upstream(unit))
+
+    @cached_property
+    def starved(self) -> Mapping[str, tuple[Entry, ...]]:
+        """By pressure unit, those whose symptoms it can explain."""
+        found: dict[str, list[Entry]] = {}
+        for entry in self.units.values():
+            for name in entry.spec.starved_by:
+                found.setdefault(name, []).append(entry)
+        return {name: tuple(entries) for name, entries in found.items()}
 
     def upstream(self, unit: str) -> list[Entry]:
         """What the unit depends on, causes first."""

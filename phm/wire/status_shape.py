@@ -18,7 +18,7 @@ _LINK = {
 _FLEET = {"fleet!": str, "connected!": bool, "error!": str, "published!": int, "bytes_out!": int}
 _CRITICAL = {"containers!": [str], "armed!": str, "why!": str}
 _HEALTH = {
-    "uptime_s": _NUMBER, "late_percent": float, "links": [_LINK], "reporters": {"fleet": _FLEET}, "dropped": Table(int),
+    "uptime_s": _NUMBER, "late_percent": float, "process": Table((int, type(None))), "links": [_LINK], "reporters": {"fleet": _FLEET}, "dropped": Table(int),
     "overdue": [str], "problems": [str], "flight_critical": _CRITICAL,
 }  # fmt: skip
 _HOLD = {"container!": (str, type(None)), "until!": str, "left_s!": float, "by!": str, "reason!": str}

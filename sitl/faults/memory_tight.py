@@ -13,12 +13,24 @@ ROOM = 32 * MIB
 """Left above what cannot be reclaimed: the engine's own process of a health check takes up to 20 MiB for a moment, and must
 not be what the kernel ends."""
 FILE = "/tmp/phm_tight_memory"
-SCAN = f"dd if=/dev/zero of={FILE} bs=1M count=128; while :; do dd if={FILE} of=/dev/null bs=1M; done"
+SIZE = 64 * MIB
+SCAN = f"""
+import mmap, os
+with open("{FILE}", "wb") as file:
+    for _ in range({SIZE // MIB}):
+        file.write(os.urandom({MIB}))
+pages = mmap.mmap(os.open("{FILE}", os.O_RDONLY), {SIZE}, prot=mmap.PROT_READ)
+pages.madvise(mmap.MADV_RANDOM)
+while True:
+    sum(pages[place] for place in range(0, {SIZE}, 4096))
+"""
 
 
 class Injection(Fault):
-    """A process in the application container reads a file again and again that is larger than the memory left, so that the
-    kernel reclaims without end. Nothing is killed. The container needs a limit already: the engine cannot take one away."""
+    """A process in the application container needs the pages of a mapped file again and again, as a program needs its code, and
+    there is no room for all of them: the kernel drops them and reads them back without end. Nothing is killed. A file that is
+    read through would not do: the page cache fills any limit, and no one waits for it. The container needs a limit already: the
+    engine cannot take one away."""
 
     name, title, unit = "memory_tight", "memory limit just above use", "pressure/ros_app"
     condition = "memory_pressure"
@@ -47,7 +59,7 @@ class Injection(Fault):
         moment = time.monotonic()
         with undoing(lambda: self.clear(agent)):
             update(app, "--memory", limit, "--memory-swap", limit)
-            start(agent, FILE, "sh", "-c", SCAN)
+            start(agent, FILE, "python3", "-c", SCAN)
         return moment
 
     def clear(self, agent: Agent) -> None:

@@ -325,6 +325,28 @@ def test_how_long_docker_may_say_starting_depends_on_the_healthcheck() -> None:
     )
 
 
+def test_unhealthy_says_how_old_its_probe_may_be() -> None:
+    """The engine probes in its own time: the newest failure came after the look before, and may have taken its time-out."""
+    (check,) = build(Health)
+    clock, docker = testing.FakeClock(), testing.FakeDocker()
+    world = testing.world(clock=clock, docker=docker)
+    quick = HealthcheckFact(interval_s=10.0, timeout_s=3.0)
+
+    def age_s(streak: int) -> float:
+        docker.put(testing.container("ros_app", health="unhealthy", health_streak=streak, healthcheck=quick))
+        result = check.run(world)
+        assert isinstance(result, api.Result)
+        return result.age_s
+
+    assert age_s(3) == float("inf")
+    clock.advance(5.0)
+    assert age_s(3) == float("inf")
+    clock.advance(2.0)
+    assert age_s(4) == 2.0 + 3.0
+    clock.advance(5.0)
+    assert age_s(4) == 10.0
+
+
 def test_unhealthy_tells_streak_and_last_output() -> None:
     """The last output is where the reason stands; it is made one printable line and cut."""
     (check,) = build(Health)

@@ -11,7 +11,7 @@ import pytest
 from phm import api, testing
 from phm.recovery.policy import LADDERS
 from phm_checks._liveness import GOODBYE_S, HANG_S, LOST_S
-from phm_checks._roster import BLIND_S, OLD_S, QUIET_S, SOON_S
+from phm_checks._roster import BLIND_S, ENDING_S, OLD_S, QUIET_S, SOON_S
 from phm_checks._signs import TWICE_S, UNNAMED_S
 from phm_checks.nodes import BUSY_S, Nodes
 
@@ -79,6 +79,15 @@ def rated(**more: Any) -> Bench:
     bench = Bench(topics=[{"name": TOPIC, "rate": 10, "publishers": [NAME]}], **more)
     bench.ros.change(topics=flowing())
     return bench
+
+
+class Contained(Bench):
+    """The container's first process is in its lists, as with a real engine."""
+
+    def __init__(self, **ros: Any) -> None:
+        super().__init__(**ros)
+        self.docker.change("ros_app", pid=MAIN.pid)
+        self.result()
 
 
 # ---------------------------------------------------------------- what is built, and what is well
@@ -313,6 +322,24 @@ def test_a_killed_node_is_dead_as_soon_as_its_topic_wavers() -> None:
     result = bench.result()
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "node_missing", "node_1 dead")
     assert ": its process 71 has ended; silent for 0.2 s: topic_1; " in result.summary
+
+
+def test_only_what_its_process_shows_is_conclusive() -> None:
+    """That a process has ended or is stopped was seen itself; that a node left the graph may come of lateness."""
+    bench = rated()
+    bench.after(3.0)
+    assert api.CONCLUSIVE not in bench.result().values
+    bench.processes(MAIN, api.ProcessFact(71, 1, "T", 5.0, ONE.command))
+    bench.ros.change(topics=flowing(0.5))
+    stopped = bench.after(1.0)
+    assert (stopped.condition, stopped.values.get(api.CONCLUSIVE)) == ("node_hung", True)
+    bench.processes(MAIN, ONE)
+    bench.ros.change(nodes={})
+    left = bench.after(8.0)
+    assert (left.condition, left.values.get(api.CONCLUSIVE)) == ("node_missing", None)
+    bench.processes(MAIN)
+    dead = bench.after(12.0)
+    assert (dead.condition, dead.values.get(api.CONCLUSIVE)) == ("node_missing", True)
 
 
 def test_a_killed_node_is_dead_as_soon_as_its_beacon_wavers() -> None:
@@ -938,3 +965,57 @@ def test_a_list_that_grew_old_proves_nothing() -> None:
     bench.docker.fail()
     bench.clock.advance(OLD_S + 1)
     assert bench.result().level is api.Level.OK
+
+
+# ---------------------------------------------------------------- a container that is ending
+
+
+@pytest.mark.parametrize("left", [(), (TWO,)])
+def test_who_is_missing_in_a_container_that_is_ending_is_not_dead(left: tuple[api.ProcessFact, ...]) -> None:
+    """Its first process was killed, the others go one by one, and the engine says that it runs for a second yet."""
+    bench = Contained()
+    bench.processes(*left)
+    bench.ros.change(nodes={})
+    result = bench.after(2.0)
+    assert (result.level, result.condition) == (api.Level.STALE, "")
+    assert "its container is ending: its first process 70 has ended" in result.summary
+    bench.docker.change("ros_app", status="exited")
+    assert "its container is exited" in bench.after(2.0).summary
+
+
+def test_a_dead_node_beside_the_first_process_is_dead() -> None:
+    """The container does not end: one look is enough, as ever."""
+    bench = Contained()
+    bench.processes(MAIN)
+    bench.ros.change(nodes={})
+    assert bench.after(1.0).condition == "node_missing"
+
+
+def test_a_new_life_ends_the_ending() -> None:
+    """The engine has restarted it: its new first process is another one."""
+    bench = Contained()
+    bench.processes()
+    bench.ros.change(nodes={})
+    assert bench.after(1.0).level is api.Level.STALE
+    bench.docker.change("ros_app", pid=170)
+    bench.restart_container(replace(MAIN, pid=170), replace(ONE, pid=171))
+    bench.ros.change(nodes={NAME: 1})
+    assert bench.after(1.0).level is api.Level.OK
+
+
+def test_an_engine_that_never_notices_the_end_hides_no_dead_node() -> None:
+    """A container that is said to run without its first process for longer than any end takes: its nodes are dead."""
+    bench = Contained()
+    bench.processes()
+    bench.ros.change(nodes={})
+    assert bench.after(ENDING_S - 1.0).level is api.Level.STALE
+    assert bench.after(QUIET_S).condition == "node_missing"
+
+
+def test_lists_that_never_show_the_first_process_prove_no_end() -> None:
+    """Where the engine's list has other numbers than its state, a missing process is a dead node."""
+    bench = Bench()
+    bench.result()
+    bench.processes()
+    bench.ros.change(nodes={})
+    assert bench.after(1.0).condition == "node_missing"

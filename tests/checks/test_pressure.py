@@ -98,7 +98,7 @@ def test_a_fault_is_not_left_for_one_calm_second() -> None:
         ),
         pytest.param({"cpu": 0.7}, id="waits as on a machine with load 9 per core, and gets what it needs"),
         pytest.param({"memory": 0.33, "io": 0.3, "reread_pages": 8}, id="page cache is filled up to the limit"),
-        pytest.param({"io": 0.55}, id="a recorder writes"),
+        pytest.param({"io": 0.45}, id="a recorder writes"),
     ],
 )
 def test_what_a_busy_container_does_is_no_pressure(more: dict[str, float]) -> None:

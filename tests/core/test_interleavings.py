@@ -18,7 +18,8 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from phm.api import error, stale
 from phm.model import FaultClosed, FaultOpened, Level, Outcome
-from tests.fakes.agent_world import CAUSES, NODES, TARGET, Sim, shipped
+from phm.tracker.starvation import LATE_S
+from tests.fakes.agent_world import CAUSES, HIDDEN, NODES, STARVING, TARGET, Sim, shipped
 from tests.fakes.healer import Healer
 
 pytestmark = pytest.mark.long
@@ -33,8 +34,10 @@ def examples(count: int) -> settings:
 
 
 def independent(one: str, other: str) -> bool:
-    """Whether neither fault's unit is upstream of the other's, nor the same."""
+    """Whether neither fault's unit is upstream of the other's, nor the same, nor explained by the other."""
     needs = Sim(0).tracker.needs
+    if STARVING.intersection((one, other)) and HIDDEN.intersection((one, other)):
+        return False
     a, b = CAUSES[one][0], CAUSES[other][0]
     return a != b and a not in needs.upstream(b) and b not in needs.upstream(a)
 
@@ -104,6 +107,51 @@ def test_independent_faults_are_each_told_once(pair: tuple[str, str], seed: int,
         sim.ask(CAUSES[kind][0])
     sim.run(14.0)
     assert_over(sim, units)
+
+
+@examples(60)
+@given(st.sampled_from(sorted(STARVING)), st.sampled_from(sorted(HIDDEN)), SEEDS, st.floats(1.0, 6.0))
+def test_what_starvation_explains_is_told_when_it_is_over(starving: str, kind: str, seed: int, after_s: float) -> None:
+    """While it lasts there is one alarm, at the cause; what is still there when symptoms have had time to go is a fault."""
+    sim, (cause, unit) = Sim(seed), (CAUSES[starving][0], CAUSES[kind][0])
+    sim.world.inject(starving, sim.now + 1.5)
+    sim.run(1.5 + after_s)
+    sim.world.inject(kind, sim.now)
+    sim.run(10.0)
+    assert sim.opened == [cause]
+    sim.world.repair(starving, sim.now)
+    sim.ask(cause)
+    sim.run(40.0 if kind == "unhealthy" else 16.0)  # the engine probes every 30 s
+    assert sim.opened == [cause, unit]
+    assert_attributed(sim, {unit})
+    sim.world.repair(kind, sim.now)
+    sim.ask(unit)
+    sim.run(14.0)
+    assert_over(sim, {cause, unit})
+
+
+@examples(60)
+@given(st.sampled_from(sorted(STARVING)), st.sampled_from(sorted(HIDDEN)), SEEDS)
+def test_a_fault_older_than_starvation_goes_on(starving: str, kind: str, seed: int) -> None:
+    """It is not told again and not closed; while starved, recovery is asked to leave it."""
+    sim, (cause, unit) = Sim(seed), (CAUSES[starving][0], CAUSES[kind][0])
+    sim.world.inject(kind, sim.now + 1.5)
+    sim.run(5.0)
+    sim.ask(unit)
+    sim.run(6.0 + LATE_S)
+    assert sim.opened == [unit]
+    sim.world.inject(starving, sim.now + 1.5)
+    sim.run(8.0)
+    assert_attributed(sim, {cause, unit})
+    assert sim.tracker.starved(unit, sim.stamp()) in {cause, f"pressure/{TARGET}"}
+    sim.world.repair(starving, sim.now)
+    sim.ask(cause)
+    sim.run(40.0 if kind == "unhealthy" else 20.0)
+    assert sim.tracker.starved(unit, sim.stamp()) == ""
+    sim.world.repair(kind, sim.now)
+    sim.ask(unit)
+    sim.run(14.0)
+    assert_over(sim, {cause, unit})
 
 
 @examples(120)

@@ -155,6 +155,26 @@ def test_the_real_cgroup_of_a_container_shows_everything(real: Any, engine: Engi
     assert fact.cpu is not None and fact.cpu.full_s is not None and Path("/proc/pressure/cpu").exists()
 
 
+def test_a_real_mount_of_version_2_is_read(real: Any, engine: Engine) -> None:
+    """Also one without the controllers, as beside version 1: what is not counted there is said."""
+    hybrid = Path(FILES, "unified")
+    made = real.container(BUSY, cpu_quota=3000, cpu_period=100000)
+    agent = Agent(engine, made.name, str(hybrid if hybrid.is_dir() else FILES))
+    fact = agent.world.pressure.container("ros_app")
+    assert fact is not None and fact.source == "cgroup v2" and fact.cpu_used_s is not None
+    assert fact.cpu is not None and fact.memory is not None and fact.io is not None
+    assert fact.not_seen == (("its CPU limit", "its memory limit") if hybrid.is_dir() else ())
+
+    def stalled_s() -> float:
+        fact = agent.world.pressure.container("ros_app")
+        return fact.cpu.full_s or 0.0 if fact is not None and fact.cpu is not None else 0.0
+
+    first_s, end = stalled_s(), time.monotonic() + LIMIT_S
+    while stalled_s() < first_s + 1.0:
+        assert time.monotonic() < end, "the kernel counts that the limit stops it"
+        threading.Event().wait(LOOK_S)
+
+
 def test_who_has_the_cpus_is_known_by_name(real: Any, engine: Engine, source: str) -> None:
     """Also of a container that is not configured."""
     made, other = real.container(), real.container(f"{BUSY} & {BUSY}")

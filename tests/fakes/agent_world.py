@@ -12,6 +12,9 @@ runs when, how long a run takes, which wake-ups are lost) is random.
   is seen missing. One whose node has gone on since it fell silent may be told at once: its death did not silence it.
 - After a repair nodes are back within 5 s, topics 1 s and rates 3 s later: each within its grace of 8 s. A killed node
   may stay listed for another second after its container has started again (a ghost).
+- Pressure shows starvation no later than the first of its symptoms, in any run of its check that looks from then on; the
+  machine's does so up to 1.5 s after that of a container which waits for its cores. Symptoms are gone 4.5 s after its end, but for
+  the health check: that probes in its own time, and says when it did.
 - A run takes 0.2 s at most, a wake-up that is not lost is served within 0.9 s.
 """
 
@@ -27,7 +30,7 @@ from random import Random
 from phm import plan, registry, testing
 from phm.config import load
 from phm.facts import ContainerFact
-from phm.model import LIFE, Event, FaultClosed, FaultOpened, Level, Result, Stamp, Transition
+from phm.model import CONCLUSIVE, LIFE, Event, FaultClosed, FaultOpened, Level, Result, Stamp, Transition, Value
 from phm.plan import Plan
 from phm.settings import Settings
 from phm.tracker import SURE_S, Step, Tracker
@@ -52,8 +55,13 @@ CAUSES = {
     "engine": ("engine", "unreachable"),
     **{f"node_{n}": (NODES[n], "node_missing") for n in NODES},
     **{f"silent_{n}": (RATES[n], "silent") for n in RATES},
+    "starved": ("pressure/ros_app", "cpu_throttled"),
+    "overload": ("host/cpu", "cpu_high"),
 }
 """Primary faults: the unit that is the cause, and its condition."""
+STARVING = frozenset({"starved", "overload"})
+HIDDEN = frozenset({"unhealthy", *(kind for kind in CAUSES if kind.startswith("silent"))})
+"""What cannot be known while the container is starved: it would look the same without a cause of its own."""
 FIXES = {
     "start": {"container"},
     "unpause": {"paused"},
@@ -61,7 +69,7 @@ FIXES = {
     "join": {"apart"},
     "restore": {"file"},
     "relaunch": {"node_1", "node_2", "node_3", "silent_1", "silent_2", "silent_3"},
-    "restart": set(CAUSES) - {"file", "device", "disk", "engine", "apart"},
+    "restart": set(CAUSES) - {"file", "device", "disk", "engine", "apart", *STARVING},
 }
 LOST = "lost"
 """Not a cause: nodes that a repair has left cut off."""
@@ -125,7 +133,9 @@ class World:
         family, _, number = kind.partition("_")
         first = at + rnd.uniform(SILENCE_S, SILENCE_S + 0.5) if family == "silent" else at
         spans.append(Bad(unit, first, condition, rnd.uniform(0.3, 5.0) if family == "node" else 0.0))
-        if family in ("container", "paused", "network", "apart", "node"):
+        if kind in STARVING:
+            spans += self._symptoms(at, kind)
+        elif family in ("container", "paused", "network", "apart", "node"):
             spans += self._ros(at, {int(number)} if family == "node" else set(NODES), spans[0], family)
         self.active[kind] = spans
         for span in spans:
@@ -150,6 +160,22 @@ class World:
                 if n in nodes:
                     silent = max(at, min(gone.values())) + rnd.uniform(SILENCE_S, SILENCE_S + 1.0)
                     yield Bad(RATES[n], silent, "silent", topic_back + rnd.uniform(0.0, 3.0))
+
+    def _symptoms(self, at: float, kind: str) -> Iterable[Bad]:
+        """Some of those that starvation explains, each at its own moment."""
+        rnd = self.random
+        may = [(unit, rnd.choice(("silent", "rate_low"))) for unit in RATES.values()]
+        may += [(unit, rnd.choice(("node_hung", "node_missing", "node_unanswering"))) for unit in NODES.values()]
+        may += [(unit, rnd.choice(("publisher_lost", "topic_missing"))) for unit in TOPICS.values()]
+        may += [("health/ros_app", "unhealthy")]
+        if kind == "overload":
+            may += [("autopilot", "autopilot_silent"), ("gcs", "gcs_lost"), ("link/ground", "link_silent")]
+            if rnd.random() < 0.7:
+                yield Bad("pressure/ros_app", at - rnd.uniform(0.0, 1.5), "cpu_starved", rnd.uniform(0.0, 3.0))
+        for unit, condition in may:
+            if rnd.random() < 0.6:
+                back_s = rnd.uniform(0.2, 7.5 if unit.startswith("health/") else 4.5)
+                yield Bad(unit, at + rnd.choice((0.0, rnd.uniform(0.0, 6.0))), condition, back_s)
 
     def repair(self, kind: str, at: float) -> None:
         """The primary fault is no more; its consequences go one after the other."""
@@ -199,20 +225,32 @@ class World:
         """What a run of the unit's check finds at `at`."""
         if unit.startswith(BY_ENGINE) and self._is_bad("engine", at):
             return Result(Level.STALE, "the engine does not answer")
-        if unit in ("network/ros_app", "health/ros_app") and self._is_bad("container/ros_app", at):
+        if unit in ("network/ros_app", "health/ros_app", "pressure/ros_app") and self._is_bad("container/ros_app", at):
             return Result(Level.STALE, "not judged while the container does not run")
         if self._is_ghost(unit, at):
             return OK
-        values = {LIFE: self.fact(at).life} if unit == f"container/{TARGET}" else {}
+        values: dict[str, Value] = {LIFE: self.fact(at).life} if unit == f"container/{TARGET}" else {}
         target = TARGET if unit in targeted() else ""
-        for span in self.bad.get(unit, ()):
-            if span.covers(at):
-                if span.condition == "restarting":
-                    return Result(Level.STALE, "the engine is about to restart it", values=values)
-                condition = span.condition
-                sure = 0.0 if self._surely_silent(span) else None
-                return Result(Level.ERROR, f"{unit} {condition}", condition, condition, target, values, settle_s=sure)
-        return Result(Level.OK, "well", values=values)
+        found = [span for span in self.bad.get(unit, ()) if span.covers(at)]
+        if not found:
+            return Result(Level.OK, "well", values=values)
+        span = next(filter(self._conclusive, found), found[0])
+        if span.condition == "restarting":
+            return Result(Level.STALE, "the engine is about to restart it", values=values)
+        if self._conclusive(span):
+            values[CONCLUSIVE] = True
+        condition = span.condition
+        sure = 0.0 if self._surely_silent(span) else None
+        # The engine's probes come every few seconds: the newest was at one of the moments, or began this one.
+        age_s = (at - span.begin) % 30.0 if unit.startswith("health/") else 0.0
+        return Result(
+            Level.ERROR, f"{unit} {condition}", condition, condition, target, values, settle_s=sure, age_s=age_s
+        )
+
+    def _conclusive(self, span: Bad) -> bool:
+        """A primary fault that starvation does not explain: its process is gone."""
+        unexplained = set(CAUSES) - HIDDEN - {"overload"}
+        return any(spans[0] is span for kind, spans in self.active.items() if kind in unexplained and spans)
 
     def _surely_silent(self, span: Bad) -> bool:
         """The node has shown that it goes on since; every second node has nothing to show it with."""

@@ -58,8 +58,9 @@ class Bench:
         return [(fault.unit, fault.outcome, fault.by) for fault in faults]
 
 
-def unit(name: str, *needs: str, failures: int = 1, **more: float | str) -> Tracked:
-    return Tracked(Unit(name, needs, **more), name, Slot.CONTAINER, Layer.DOCKER, failures, needs)  # type: ignore[arg-type]
+def unit(name: str, *needs: str, failures: int = 1, starved_by: tuple[str, ...] = (), **more: float | str) -> Tracked:
+    about = Unit(name, needs, **more)  # type: ignore[arg-type]
+    return Tracked(about, name, Slot.CONTAINER, Layer.DOCKER, failures, needs, starved_by)
 
 
 def chain(**more: float | str) -> Bench:

@@ -37,6 +37,14 @@ def figure_5() -> Report:
     )
 
 
+def test_a_blocked_unit_says_what_it_would_have_said() -> None:
+    """By what it is blocked, and the symptom: an operator sees both."""
+    summary = "blocked by pressure/ros_app: topic /x at 3 Hz, expected 10"
+    state = unit("rates/x", Slot.RATES, Level.STALE, summary, blocked_by="pressure/ros_app")
+    report = Report(at(20.9), 7, at(), (state,))
+    assert f"STALE: (8) rates/x: {summary}" in "\n".join(TextLines().of(report))
+
+
 def test_a_report_is_written_as_in_figure_5() -> None:
     """From `Start of a new report` to the status array, one line per unit, well ones of a check in one line."""
     lines = TextLines()

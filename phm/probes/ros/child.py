@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 MISSED = "the ROS child looks with a new participant: the one before had missed {}"
 MAX_MISSED = 300
 _PR_SET_PDEATHSIG = 1
+OOM_MORE, OOM_MOST = 500, 1000
+"""Of /proc/PID/oom_score_adj: more than the daemon's, and the kernel's limit. Raising it needs no privilege."""
 
 _PROFILE = b"""<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com"><profiles>
@@ -51,6 +53,7 @@ def main() -> int:
     out = _claim_stdout()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the daemon, which then closes the pipe
     _die_with_parent()
+    _go_first()
     _announce_often()
     try:
         wanted = decode_wanted(_first_line())
@@ -156,6 +159,17 @@ def _die_with_parent() -> None:
         return
     if os.getppid() != parent:
         os._exit(0)
+
+
+def _go_first() -> None:
+    """Where PHM's memory is used up, have the kernel end this process and not the daemon, which replaces it."""
+    try:
+        with open("/proc/self/oom_score_adj", "r+", encoding="ascii") as file:
+            wanted = min(OOM_MOST, int(file.read()) + OOM_MORE)
+            file.seek(0)
+            file.write(str(wanted))
+    except (OSError, ValueError):
+        return  # a kernel or sandbox without it: then the larger of the two ends
 
 
 def _announce_often() -> None:

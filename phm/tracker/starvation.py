@@ -1,0 +1,150 @@
+"""Starvation as a cause: which symptoms too little processor, memory or input and output explains, and where it is seen.
+
+A container that waits for its resources, or a machine on which everything waits, does late what it does. What is concluded from
+lateness or silence then says nothing about the part that is late: it follows from the starvation. What was seen itself (a
+process is gone, a network is detached) does not, and is judged as ever. Pure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from phm.model import CERTAIN, CONCLUSIVE, Level, Result
+from phm.tracker.units import Entry, Scene, Starving
+
+WAITING = frozenset({"cpu_throttled", "cpu_starved", "cpu_high", "memory_pressure", "io_pressure"})
+"""Conditions of pressure units that mean: tasks stand still. A memory that is used up and not waited for (`memory_high`) is none."""
+OF_HOST = frozenset({"cpu_high", "memory_pressure", "io_pressure"})
+LAST_WORD_S = 10.0
+"""A pressure unit that cannot tell any more (STALE) explains what it explained for so long: an overloaded engine gives no figures."""
+LATE_S = 5.0
+"""A symptom may be published so long before the figures show the starvation that it follows from. What is older goes on."""
+RISING_S = 3.0
+"""While a pressure unit is WARN, what it may soon explain waits for so long. WARN explains nothing: it raises no alarm."""
+OVER_S = 5.0
+"""After starvation symptoms get this long to go, or the `grace_s` of their unit where that is longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """evidence: why starvation can produce the symptom. by: the conditions of pressure units that do. settle_s: how long it must
+    last at least, where its cause shows later than it does."""
+
+    evidence: str
+    by: frozenset[str] = WAITING
+    settle_s: float = 0.0
+
+
+_SLOW = Explained("its publisher is not scheduled at each period")
+_LEASE = Explained(
+    "participants that do not announce themselves in time are dropped from the graph, with all their endpoints"
+)
+_LATE = Explained("its beacon or its executor is not scheduled, so the beat is late")
+_UNREAD = Explained("PHM reads the link late, so the last frame seems older than it is")
+_HEARD = Explained("the neighbours' beats are late, or read late")
+
+EXPLAINED: Mapping[str, Explained] = {
+    "rate_low": _SLOW,
+    "silent": _SLOW,
+    "not_received": Explained("a publisher that is starved from its start has not sent yet"),
+    "transport_blocked": Explained("publishers that are starved from their start are found, and have not sent yet"),
+    "topic_missing": _LEASE,
+    "publisher_missing": _LEASE,
+    "subscriber_missing": _LEASE,
+    "publisher_lost": _LEASE,
+    "subscriber_lost": _LEASE,
+    "node_missing": Explained(f"by the graph or the beacon alone: {_LEASE.evidence}; not where its process is gone"),
+    "node_unheard": _LEASE,
+    "node_hung": Explained(f"{_LATE.evidence}; not where its process or container is stopped"),
+    "node_unanswering": _LATE,
+    "node_busy": _LATE,
+    "beacon_missing": _LATE,
+    "dissent": _HEARD,
+    "split": _HEARD,
+    "diagnostic_stale": Explained("its publisher is not scheduled in time"),
+    "unhealthy": Explained(
+        "the probe of the health check takes longer than its time-out, or cannot be started", WAITING | {"pids_limit"}
+    ),
+    "autopilot_silent": _UNREAD,
+    "gcs_lost": _UNREAD,
+    "radio_silent": _UNREAD,
+    "link_silent": _UNREAD,
+    "frames_lost": Explained("frames that PHM does not read in time are dropped by the kernel"),
+    "peer_lost": Explained("this agent reads the peer's heartbeats late; not where another agent has lost it, too"),
+    "peer_partly": _UNREAD,
+    "alone": _UNREAD,
+    "cpu_starved": Explained("all containers wait when the machine has no core to spare", OF_HOST, settle_s=RISING_S),
+    "memory_pressure": Explained("the machine reclaims memory from all containers", OF_HOST, settle_s=RISING_S),
+    "io_pressure": Explained("all containers wait for the same disk", OF_HOST, settle_s=RISING_S),
+}
+"""What starvation explains, by condition; nothing else. docs/recovery.md has it as a table, and a test compares them."""
+
+
+def explained(result: Result) -> Explained | None:
+    """What can explain this bad result; None: starvation cannot."""
+    if not result.level.bad or result.values.get(CERTAIN) is True or result.values.get(CONCLUSIVE) is True:
+        return None
+    return EXPLAINED.get(result.condition)
+
+
+def witnesses(entry: Entry, scene: Scene) -> list[Entry]:
+    """The pressure units whose figures decide whether the unit's newest result is a fault of its own."""
+    if entry.raw is None or explained(entry.raw) is None:
+        return []
+    return [scene.units[name] for name in entry.spec.starved_by]
+
+
+def cause(entry: Entry, scene: Scene) -> Entry | None:
+    """The pressure unit that starves this one and so explains its newest result; the host's, where it starves that one too."""
+    symptom = explained(entry.raw) if entry.raw is not None else None
+    if symptom is None:
+        return None
+    for other in witnesses(entry, scene):
+        if other.starving is not None and other.starving.condition in symptom.by:
+            return cause(other, scene) or other
+    return None
+
+
+def undecided(entry: Entry) -> bool:
+    """Whether the unit's newest result is a symptom that waits to be published."""
+    waits = entry.pending is not None and entry.told.level is not Level.ERROR
+    return waits and entry.raw is not None and explained(entry.raw) is not None
+
+
+def may_follow(entry: Entry, scene: Scene) -> bool:
+    """Whether a pressure unit is at WARN, and may be on its way to ERROR."""
+    return any(other.raw is not None and other.raw.level is Level.WARN for other in witnesses(entry, scene))
+
+
+def before(entry: Entry, starver: Entry) -> bool:
+    """Whether the unit's fault is another one: older than the starvation, or opened for what that does not explain."""
+    if entry.fault is None:
+        return entry.told_given_up
+    since = starver.starving.since if starver.starving is not None else 0.0
+    return entry.fault.opened.mono < since - LATE_S or explained(entry.fault.result) is None
+
+
+def observe(entry: Entry, now: float) -> bool:
+    """Take note of the newest result of a pressure unit; whether it has begun to starve others, or ceased to."""
+    was, raw = entry.starving, entry.raw
+    assert raw is not None
+    if raw.level is Level.ERROR and raw.condition in WAITING | {"pids_limit"}:
+        entry.starving = Starving(was.since if was is not None else now, now, raw.condition)
+    elif raw.level is not Level.STALE or (was is not None and now - was.seen >= LAST_WORD_S):
+        entry.starving = None
+    return (was is None) != (entry.starving is None)
+
+
+def over(entry: Entry, starver: str, now: float) -> None:
+    """This pressure unit no longer starves the other: symptoms seen before prove nothing, and need time to go."""
+    entry.starver, entry.symptoms_from = starver, now
+    entry.symptoms_quiet = now + max(entry.spec.unit.grace_s, OVER_S)
+    entry.pending = entry.well_since = None
+
+
+def recovering(entry: Entry, now: float) -> bool:
+    """Whether the unit's newest result is a symptom that may still follow from a starvation that is over."""
+    if entry.raw is None or explained(entry.raw) is None:
+        return False
+    return now < entry.symptoms_quiet or entry.started - entry.raw.age_s < entry.symptoms_from

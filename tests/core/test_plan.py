@@ -1,0 +1,52 @@
+"""From a configuration to what is tracked: which pressure units can explain a unit's symptoms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from phm import plan, registry, testing
+from phm.settings import Settings
+
+CONFIG: dict[str, Any] = {
+    "containers": [
+        {"name": "nav", "flight_critical": True, "recover": True},
+        {"name": "video", "recover": True},
+    ],
+    "ros": {
+        "nodes": [{"name": "/planner", "container": "nav"}, {"name": "/camera", "container": "video"}],
+        "topics": [{"name": "/image", "publishers": ["/camera"], "subscribers": ["/planner"], "rate": 10}],
+    },
+}
+
+
+def starved_by(**recovery: Any) -> dict[str, tuple[str, ...]]:
+    settings: Settings = testing.settings(**CONFIG, recovery=recovery)
+    made = plan.make(settings, registry.checks())
+    return {entry.unit.id: entry.starved_by for entry in made.tracked}
+
+
+def test_a_unit_is_starved_by_its_container_by_those_of_its_needs_and_by_the_host() -> None:
+    """In this order: the first that is bad is named."""
+    by = starved_by()
+    assert by["nodes/planner"][0] == "pressure/nav"
+    assert by["nodes/camera"][0] == "pressure/video"
+    assert set(by["rates/image"][:2]) == {"pressure/nav", "pressure/video"}
+    assert by["nodes/planner"][-1] == "host/memory"
+    assert "host/cpu" in by["nodes/planner"]
+
+
+def test_a_container_is_starved_by_the_host_and_the_host_by_nothing() -> None:
+    """Chains end at the machine."""
+    by = starved_by()
+    assert by["pressure/nav"] and all(name.startswith("host/") for name in by["pressure/nav"])
+    assert by["host/cpu"] == by["host/memory"] == ()
+
+
+@pytest.mark.parametrize(("relieve", "alone"), [([], False), (["video"], True)])
+def test_pressure_that_recovery_can_relieve_is_a_fault_of_its_own(relieve: list[str], alone: bool) -> None:
+    """Blocked by the host it would have no fault, and so no action."""
+    by = starved_by(relieve=relieve)
+    assert (by["pressure/nav"] == ()) is alone
+    assert by["pressure/video"] != ()

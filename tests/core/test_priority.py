@@ -1,0 +1,64 @@
+"""PHM's own priority: what is permitted is set, what is not is reported and harms nothing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from phm.priority import apply
+from phm.settings import ProcessSettings
+
+INHERITED = """
+import os, threading
+from phm.priority import apply
+from phm.settings import ProcessSettings
+found = apply(ProcessSettings(nice=os.getpriority(os.PRIO_PROCESS, 0) + 1))
+seen = []
+thread = threading.Thread(target=lambda: seen.append(os.getpriority(os.PRIO_PROCESS, 0)))
+thread.start(), thread.join()
+print(found.nice, seen[0], found.problem)
+"""
+CHILD = """
+from phm.probes.ros.child import _go_first
+own = lambda: int(open("/proc/self/oom_score_adj").read())
+before = own()
+_go_first()
+print(min(1000, before + 500) == own())
+"""
+
+
+def run(script: str) -> str:
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_threads_that_are_started_later_have_it() -> None:
+    """It is set before there are threads: the heart, the links and the ROS child inherit it."""
+    nice = min(19, os.getpriority(os.PRIO_PROCESS, 0) + 1)
+    assert run(INHERITED) == f"{nice} {nice}"
+
+
+def test_what_is_not_permitted_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PHM runs on with the priority that it has, and says what to do."""
+
+    def refuse(which: int, who: int, nice: int) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "setpriority", refuse)
+    found = apply(ProcessSettings(nice=-10))
+    assert found.nice == os.getpriority(os.PRIO_PROCESS, 0)
+    assert "process.nice -10 is not permitted" in found.problem
+    assert "ulimits: {nice: 30}" in found.problem
+
+
+def test_by_default_nothing_is_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever started PHM with a priority meant it."""
+    monkeypatch.setattr(os, "setpriority", None)
+    assert apply(ProcessSettings()).problem == ""
+
+
+def test_the_ros_child_goes_first_where_memory_is_used_up() -> None:
+    """The daemon replaces it; nothing replaces the daemon but Docker."""
+    assert run(CHILD) == "True"

@@ -1,0 +1,364 @@
+"""Starvation is a cause: one alarm at the pressure unit, its symptoms STALE, all else as ever."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from phm.api import Level, Result, error, ok, stale, warn
+from phm.model import CERTAIN, CONCLUSIVE, Outcome, Transition
+from phm.tracker.starvation import EXPLAINED, LAST_WORD_S, LATE_S, OVER_S, RISING_S
+from tests.fakes.tracker_bench import OK, Bench, unit
+
+HOST = ("host/cpu",)
+BOTH = ("pressure/app", *HOST)
+THROTTLED = error(
+    "app throttled 97 % of the time by its limit of 0.03 CPUs: raise it",
+    brief="app throttled",
+    condition="cpu_throttled",
+)
+WAITS = error("app waits for a core", brief="app waits", condition="cpu_starved")
+OVERLOADED = error("CPU at 100 %", brief="CPU 100 %", condition="cpu_high")
+SLOW = error("topic /x at 3 Hz, expected 10", brief="3 Hz", condition="rate_low")
+HUNG = error("node hangs", brief="hung", condition="node_hung")
+GONE = error("node is gone", brief="dead", condition="node_missing", **{CONCLUSIVE: True})
+EXITED = error("app exited", brief="exited", condition="exited")
+MISFIT = error("QoS mismatch", brief="QoS mismatch", condition="qos_mismatch", **{CONCLUSIVE: True})
+
+
+def bench(**more: float) -> Bench:
+    """A container with a node and its topic, the container's pressure and the host's."""
+    made = Bench(
+        [
+            unit("host/cpu"),
+            unit("container/app"),
+            unit("pressure/app", "container/app", starved_by=HOST),
+            unit("nodes/n", "container/app", starved_by=BOTH, **more),
+            unit("rates/x", "nodes/n", starved_by=BOTH, **more),
+        ]
+    )
+    made.all_well()
+    made.later(3.0)
+    made.all_well()
+    return made
+
+
+def answered(made: Bench, *pressure: str, result: Result = OK) -> None:
+    """The pressure units have been asked and answer."""
+    for name in pressure:
+        made.see(name, result)
+
+
+def over(made: Bench, *pressure: str) -> None:
+    answered(made, *pressure)
+
+
+def test_a_symptom_is_blocked_by_the_pressure_unit_that_explains_it() -> None:
+    """One alarm at the cause; the symptom is STALE and says what it follows from."""
+    made = bench()
+    made.see("pressure/app", THROTTLED)
+    made.see("rates/x", SLOW)
+    assert made.opened == ["pressure/app"]
+    assert made.blocked_by("rates/x") == "pressure/app"
+    state = made.tracker.state("rates/x")
+    assert state.result.summary == "blocked by pressure/app: topic /x at 3 Hz, expected 10"
+    assert made.tracker.open_faults()[0].blocks == ("rates/x",)
+
+
+def test_a_symptom_waits_until_the_pressure_units_have_answered_since() -> None:
+    """They are asked when the symptom is seen; what they say then decides, so that the order of evidence does not."""
+    made = bench()
+    made.later(0.1)
+    asked = made.see("rates/x", SLOW)
+    assert asked >= set(BOTH)
+    made.see("nodes/n", OK)
+    made.see("container/app", OK)
+    made.later(0.1)
+    assert made.level("rates/x") is Level.OK
+    made.see("pressure/app", THROTTLED)
+    made.see("container/app", OK)
+    assert made.opened == ["pressure/app"]
+    assert made.blocked_by("rates/x") == "pressure/app"
+
+
+def test_a_symptom_without_starvation_is_published_once_they_have_answered() -> None:
+    """Pressure units that are OK leave it a fault of its own."""
+    made = bench()
+    made.later(0.1)
+    made.see("rates/x", SLOW)
+    for name in ("container/app", "nodes/n", *BOTH):
+        made.see(name, OK)
+    assert made.opened == ["rates/x"]
+
+
+def test_a_pressure_unit_that_cannot_tell_explains_nothing_and_delays_nothing() -> None:
+    """STALE is an answer."""
+    made = bench()
+    made.later(0.1)
+    made.see("rates/x", SLOW)
+    answered(made, "container/app", "nodes/n", "host/cpu")
+    made.see("pressure/app", stale("no figures"))
+    assert made.opened == ["rates/x"]
+
+
+def test_a_pressure_unit_that_never_answers_delays_a_symptom_not_for_ever() -> None:
+    """A check that hangs gets as long as a need that is unknown."""
+    made = bench()
+    made.later(0.1)
+    made.see("rates/x", SLOW)
+    answered(made, "container/app", "nodes/n", "host/cpu")
+    made.later(9.8)
+    assert made.opened == []
+    made.later(0.3)
+    assert made.opened == ["rates/x"]
+
+
+def test_a_warning_of_pressure_explains_nothing_but_is_waited_for() -> None:
+    """It raises no alarm, so a symptom blocked by it would have none; it may be on its way to ERROR."""
+    made = bench()
+    made.see("pressure/app", warn("app throttled 20 %", brief="throttled", condition="cpu_throttled"))
+    made.later(0.1)
+    made.see("rates/x", SLOW)
+    answered(made, "container/app", "nodes/n", "host/cpu")
+    made.see("pressure/app", warn("app throttled 30 %", brief="throttled", condition="cpu_throttled"))
+    assert made.opened == []
+    made.later(RISING_S)
+    assert made.opened == ["rates/x"]
+
+
+@pytest.mark.parametrize(
+    "result",
+    [EXITED, GONE, MISFIT, error("left out", brief="left out", condition="node_missing", **{CERTAIN: True})],
+    ids=["exited", "process gone", "qos", "certain"],
+)
+def test_what_starvation_does_not_explain_is_published_immediately(result: Result) -> None:
+    """Also while starved: a process that is gone is gone."""
+    made = bench()
+    made.see("pressure/app", THROTTLED)
+    made.later(0.1)
+    made.see("nodes/n", result)
+    answered(made, "container/app")
+    assert made.opened == ["pressure/app", "nodes/n"]
+
+
+def test_a_real_fault_blocks_before_starvation_does() -> None:
+    """What follows from an exit follows from it also while starved, and an older attribution is corrected."""
+    made = bench()
+    made.see("pressure/app", THROTTLED)
+    made.see("rates/x", SLOW)
+    made.see("container/app", EXITED)
+    assert made.blocked_by("rates/x") == "container/app"
+    assert made.opened == ["pressure/app", "container/app"]
+
+
+def test_a_need_that_is_merely_starved_does_not_hide_what_is_conclusive() -> None:
+    """A node late by starvation is no reason to hide that its topic does not fit; all else it blocks as ever."""
+    made = bench()
+    made.see("pressure/app", THROTTLED)
+    made.see("nodes/n", HUNG)
+    made.see("rates/x", error("odd", brief="odd", condition="own_condition"))
+    assert made.blocked_by("rates/x") == "nodes/n"
+    made.later(0.1)
+    made.see("nodes/n", HUNG)
+    made.see("container/app", OK)
+    made.see("rates/x", MISFIT)
+    made.see("container/app", OK)
+    made.see("nodes/n", HUNG)
+    assert made.opened == ["pressure/app", "rates/x"]
+
+
+def test_a_symptom_published_just_before_is_reattributed() -> None:
+    """The figures of pressure need a moment; there is one open fault in the end, at the cause."""
+    made = bench()
+    made.later(0.1)
+    made.see("rates/x", SLOW)
+    answered(made, "container/app", "nodes/n", *BOTH)
+    made.later(LATE_S - 0.5)
+    made.see("pressure/app", THROTTLED)
+    assert made.closed == [("rates/x", Outcome.REATTRIBUTED, "pressure/app")]
+    assert made.blocked_by("rates/x") == "pressure/app"
+
+
+def test_a_fault_that_was_open_before_goes_on_and_is_left_alone() -> None:
+    """It has another cause, but while starved it can be neither judged nor repaired: recovery is asked to leave it."""
+    made = bench()
+    made.later(0.1)
+    made.see("rates/x", SLOW)
+    answered(made, "container/app", "nodes/n", *BOTH)
+    assert made.tracker.starved("rates/x", made.stamp()) == ""
+    made.later(LATE_S + 0.5)
+    made.see("pressure/app", THROTTLED)
+    made.see("rates/x", SLOW)
+    assert made.level("rates/x") is Level.ERROR
+    assert made.closed == []
+    assert made.tracker.starved("rates/x", made.stamp()) == "pressure/app"
+    over(made, "pressure/app")
+    assert made.tracker.starved("rates/x", made.stamp()) == "pressure/app"
+    made.later(OVER_S + 0.1)
+    made.see("rates/x", SLOW)
+    assert made.tracker.starved("rates/x", made.stamp()) == ""
+    assert made.level("rates/x") is Level.ERROR
+
+
+def test_after_starvation_a_symptom_gets_time_to_go() -> None:
+    """It is not known yet; OK closes the matter without an alarm."""
+    made = bench()
+    made.see("pressure/app", THROTTLED)
+    made.see("rates/x", SLOW)
+    made.later(1.0)
+    over(made, "pressure/app")
+    made.see("rates/x", SLOW)
+    assert made.level("rates/x") is Level.STALE
+    assert made.blocked_by("rates/x") == ""
+    made.later(1.0)
+    made.see("rates/x", OK)
+    assert made.level("rates/x") is Level.OK
+    assert made.opened == ["pressure/app"]
+
+
+def test_a_symptom_that_stays_after_starvation_is_a_fault_of_its_own() -> None:
+    """Nothing stays STALE for ever."""
+    made = bench()
+    made.see("pressure/app", THROTTLED)
+    made.see("rates/x", SLOW)
+    made.later(1.0)
+    over(made, "pressure/app")
+    made.later(OVER_S + 0.1)
+    made.see("rates/x", SLOW)
+    answered(made, "container/app", "nodes/n", *BOTH)
+    assert made.opened == ["pressure/app", "rates/x"]
+
+
+def test_after_starvation_old_evidence_proves_nothing() -> None:
+    """A health probe that failed while starved counts only when a later one has failed, too."""
+    made = Bench([unit("pressure/app"), unit("health/app", starved_by=("pressure/app",))])
+    made.all_well()
+    unhealthy = error("unhealthy", brief="unhealthy", condition="unhealthy")
+    made.see("pressure/app", THROTTLED)
+    made.see("health/app", unhealthy)
+    made.later(1.0)
+    over(made, "pressure/app")
+    made.later(20.0)
+    made.see("health/app", Result(Level.ERROR, "unhealthy", "unhealthy", "unhealthy", age_s=25.0))
+    over(made, "pressure/app")
+    assert made.opened == ["pressure/app"]
+    assert made.level("health/app") is Level.STALE
+    made.see("health/app", Result(Level.ERROR, "unhealthy", "unhealthy", "unhealthy", age_s=1.0))
+    over(made, "pressure/app")
+    assert made.opened == ["pressure/app", "health/app"]
+
+
+def test_what_is_not_explained_needs_no_grace_after_starvation() -> None:
+    """A process that ends a moment after starvation is reported as soon as ever."""
+    made = bench()
+    made.see("pressure/app", THROTTLED)
+    made.see("nodes/n", HUNG)
+    made.later(1.0)
+    over(made, "pressure/app")
+    made.later(0.1)
+    made.see("nodes/n", GONE)
+    answered(made, "container/app", *BOTH)
+    assert made.opened == ["pressure/app", "nodes/n"]
+
+
+def test_the_machine_is_the_cause_of_a_container_that_waits_for_its_cores() -> None:
+    """One alarm at the host; the container's own limit is another matter."""
+    made = bench()
+    made.see("pressure/app", WAITS)
+    made.see("rates/x", SLOW)
+    made.later(1.0)
+    made.see("host/cpu", OVERLOADED)
+    made.later(3.0)
+    made.see("pressure/app", WAITS)
+    assert made.opened == ["host/cpu"]
+    assert made.blocked_by("pressure/app") == made.blocked_by("rates/x") == "host/cpu"
+    made.see("pressure/app", THROTTLED)
+    answered(made, "container/app", "host/cpu", result=OVERLOADED)
+    made.see("container/app", OK)
+    made.see("pressure/app", THROTTLED)
+    assert made.blocked_by("pressure/app") == ""
+
+
+def test_a_container_that_waits_while_the_machine_is_not_overloaded_is_the_cause() -> None:
+    """Its own cores may be taken (cpuset), or the machine's figures say nothing."""
+    made = bench()
+    made.see("pressure/app", WAITS)
+    made.see("rates/x", SLOW)
+    made.later(RISING_S + 0.1)
+    answered(made, "container/app", "host/cpu")
+    made.see("pressure/app", WAITS)
+    answered(made, "container/app", "host/cpu")
+    assert made.opened == ["pressure/app"]
+    assert made.blocked_by("rates/x") == "pressure/app"
+
+
+def test_the_last_word_of_a_pressure_unit_holds_for_a_while() -> None:
+    """An overloaded engine gives no figures for a moment: that ends no starvation. For ever it does not hold."""
+    made = bench()
+    made.see("pressure/app", THROTTLED)
+    made.see("rates/x", SLOW)
+    made.later(1.0)
+    made.see("pressure/app", stale("the engine does not answer"))
+    made.later(LAST_WORD_S - 1.5)
+    assert made.blocked_by("rates/x") == "pressure/app"
+    made.later(1.5)
+    made.see("rates/x", SLOW)
+    assert made.blocked_by("rates/x") == ""
+
+
+def test_memory_that_is_used_up_but_not_waited_for_explains_nothing() -> None:
+    """A level is no starvation: nothing is late by it."""
+    made = Bench([unit("host/memory"), unit("rates/x", starved_by=("host/memory",))])
+    made.all_well()
+    made.see("host/memory", error("memory at 97 %", brief="memory 97 %", condition="memory_high"))
+    made.see("rates/x", SLOW)
+    made.see("host/memory", error("memory at 97 %", brief="memory 97 %", condition="memory_high"))
+    assert made.opened == ["host/memory", "rates/x"]
+
+
+def test_a_limit_of_processes_explains_a_probe_that_cannot_start_and_no_slow_topic() -> None:
+    """Each symptom has the conditions of its causes."""
+    limit = error("app has reached its limit of 20 processes", brief="app pids", condition="pids_limit")
+    by = ("pressure/app",)
+    made = Bench([unit("pressure/app"), unit("health/app", starved_by=by), unit("rates/x", starved_by=by)])
+    made.all_well()
+    made.see("pressure/app", limit)
+    made.see("health/app", error("unhealthy", brief="unhealthy", condition="unhealthy"))
+    made.see("rates/x", SLOW)
+    made.see("pressure/app", limit)
+    assert made.blocked_by("health/app") == "pressure/app"
+    assert made.opened == ["pressure/app", "rates/x"]
+
+
+def test_a_fault_that_was_given_up_stays_visible_while_starved() -> None:
+    """It is older, and in ERROR until it is OK."""
+    made = bench()
+    made.later(0.1)
+    made.see("rates/x", SLOW)
+    answered(made, "container/app", "nodes/n", *BOTH)
+    made.take(made.tracker.escalate(made.tracker.open_faults()[0].id, made.stamp()))
+    made.see("pressure/app", THROTTLED)
+    made.see("rates/x", SLOW)
+    assert made.level("rates/x") is Level.ERROR
+    assert [fault.unit for fault in made.tracker.given_up()] == ["rates/x"]
+
+
+def test_starvation_changes_nothing_about_what_is_well() -> None:
+    """It blocks symptoms, not units."""
+    made = bench()
+    made.see("pressure/app", THROTTLED)
+    made.see("nodes/n", OK)
+    made.see("rates/x", ok("10 Hz"))
+    assert made.level("nodes/n") is made.level("rates/x") is Level.OK
+    assert [e.unit for e in made.events if isinstance(e, Transition)] == ["pressure/app"]
+
+
+def test_the_documented_table_is_that_of_the_code() -> None:
+    """Each condition with the evidence that starvation can produce it."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "architecture.md").read_text()
+    table = page.partition("<!-- explained: begin")[2].partition("<!-- explained: end")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[3:]]
+    documented = {condition: row[1] for row in rows for condition in re.findall(r"`(\w+)`", row[0])}
+    assert documented == {condition: entry.evidence for condition, entry in EXPLAINED.items()}

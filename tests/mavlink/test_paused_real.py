@@ -1,0 +1,137 @@
+"""A real PHM that is stopped, with real senders on a real socket: what it missed is no loss, and a loss is still found."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.model import Level, Slot
+from phm.transport.dialect import mavlink
+from phm.wire import status_word
+from tests.fakes.mavlink import Sender, free_port, heartbeat
+
+ROOT = Path(__file__).parents[2]
+LIMIT_S = 90.0
+TIMEOUT_S, STOPPED_S = 4.0, 9.0
+"""Stopped for more than twice the timeouts: the bound for a PHM that is starved for good must not apply."""
+UNITS = ("autopilot", "gcs", "peers/A02")
+
+
+def until(wanted: Callable[[], object], what: str) -> None:
+    end = time.monotonic() + LIMIT_S
+    while not wanted():
+        assert time.monotonic() < end, what
+        time.sleep(0.05)
+
+
+class Air:
+    """Autopilot, ground station and another agent's PHM, each with a heartbeat twice a second, by one UDP socket."""
+
+    def __init__(self, port: int) -> None:
+        self._sock, self._port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), port
+        self.speaks, self._ends = threading.Event(), threading.Event()
+        self.speaks.set()
+        word = status_word.encode({Slot.COMPANION: Level.OK})
+        self._senders: list[tuple[Sender, Any]] = [
+            (Sender(1, 1), heartbeat(5, kind=mavlink.MAV_TYPE_QUADROTOR, autopilot=3)),
+            (Sender(255, 190), heartbeat(kind=mavlink.MAV_TYPE_GCS)),
+            (Sender(2, 193), heartbeat(word)),
+        ]
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def _loop(self) -> None:
+        while not self._ends.wait(0.5):
+            if self.speaks.is_set():
+                for sender, message in self._senders:
+                    self._sock.sendto(sender.frame(message), ("127.0.0.1", self._port))
+
+    def close(self) -> None:
+        self._ends.set()
+        self._thread.join(5.0)
+        self._sock.close()
+
+
+class Agent:
+    """`phm run` as a process, without the guard, which would let it go on."""
+
+    def __init__(self, folder: Path, port: int) -> None:
+        self.folder = folder
+        endpoint = {"url": f"udpin:127.0.0.1:{port}", "name": "air", "leads_to": "both"}
+        limits = {"autopilot_timeout": TIMEOUT_S, "gcs_timeout": TIMEOUT_S, "heartbeat": 1.5}
+        document = {
+            "agent": {"id": 1}, "interval": 2, "swarm": {"agents": [1, 2]}, "checks": {"host": {"enabled": False}},
+            "mavlink": {"endpoints": [endpoint], **limits}, "log": {"directory": str(folder / "log")},
+            "state_dir": str(folder / "state"), "run_dir": str(folder / "run"),
+        }  # fmt: skip
+        (folder / "phm.yaml").write_text(json.dumps(document))
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "phm.cli", "run", "-c", str(folder / "phm.yaml")],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_GUARD": "off"},
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def levels(self) -> dict[str, str]:
+        try:
+            document = json.loads((self.folder / "run" / "status.json").read_text())
+        except (OSError, ValueError):
+            return {}
+        return {entry["id"]: entry["level"] for entry in document["checks"]}
+
+    def well(self) -> bool:
+        levels = self.levels()
+        return all(levels.get(unit) == "OK" for unit in UNITS)
+
+    def lost(self) -> set[str]:
+        """Units of senders with a fault, open or not, since PHM began."""
+        lines = (self.folder / "log" / "phm.jsonl").read_text().splitlines()
+        events = [json.loads(line) for line in lines if line.endswith("}")]
+        return {event["unit"] for event in events if event["event"] == "fault_opened"} & {*UNITS, "peers/swarm"}
+
+    def passes(self) -> int:
+        return (self.folder / "log" / "phm.jsonl").read_text().count('"event":"report"')
+
+
+@pytest.fixture
+def air() -> Iterator[tuple[Air, int]]:
+    port = free_port(socket.SOCK_DGRAM)
+    made = Air(port)
+    yield made, port
+    made.close()
+
+
+@pytest.fixture
+def agent(tmp_path: Path, air: tuple[Air, int]) -> Iterator[Agent]:
+    made = Agent(tmp_path, air[1])
+    yield made
+    made.process.send_signal(signal.SIGCONT)
+    made.process.kill()
+    made.process.wait()
+
+
+@pytest.mark.parametrize("frozen", ["PHM", "the machine"])
+def test_a_stopped_phm_loses_nobody_and_finds_who_is_lost(agent: Agent, air: tuple[Air, int], frozen: str) -> None:
+    """Whether senders went on or were frozen with it; who stays silent after is reported."""
+    until(agent.well, "all senders received")
+    agent.process.send_signal(signal.SIGSTOP)
+    if frozen == "the machine":
+        air[0].speaks.clear()
+    time.sleep(STOPPED_S)
+    air[0].speaks.set()
+    agent.process.send_signal(signal.SIGCONT)
+    passes = agent.passes()
+    until(lambda: agent.passes() >= passes + 4, "four passes after it")
+    assert agent.lost() == set()
+    air[0].speaks.clear()
+    until(lambda: "autopilot" in agent.lost(), "the loss of the autopilot")
