@@ -21,12 +21,12 @@ from sitl.bench import machine
 from sitl.derived import derived, write
 from sitl.faults import all_faults
 from sitl.faults._overload import LASTS_S
-from sitl.faults.base import Fault
+from sitl.faults.base import Agent, Fault
 from sitl.proofplan import STARVING
 from sitl.record import Event, Record
 from sitl.screen import screen
 from sitl.stack import ROOT, Stack
-from sitl.starvation_rows import BEGIN, END, Row, as_json, cells, from_json, markdown, unwell
+from sitl.starvation_rows import BEGIN, END, Row, as_json, cells, from_json, markdown, open_units, unwell
 
 UP_LIMIT_S = 150.0
 STARVED_S = 45.0
@@ -38,6 +38,20 @@ AFTER_S = 10.0
 """How long everything is watched after it is OK again."""
 REPORTS_S = 3.0
 NODES = 3
+ROWS = ("nothing", *STARVING)
+
+
+class Nothing(Fault):
+    """What the machine does to an agent by itself while this runs: the row to compare the others with."""
+
+    name, title, unit = "nothing", "nothing", ""
+    condition = ""
+    layer = "companion"
+    cause = "whatever else this machine is doing"
+    healable = False
+
+    def inject(self, agent: Agent) -> float:
+        return time.monotonic()
 
 
 class Starts:
@@ -102,7 +116,7 @@ class Trial:
             if not fault.healable:
                 fault.clear(self.stack.agent)
         self.record.update()
-        row.read(self.record.events[mark:], moment)
+        row.read(self.record.events[mark:], moment, open_units(self.record.events[:mark]))
         row.left = [*unwell(self.record.events), *self._down()]
         row.judge()
         return row
@@ -131,7 +145,7 @@ def _covers(events: list[Event]) -> bool:
 
 def run(names: list[str], project: str, console: Console) -> list[Row]:
     """A row for each fault, each with an agent of its own."""
-    rows, faults = [], all_faults()
+    rows, faults = [], {Nothing.name: Nothing(), **all_faults()}
     config = write(derived({}))
     for name in names:
         console.print(f"[bold]{faults[name].title}[/]")
@@ -165,15 +179,14 @@ def write_page(files: list[Path], page: Path) -> None:
     page.write_text(f"{head}{begin}\nMeasured: {where}.\n\n{markdown(short)}\n{end}{tail}", "utf-8")
 
 
-def _end(number: int, _frame: Any) -> None:
+def end_on_signal(number: int, _frame: Any) -> None:
+    """A handler that ends the program in a way that cleans up."""
     raise SystemExit(128 + number)
 
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m sitl.starvation", description=__doc__)
-    parser.add_argument(
-        "--only", nargs="+", default=STARVING, choices=STARVING, metavar="FAULT", help="these faults alone"
-    )
+    parser.add_argument("--only", nargs="+", default=ROWS, choices=ROWS, metavar="FAULT", help="these faults alone")
     parser.add_argument("--project", default="phm-starved", help="Compose project (phm-starved)")
     parser.add_argument("--what", default="this code", metavar="WORDS", help="what is measured, for the table")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
@@ -184,7 +197,7 @@ def main(arguments: list[str] | None = None) -> int:
     if chosen.markdown:
         write_page(chosen.markdown, ROOT / "docs" / "recovery.md")
         return 0
-    signal.signal(signal.SIGTERM, _end)
+    signal.signal(signal.SIGTERM, end_on_signal)
     console, began = screen(json=chosen.json), time.monotonic()
     rows = run(list(chosen.only), chosen.project, console)
     if chosen.json:

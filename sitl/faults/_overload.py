@@ -20,11 +20,17 @@ _SPIN = "i=1; while [ $i -lt {loops} ]; do (while :; do :; done) & i=$((i+1)); d
 
 
 def overload(
-    agent: Agent, *, lasts_s: float = LASTS_S, loops_per_core: float = LOOPS_PER_CORE, hogs: int = HOGS
+    agent: Agent,
+    *,
+    lasts_s: float = LASTS_S,
+    loops_per_core: float = LOOPS_PER_CORE,
+    hogs: int = HOGS,
+    weight: int = WEIGHT,
 ) -> None:
-    """Start it; it ends by itself after `lasts_s`, and its containers are removed then. Interrupted, it leaves nothing behind.
+    """Start `hogs` containers of this weight (CPU shares), with so many loops together.
 
-    The containers are of the agent's project as orphans, so that `down` takes them, too.
+    It ends by itself after `lasts_s`, and its containers are removed then. Interrupted, it leaves nothing behind. The containers are
+    of the agent's project as orphans, so that `down` takes them, too, and below the same cgroup as the application.
     """
     end_overload(agent)
     app = agent.app
@@ -40,7 +46,8 @@ def overload(
                 auto_remove=True,
                 network_mode="none",
                 healthcheck={"test": ["NONE"]},
-                cpu_shares=WEIGHT,
+                cpu_shares=weight,
+                cgroup_parent=app.attrs["HostConfig"]["CgroupParent"] or None,
                 labels={**app.labels, "com.docker.compose.service": "overload"},
             )
 

@@ -69,6 +69,15 @@ def test_a_real_fault_under_load_needs_its_one_action_and_the_proof_of_it() -> N
     assert twice.problems == ["2 actions, of which 1 can help"]
 
 
+def test_an_alarm_that_is_open_before_counts() -> None:
+    """On a machine that was busy before, its alarm is not raised again for the overload; what is not expected is not taken over."""
+    made = Row("host_overload", "a title", ["host/cpu"])
+    made.read([], 100.0, ["host/cpu", "rates/a"])
+    made.judge()
+    assert made.good
+    assert made.alarms == ["host/cpu (open before)"]
+
+
 def test_what_is_left_at_the_end() -> None:
     """The last level of each unit and faults that were not closed, but for the machine; a start of PHM forgets."""
     events = [
@@ -114,4 +123,4 @@ def test_the_page_has_room_for_the_table() -> None:
 def test_each_fault_is_starved_for_longer_than_an_overload_lasts() -> None:
     """An overload ends by itself before it is judged, and every fault of the plan is played by default."""
     assert starvation.OVERLOADED_S > starvation.LASTS_S
-    assert len(STARVING) == 8
+    assert set(STARVING) < set(starvation.ROWS)
