@@ -93,7 +93,7 @@ class Agent:
     def processes(self, container: Container, word: str) -> list[int]:
         """Process ids on this machine of the processes of a container that have the word in their command line."""
         found = container.top(ps_args="-eo pid,args")
-        return [int(row[0]) for row in found["Processes"] if word in row[1]]
+        return [int(row[0]) for row in found["Processes"] or () if word in row[1]]
 
     @property
     def device(self) -> Path:

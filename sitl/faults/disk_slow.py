@@ -11,12 +11,13 @@ from sitl.faults.base import Agent, Fault, undoing
 
 BYTES_S = 256 * 1024
 FILE = "/tmp/phm_slow_disk"
+WRITERS = (1, 2, 3, 4)
 WRITE = f"while :; do dd if=/dev/zero of={FILE} bs=64k count=8 conv=fsync; done"
 
 
 class Injection(Fault):
     """Reads and writes of the application's cgroup are limited to 256 KiB a second (`io.max`, or `blkio.throttle.*` on
-    cgroup v1), and two processes in it write and wait for the disk. A start of the container gives it a cgroup without
+    cgroup v1), and four processes in it write and wait for the disk. A start of the container gives it a cgroup without
     the limit; on v1 what the kernel writes back later in its name is not limited, so the writers sync: half a MiB at a time, since a process that waits for
     its disk cannot be killed, nor its container be stopped."""
 
@@ -32,7 +33,7 @@ class Injection(Fault):
         moment = time.monotonic()
         with undoing(lambda: self.clear(agent)):
             throttle(cgroup(agent.app, "blkio"), device, BYTES_S)
-            for number in (1, 2):
+            for number in WRITERS:
                 start(agent, FILE, "sh", "-c", WRITE.replace(FILE, f"{FILE}_{number}"))
         return moment
 
@@ -41,7 +42,7 @@ class Injection(Fault):
             throttle(cgroup(agent.app, "blkio"), self._device(agent), 0)
         end(agent, FILE)
         if agent.app.status == "running":
-            agent.run_in_app("rm", "-f", f"{FILE}_1", f"{FILE}_2")
+            agent.run_in_app("rm", "-f", *(f"{FILE}_{number}" for number in WRITERS))
 
     @staticmethod
     def _device(agent: Agent) -> str:

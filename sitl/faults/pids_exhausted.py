@@ -12,14 +12,17 @@ ROOM = 16
 MARK = "phm_holds_pids"
 HOLD = f"""
 import os, signal, time
-mark, until = "{MARK}", time.monotonic() + {LASTS_S}
+held, until = 0, time.monotonic() + {LASTS_S}
+mark = "{MARK}"
 while time.monotonic() < until:
     try:
-        if os.fork() == 0:
+        if held < {ROOM} and os.fork() == 0:
             signal.alarm({LASTS_S})
             signal.pause()
+        held += held < {ROOM}
     except BlockingIOError:
-        time.sleep(0.02)
+        pass
+    time.sleep(0.005)
 """
 FULL_LIMIT_S = 30.0
 
@@ -56,7 +59,7 @@ class Injection(Fault):
         return time.monotonic()
 
     def clear(self, agent: Agent) -> None:
+        end(agent, MARK)
         if self._restore:
             update(agent.app, *self._restore)
             self._restore = []
-        end(agent, MARK)
