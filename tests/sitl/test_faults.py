@@ -73,6 +73,7 @@ LINKS = "played with real sockets by tests/mavlink/test_reopen.py: no container 
 ENDS = "played by the campaign, docs/sitl_faults.md has the figures"
 UNPROVEN = {
     "disk_full": ENDS, "publisher_lost": ENDS, "subscriber_lost": ENDS, "qos_mismatch": ENDS, "node_twice": ENDS, "transport_blocked": ENDS,
+    "cpu_starved": "needs recovery.relieve; played with the real engine's calls by tests/recovery/test_relief.py",
     "link_silent": LINKS, "radio_silent": LINKS, "autopilot_silent": LINKS,
 }  # fmt: skip
 
