@@ -63,8 +63,8 @@ def judge(entry: Entry, scene: Scene, now: float) -> Verdict | None:
 def well(look: Look) -> Verdict | None:
     """1. OK is told at once, and closes the unit's fault.
 
-    Except while its own fault is under repair: it counts when the repair is proven, dependents included, or when
-    `Entry.unproven_until` is over.
+    Except while its own fault is under repair: it counts when the repair is proven, dependents included. Where it was not,
+    when these are back all the same, or `Entry.unproven_until` is over.
     """
     if look.result.level is not Level.OK:
         return None
@@ -217,7 +217,16 @@ def _unproven(entry: Entry, look: Look) -> bool:
         return False
     hold = look.scene.holds.get(entry.target)
     proving = hold is not None and hold.proving and hold.owner == entry.id
-    return proving or look.now < entry.unproven_until
+    return proving or (look.now < entry.unproven_until and not _all_back(entry, look.scene))
+
+
+def _all_back(entry: Entry, scene: Scene) -> bool:
+    """Whether all of its target that needs the unit has been found OK since its repair was not proven: late, but back."""
+    below = (other for other in scene.downstream(entry.id) if other.target == entry.target and not _known(other))
+    return all(
+        other.raw is not None and other.raw.level is Level.OK and other.started >= entry.unproven_from
+        for other in below
+    )
 
 
 def _unasked(look: Look, lasted: float) -> frozenset[str]:

@@ -196,7 +196,7 @@ class Tracker:
         if hold.proving:
             # What the owner said meanwhile counts now, or not yet.
             owner = self._units[hold.owner]
-            owner.unproven_until = NEVER if worked else now.mono + UNPROVEN_S
+            owner.unproven_from, owner.unproven_until = now.mono, NEVER if worked else now.mono + UNPROVEN_S
             if worked:
                 self._judge(owner, now, step)
         if not worked:

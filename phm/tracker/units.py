@@ -99,6 +99,7 @@ class Entry:
     """When the container of its target was last seen to be started; nothing is known before."""
     was_well_s: float = 0.0
     """Told as OK for so long in this life of it, but for the present spell."""
+    unproven_from: float = NEVER
     unproven_until: float = NEVER
     """Its repair did not bring back what needs it; until then it is not believed to be well."""
     fault: Fault | None = None

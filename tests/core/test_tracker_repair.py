@@ -145,6 +145,35 @@ def test_a_repair_that_did_not_bring_all_back_leaves_the_fault_to_the_next_actio
     assert bench.opened == ["network"]
 
 
+def test_an_unproven_repair_is_believed_once_all_that_needs_it_has_come_back() -> None:
+    """Late, as on a busy machine: nothing is left to wait for, so the fault does not stay."""
+    bench = repairing()
+    bench.see("network", OK)
+    bench.see("nodes", BAD)
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.later(1.0)
+    bench.see("network", OK)
+    assert bench.closed == []
+    bench.later(1.0)
+    bench.see("nodes", OK)
+    bench.later(0.1)
+    assert bench.closed == [("network", Outcome.RESOLVED, "itself")]
+
+
+def test_a_late_repair_of_what_nothing_needs_is_believed_as_soon_as_it_is_ok() -> None:
+    """A topic that flows again after its repair was found to have failed is no fault any longer."""
+    bench = Bench([unit("topics", target="app")])
+    bench.later(10)
+    bench.all_well()
+    bench.see("topics", BAD)
+    bench.take(bench.tracker.hold("app", "topics", "restart", bench.stamp(), 60.0, proving=True))
+    bench.later(12.0)
+    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.later(1.0)
+    bench.see("topics", OK)
+    assert bench.closed == [("topics", Outcome.RESOLVED, "itself")]
+
+
 def test_an_unproven_repair_is_believed_in_the_end() -> None:
     """When nothing more is done, a unit that is well does not stay ERROR for ever."""
     bench = repairing()

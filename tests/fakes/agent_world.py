@@ -13,8 +13,8 @@ runs when, how long a run takes, which wake-ups are lost) is random.
 - After a repair nodes are back within 5 s, topics 1 s and rates 3 s later: each within its grace of 8 s. A killed node
   may stay listed for another second after its container has started again (a ghost).
 - Pressure shows starvation no later than the first of its symptoms, in any run of its check that looks from then on; the
-  machine's does so up to 1.5 s after that of a container which waits for its cores. Symptoms are gone 4.5 s after its end, but for
-  the health check: that probes in its own time, and says when it did.
+  machine's does so up to 1.5 s after that of a container which waits for its cores. Symptoms are gone 4.5 s after its end.
+  The health check probes in its own time, and says when it did.
 - A run takes 0.2 s at most, a wake-up that is not lost is served within 0.9 s.
 """
 
@@ -174,8 +174,7 @@ class World:
                 yield Bad("pressure/ros_app", at - rnd.uniform(0.0, 1.5), "cpu_starved", rnd.uniform(0.0, 3.0))
         for unit, condition in may:
             if rnd.random() < 0.6:
-                back_s = rnd.uniform(0.2, 7.5 if unit.startswith("health/") else 4.5)
-                yield Bad(unit, at + rnd.choice((0.0, rnd.uniform(0.0, 6.0))), condition, back_s)
+                yield Bad(unit, at + rnd.choice((0.0, rnd.uniform(0.0, 6.0))), condition, rnd.uniform(0.2, 4.5))
 
     def repair(self, kind: str, at: float) -> None:
         """The primary fault is no more; its consequences go one after the other."""
