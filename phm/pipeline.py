@@ -170,6 +170,11 @@ class Pipeline:
         with self._lock:
             return self._tracker.starved(unit, self._clock.stamp())
 
+    def starving(self, unit: str) -> str:
+        """The pressure unit by which this one is starved now: see `Tracker.starving`."""
+        with self._lock:
+            return self._tracker.starving(unit)
+
     def newest(self, unit: str, mono: float) -> Result | None:
         """The unit's newest result, published or not, if its run began after `mono`."""
         with self._lock:

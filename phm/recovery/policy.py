@@ -2,7 +2,8 @@
 
 Rules, first match wins: no ladder for the condition -> nothing; never well in this life of its container, where
 only that gives hope -> nothing; mode off -> nothing; not opted in ->
-nothing; on hold -> wait until its end; not decided yet whether it is being stopped by hand -> wait for that;
+nothing; on hold -> wait until its end; a symptom of
+starvation -> wait until that is over; not decided yet whether it is being stopped by hand -> wait for that;
 the same failure `same_failure` times, or an action on the whole container that did not help it so often for any of its faults ->
 give up and say so; forbidden while armed
 -> advise; stopped by hand where that is only advised about -> advise; mode
@@ -21,7 +22,7 @@ from phm.recovery.history import Attempt, History
 from phm.recovery.holds import BEING_STOPPED
 from phm.settings import ContainerSettings, RecoverySettings
 
-HOLD = "hold"
+HOLD, STARVED = "hold", "starved"
 LADDERS: Mapping[str, tuple[str, ...]] = {
     "exited": ("start", "restart"),
     "oom": ("start", "restart"),
@@ -113,7 +114,7 @@ class Leave:
 
 
 Decision = Act | Advise | Wait | GiveUp | Leave
-ARMED_AGAIN_S = 2.0
+ARMED_AGAIN_S = STARVED_AGAIN_S = 2.0
 
 
 def decide(
@@ -132,6 +133,7 @@ def decide(
     undecided: float | None = None,
     stopped_by_hand: bool = False,
     shared_actions: frozenset[str] = frozenset(),
+    starved: str = "",
     given_up: bool = False,
 ) -> Decision:
     """What to do about `fault` at `now` (monotonic seconds).
@@ -145,6 +147,7 @@ def decide(
     stopped_by_hand: an operator stopped the container, and then PHM only advises (`recovery.on_manual_stop`).
     start_s: how long the parts of a container may take to come up (`ros.grace`).
     shared_actions: actions on the container as a whole: one that did not help one of its faults is not repeated for another.
+    starved: the pressure unit that explains what is wrong; empty: none does.
     given_up: recovery has given up on the fault, and its container is down: only the first step is tried, once per `backoff_max`.
     """
     condition = fault.result.condition
@@ -159,6 +162,8 @@ def decide(
         refused = _refused(container, settings, hold, undecided)
         if refused is not None:
             return refused
+        if starved:
+            return Wait(now + STARVED_AGAIN_S, f"{starved} explains it, and a restart would cost more of it", tell=True, subject=STARVED)
     most = 1 if _once(condition, settings) else settings.same_failure
     if not given_up and len(same) >= most:
         goes_on = f", one start every {settings.backoff_max:g} s goes on" if condition in DOWN else ""

@@ -28,6 +28,8 @@ class Seen(Protocol):
 
     def newest(self, unit: str, mono: float) -> Result | None: ...
 
+    def starving(self, unit: str) -> str: ...
+
 
 @dataclass(frozen=True, slots=True)
 class Proof:
@@ -35,8 +37,8 @@ class Proof:
 
     missing:   the first unit that has not come back.
     overtaken: who has started the container again meanwhile, in words; what was found then says little about the action.
-    excused:   PHM itself has started it, for another container, or what is missing now is outside of every container: the action
-               is not to blame.
+    excused:   PHM itself has started it, for another container, or what is missing now is outside of every container, or the
+               unit was starved meanwhile: the action is not to blame.
     partly:    the unit itself is OK; what is missing is something that needs it.
     undecided: only time can show whether the unit is OK (`Result.decides_s`): the action has neither helped nor failed.
     """
@@ -66,19 +68,24 @@ class Proving:
     follow_s: float | None = None
     waiting: tuple[str, ...] = ()
     """Units that have not come back."""
+    starved: bool = False
+    """It was short of the processor, memory or the disk at some time since."""
 
     def verdict(self, seen: Seen, now: float) -> Proof | None:
         """None: to be seen."""
         self.waiting = (self.unit,)
+        self.starved = self.starved or bool(seen.starving(self.unit))
+        # What starts without the processor or the disk that it needs gets as much more as recovery waits for anything.
+        more_s = self.verify_s if self.starved else 0.0
         if not seen.well_since(self.unit, self.done):
             late = self.done + (self.grace_s(self.unit) + STILL_BAD_S if self.shows_s is None else self.shows_s)
-            newest = seen.newest(self.unit, late)
+            newest = seen.newest(self.unit, late + more_s)
             if newest is not None and newest.level is Level.ERROR:
-                return Proof(missing=self.unit, excused=newest.condition in OUTSIDE)
+                return Proof(missing=self.unit, excused=newest.condition in OUTSIDE or self.starved)
             decides_s = self.decides_s(seen)
-            if now - self.done <= self.verify_s + decides_s:
+            if now - self.done <= self.verify_s + decides_s + more_s:
                 return None
-            return Proof(missing=self.unit, undecided=decides_s > 0)
+            return Proof(missing=self.unit, undecided=decides_s > 0, excused=self.starved)
         suffering = seen.suffering(self.unit, self.done + self.proof_s)
         if not suffering and seen.well_since(self.unit, self.done + self.proof_s):
             return Proof()
@@ -86,8 +93,9 @@ class Proving:
         longest_s = self.follow_s
         if longest_s is None:
             longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.proof_s
-        over = now - self.done > longest_s
-        return Proof(missing=self.waiting[0], partly=self.waiting[0] != self.unit) if over else None
+        if now - self.done <= longest_s + more_s:
+            return None
+        return Proof(missing=self.waiting[0], partly=self.waiting[0] != self.unit, excused=self.starved)
 
     def decides_s(self, seen: Seen) -> float:
         """How long the unit's check needs from the start of the container, as it now says; 0: it does not wait for time."""

@@ -288,6 +288,7 @@ class TargetWorker:
             approved=approved,
             given_up=given_up,
             shared_actions=shop.shared_actions,
+            starved=shop.pipeline.starved(fault.unit),
             hold=(hold.until, hold.words(now)) if hold is not None else None,
             undecided=shop.holds.undecided(self._target, now.mono, ended=fault.result.condition == ENDED),
             stopped_by_hand=shop.holds.stopped_by_hand(self._target),

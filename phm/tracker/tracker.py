@@ -102,6 +102,11 @@ class Tracker:
             return starver.id
         return entry.starver if starvation.recovering(entry, now.mono) else ""
 
+    def starving(self, unit: str) -> str:
+        """The pressure unit by which the unit is starved now, whatever it explains; empty: none."""
+        found = (self._units[name] for name in self._units[unit].spec.starved_by)
+        return next((other.id for other in found if other.starving is not None), "")
+
     def open_faults(self) -> tuple[Fault, ...]:
         return tuple(entry.fault for entry in self._units.values() if entry.fault is not None)
 

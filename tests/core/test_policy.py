@@ -339,3 +339,10 @@ def test_an_approved_action_is_done_in_advise_mode_and_while_armed() -> None:
     assert say(settings=RecoverySettings(mode="advise"), approved=True) == Act("restart", 1)
     assert isinstance(say(settings=RecoverySettings(mode="off"), approved=True), Leave)
     assert isinstance(say(container=ContainerSettings(name="app"), approved=True), Leave)
+
+
+def test_nothing_is_restarted_for_a_symptom_of_starvation() -> None:
+    """A fault that was open before is left alone meanwhile, and that is published; a container that is down is not a symptom."""
+    decision = say(starved="pressure/app")
+    assert isinstance(decision, Wait) and decision.tell and "pressure/app explains it" in decision.why
+    assert say(starved="") == Act("restart", 1)

@@ -26,6 +26,9 @@ class Silent:
         found = error("silent", brief="silent", condition="address_silent")
         return found if self.started >= mono else None
 
+    def starving(self, unit: str) -> str:
+        return ""
+
 
 class Alone(Silent):
     """The unit is well, and what needs it stays away."""
@@ -60,3 +63,39 @@ def test_what_needs_the_unit_is_waited_for_as_long_as_the_action_says(follow_s: 
     proving = Proving("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, follow_s=follow_s)
     assert proving.verdict(Alone(0.0), longest_s) is None
     assert proving.verdict(Alone(0.0), longest_s + 0.1) == Proof(missing="nodes/one", partly=True)
+
+
+class Starved(Silent):
+    """As Silent and Alone, of a container that is starved until `until`."""
+
+    def __init__(self, started: float, *, well: bool, until: float = 100.0) -> None:
+        super().__init__(started)
+        self.well, self.until, self.now = well, until, 0.0
+
+    def well_since(self, unit: str, mono: float) -> bool:
+        return self.well
+
+    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+        return ("nodes/one",)
+
+    def starving(self, unit: str) -> str:
+        return "pressure/app" if self.now < self.until else ""
+
+    def say(self, proving: Proving, now: float) -> Proof | None:
+        self.now = now
+        return proving.verdict(self, now)
+
+
+@pytest.mark.parametrize("until", [1.0, 100.0])
+@pytest.mark.parametrize("well", [True, False])
+def test_what_starts_while_it_is_starved_gets_more_time_and_is_not_to_blame(well: bool, until: float) -> None:
+    """As long again as `recovery.verify`, also when the starvation has ended meanwhile; then the attempt has failed, excused."""
+    starved = Starved(1000.0 if well else 36.0, well=well, until=until)
+    proving = Proving("container/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S)
+    ends = GRACE_S + 4.0 + 30.0 if well else GRACE_S + 2.0 + 30.0
+    for now in (0.5, 10.0, 34.0):
+        starved.started = now
+        assert starved.say(proving, now) is None
+    starved.started = ends
+    late = starved.say(proving, ends + 0.1)
+    assert late is not None and late.excused and late.partly is well
