@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from phm.facts import ContainerFact, PressureFact
+from phm.probes.cgroups import NEAR_LIMIT
 
 SOURCE = "engine statistics"
 NOT_SEEN = ("waiting for CPU, memory and disk", "refused processes")
@@ -27,13 +28,15 @@ def pressure_fact(answer: Mapping[str, Any], container: ContainerFact, at: float
         throttled_periods=_number(throttling.get("throttled_periods")),
         throttled_s=None if throttled_ns is None else throttled_ns / 1e9,
         memory_bytes=used, memory_limit=limit if limit is not None and 0 < limit < _NO_LIMIT else None,
-        reread_pages=_reread(details),
+        reread_pages=_reread(details, used, limit),
         pids=_number(pids.get("current")), pids_limit=_pids_limit(pids),
     )  # fmt: skip
 
 
-def _reread(details: Mapping[str, Any]) -> int | None:
-    """As `phm.probes.cgroups` does; the statistics of version 1 have no refaults."""
+def _reread(details: Mapping[str, Any], used: int | None, limit: int | None) -> int | None:
+    """As `phm.probes.cgroups` does. The statistics of version 1 have no refaults: far from the limit, faults are first loads."""
+    if used is None or limit is None or used < NEAR_LIMIT * limit:
+        return None
     faults, refaults = _number(details.get("pgmajfault")), _number(details.get("workingset_refault"))
     return faults if faults is None or not refaults else min(faults, refaults)
 

@@ -75,8 +75,10 @@ EXPLAINED: Mapping[str, Explained] = {
     "peer_partly": _UNREAD,
     "alone": _UNREAD,
     "cpu_starved": Explained("all containers wait when the machine has no core to spare", OF_HOST, settle_s=RISING_S),
-    "memory_pressure": Explained("the machine reclaims memory from all containers", OF_HOST, settle_s=RISING_S),
-    "io_pressure": Explained("all containers wait for the same disk", OF_HOST, settle_s=RISING_S),
+    "memory_pressure": Explained(
+        "the machine reclaims memory from all containers", frozenset({"memory_pressure"}), settle_s=RISING_S
+    ),
+    "io_pressure": Explained("all containers wait for the same disk", frozenset({"io_pressure"}), settle_s=RISING_S),
 }
 """What starvation explains, by condition; nothing else. docs/recovery.md has it as a table, and a test compares them."""
 

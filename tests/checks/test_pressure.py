@@ -141,7 +141,7 @@ def test_programs_outside_of_containers_are_named_as_such() -> None:
     bench = Bench(replace(FACT, cpu_limit=None))
     bench.pressure.taken = (api.ConsumerFact("", 1.83),)
     result = bench.looks(4, cpu=0.96)[-1]
-    assert "programs outside of containers takes 1.8 CPUs" in result.summary
+    assert "what runs outside of containers takes 1.8 CPUs" in result.summary
     assert result.brief == "ros_app waits 96% for CPU"
 
 

@@ -205,11 +205,23 @@ def test_the_engine_is_asked_where_there_is_no_cgroup(tmp_path: Path) -> None:
     fact = bench.probe.container("ros_app")
     assert fact is not None and fact.source == "engine statistics" and fact.not_seen == engine_stats.NOT_SEEN
     assert (fact.cpu_limit, fact.throttled_periods, fact.throttled_s) == (0.05, 32, 2.939308349)
-    assert (fact.memory_bytes, fact.memory_limit, fact.reread_pages) == (11763712, 67108864, 10)
+    assert (fact.memory_bytes, fact.memory_limit, fact.reread_pages) == (11763712, 67108864, None)
     assert (fact.pids, fact.pids_limit, fact.cpu_used_s) == (1, 20, 0.180194374)
     assert bench.probe.container("ros_app") is fact and bench.engine.asked == [ID]
     bench.clock.advance(ENGINE_EVERY_S)
     assert bench.probe.container("ros_app") is not fact and bench.engine.asked == [ID, ID]
+
+
+def test_the_engine_s_faults_count_near_the_limit_alone(tmp_path: Path) -> None:
+    """Version 1 shows no refaults, and a program that maps a large file for the first time has faults, too."""
+    memory = {"usage": 66060288, "limit": 67108864, "stats": {"pgmajfault": 10}}
+    for changed, expected in (
+        ({}, 10),
+        ({"stats": {"pgmajfault": 10, "workingset_refault": 4}}, 4),
+        ({"usage": 1}, None),
+    ):
+        fact = Bench(tmp_path, stats={**STATS, "memory_stats": {**memory, **changed}}).probe.container("ros_app")
+        assert fact is not None and fact.reread_pages == expected
 
 
 def test_files_that_come_or_go_change_the_source(tmp_path: Path) -> None:

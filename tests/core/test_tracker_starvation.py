@@ -281,6 +281,19 @@ def test_the_machine_is_the_cause_of_a_container_that_waits_for_its_cores() -> N
     assert made.blocked_by("pressure/app") == ""
 
 
+@pytest.mark.parametrize("condition", ["memory_pressure", "io_pressure"])
+def test_a_busy_processor_explains_neither_tight_memory_nor_a_slow_disk(condition: str) -> None:
+    """A container whose memory or disk is too small is a cause of its own, also while all cores are taken."""
+    made = bench()
+    made.see("host/cpu", OVERLOADED)
+    made.see("pressure/app", error("app waits", brief="app waits", condition=condition))
+    made.later(RISING_S)
+    made.see("host/cpu", OVERLOADED)
+    made.see("pressure/app", error("app waits", brief="app waits", condition=condition))
+    made.see("container/app", OK)
+    assert made.opened == ["host/cpu", "pressure/app"]
+
+
 def test_a_container_that_waits_while_the_machine_is_not_overloaded_is_the_cause() -> None:
     """Its own cores may be taken (cpuset), or the machine's figures say nothing."""
     made = bench()
