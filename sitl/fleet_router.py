@@ -19,7 +19,7 @@ import zenoh
 
 from phm.wire.fleet_status import FleetStatus, decode
 
-START_LIMIT_S = 20.0
+START_LIMIT_S = 60.0
 
 
 def free_port() -> int:
@@ -85,7 +85,7 @@ class Ground:
         """What was published before this reader came; answered by each agent."""
         self.session.get(f"phm/{self._fleet}/*/status", self._reply, timeout=START_LIMIT_S)
 
-    def wait(self, done: Callable[[Ground], bool], limit_s: float = 30.0) -> float:
+    def wait(self, done: Callable[[Ground], bool], limit_s: float = 120.0) -> float:
         """Poll until `done`; how long that took. Raises TimeoutError with what is known."""
         began = time.monotonic()
         while not done(self):

@@ -20,7 +20,8 @@ from sitl.fleet_agents import Agent, Crowd, Ticker
 from sitl.fleet_router import Ground, Router, config, free_port
 
 FLEET = "north"
-LIMIT_S = 30.0
+LIMIT_S = 120.0
+"""Bounds a failing test. On a machine with a load of 100 a daemon takes more than 30 s to start."""
 
 
 def until(done: Callable[[], Any], limit_s: float = LIMIT_S) -> None:
@@ -108,7 +109,7 @@ def test_who_comes_late_gets_the_state_at_once(bench: Bench) -> None:
     late.wait(lambda g: "agent_1" in g.statuses and len(g.tokens) == 1)
     agent.alive = False
     late.wait(lambda g: not g.tokens)
-    replies = list(late.session.get(f"phm/{FLEET}/*/status", timeout=LIMIT_S))
+    replies = list(late.session.get(f"phm/{FLEET}/*/status", timeout=30.0))
     assert [reply for reply in replies if reply.ok is not None] == []
 
 
