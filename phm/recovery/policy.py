@@ -163,7 +163,12 @@ def decide(
         if refused is not None:
             return refused
         if starved:
-            return Wait(now + STARVED_AGAIN_S, f"{starved} explains it, and a restart would cost more of it", tell=True, subject=STARVED)
+            return Wait(
+                now + STARVED_AGAIN_S,
+                f"{starved} explains it, and a restart would cost more of it",
+                tell=True,
+                subject=STARVED,
+            )
     most = 1 if _once(condition, settings) else settings.same_failure
     if not given_up and len(same) >= most:
         goes_on = f", one start every {settings.backoff_max:g} s goes on" if condition in DOWN else ""
