@@ -132,7 +132,7 @@ def cells(row: Row) -> tuple[str, str, str]:
     """Alarms, actions and what is up at the end."""
     units = [alarm.partition(" ")[0] for alarm in row.alarms]
     alarms = f"{len(units)}: {count(units)}" if units else "none"
-    seen = f" after {row.detected_s:.1f} s" if row.detected_s is not None and len(units) == 1 else ""
+    seen = f" after {row.detected_s:.1f} s" if (row.detected_s or -1.0) > 0.0 and len(units) == 1 else ""
     acts = grouped(row.actions) or "none"
     healed = f", healed after {row.healed_s:.1f} s" if row.healed_s is not None else ""
     again = "" if row.well_again_s is None else f" {row.well_again_s:.0f} s after"
