@@ -168,7 +168,7 @@ def _not_seen(base: str, cpu: Mapping[str, int], memory_bytes: int | None) -> tu
     missing = [] if "nr_throttled" in cpu else ["its CPU limit"]
     if memory_bytes is None:
         missing.append("its memory limit")
-    if not base or not os.path.exists(f"{base}/cpu.pressure"):
+    if not base or _stall(base, "cpu") is None:
         missing.append("waiting for CPU, memory and disk (no pressure stall information)")
     return tuple(missing)
 

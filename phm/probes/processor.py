@@ -61,7 +61,7 @@ class Processor:
     def _waited_us(self) -> int | None:
         """Microseconds since boot in which some task waited for a core; None where the kernel does not count at all.
 
-        Without pressure stall information (`psi=0`), the waits of all tasks added up, which is at least as much.
+        Without pressure stall information (`psi=0`), the waits of all tasks added up, per processor.
         """
         waited_us = self._total_us("cpu", "some")
         return self._run_delay_us() if waited_us is None else waited_us
@@ -82,7 +82,7 @@ class Processor:
             delays_ns = [int(line.split()[_RUN_DELAY]) for line in lines if line.startswith("cpu")]
         except (OSError, ValueError, IndexError):
             return None
-        return sum(delays_ns) // 1000 if delays_ns else None
+        return sum(delays_ns) // 1000 // len(delays_ns) if delays_ns else None
 
 
 def _since(last: _Reading, new: _Reading) -> Use:

@@ -22,7 +22,7 @@ from phm.recovery.history import Attempt, History
 from phm.recovery.holds import BEING_STOPPED
 from phm.settings import ContainerSettings, RecoverySettings
 
-HOLD, STARVED = "hold", "starved"
+HOLD, STARVED, START = "hold", "starved", "start"
 LADDERS: Mapping[str, tuple[str, ...]] = {
     "exited": ("start", "restart"),
     "oom": ("start", "restart"),
@@ -58,8 +58,11 @@ PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", 
 """Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs, and a node may make
 its ends anew by itself, or be relieved by a copy that starts before it ends."""
 DOWN = frozenset({"exited", "oom", "created"})
-"""Conditions of a container that does not run. A start can make nothing worse, so it is tried for as long as the container is down:
-a part of the budget is reserved for it, and when that is used up, or recovery has given up, once per `recovery.backoff_max`."""
+"""Conditions of a container that does not run. A start makes nothing worse as long as what depends on it is left alone, so it is
+tried for as long as the container is down: a part of the budget is reserved for it, and when that is used up, or recovery has
+given up, once per `recovery.backoff_max`."""
+GENTLE = frozenset({"relieve"})
+"""Actions that disturb no container: they are bound by back-off alone, and use up no budget."""
 OUTSIDE = frozenset({"network_missing"})
 """Conditions that come from outside of every container. An action after which a unit has one of them is not to blame."""
 AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
@@ -155,9 +158,11 @@ def decide(
     hopeless = _hopeless(fault, ladder, settings, start_s)
     if hopeless:
         return Leave(hopeless)
+    if given_up and START not in ladder:
+        return Leave("only a start is tried again after recovery has given up")
     failures = Failures(history, fault, now, settings.verify)
     same = failures.of_the_unit()
-    action = ladder[0] if given_up else _rung(ladder, condition, same, settings)
+    action = START if given_up else _rung(ladder, condition, same, settings)
     if action not in free_actions:
         refused = _refused(container, settings, hold, undecided)
         if refused is not None:
@@ -219,7 +224,10 @@ def _when(
 ) -> Act | Wait:
     """The action, or until when budget and back-off hold it back. free: it disturbs no container."""
     now, down = failures.now, failures.fault.result.condition in DOWN
-    recent = failures.history.within(now - settings.window)
+    recent = [made for made in failures.history.within(now - settings.window) if made.action not in GENTLE]
+    free = free or act.action in GENTLE
+    if act.action in GENTLE:
+        recent = []
     most = settings.budget if down or free else max(1, settings.budget - settings.reserve)
     if len(recent) >= most and not down:
         kept = f", {settings.budget - most} kept for a container that is down" if most < settings.budget else ""

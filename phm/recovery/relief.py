@@ -16,7 +16,9 @@ LOW_SHARES = 64
 """A sixteenth of the engine's default of 1024: enough to stay alive, and next to nothing beside a container that wants the core."""
 DEFAULT_SHARES = 1024
 CALM_S = 30.0
-"""The weight is put back when the unit has been OK for so long: sooner, the two would take turns."""
+"""The weight is put back when the unit has been OK for so long, and each time that it had to be lowered again soon, for twice as
+long as the time before: else the two would take turns."""
+MOST_CALM_S = 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,8 @@ class Relief:
     ) -> None:
         self._engine, self._container, self._pipeline, self._clock = engine, container, pipeline, clock
         self._lowered: dict[str, Lowered] = {}
+        self._calm_s: dict[str, float] = {}
+        self._put_back_at: dict[str, float] = {}
         self._lock = threading.Lock()
 
     def restore(self, lowered: Iterable[Lowered]) -> None:
@@ -68,6 +72,8 @@ class Relief:
             return False
         with self._lock:  # noted before it is done: what PHM's own end interrupts is put back by the next PHM
             self._lowered[key] = Lowered(key, fact.id, shares, unit)
+            again = self._clock.mono() - self._put_back_at.get(key, float("-inf")) < MOST_CALM_S
+            self._calm_s[key] = min(2 * self._calm_s.get(key, CALM_S), MOST_CALM_S) if again else CALM_S
         engine.set_cpu_shares(fact.id, LOW_SHARES)
         return True
 
@@ -80,7 +86,8 @@ class Relief:
         now = self._clock.mono()
         for entry in self.kept():
             state = states.get(entry.unit)
-            if state is None or (state.level is Level.OK and now - state.since.mono >= CALM_S):
+            calm_s = self._calm_s.get(entry.key, CALM_S)
+            if state is None or (state.level is Level.OK and now - state.since.mono >= calm_s):
                 self._put_back(entry)
 
     def end(self) -> None:
@@ -99,5 +106,6 @@ class Relief:
             return  # at the next tick
         with self._lock:
             self._lowered.pop(entry.key, None)
+            self._put_back_at[entry.key] = self._clock.mono()
         if same:
             self._pipeline.note("ACTION", f"put the CPU weight of {entry.key} back to {entry.shares}")

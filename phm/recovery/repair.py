@@ -12,6 +12,7 @@ from phm.model import Fault, Phase
 from phm.recovery.acting import Acting
 from phm.recovery.armed import State
 from phm.recovery.base import Action, ActionFailed
+from phm.recovery.critical import Reach
 from phm.recovery.proof import Meanwhile, prove
 from phm.recovery.shop import Shop
 from phm.settings import ContainerSettings
@@ -64,6 +65,8 @@ class Repair:
     ) -> None:  # fmt: skip
         """last: no rung of the ladder follows. approved_at: as of `Acting`."""
         self._shop, self._target, self._fault, self._kind, self._last = shop, target.key, fault, kind, last
+        # What disturbs the target in nothing keeps nothing of it back either.
+        self._held = target.key if kind.takes_down is not Reach.OTHERS else f"{kind.name}:{target.key}"
         self._began, self._credited = shop.clock.mono(), True
         action = kind()
         self._missing = partial(action.waits_for, target, fault, shop.context)
@@ -84,7 +87,8 @@ class Repair:
         if not self._acting.begin():
             return False
         at_most_s = self._kind.deadline_s + self._shop.context.settings.recovery.verify + MARGIN_S
-        self._shop.hands.hold(self._target, self, self._fault.unit, self._kind.name, at_most_s, proving=True)
+        proving = self._held == self._target
+        self._shop.hands.hold(self._held, self, self._fault.unit, self._kind.name, at_most_s, proving=proving)
         return True
 
     def release(self, *, worked: bool) -> None:
@@ -92,7 +96,7 @@ class Repair:
         self._acting.let_go()
         if worked and not self._credited:
             self._shop.pipeline.discredit(self._fault.unit)
-        self._shop.hands.release(self._target, self, worked=worked)
+        self._shop.hands.release(self._held, self, worked=worked)
         if not worked:
             self._shop.pipeline.discredit(self._fault.unit)
 
@@ -129,4 +133,4 @@ class Repair:
         return Verdict(False, words, excused=proof.excused, partly=proof.partly)
 
     def _settle(self) -> None:
-        self._shop.hands.release(self._target, self, worked=True)
+        self._shop.hands.release(self._held, self, worked=True)

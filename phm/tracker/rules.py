@@ -117,6 +117,8 @@ def starved(look: Look) -> Verdict | None:
     starvation alone, unless it is conclusive: that is judged as ever.
     """
     entry, cause = look.entry, starvation.cause(look.entry, look.scene)
+    if cause is not None and starvation.outlasted(entry, look.now):
+        return None
     if cause is not None:
         return KEEP if starvation.before(entry, cause) else _blocked(look, cause.id)
     if starvation.recovering(entry, look.now) and not _known(entry):

@@ -29,19 +29,23 @@ OVER_S = 5.0
 @dataclass(frozen=True, slots=True)
 class Explained:
     """evidence: why starvation can produce the symptom. by: the conditions of pressure units that do. settle_s: how long it must
-    last at least, where its cause shows later than it does."""
+    last at least, where its cause shows later than it does. most_s: what lasts for longer is not explained; None: no limit."""
 
     evidence: str
     by: frozenset[str] = WAITING
     settle_s: float = 0.0
+    most_s: float | None = None
 
 
+UNREAD_S = 15.0
+"""PHM knows how much of a silence it was late itself and leaves that out, so that little more than this can be late frames of a
+router on this machine. A link, an autopilot or a peer that is silent for longer is lost, however busy the machine is."""
 _SLOW = Explained("its publisher is not scheduled at each period")
 _LEASE = Explained(
     "participants that do not announce themselves in time are dropped from the graph, with all their endpoints"
 )
 _LATE = Explained("its beacon or its executor is not scheduled, so the beat is late")
-_UNREAD = Explained("PHM reads the link late, so the last frame seems older than it is")
+_UNREAD = Explained("PHM, or a router on this machine, passes frames on late", most_s=UNREAD_S)
 _HEARD = Explained("the neighbours' beats are late, or read late")
 
 EXPLAINED: Mapping[str, Explained] = {
@@ -71,7 +75,9 @@ EXPLAINED: Mapping[str, Explained] = {
     "radio_silent": _UNREAD,
     "link_silent": _UNREAD,
     "frames_lost": Explained("frames that PHM does not read in time are dropped by the kernel"),
-    "peer_lost": Explained("this agent reads the peer's heartbeats late; not where another agent has lost it, too"),
+    "peer_lost": Explained(
+        "this agent reads the peer's heartbeats late; not where another agent has lost it, too", most_s=UNREAD_S
+    ),
     "peer_partly": _UNREAD,
     "alone": _UNREAD,
     "cpu_starved": Explained("all containers wait when the machine has no core to spare", OF_HOST, settle_s=RISING_S),
@@ -123,8 +129,22 @@ def before(entry: Entry, starver: Entry) -> bool:
     """Whether the unit's fault is another one: older than the starvation, or opened for what that does not explain."""
     if entry.fault is None:
         return entry.told_given_up
-    since = starver.starving.since if starver.starving is not None else 0.0
-    return entry.fault.opened.mono < since - LATE_S or explained(entry.fault.result) is None
+    since, symptom = starver.starving.since if starver.starving is not None else 0.0, explained(entry.fault.result)
+    if symptom is None or (symptom.most_s is not None and entry.fault.opened.mono >= since + symptom.most_s):
+        return True
+    return entry.fault.opened.mono < since - LATE_S
+
+
+def outlasted(entry: Entry, now: float) -> bool:
+    """Whether the unit's newest result is a symptom that lasts for longer than starvation can explain."""
+    symptom = explained(entry.raw) if entry.raw is not None else None
+    if symptom is None or symptom.most_s is None:
+        return False
+    return (
+        entry.told.level is Level.STALE
+        and bool(entry.told.blocked_by)
+        and now - entry.told.since.mono >= symptom.most_s
+    )
 
 
 def observe(entry: Entry, now: float) -> bool:

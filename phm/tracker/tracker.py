@@ -103,9 +103,9 @@ class Tracker:
         return entry.starver if starvation.recovering(entry, now.mono) else ""
 
     def starving(self, unit: str) -> str:
-        """The pressure unit by which the unit is starved now, whatever it explains; empty: none."""
+        """The pressure unit that is published in ERROR and starves the unit now, whatever it explains; empty: none."""
         found = (self._units[name] for name in self._units[unit].spec.starved_by)
-        return next((other.id for other in found if other.starving is not None), "")
+        return next((other.id for other in found if other.starving is not None and other.told.level is Level.ERROR), "")
 
     def open_faults(self) -> tuple[Fault, ...]:
         return tuple(entry.fault for entry in self._units.values() if entry.fault is not None)

@@ -174,7 +174,7 @@ class Entry:
         if self.raw is None:
             return False
         if self.raw.level is Level.OK:
-            return self.fault is not None
+            return self.fault is not None or self.told_given_up
         return self.raw.level.bad and (self.told.level is not self.raw.level or self.anew)
 
     @property

@@ -176,7 +176,7 @@ def test_a_kernel_without_pressure_tells_none(tmp_path: Path) -> None:
 
 
 def test_without_pressure_the_run_queues_show_who_waits(tmp_path: Path) -> None:
-    """The eighth figure of each `cpu` line of /proc/schedstat (sched-stats.rst) counts nanoseconds, added up over the CPUs."""
+    """The eighth figure of each `cpu` line of /proc/schedstat (sched-stats.rst) counts nanoseconds: the mean of the CPUs."""
 
     def waited(first_ns: int, second_ns: int) -> None:
         lines = [
@@ -190,7 +190,7 @@ def test_without_pressure_the_run_queues_show_who_waits(tmp_path: Path) -> None:
     processor = Processor(clock, tmp_path)
     clock.advance(1.0)
     waited(2 * 10**8, 10**9 + 3 * 10**8)
-    assert processor.use().waiting_percent == pytest.approx(50.0)
+    assert processor.use().waiting_percent == pytest.approx(25.0)
 
 
 def test_stalls_for_memory_and_disks_are_those_of_all_tasks(tmp_path: Path) -> None:

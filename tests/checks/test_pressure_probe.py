@@ -345,8 +345,21 @@ def test_without_cgroups_the_engine_says_who_has_the_cpus(tmp_path: Path) -> Non
     crowd.consumers.read()
     assert crowd.engine.asked == ["list", ID, OTHER]
     crowd.clock.advance(1.0)
-    crowd.engine.answer = {"cpu_stats": {"cpu_usage": {"total_usage": 680194374}}}
+    crowd.consumers.read()
+    assert crowd.engine.asked == ["list", ID, OTHER], "not so soon again"
+    crowd.clock.advance(4.0)
+    crowd.engine.answer = {"cpu_stats": {"cpu_usage": {"total_usage": 2680194374}}}
     assert {fact.name: round(fact.cpus, 2) for fact in crowd.consumers.read()}["slam"] == 0.5
+
+
+def test_a_container_that_was_started_again_is_not_taken_for_others(tmp_path: Path) -> None:
+    """Its counter begins at 0 again: neither its share nor that of programs outside of containers is known for that reading."""
+    crowd = Crowd(tmp_path)
+    crowd.after(500.0, 0.0, 500.0)
+    crowd.consumers.read()
+    crowd.clock.advance(1.0)
+    crowd.after(-1.0, 1.0, 2.0)
+    assert [fact.name for fact in crowd.consumers.read()] in ([], ["slam"], [f"container {OTHER[:12]}"])
 
 
 def test_an_engine_that_is_slow_is_not_asked_about_all(tmp_path: Path) -> None:

@@ -346,3 +346,17 @@ def test_nothing_is_restarted_for_a_symptom_of_starvation() -> None:
     decision = say(starved="pressure/app")
     assert isinstance(decision, Wait) and decision.tell and "pressure/app explains it" in decision.why
     assert say(starved="") == Act("restart", 1)
+
+
+def test_after_giving_up_only_a_start_is_tried_again() -> None:
+    """A ladder of the user's own without it ends with giving up."""
+    rules = RecoverySettings(ladders={"exited": ["restart"]})
+    assert isinstance(say(fault=fault("exited"), given_up=True, settings=rules), Leave)
+
+
+def test_giving_way_uses_up_no_budget_and_needs_none() -> None:
+    """It disturbs no container, so it must not be the reason that one is not restarted."""
+    lowered = History([Attempt(900.0 + n, "pressure/app", "cpu_starved", "relieve", True) for n in range(6)])
+    assert say(lowered) == Act("restart", 1)
+    spent = History([Attempt(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(5)])
+    assert say(spent, fault=fault("cpu_starved")) == Act("relieve", 1)

@@ -9,7 +9,7 @@ import pytest
 
 from phm.api import Level, Result, error, ok, stale, warn
 from phm.model import CERTAIN, CONCLUSIVE, Outcome, Transition
-from phm.tracker.starvation import EXPLAINED, LAST_WORD_S, LATE_S, OVER_S, RISING_S
+from phm.tracker.starvation import EXPLAINED, LAST_WORD_S, LATE_S, OVER_S, RISING_S, UNREAD_S
 from tests.fakes.tracker_bench import OK, Bench, unit
 
 HOST = ("host/cpu",)
@@ -375,3 +375,36 @@ def test_the_documented_table_is_that_of_the_code() -> None:
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[3:]]
     documented = {condition: row[1] for row in rows for condition in re.findall(r"`(\w+)`", row[0])}
     assert documented == {condition: entry.evidence for condition, entry in EXPLAINED.items()}
+
+
+LOST = error("autopilot silent for 4 s", brief="silent", condition="autopilot_silent")
+
+
+def test_a_link_that_stays_silent_is_lost_however_busy_the_machine_is() -> None:
+    """PHM leaves out the time in which it was late itself: more than UNREAD_S is no lateness. The alarm then stays."""
+    made = Bench([unit("host/cpu"), unit("autopilot/fcu", starved_by=HOST)])
+    made.all_well()
+    made.later(3.0)
+    made.all_well()
+    made.see("host/cpu", OVERLOADED)
+    made.see("autopilot/fcu", LOST)
+    assert made.blocked_by("autopilot/fcu") == "host/cpu"
+    made.later(UNREAD_S - 1.0)
+    made.see("host/cpu", OVERLOADED)
+    made.see("autopilot/fcu", LOST)
+    assert made.opened == ["host/cpu"]
+    for _ in range(3):
+        made.later(2.0)
+        made.see("host/cpu", OVERLOADED)
+        made.see("autopilot/fcu", LOST)
+    assert made.opened == ["host/cpu", "autopilot/fcu"]
+    assert made.level("autopilot/fcu") is Level.ERROR
+
+
+def test_only_published_starvation_excuses_attempts() -> None:
+    """The burst of a start, which the pressure unit's own grace keeps back, is not starvation."""
+    made = bench()
+    made.see("pressure/app", THROTTLED)
+    assert made.tracker.starving("nodes/n") == "pressure/app"
+    over(made, "pressure/app")
+    assert made.tracker.starving("nodes/n") == ""

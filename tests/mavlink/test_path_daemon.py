@@ -110,7 +110,7 @@ def test_a_lost_ground_station_is_told_once_and_cleared(flight: Flight) -> None:
     flight.ground = flight.new_ground()
     until(flight.settled, "all being well")
     assert [told.partition(":")[0] for told in flight.alarms()] == ["gcs GCS"]
-    assert flight.over() == ["gcs resolved"]
+    assert until(flight.over, "the end of the fault") == ["gcs resolved"]
 
 
 def test_a_radio_without_power_is_told_once(flight: Flight) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from phm.facts import NotPermitted
+from phm.model import Outcome
 from phm.probes.docker import Docker
 from phm.recovery.actions import Relaunch, Restart, Restore, Start
 from phm.recovery.base import ActionFailed, Unneeded
@@ -70,6 +71,14 @@ def test_a_start_that_was_not_needed_moves_nobody(fake: FakeEngine, ask: Engine)
     made = stack(fake, ask)
     assert made.run(Start, "app", EXITED) == "app runs already"
     assert acted(fake, "start", "restart") == []
+
+
+def test_a_container_given_up_is_started_without_its_dependants(fake: FakeEngine, ask: Engine) -> None:
+    """It is started for as long as it is down; what depends on it and runs must not be restarted each time."""
+    made = stack(fake, ask)
+    fake.containers["app"]["State"].update(Status="exited", Running=False)
+    assert made.run(Start, "app", replace(EXITED, outcome=Outcome.ESCALATED)) == "started app"
+    assert acted(fake, "start", "restart") == ["app"]
 
 
 def test_a_dependant_that_has_not_opted_in_is_named_and_left_alone(fake: FakeEngine, ask: Engine) -> None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from phm.model import Layer, Level, Result, Slot, Stamp, UnitState
 from phm.recovery.actions.relieve import Relieve
-from phm.recovery.base import Unneeded
+from phm.recovery.actions.unpause import Unpause
+from phm.recovery.base import Action, Unneeded
 from phm.recovery.relief import CALM_S, DEFAULT_SHARES, LOW_SHARES, Relief
+from phm.recovery.repair import Repair
 from phm.testing import FakeClock, settings
 from phm.transport.docker import Engine
 from tests.recovery.bench import Bench, bench, fault
@@ -118,3 +121,32 @@ def test_it_applies_to_a_flight_critical_container_where_others_are_named() -> N
     critical = app.model_copy(update={"flight_critical": True})
     assert Relieve.applies(critical, STARVED, named)
     assert not Relieve.applies(critical, STARVED, settings(containers=[{"name": "app"}]))
+
+
+@pytest.mark.engine
+def test_weights_that_must_be_lowered_again_and_again_stay_low_for_longer(real: Any, engine: Engine) -> None:
+    """Else the two take turns: each time for twice as long, up to ten minutes."""
+    scene = Scene(engine, real)
+    for calm_s in (CALM_S, 2 * CALM_S, 4 * CALM_S):
+        scene.relieve()
+        scene.calm(calm_s - 1)
+        assert scene.shares(scene.other) == LOW_SHARES
+        scene.calm(calm_s)
+        assert scene.shares(scene.other) == DEFAULT_SHARES
+
+
+@pytest.mark.parametrize(("kind", "held"), [(Relieve, "relieve:app"), (Unpause, "app")])
+def test_giving_way_holds_nothing_of_the_starved_container(kind: type[Action], held: str) -> None:
+    """What breaks there meanwhile does not follow from it, and is a fault as ever."""
+    holds: list[str] = []
+    hands = SimpleNamespace(
+        take=lambda key, owner: True, let_go=lambda key, owner: None, hold=lambda key, *more, **marks: holds.append(key)
+    )
+    pipeline = SimpleNamespace(stopping=lambda key: False)
+    named = settings(containers=[{"name": "app", "flight_critical": True}], recovery={"relieve": []})
+    context = SimpleNamespace(settings=named, engine=None)
+    shop = SimpleNamespace(hands=hands, pipeline=pipeline, clock=FakeClock(), context=context, safeguard=None)
+    repair = Repair(shop, named.containers[0], STARVED, kind, last=True)  # type: ignore[arg-type]
+    assert repair.begin()
+    assert holds == [held]
+    repair._acting.let_go()

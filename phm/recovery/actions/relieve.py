@@ -14,6 +14,7 @@ class Relieve(Action):
 
     name = "relieve"
     takes_down = Reach.OTHERS
+    starts = False
     shows_s = 10.0
     proof_s = 1.0
 

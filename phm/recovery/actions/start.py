@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phm.model import Fault
+from phm.model import Fault, Outcome
 from phm.recovery.actions._common import present, restart_dependants
 from phm.recovery.actions._networks import missing, not_there, reconnect_stopped, stale
 from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
@@ -33,4 +33,8 @@ class Start(Action):
         reconnect_stopped(target, fact, context)
         if not context.engine.start(fact.id):
             return Unneeded(f"{target.key} was started by somebody else meanwhile")
+        if (
+            fault.outcome is Outcome.ESCALATED
+        ):  # it has ended again and again: who depends on it is not restarted each time
+            return f"started {target.key}"
         return f"started {target.key}{restart_dependants(target, fault, context)}"
