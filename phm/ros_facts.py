@@ -158,7 +158,7 @@ class RosFact:
     name, as of a few seconds ago; not all of them where there are very many. refused: messages on the beacons' topic that
     were none, or were too many, since this child began. names_known: whether the names of nodes could be read.
     lost_s: since more beacons came than PHM reads; None: never. A beacon that has been silent for longer is left out, since its
-    silence proves nothing.
+    silence proves nothing. listened_s: how long this child has existed, whatever breaks there were.
     """
 
     age_s: float
@@ -171,6 +171,12 @@ class RosFact:
     refused: int = 0
     names_known: bool = True
     lost_s: float | None = None
+    listened_s: float = 0.0
+
+    @property
+    def heard_for_s(self) -> float:
+        """How long something that is sent rarely has been listened for: of that time a break loses only itself."""
+        return max(self.up_s, self.listened_s)
 
 
 class RosProbe(Protocol):

@@ -115,18 +115,19 @@ class Diagnostics(api.Check):
         # A status that was last heard before the container was started anew need not come again.
         judged = [one for one in judged if one.fact.age_s <= world.clock.mono() - began_s]
         if not judged:
-            up_s = min(fact.up_s, world.clock.mono() - began_s)
-            return self._unheard(item, fact, up_s)
+            return self._unheard(item, fact, world.clock.mono() - began_s)
         worst = min(judged, key=lambda one: _RANK[one.level])
         if worst.level is Level.OK:
             return api.ok(_well(judged), heard=len(judged))
         return _bad(worst, judged, item.container)
 
-    def _unheard(self, item: Watched, fact: api.RosFact, up_s: float) -> api.Result:
+    def _unheard(self, item: Watched, fact: api.RosFact, ran_s: float) -> api.Result:
+        """ran_s: for how long its container has run, as far as that is known."""
         entry = item.entry
-        if up_s < max(self._grace_s, entry.timeout):
+        listened_s = min(fact.heard_for_s, ran_s)
+        if min(fact.up_s, ran_s) < self._grace_s or listened_s < entry.timeout:
             return api.stale(
-                f"no status {clean(entry.name, 80)} has been heard yet; PHM has listened for {span(up_s)} only"
+                f"no status {clean(entry.name, 80)} has been heard yet; PHM has listened for {span(listened_s)} only"
             )
         where = f" of {item.node}" if item.node else ""
         words = (

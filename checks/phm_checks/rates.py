@@ -177,7 +177,9 @@ class Rates(api.Check):
         """Listed but not one sample; slow topics get three periods."""
         if not self._due(case.topic, fact):
             return api.stale(
-                f"no sample of {case.name} yet; PHM has listened for {span(fact.up_s)} only", brief="", **case.values
+                f"no sample of {case.name} yet; PHM has listened for {span(fact.heard_for_s)} only",
+                brief="",
+                **case.values,
             )
         if evidence := self._blocked(case.target, seen, fact):
             return self._bad(
@@ -199,7 +201,7 @@ class Rates(api.Check):
 
     def _due(self, topic: api.TopicSettings, fact: api.RosFact) -> bool:
         """Whether PHM has listened for so long that a sample must have come."""
-        return bool(topic.rate) and fact.up_s >= max(self._grace_s, 3 / (topic.rate or 1.0))
+        return bool(topic.rate) and fact.up_s >= self._grace_s and fact.heard_for_s >= 3 / (topic.rate or 1.0)
 
     def _blocked(self, target: str, seen: api.TopicFact, fact: api.RosFact) -> str:
         """What tells that the middleware finds publishers and gets no data of them; empty when something else may be it."""

@@ -116,6 +116,14 @@ def test_a_young_child_proves_no_absence() -> None:
     assert judge(build(), world).level is api.Level.STALE
 
 
+def test_breaks_of_the_child_do_not_hide_for_ever_that_a_status_is_missing() -> None:
+    """One with a long timeout has been listened for long enough; after a break discovery alone gets its grace."""
+    check = build(timeout="300s")
+    young, old = (testing.world(ros=testing.FakeRos(up_s=20.0, listened_s=listened_s)) for listened_s in (200.0, 400.0))
+    assert judge(check, young).level is api.Level.STALE
+    assert judge(check, old).level is api.Level.ERROR
+
+
 def test_a_near_name_is_offered() -> None:
     """`Freqency` in the configuration is found."""
     world = testing.world(ros=testing.FakeRos(diagnostics={NAME: said()}))

@@ -238,6 +238,14 @@ def test_a_slow_topic_is_waited_for() -> None:
     assert bench.judge(silent_s=None, up_s=31.0).condition == "not_received"
 
 
+def test_breaks_of_the_child_do_not_hide_a_slow_topic_for_ever() -> None:
+    """It has been listened for long enough; after a break discovery alone gets its grace."""
+    bench = Bench(0.01)
+    assert bench.judge(silent_s=None, up_s=20.0, listened_s=299.0).level is api.Level.STALE
+    assert bench.judge(silent_s=None, up_s=2.0, listened_s=400.0).level is api.Level.STALE
+    assert bench.judge(silent_s=None, up_s=20.0, listened_s=400.0).condition == "not_received"
+
+
 @pytest.mark.parametrize("problem", ["type unknown: x", "ambiguous: 9 publishers", "QoS mismatch: y"])
 def test_a_rate_that_cannot_be_told_is_stale(problem: str) -> None:
     """No fault of the topic, and the reason is said."""

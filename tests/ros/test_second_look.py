@@ -101,6 +101,35 @@ def test_what_is_not_there_is_looked_for_more_and_more_rarely() -> None:
     assert pauses[:7] == [*(REST_S * 2**turn for turn in range(1, 6)), REST_MOST_S, REST_MOST_S]
 
 
+def leaves_every(world: World, period_s: int, until_s: int) -> None:
+    """A short node, such as a command line tool in a health check, comes and goes."""
+    for at_s in range(int(world.now_s), until_s, period_s):
+        world.run(at_s + period_s - 2.0, ALL)
+        world.run(at_s + period_s, ALL | {("/tool",)})
+
+
+def test_what_leaves_again_and_again_is_looked_for_more_and_more_rarely() -> None:
+    """A health check that joins the graph every 20 s must not keep a second participant in it."""
+    world = World(lambda now_s: ALL)
+    leaves_every(world, 20, 7200)
+    assert len([at_s for at_s in world.opened if at_s >= 3600.0]) <= 3600.0 / REST_MOST_S + 1
+
+
+def test_what_leaves_seldom_is_looked_for_at_once() -> None:
+    """After a calm time the pause between two looks is short again."""
+    world = World(lambda now_s: ALL)
+    leaves_every(world, 20, 7200)
+    world.run(12000.0, ALL)
+    assert world.run(12020.0, ALL - {(NODE,)}) == [(12000.0 + FOUND_S, [NODE])]
+
+
+def test_what_is_configured_is_looked_for_soon_whatever_else_leaves() -> None:
+    """A node that is wanted does not wait out the pause that health checks brought about."""
+    world = World(lambda now_s: ALL)
+    leaves_every(world, 20, 7200)
+    assert world.run(7230.0, ALL - {(NODE,)}, lacking=True)
+
+
 def test_a_new_participant_that_misses_it_too_is_replaced_after_a_rest() -> None:
     """An overload that lasts must not have the participant replaced again and again."""
     world = World(lambda now_s: ALL)

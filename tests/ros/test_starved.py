@@ -14,7 +14,7 @@ from phm.probes.ros.meter import Meter
 from phm.probes.ros.process import Limits
 from phm.probes.ros.protocol import Heard, Picture, Tick
 from phm.probes.ros.track import Sample
-from phm.probes.ros.view import AGAIN_S, BREAK_S, View
+from phm.probes.ros.view import AGAIN_S, BREAK_S, View, again_s
 from phm.scheduling import Lateness, Progress
 from phm_checks._quorum import silent
 from tests.fakes.ros_bench import Bench, until
@@ -27,9 +27,9 @@ PICTURE = Picture(100.0, {NODE: 1}, {"/a/t": api.TopicFact((), (), api.RateFact(
 class Child:
     """The daemon's view of a child whose messages the test writes."""
 
-    def __init__(self) -> None:
-        self.now, self.late = 1000.0, Lateness()
-        self.view = View().with_message(PICTURE, self.now)
+    def __init__(self, grace_s: float = 8.0) -> None:
+        self.now, self.up_s, self.late = 1000.0, 100.0, Lateness()
+        self.view = View(again_s=again_s(grace_s)).with_message(PICTURE, self.now)
 
     def hear(self) -> None:
         self.view = self.view.with_message(Heard({NODE: api.BeaconFact(0.0, 0.2)}), self.now)
@@ -38,7 +38,7 @@ class Child:
         self.now += passed_s
         if late_s:
             self.late.add(self.now - late_s, self.now)
-        self.view = self.view.with_message(Tick(100.0, {"/a/t": 0.1}, 1, late_s), self.now)
+        self.view = self.view.with_message(Tick(self.up_s, {"/a/t": 0.1}, 1, late_s), self.now)
         return self.fact()
 
     def fact(self) -> api.RosFact:
@@ -84,9 +84,9 @@ def sample(number: int, at_s: float) -> Sample:
     return Sample(number, int(at_s * 1e9), at_s)
 
 
-@pytest.mark.parametrize(("gap_s", "most_s"), [(0.9, 6.5), (5.0, 31.0)])
+@pytest.mark.parametrize(("gap_s", "most_s"), [(0.9, 7.0), (2.0, 8.5), (5.0, 15.5)])
 def test_looks_that_are_late_count_half_at_most(gap_s: float, most_s: float) -> None:
-    """A topic is not silent because PHM looked late; one that is, is found within twice its limit, or a few late looks."""
+    """A topic is not silent because PHM looked late; one that is, is found within twice its limit, the longest pause and a look."""
     meter = Meter(10.0, 3.0)
     meter.look(100.0, [sample(1, 100.0)])
     now = 100.0
@@ -94,6 +94,41 @@ def test_looks_that_are_late_count_half_at_most(gap_s: float, most_s: float) -> 
         assert now - 100.0 < most_s
     assert fact.silent_s is not None
     assert fact.silent_s > 2 * 3.0 - gap_s
+
+
+@pytest.mark.parametrize("gap_s", [0.5, 1.0, 2.0, 5.0])
+def test_late_looks_at_most_double_a_silence_beside_the_longest(gap_s: float) -> None:
+    """What a check makes of a silence is found within twice its limit, the longest pause and a look."""
+    child, silent_s = Child(), 0.0
+    while True:
+        silent_s += gap_s
+        child.now += gap_s
+        child.late.add(child.now - (gap_s - 0.25), child.now)
+        child.view = child.view.with_message(Tick(100.0, {"/a/t": silent_s}, 1, gap_s - 0.25), child.now)
+        rate = child.fact().topics["/a/t"].rate
+        assert rate is not None and rate.silent_s is not None
+        if rate.silent_s - rate.not_counted_s > 3.0:
+            break
+        assert silent_s <= 2 * 3.0 + gap_s
+
+
+@pytest.mark.parametrize("grace_s", [8.0, 60.0, 120.0])
+def test_breaks_do_not_hide_for_ever_what_is_missing(grace_s: float) -> None:
+    """A child that is late every half minute still proves absence, however long the grace."""
+    child = Child(grace_s)
+    child.up_s = 10_000.0
+    longest_s = 0.0
+    for _ in range(40):
+        child.tick(1.0, BREAK_S)
+        longest_s = max(longest_s, child.tick(30.0).up_s)
+    assert 2 * grace_s <= longest_s < child.up_s
+
+
+def test_a_break_does_not_undo_that_a_slow_topic_was_listened_for() -> None:
+    """Its three periods may be longer than the time between two breaks."""
+    child = Child()
+    fact = child.tick(5.0, BREAK_S)
+    assert (fact.up_s, fact.listened_s) == (0.0, pytest.approx(100.0))
 
 
 def test_looks_in_time_count_in_full() -> None:

@@ -29,7 +29,7 @@ COUNTED = 20
 """Samples of several publishers that a rate is counted from, at least: they come in no even beat."""
 LATE_S, STALL_S = 0.5, 1.0
 """Looks further apart than LATE_S, two ticks, tell that PHM itself did not run: of that time half counts as silence of the
-publisher, so that a starved PHM still finds it, and nothing of what is beyond STALL_S."""
+publisher, so that a starved PHM still finds it, and of the longest pause nothing that is beyond STALL_S."""
 _SHARE = 0.2
 
 
@@ -75,6 +75,7 @@ class Meter:
         self._last_look_s: float | None = None
         self._last_s: float | None = None
         self._quiet_s = 0.0
+        self._paused_s = 0.0
         self._held: tuple[float, float] | None = None
         self._restarts = Restarts(expected_hz)
         self._samples = 0
@@ -120,10 +121,13 @@ class Meter:
 
     def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
         """Count the time in which there was no sample though one would have been heard."""
-        since_s = _listened_s(now_s - self._last_look_s) if self._last_look_s is not None else 0.0
+        passed_s = now_s - self._last_look_s if self._last_look_s is not None else 0.0
         self._last_look_s = now_s
         if not samples and listening.on:
-            self._quiet_s += since_s
+            longest_s = max(self._paused_s, passed_s)
+            # Of the pauses until now only the longest one is cut short.
+            self._quiet_s += _listened_s(passed_s) - _cut_s(longest_s) + _cut_s(self._paused_s)
+            self._paused_s = longest_s
 
     def _take(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
         before_s, self._last_s = self._last_s, now_s
@@ -140,7 +144,7 @@ class Meter:
         self._samples += len(samples)
         if self._silence is not None and before_s is not None and steady:
             self._silence.ended(self._quiet_s, now_s)
-        self._quiet_s = 0.0
+        self._quiet_s = self._paused_s = 0.0
 
     def _hand_over(self) -> None:
         """To the sorter, what was one publisher so far: it may be the one that another takes the place of."""
@@ -249,7 +253,12 @@ class Meter:
 
 def _listened_s(passed_s: float) -> float:
     """Of the time between two looks, what counts as silence."""
-    return passed_s if passed_s <= LATE_S else max(LATE_S / 2, min(passed_s, STALL_S) / 2)
+    return passed_s if passed_s <= LATE_S else passed_s / 2
+
+
+def _cut_s(longest_s: float) -> float:
+    """Of what counts of the longest time between two looks, what does not all the same: PHM stood still."""
+    return max(0.0, (longest_s - STALL_S) / 2)
 
 
 def _rounded(number: float | None) -> float | None:

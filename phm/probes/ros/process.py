@@ -41,7 +41,7 @@ from phm.probes.ros.protocol import (
     encode_wanted,
 )
 from phm.probes.ros.unnamed import UNNAMED_S, Unnamed
-from phm.probes.ros.view import View
+from phm.probes.ros.view import View, again_s
 from phm.ros_facts import DiagnosticFact
 from phm.scheduling import NOISE_S, Lateness, Progress
 from phm.settings import Settings
@@ -129,7 +129,7 @@ class RosProcess:
         looked_for = wanted(settings)
         self._first_line = encode_wanted(looked_for)
         self._nodes = frozenset(looked_for.nodes)
-        self._blank = View(hearsay=Hearsay(own=Own(self._nodes, looked_for.watch)))
+        self._blank = View(hearsay=Hearsay(own=Own(self._nodes, looked_for.watch)), again_s=again_s(settings.ros.grace))
         self._max_memory = settings.ros.max_memory
         self._command = tuple(command)
         self._limits = limits

@@ -17,7 +17,9 @@ CONFIRM_S = 2.0
 OPEN_S = 10.0
 """How long the second one exists: on an overloaded machine it takes seconds to find what there is."""
 REST_S, REST_MOST_S = 15.0, 900.0
-"""Between two looks. Doubled while something is found each time, or is still missing all the same."""
+"""Between two looks. Doubled while something is found each time, is still missing all the same, or leaves again and again and
+nothing was missed: a short node, as of a health check. After a calm time as long as it, or when something wanted is newly missing,
+it is short again."""
 
 Known = frozenset[tuple[str, ...]]
 """What a participant knows: nodes as (name,), and ends of topics as (topic, side, name of the node)."""
@@ -45,7 +47,9 @@ class SecondLook:
         self._known: Known = frozenset()
         self._due_s: float | None = now_s + CALM_S
         self._rested_s = now_s
+        self._ended_s = now_s
         self._rest_s = REST_S
+        self._lacking = self._left = self._looks_for_left = self._found = False
 
     def look(self, now_s: float, known: Known, *, lacking: bool) -> Collection[str]:
         """Called once a tick: names of nodes and topics that the first participant has missed, mostly none.
@@ -53,6 +57,10 @@ class SecondLook:
         known: what the first one knows. lacking: whether it lacks something that is configured.
         """
         left, self._known = self._known - known, known
+        self._left = self._left or bool(left)
+        if lacking and not self._lacking:
+            self._hurry()
+        self._lacking = lacking
         if (left or lacking) and self._due_s is None:
             self._due_s = now_s + CALM_S
         if self._scout is None:
@@ -63,7 +71,10 @@ class SecondLook:
         self._missed = {one: self._missed.get(one, now_s) for one in more}
         found = {one[0] for one, since_s in self._missed.items() if now_s - since_s >= CONFIRM_S}
         if found or now_s - self._opened_s >= OPEN_S:
-            self._end(now_s, again=lacking or bool(found))
+            if found and not self._found:
+                self._rest_s = REST_S
+            self._found = bool(found)
+            self._end(now_s, again=lacking or self._found or self._looks_for_left)
         return sorted(found)
 
     def renewed(self, now_s: float) -> None:
@@ -77,13 +88,22 @@ class SecondLook:
             scout.close()
 
     def _begin(self, now_s: float) -> None:
+        if now_s - self._rested_s >= self._rest_s:
+            self._rest_s = REST_S
         self._due_s, self._opened_s, self._missed = None, now_s, {}
+        self._looks_for_left, self._left = self._left, False
         try:
             self._scout = self._open()
         except Exception:  # rclpy's own kinds, at a limit of threads or participants: the first one has to do
             self._end(now_s, again=True)
 
+    def _hurry(self) -> None:
+        """Rest no longer than after the first look."""
+        self._rest_s = REST_S
+        self._rested_s = min(self._rested_s, self._ended_s + REST_S)
+
     def _end(self, now_s: float, *, again: bool) -> None:
         self.close()
+        self._ended_s = now_s
         self._rest_s = min(2 * self._rest_s, REST_MOST_S) if again else REST_S
         self._rested_s = now_s + self._rest_s

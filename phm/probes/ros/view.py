@@ -23,6 +23,11 @@ _with_age = changer(RateFact, "age_s")
 _with_late = changer(RateFact, "not_counted_s")
 
 
+def again_s(grace_s: float) -> float:
+    """So long after a break another one counts at the earliest: in between there is time to prove absence twice over."""
+    return max(AGAIN_S, 3.0 * grace_s)
+
+
 @dataclass(frozen=True, slots=True)
 class View:
     """Immutable, so that it can be read without a lock. seen_s: when the picture was made or confirmed, monotonic seconds."""
@@ -35,11 +40,13 @@ class View:
     """Of topics with a rate, as of `seen_s`, where that is newer than the picture."""
     break_s: float = float("-inf")
     """When the child went on after it had not run for BREAK_S, monotonic seconds."""
+    again_s: float = AGAIN_S
+    """So much later another break counts: see `again_s`."""
 
     def with_message(self, message: Message, now_s: float) -> View:
         picture, hearsay, others, silent_s = self.picture, self.hearsay, self.others, self.silent_s
         seen_s, break_s = self.seen_s, self.break_s
-        if isinstance(message, (Picture, Tick)) and message.late_s >= BREAK_S and now_s - break_s >= AGAIN_S:
+        if isinstance(message, (Picture, Tick)) and message.late_s >= BREAK_S and now_s - break_s >= self.again_s:
             break_s = now_s
         if isinstance(message, Heard):
             hearsay = hearsay.with_news(message, now_s)
@@ -49,7 +56,7 @@ class View:
             picture, silent_s, seen_s = message, {}, now_s
         elif isinstance(message, Tick) and picture is not None and message.picture == picture.number:
             picture, silent_s, seen_s = replace(picture, up_s=message.up_s), message.silent_s, now_s
-        return View(picture, seen_s, hearsay, others, silent_s, break_s)
+        return View(picture, seen_s, hearsay, others, silent_s, break_s, self.again_s)
 
     def without_picture(self) -> View:
         """A message was lost, which may have been a picture."""
@@ -66,15 +73,17 @@ class View:
         age_s = max(0.0, now_s - self.seen_s)
 
         def late(passed_s: float) -> float:
-            """Of this time until now; half of it where the child is starved for good."""
-            return min(passed_s, late_s(now_s - passed_s, passed_s / 2))
+            """Of this time until now: the longest pause, and where the child is starved for good half of what is left."""
+            longest_s = min(passed_s, late_s(now_s - passed_s, 0.0))
+            return min(passed_s, late_s(now_s - passed_s, (passed_s - longest_s) / 2)) if longest_s else 0.0
 
         topics = {name: self._aged(name, topic, age_s, late) for name, topic in picture.topics.items()}
         hearsay = self.hearsay.since(now_s, late)
-        up_s = min(picture.up_s + age_s, now_s - self.break_s)
+        listened_s = picture.up_s + age_s
+        up_s = min(listened_s, now_s - self.break_s)
         return RosFact(
             age_s, up_s, picture.nodes, topics, *hearsay, self.others, self.hearsay.refused,
-            picture.names_known, None if self.hearsay.lost_at is None else now_s - self.hearsay.lost_at,
+            picture.names_known, None if self.hearsay.lost_at is None else now_s - self.hearsay.lost_at, listened_s,
         )  # fmt: skip
 
     def _aged(self, name: str, topic: TopicFact, age_s: float, late: Callable[[float], float]) -> TopicFact:
