@@ -340,8 +340,9 @@ def test_without_recovery_nothing_is_allowed_to_act(real: Any, proxies: Proxies)
         client.disconnect(net.name, str(made.docker.container))
 
 
-def test_a_refusal_is_logged_and_said_to_phm(place: Place) -> None:
+def test_a_refusal_is_logged_and_said_to_phm(place: Place, until: Until) -> None:
     """The operator finds the call in the proxy's log, and PHM's message says where to look."""
     with pytest.raises(EngineRefused, match="phm proxy-rules"):
         place.client.inspect(place.other.name)
-    assert f"403 GET {API}/containers/{place.other.name}/json" in place.proxy.said.read_text("utf-8")
+    line = f"403 GET {API}/containers/{place.other.name}/json"
+    until(lambda: line in place.proxy.said.read_text("utf-8"), "the proxy's line")  # it writes after it has answered

@@ -116,7 +116,7 @@ class Phm:
         return [
             child
             for child in psutil.Process(self.process.pid).children()
-            if "phm.probes.ros" in " ".join(child.cmdline())
+            if "phm.probes.ros" in " ".join(_command(child))
         ]
 
     def wait(self, wanted: Callable[[Event], bool], what: str, limit_s: float = 30.0, since: int = 0) -> Event:
@@ -208,6 +208,14 @@ def start_phm(tmp_path: Path) -> Iterator[Callable[..., Phm]]:
             with contextlib.suppress(ProcessLookupError):
                 phm.process.send_signal(signal.SIGCONT)
             phm.stop()
+
+
+def _command(process: psutil.Process) -> list[str]:
+    """Empty for one that has ended and whom PHM has not waited for yet."""
+    try:
+        return process.cmdline()
+    except psutil.NoSuchProcess:
+        return []
 
 
 def poll(condition: Callable[[], bool], what: str, limit_s: float = 20.0) -> None:
