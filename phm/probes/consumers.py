@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from phm.clock import Clock
-from phm.facts import CannotTell, ConsumerFact
+from phm.facts import CannotTell, ConsumerFact, NotPermitted
 from phm.probes import cgroups
 from phm.probes.docker_facts import Budget
 from phm.probes.kernel_file import head
@@ -47,7 +48,7 @@ class Consumers:
         self._names: dict[str, str] = {}
         self._before: tuple[float, dict[str, float], float] | None = None
         self._last: tuple[ConsumerFact, ...] = ()
-        self._cheap = True
+        self._cheap = self._may_list = True
 
     def read(self) -> tuple[ConsumerFact, ...]:
         """See `phm.pressure_facts.PressureProbe.consumers`. Raises CannotTell."""
@@ -89,10 +90,7 @@ class Consumers:
 
     def _learn_names(self) -> None:
         """Once for each container that is new: one that the engine does not name keeps its id."""
-        try:
-            listed = self._engine.list(deadline_s=BUDGET_S)
-        except CannotTell:
-            return
+        listed = self._list()
         if len(self._names) > _MOST_NAMES:
             self._names.clear()
         for entry in listed[:_MOST_NAMES]:
@@ -100,17 +98,22 @@ class Consumers:
             if isinstance(names, list) and names:
                 self._names[str(entry.get("Id"))] = str(names[0]).lstrip("/")
 
+    def _list(self) -> Sequence[Mapping[str, Any]]:
+        """All containers; none when the engine cannot tell. A proxy that refuses is asked once."""
+        if not self._may_list:
+            return ()
+        try:
+            return self._engine.list(deadline_s=BUDGET_S)
+        except NotPermitted:
+            self._may_list = False
+        except CannotTell:
+            pass
+        return ()
+
     def _by_engine(self) -> dict[str, float]:
         """CPU seconds by container: of the configured ones first, as many as the engine answers for within the budget."""
         budget, used = Budget(self._clock, BUDGET_S), {}
-        try:
-            running = [
-                str(entry.get("Id"))
-                for entry in self._engine.list(deadline_s=BUDGET_S)
-                if entry.get("State") == "running"
-            ]
-        except CannotTell:
-            running = []
+        running = [str(entry.get("Id")) for entry in self._list() if entry.get("State") == "running"]
         known = self._known()
         for container in [*known, *(each for each in running if each not in known)][:MOST_ASKED]:
             if budget.spent:

@@ -352,6 +352,16 @@ def test_without_cgroups_the_engine_says_who_has_the_cpus(tmp_path: Path) -> Non
     assert {fact.name: round(fact.cpus, 2) for fact in crowd.consumers.read()}["slam"] == 0.5
 
 
+def test_a_proxy_that_refuses_the_list_is_asked_once(tmp_path: Path) -> None:
+    """Each refusal is a line in the proxy's log; the configured containers are known without it."""
+    crowd = Crowd(tmp_path, files=False)
+    crowd.engine.names = EngineRefused("403")
+    for _ in range(3):
+        crowd.consumers.read()
+        crowd.clock.advance(5.0)
+    assert crowd.engine.asked == ["list", ID, ID, ID]
+
+
 def test_a_container_that_was_started_again_is_not_taken_for_others(tmp_path: Path) -> None:
     """Its counter begins at 0 again: neither its share nor that of programs outside of containers is known for that reading."""
     crowd = Crowd(tmp_path)

@@ -34,6 +34,7 @@ from phm.model import CONCLUSIVE, LIFE, Event, FaultClosed, FaultOpened, Level, 
 from phm.plan import Plan
 from phm.settings import Settings
 from phm.tracker import SURE_S, Step, Tracker
+from phm.tracker.starvation import UNREAD_S
 
 ROOT = Path(__file__).resolve().parents[2]
 TARGET = "ros_app"
@@ -59,6 +60,7 @@ CAUSES = {
     "overload": ("host/cpu", "cpu_high"),
 }
 """Primary faults: the unit that is the cause, and its condition."""
+LINKS = (("autopilot", "autopilot_silent"), ("gcs", "gcs_lost"), ("link/ground", "link_silent"))
 STARVING = frozenset({"starved", "overload"})
 HIDDEN = frozenset({"unhealthy", *(kind for kind in CAUSES if kind.startswith("silent"))})
 """What cannot be known while the container is starved: it would look the same without a cause of its own."""
@@ -169,7 +171,10 @@ class World:
         may += [(unit, rnd.choice(("publisher_lost", "topic_missing"))) for unit in TOPICS.values()]
         may += [("health/ros_app", "unhealthy")]
         if kind == "overload":
-            may += [("autopilot", "autopilot_silent"), ("gcs", "gcs_lost"), ("link/ground", "link_silent")]
+            for unit, condition in LINKS:
+                if rnd.random() < 0.6:  # for a while only: PHM leaves out the time in which it was late itself
+                    begin = at + rnd.choice((0.0, rnd.uniform(0.0, 6.0)))
+                    yield Bad(unit, begin, condition, 0.0, begin + rnd.uniform(0.5, UNREAD_S - 5.0))
             if rnd.random() < 0.7:
                 yield Bad("pressure/ros_app", at - rnd.uniform(0.0, 1.5), "cpu_starved", rnd.uniform(0.0, 3.0))
         for unit, condition in may:
@@ -179,7 +184,7 @@ class World:
     def repair(self, kind: str, at: float) -> None:
         """The primary fault is no more; its consequences go one after the other."""
         for span in self.active.pop(kind, ()):
-            span.end = max(span.begin, at + span.back_s)
+            span.end = min(span.end, max(span.begin, at + span.back_s))
         if kind in ("container", "paused"):
             self.ghosts.append((at, at + self.random.uniform(0.0, 1.0)))
 
