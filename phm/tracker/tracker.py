@@ -20,6 +20,8 @@ LOOK_AGAIN_S = 0.15
 """A unit that settles, even this often: evidence may end the waiting early (`Result.settle_s`)."""
 UNPROVEN_S = 30.0
 """How long a unit that is OK again stays ERROR because what needs it has not come back: time for the next action."""
+PRESSURE = "pressure/"
+"""What the units of containers begin with that are short of something."""
 
 
 class Tracker:
@@ -76,11 +78,12 @@ class Tracker:
         return any(self._units[name].failing and self._units[name].started >= mono for name in self._below(entry))
 
     def _below(self, entry: Entry) -> list[str]:
-        """Units of the same target that need this one and have no fault of their own."""
+        """Units of the same target that need this one and have no fault of their own. Not its pressure: a repair cannot end that."""
         return [
             other.id
             for other in self._scene.downstream(entry.id)
             if other.target == entry.target and other.fault is None and not other.told_given_up
+            if not other.id.startswith(PRESSURE)
         ]
 
     def suffering(self, unit: str, mono: float) -> tuple[str, ...]:

@@ -408,3 +408,12 @@ def test_only_published_starvation_excuses_attempts() -> None:
     assert made.tracker.starving("nodes/n") == "pressure/app"
     over(made, "pressure/app")
     assert made.tracker.starving("nodes/n") == ""
+
+
+def test_a_repair_is_proven_without_the_pressure_of_its_container() -> None:
+    """A container that is up again and still starved was started all the same."""
+    made = Bench([unit("container/app", target="app"), unit("pressure/app", "container/app", target="app")])
+    made.all_well()
+    made.later(3.0)
+    made.see("pressure/app", THROTTLED)
+    assert made.tracker.suffering("container/app", 0.0) == ()
