@@ -10,9 +10,8 @@ from phm.engine import Scheduled
 from phm.needs import Needs
 from phm.settings import CheckSettings, Settings
 from phm.tracker import Tracked, all_needs
+from phm.tracker.tracker import PRESSURE
 
-PRESSURE = "pressure/"
-"""Units that say whether a container is starved: this and its key."""
 HOST_PRESSURE = ("host/cpu", "host/io", "host/memory")
 
 

@@ -32,7 +32,7 @@ class PressureFact:
     """CPUs; None: no limit."""
     cpu_used_s: float | None = None
     cpu_period_s: float = 0.1
-    """The limit is given out anew in each period."""
+    """The limit is granted again in each period."""
     throttled_periods: int | None = None
     """Periods in which the limit was used up."""
     throttled_s: float | None = None

@@ -12,7 +12,7 @@ FEW = 0.1
 
 
 def taken_by(world: api.World, but: str = "") -> tuple[str, float] | None:
-    """The name and the CPUs of whoever takes most, other than container `but`; None when it cannot be seen.
+    """The name and the CPUs of the consumer that takes most, other than container `but`; None when it cannot be seen.
 
     The probe needs two questions to know, so ask before it is urgent.
     """

@@ -18,7 +18,7 @@ NEWEST_S = 0.9
 IO_S = 5.0
 """A container that waits for the disk has nothing else to do as long as it waits; a short write to a slow card is no fault."""
 KILLED_TOLD_S = 10.0
-"""A process killed for lack of memory is gone at one reading; it is told for this long so that it is seen."""
+"""A process killed for lack of memory is gone at one reading; it is reported for this long so that it is seen."""
 LOOK_FROM = 0.5
 """From this share of the limit for waiting on, it is found out who has the CPUs: that takes two readings."""
 

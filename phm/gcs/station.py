@@ -201,7 +201,7 @@ class Station:
 
     def _judged_at(self, at: Stamp) -> Stamp:
         """Silence is judged as of a moment that is earlier by the time in which the ground did not run lately: frames that came
-        meanwhile may not be read yet, and whoever was heard since is there in any case."""
+        meanwhile may not be read yet, and an agent that was received since is there in any case."""
         return Stamp(at.utc, at.mono - self._clock.late_s(at.mono - WINDOW_S, LATE_MOST_S))
 
     def _publish(self, news: Iterable[News]) -> None:

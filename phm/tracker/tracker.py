@@ -21,7 +21,7 @@ LOOK_AGAIN_S = 0.15
 UNPROVEN_S = 30.0
 """How long a unit that is OK again stays ERROR because what needs it has not come back: time for the next action."""
 PRESSURE = "pressure/"
-"""What the units of containers begin with that are short of something."""
+"""Units that say whether a container is starved: this and its key."""
 
 
 class Tracker:

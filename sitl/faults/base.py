@@ -21,7 +21,6 @@ from docker.models.containers import Container
 
 NULL, ZERO = "/dev/null", "/dev/zero"
 STOP_S = 3
-PID_LIMIT_S = 5.0
 TRIES = 3
 FREEZES, FREEZE_AGAIN_S = 20, 0.5
 LAYERS = ("companion", "container", "ros", "link")
@@ -126,15 +125,6 @@ class Agent:
         moment = time.monotonic()
         self.run_in_app("kill", f"-{signal_name}", str(int(pid)))
         return moment
-
-    def _pid_of(self, node: str) -> int:
-        """Read again when nothing came: on a starved machine the engine sometimes ends an exec before it has handed on its output."""
-        until_s = time.monotonic() + PID_LIMIT_S
-        while not (pid := self.run_in_app("cat", f"/tmp/nodes/{node}.pid")):
-            if time.monotonic() > until_s:
-                raise RuntimeError(f"{self.app.name} does not tell the process of {node}")
-            time.sleep(0.1)
-        return int(pid)
 
     def write_in_app(self, path: str, content: bytes, mode: int = 0o644) -> None:
         """Put a file into the application container, whether it runs or not."""
