@@ -14,8 +14,10 @@ NEEDS = {"system": ("engine", "ros"), "ros": ("ros",), "interop": ("interop",)}
 marks on every Python of the machine, with no ROS and no engine there."""
 SKIPPED_IS_FAILED = "tests were skipped: what a test needs is set up by scripts/test, so a skipped test is a failed one"
 
-# How long one example takes says something about the machine, not about PHM.
-hypothesis_settings.register_profile("phm", deadline=None)
+# How long one example takes says something about the machine, not about PHM. The same examples in each run of the same code:
+# a run that fails says something about the change. New ones are looked for with --hypothesis-profile=explore and scripts/fuzz.
+hypothesis_settings.register_profile("phm", deadline=None, derandomize=True, database=None)
+hypothesis_settings.register_profile("explore", deadline=None, print_blob=True)
 hypothesis_settings.load_profile("phm")
 
 

@@ -14,7 +14,7 @@ runs when, how long a run takes, which wake-ups are lost) is random.
   may stay listed for another second after its container has started again (a ghost).
 - Pressure shows starvation no later than the first of its symptoms, in any run of its check that looks from then on; the
   machine's does so up to 1.5 s after that of a container which waits for its cores. Symptoms are gone 4.5 s after its end.
-  The health check probes in its own time, and says when it did.
+  The health check probes in its own time, says when it did, and begins anew with each life of the container.
 - A run takes 0.2 s at most, a wake-up that is not lost is served within 0.9 s.
 """
 
@@ -40,6 +40,8 @@ ROOT = Path(__file__).resolve().parents[2]
 TARGET = "ros_app"
 TICK_S = 0.1
 SILENCE_S = 0.5
+PROBING_S = 5.0
+"""After a start, the engine says `starting` until so many probes in a row have failed that the container is unhealthy."""
 OK = Result(Level.OK, "well")
 NODES = {n: f"nodes/agent_1/node_{n}" for n in (1, 2, 3)}
 TOPICS = {n: f"topics/agent_1/topic_{n}" for n in (1, 2, 3)}
@@ -217,13 +219,21 @@ class World:
 
     def fact(self, at: float) -> ContainerFact:
         """What the engine says about the container."""
-        life = next(life for life in reversed(self.lives) if life.at <= at)
+        life = self._life(at)
         status = next(
             (span.condition for span in self.bad.get(f"container/{TARGET}", ()) if span.covers(at)), "running"
         )
         return testing.container(
             TARGET, id=f"id{life.made}", started_at=f"t{life.number:06}", restart_count=life.restarts, status=status
         )
+
+    def _life(self, at: float) -> Life:
+        return next(life for life in reversed(self.lives) if life.at <= at)
+
+    def _running_since(self, at: float) -> float:
+        down = self.bad.get(f"container/{TARGET}", ())
+        ends = [span.end for span in down if span.end <= at and span.condition in ("exited", "restarting")]
+        return max([self._life(at).at, *ends])
 
     def result(self, unit: str, at: float) -> Result:
         """What a run of the unit's check finds at `at`."""
@@ -236,7 +246,7 @@ class World:
         values: dict[str, Value] = {LIFE: self.fact(at).life} if unit == f"container/{TARGET}" else {}
         target = TARGET if unit in targeted() else ""
         found = [span for span in self.bad.get(unit, ()) if span.covers(at)]
-        if not found:
+        if not found or (unit.startswith("health/") and at - self._running_since(at) < PROBING_S):
             return Result(Level.OK, "well", values=values)
         span = next(filter(self._conclusive, found), found[0])
         if span.condition == "restarting":

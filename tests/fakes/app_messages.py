@@ -14,6 +14,7 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,7 +35,9 @@ def install(distribution: str, python: str = OWN_PYTHON) -> Path:
         folder.parent.mkdir(exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
             _unpack(_download(lock, python, Path(scratch)), python, Path(scratch, "install"))
-            Path(scratch, "install").rename(folder)
+            with suppress(OSError):  # another process that tests was quicker, and its folder is the same
+                Path(scratch, "install").rename(folder)
+    assert folder.is_dir()
     return folder
 
 

@@ -186,6 +186,7 @@ def test_a_stop_while_the_event_stream_is_interrupted_is_not_undone(
     monkeypatch.setattr("phm.recovery.hold_service.CLOSED_S", 10 * LIMIT_S)
     agent = phm(**RESPECT)
     engine, watch = agent.daemon.parts.engine, agent.daemon.parts.watch
+    agent.until(lambda: watch.fact.open, "the event stream to be open")
     with monkeypatch.context() as closed:
 
         def refuse(*words: Any) -> Any:
