@@ -246,8 +246,11 @@ class World:
         values: dict[str, Value] = {LIFE: self.fact(at).life} if unit == f"container/{TARGET}" else {}
         target = TARGET if unit in targeted() else ""
         found = [span for span in self.bad.get(unit, ()) if span.covers(at)]
-        if not found or (unit.startswith("health/") and at - self._running_since(at) < PROBING_S):
+        if not found:
             return Result(Level.OK, "well", values=values)
+        probing_s = self._running_since(at) + PROBING_S - at
+        if unit.startswith("health/") and probing_s > 0:
+            return Result(Level.STALE, "starting", target=target, decides_s=PROBING_S)
         span = next(filter(self._conclusive, found), found[0])
         if span.condition == "restarting":
             return Result(Level.STALE, "the engine is about to restart it", values=values)
@@ -283,6 +286,9 @@ class World:
     def changes(self, unit: str) -> Iterable[float]:
         for span in self.bad.get(unit, ()):
             yield from (span.begin, span.end)
+        if unit.startswith("health/"):
+            starts = [life.at for life in self.lives] + [span.end for span in self.bad.get(f"container/{TARGET}", ())]
+            yield from (start + PROBING_S for start in starts)
 
 
 class Sim:
