@@ -27,6 +27,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from phm.core.model import CERTAIN, CONCLUSIVE, Layer, Level, Result, Slot, Value
+from phm.core.settings import (
+    ContainerSettings,
+    DeviceSettings,
+    EndpointSettings,
+    FileSettings,
+    HostSettings,
+    Limit,
+    NodeSettings,
+    PressureSettings,
+    Settings,
+    TopicSettings,
+    WatchedDiagnosticSettings,
+)
 from phm.facts import (
     Attachment,
     AutopilotFact,
@@ -60,20 +74,6 @@ from phm.facts import (
     SwarmFact,
     TopicFact,
     World,
-)
-from phm.model import CERTAIN, CONCLUSIVE, Layer, Level, Result, Slot, Value
-from phm.settings import (
-    ContainerSettings,
-    DeviceSettings,
-    EndpointSettings,
-    FileSettings,
-    HostSettings,
-    Limit,
-    NodeSettings,
-    PressureSettings,
-    Settings,
-    TopicSettings,
-    WatchedDiagnosticSettings,
 )
 
 __all__ = [

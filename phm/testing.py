@@ -19,7 +19,10 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from phm.clock import Clock, Steps
+from phm.core.clock import Clock, Steps
+from phm.core.model import Stamp
+from phm.core.scheduling_delay import Lateness
+from phm.core.settings import Settings
 from phm.facts import (
     AutopilotFact,
     CannotTell,
@@ -48,9 +51,6 @@ from phm.facts import (
     SwarmProbe,
     World,
 )
-from phm.model import Stamp
-from phm.scheduling import Lateness
-from phm.settings import Settings
 
 __all__ = [
     "FakeClock", "FakeDevices", "FakeDocker", "FakeFiles", "FakeHost", "FakeLinks", "FakePressure", "FakeRos",
@@ -68,7 +68,7 @@ class _Sleeper:
 
 
 class FakeClock:
-    """A `phm.clock.Clock` that stands still until the test moves it.
+    """A `phm.core.clock.Clock` that stands still until the test moves it.
 
     Invariant: a thread counts as sleeping only while neither its event is set nor its time is over, so
     that after `advance` a `wait_for_sleepers` waits for the woken threads to have done their work.
@@ -139,7 +139,7 @@ class FakeClock:
                 self._moved.wait(_LOOK_S)
 
     def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
-        """As `phm.clock.Clock.wait`, in the time of this clock."""
+        """As `phm.core.clock.Clock.wait`, in the time of this clock."""
         with self._moved:
             sleeper = _Sleeper(event, None if timeout_s is None else self._mono + timeout_s)
             self._sleepers.append(sleeper)

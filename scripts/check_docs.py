@@ -13,7 +13,7 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 from phm.cli import VERBS
-from phm.settings import Settings
+from phm.core.settings import Settings
 
 ROOT = Path(__file__).resolve().parent.parent
 LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]+)(?:#[^)\s]*)?\)")

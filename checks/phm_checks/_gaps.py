@@ -1,6 +1,6 @@
 """Pictures of the graph that are incomplete by their own evidence: they are no reason for an alarm.
 
-Not a check: memory of `topics`. Why pictures can be so, and what is done about it: `phm.probes.ros.unnamed`.
+Not a check: memory of `topics`. Why pictures can be so, and what is done about it: `phm.probes.ros.unnamed_participants`.
 """
 
 from __future__ import annotations

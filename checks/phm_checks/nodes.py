@@ -51,7 +51,7 @@ class _Node:
         self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float, fit: int, *, unlisted: bool
     ) -> Judgement:
         """fit: how many processes may be the node's own. While two that were told are there, the graph may be a new one that does
-        not list both yet (`phm.probes.ros.ghosts`). unlisted: they cannot be listed."""
+        not list both yet (`phm.probes.ros.stale_nodes`). unlisted: they cannot be listed."""
         both = fit > 1 and (self.signs.twofold or self.copies > 0)
         self._both_since = (self._both_since or now) if both else None
         lasts = self._both_since is not None and (self.signs.rivals > 0 or now - self._both_since >= BOTH_S)

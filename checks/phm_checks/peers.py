@@ -11,7 +11,7 @@ from phm_checks._words import brief, joined, span
 GRACE_S = 30.0
 """Agents are switched on one after another: for so long after PHM's start nobody is missed."""
 SETTLE_S = 5.0
-"""Agents that vanish together are mostly known to be lost together (`phm.swarm.vanished`), and else within seconds of each
+"""Agents that vanish together are mostly known to be lost together (`phm.swarm.group_loss`), and else within seconds of each
 other: a split is told, at once, before single agents are."""
 WHOLE = "peers/swarm"
 

@@ -11,7 +11,7 @@ import click
 from phm.cli.options import config_option, json_option, load_settings, loops_are_configuration_errors
 
 if TYPE_CHECKING:
-    from phm.plan import Plan
+    from phm.checking.plan import Plan
 
 
 @click.command(epilog="Example: phm checks --graph -c config/phm.yaml")
@@ -44,8 +44,8 @@ def command(ctx: click.Context, as_graph: bool, config: str | None, as_json: boo
 
 def _plan(config: str | None) -> Plan:
     settings = load_settings(config)
-    from phm import registry
-    from phm.plan import make
+    from phm.checking import registry
+    from phm.checking.plan import make
 
     with loops_are_configuration_errors():
         return make(settings, registry.checks())
@@ -53,7 +53,7 @@ def _plan(config: str | None) -> Plan:
 
 def _graph_json(plan: Plan) -> list[dict[str, Any]]:
     """One per unit, in slot order. `needs` is direct; `blocks` is everything that follows, with all between."""
-    from phm.needs import Needs
+    from phm.core.dependency_graph import Needs
 
     needs = Needs({entry.unit.id: entry.needs for entry in plan.tracked})
     known = {entry.unit.id for entry in plan.tracked}
@@ -77,7 +77,7 @@ def _graph_json(plan: Plan) -> list[dict[str, Any]]:
 
 def _tree(plan: Plan) -> Iterator[str]:
     """Each unit once, indented below the last of its direct needs; further needs that are not above it are named."""
-    from phm.needs import Needs
+    from phm.core.dependency_graph import Needs
 
     needs = Needs({entry.unit.id: entry.needs for entry in plan.tracked})
     entries = {entry.unit.id: entry for entry in plan.tracked}
@@ -99,8 +99,8 @@ def _tree(plan: Plan) -> Iterator[str]:
 
 def _rows() -> list[dict[str, Any]]:
     """One per installed check; `slot`, `layer` are null and `problem` says why when it could not be loaded."""
-    from phm import registry
     from phm.api import Check
+    from phm.checking import registry
 
     base: type = Check  # mypy takes no abstract class for type[T]
     rows = []

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from phm.cli.options import config_option, json_option, load_settings, run_dir_option
-from phm.wire import episodes, journal, status_file, status_shape
+from phm.wire import fault_timeline, json_log, status_file, status_shape
 
 RECENT = 20
 
@@ -34,10 +34,10 @@ def command(
     """
     directory = log_dir or load_settings(config).log.directory
     opened, running = _open_now(run_dir)
-    if not journal.files(directory) and not running:
+    if not json_log.files(directory) and not running:
         click.echo(f"there is no phm.jsonl in {directory}: PHM has not run here, or see --log-dir", err=True)
         ctx.exit(1)
-    found = episodes.gather(journal.read(directory), opened if running else None)
+    found = fault_timeline.gather(json_log.read(directory), opened if running else None)
     if fault is not None:
         found = [episode for episode in found if episode["fault"] == fault]
         if not found:

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Protocol
 
 import click
 
-from phm import threads
-from phm.signals import Signals
+from phm.core import threads
+from phm.core.signals import Signals
 
 if TYPE_CHECKING:
-    from phm.clock import Clock
+    from phm.core.clock import Clock
+    from phm.core.settings import MavlinkSettings
     from phm.gcs.serve import Server
     from phm.gcs.station import Station
-    from phm.settings import MavlinkSettings
 
 DEFAULT = "udpin:0.0.0.0:14551"
 IDS = (251, 254)
@@ -115,9 +115,9 @@ def command(
     or not heard, or there is none.
     """
     from phm.cli import render
-    from phm.clock import SystemClock
-    from phm.gcs.record import Record
-    from phm.gcs.show import Show
+    from phm.core.clock import SystemClock
+    from phm.gcs.console import Show
+    from phm.gcs.recorder import Record
 
     clock = SystemClock()
     clock.measure()
@@ -216,8 +216,8 @@ def _ending() -> Iterator[threading.Event]:
 def _settings(urls: tuple[str, ...], baud: int, key: str | None, unsigned: str) -> MavlinkSettings:
     from pydantic import ValidationError
 
+    from phm.core.settings import MavlinkSettings
     from phm.gcs.station import COMPONENT
-    from phm.settings import MavlinkSettings
 
     if len(set(urls)) < len(urls):
         raise click.UsageError("The same URL is given twice.")

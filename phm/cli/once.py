@@ -20,7 +20,7 @@ def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
     78: the configuration is bad.
     """
     settings = load_settings(config)
-    from phm import daemon
+    from phm.runtime import daemon
     from phm.wire.report import report_json
 
     with loops_are_configuration_errors():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from phm.settings import Settings
+    from phm.core.settings import Settings
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -65,7 +65,7 @@ def loops_are_configuration_errors() -> Iterator[None]:
     """What shows only once the daemon is built, needs that run in a circle and a key that cannot be used, ends like any bad
     configuration.
     """
-    from phm.needs import NeedsLoop
+    from phm.core.dependency_graph import NeedsLoop
     from phm.transport.mavlink_signing import KeyProblem
 
     try:

@@ -9,13 +9,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from phm.checking.registry import ACTIONS, checks, find as find_installed, usable
 from phm.config import ConfigError, Problem, find, load
 from phm.recovery.base import Action
-from phm.registry import ACTIONS, checks, find as find_installed, usable
 
 if TYPE_CHECKING:
     from phm.api import Check, Unit
-    from phm.settings import Settings
+    from phm.core.settings import Settings
 
 
 @dataclass(frozen=True, slots=True)

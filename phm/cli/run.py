@@ -15,7 +15,7 @@ import click
 from phm.cli.options import config_option, load_settings, loops_are_configuration_errors
 
 if TYPE_CHECKING:
-    from phm.settings import Settings
+    from phm.core.settings import Settings
 
 
 @contextmanager
@@ -41,8 +41,8 @@ def command(config: str | None) -> None:
     with uncollected():
         settings = load_settings(config)
         logging.basicConfig(level=logging.WARNING, format="phm: %(levelname)s: %(name)s: %(message)s")
-        from phm import service
-        from phm.instance_lock import AlreadyRunning
+        from phm.core.instance_lock import AlreadyRunning
+        from phm.runtime import service
 
     try:
         with loops_are_configuration_errors():

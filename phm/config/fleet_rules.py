@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from phm.config.view import View
+from phm.config.node import View
 
 _ENCRYPTED = ("tls/", "quic/")
 

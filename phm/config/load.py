@@ -14,13 +14,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from phm.config import cross
-from phm.config.expand import Expander
+from phm.config import semantic_rules
+from phm.config.env_expansion import Expander
+from phm.config.error_messages import sentence
+from phm.config.node import View
 from phm.config.problems import ConfigError, Problem, dotted
-from phm.config.view import View
-from phm.config.words import sentence
 from phm.config.yaml_tree import MAX_BYTES, Tree, parse
-from phm.settings import Settings
+from phm.core.settings import Settings
 
 INSTALLED = FilePath("/etc/phm/phm.yaml")
 IN_REPOSITORY = FilePath("config/phm.yaml")
@@ -91,11 +91,11 @@ def loads(
     settings, wrong = _validate(tree, file)
     problems += wrong
     root = View(tree, file, problems, value=tree.data)
-    cross.judge(root)
+    semantic_rules.judge(root)
     if known_checks is not None:
-        cross.names_of_checks(root, known_checks, known_units)
-    cross.names_of_recovery(root, known_actions, known_conditions)
-    cross.needs_have_no_loop(root, {name: set(needs) for name, needs in (builtin_needs or {}).items()})
+        semantic_rules.names_of_checks(root, known_checks, known_units)
+    semantic_rules.names_of_recovery(root, known_actions, known_conditions)
+    semantic_rules.needs_have_no_loop(root, {name: set(needs) for name, needs in (builtin_needs or {}).items()})
     if problems or settings is None:
         raise ConfigError(problems)
     return settings if interval is None else settings.model_copy(update={"interval": interval})

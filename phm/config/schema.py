@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from phm.settings import Settings
+from phm.core.settings import Settings
 
 TARGET = Path(__file__).resolve().parents[2] / "config" / "phm.schema.json"
 _VARIABLE = {"$ref": "#/$defs/Variable"}
@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     if target.is_file() and target.read_text(encoding="utf-8") == text():
         return 0
-    sys.stderr.write(f"{target.name} does not match phm/settings.py: run 'python -m phm.config.schema'\n")
+    sys.stderr.write(f"{target.name} does not match phm/core/settings.py: run 'python -m phm.config.schema'\n")
     return 1
 
 

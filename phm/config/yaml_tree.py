@@ -12,9 +12,9 @@ from typing import Any
 
 import yaml
 
-from phm.config.expand import Expander, ExpandError
+from phm.config.env_expansion import Expander, ExpandError
 from phm.config.problems import Path, Problem, dotted, shown
-from phm.config.scalars import resolve
+from phm.config.yaml_scalars import resolve
 
 MAX_BYTES = 256 * 1024
 MAX_DEPTH = 24
@@ -59,7 +59,7 @@ class _TooMuch(yaml.MarkedYAMLError):
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes with caps. Plain scalars keep no resolved type: `phm.config.scalars` decides, after expansion."""
+    """Composes with caps. Plain scalars keep no resolved type: `phm.config.yaml_scalars` decides, after expansion."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)

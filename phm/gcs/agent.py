@@ -6,10 +6,10 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from phm.core.model import Level, Slot, Stamp
 from phm.gcs.frames import BOOT, Beat
-from phm.gcs.lines import Kind, Line, same
 from phm.gcs.presence import Presence, State
-from phm.model import Level, Slot, Stamp
+from phm.gcs.statustext_parser import Kind, Line, same
 from phm.wire import status_word
 from phm.wire.status_line import agent_name
 from phm.wire.tunnel import Detail, View

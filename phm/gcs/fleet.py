@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from phm.core.model import Stamp
 from phm.gcs.agent import PHM_COMPONENT, Agent
 from phm.gcs.frames import Radio
 from phm.gcs.hops import Around, Hop, first_broken
 from phm.gcs.presence import Presence, State
-from phm.model import Stamp
 from phm.swarm.peers import LOST_PERIODS, VIEW_LATE_PERIODS
-from phm.transport.mavlink_budget import periods
+from phm.transport.priority import periods
 from phm.wire.tunnel import Digest, Seen, View
 
 MAX_AGENTS, MAX_PILOTS, MAX_STATIONS, MAX_RADIOS = 256, 256, 16, 16

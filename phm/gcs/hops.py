@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from phm.core.model import Level, Slot
 from phm.gcs.agent import Agent
 from phm.gcs.presence import State
-from phm.model import Level, Slot
 from phm.wire.status_line import agent_name
 
 _PLACES = ("port", "router", "link", "radio", "autopilot", "GCS")

@@ -13,11 +13,11 @@ import socket
 import threading
 from dataclasses import dataclass, field
 
-from phm import threads
-from phm.clock import Clock
-from phm.gcs.news import News
-from phm.gcs.outlet import Item, Outlet
+from phm.core import threads
+from phm.core.clock import Clock
+from phm.gcs.events import News
 from phm.gcs.station import Station
+from phm.gcs.subscriber_queue import Item, Outlet
 
 logger = logging.getLogger(__name__)
 

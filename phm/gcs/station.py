@@ -15,17 +15,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from phm import __version__, threads
-from phm.clock import Clock
+from phm import __version__
+from phm.core import threads
+from phm.core.clock import Clock
+from phm.core.model import Stamp
+from phm.core.scheduling_delay import WINDOW_S
+from phm.core.settings import MavlinkSettings
 from phm.gcs import frames
+from phm.gcs.events import News, encode
+from phm.gcs.fleet_state import Store
 from phm.gcs.frames import Frame
-from phm.gcs.news import News, encode
-from phm.gcs.outlet import Item, Outlet
-from phm.gcs.sieve import Copies, Meter
-from phm.gcs.store import Store
-from phm.model import Stamp
-from phm.scheduling import WINDOW_S
-from phm.settings import MavlinkSettings
+from phm.gcs.ingress_filter import Copies, Meter
+from phm.gcs.subscriber_queue import Item, Outlet
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 

@@ -15,11 +15,11 @@ from pathlib import Path, PurePosixPath
 
 from serial.tools.list_ports_linux import SysFS
 
-from phm.clock import Clock
+from phm.core.clock import Clock
+from phm.core.settings import Settings
 from phm.facts import CannotTell, DeviceFact
-from phm.probes.notices import Notices
-from phm.probes.worker import Worker
-from phm.settings import Settings
+from phm.probes.blocking_call import Worker
+from phm.probes.inotify import Notices
 
 LOOK_S = 1.5
 """Deadline of one look; opening a device whose driver is stuck can hang."""

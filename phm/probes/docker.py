@@ -10,12 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from phm.clock import Clock
+from phm.core.clock import Clock
+from phm.core.settings import Settings
 from phm.facts import CannotTell, ContainerFact, ProcessFact
-from phm.probes import reach
+from phm.probes import ping
 from phm.probes.docker_facts import Budget, container_fact, find
 from phm.probes.docker_processes import Processes
-from phm.settings import Settings
 from phm.transport.docker import Engine, EngineMissing
 
 FRESH_S = 0.2
@@ -47,7 +47,7 @@ class Docker:
         self._generation = 0
         self._my_id = ""
         self._processes = Processes(engine, clock)
-        self._reach = reach.Reach()
+        self._reach = ping.Reach()
         engine.on_change = self.invalidate
 
     def engine(self) -> str:
@@ -85,7 +85,7 @@ class Docker:
         return self._reach.answers(address, holder.life if holder is not None else "")
 
     def answering(self) -> tuple[str, ...]:
-        """Addresses of configured containers that run and have answered in this life; see `phm.probes.pulse`."""
+        """Addresses of configured containers that run and have answered in this life; see `phm.probes.reachability_monitor`."""
         facts = [entry.fact for key, entry in self._entries.items() if key != _MYSELF and entry.fact is not None]
         return tuple(
             one.address

@@ -6,10 +6,10 @@ import signal
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from phm.clock import Clock
+from phm.core.clock import Clock
+from phm.core.maintenance import LABEL
+from phm.core.settings import ContainerSettings
 from phm.facts import Attachment, CannotTell, ContainerFact, DeviceMapping, HealthcheckFact, Mount
-from phm.maintenance import LABEL
-from phm.settings import ContainerSettings
 from phm.transport.docker import Engine, EngineMissing
 
 _OUTPUT_CHARS = 200

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from phm.clock import Clock
+from phm.core.clock import Clock
 from phm.facts import CannotTell, ProcessFact
 from phm.transport.docker import Engine, EngineBroken
 

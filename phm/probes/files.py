@@ -13,12 +13,12 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, Final
 
-from phm.clock import Clock
+from phm.core.clock import Clock
+from phm.core.settings import Settings
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
 from phm.probes.docker_facts import Budget
-from phm.probes.notices import Notices
+from phm.probes.inotify import Notices
 from phm.probes.volume_path import MAX_LINKS, Outside, join, normal, resolve
-from phm.settings import Settings
 from phm.transport.docker import Engine, EngineMissing
 
 MAX_BYTES = 1 << 30

@@ -16,13 +16,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from phm.clock import Clock
-from phm.disk_space import space
+from phm.core.clock import Clock
+from phm.core.settings import Settings
 from phm.facts import CannotTell, DiskFact, HostFact
+from phm.facts.disk_space import space
+from phm.probes.blocking_call import Worker
+from phm.probes.cpu_usage import Processor
 from phm.probes.kernel_file import head
-from phm.probes.processor import Processor
-from phm.probes.worker import Worker
-from phm.settings import Settings
 
 DISK_S = 1.0
 """Deadline of one look at one disk."""

@@ -11,7 +11,7 @@ from itertools import pairwise
 from statistics import fmean, median
 from typing import Any
 
-from phm.link_facts import RadioFact
+from phm.facts.links import RadioFact
 
 UNKNOWN = 255
 KEPT = 9

@@ -8,20 +8,20 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from phm.clock import Clock
+from phm.core.clock import Clock
+from phm.core.settings import Settings
 from phm.facts import AutopilotFact, GcsFact, LinkFact, RadioFact
-from phm.probes.link_cadence import UNEVEN_S, Cadence
-from phm.probes.link_flow import Flow
-from phm.probes.link_pilot import Pilot
+from phm.probes.adaptive_timeout import UNEVEN_S, Cadence
+from phm.probes.autopilot_state import Pilot
+from phm.probes.blocking_call import Worker
 from phm.probes.link_radio import Radio
-from phm.probes.link_strays import Strays
-from phm.probes.link_users import users
-from phm.probes.worker import Worker
-from phm.settings import Settings
+from phm.probes.link_stats import Flow
+from phm.probes.serial_port_users import users
+from phm.probes.unexpected_senders import Strays
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
-from phm.transport.mavlink_budget import periods
 from phm.transport.mavlink_endpoint import IDLE_S
+from phm.transport.priority import periods
 
 DOUBLES = 2
 """So many heartbeats of another sender within DOUBLE_S make a duplicate: a late echo may come once."""

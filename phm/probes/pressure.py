@@ -6,11 +6,11 @@ import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from phm.clock import Clock
+from phm.core.clock import Clock
+from phm.core.settings import Settings
 from phm.facts import CannotTell, ConsumerFact, DockerProbe, PressureFact
 from phm.probes import cgroups, engine_stats
-from phm.probes.consumers import Consumers
-from phm.settings import Settings
+from phm.probes.top_consumers import Consumers
 from phm.transport.docker import Engine, EngineMissing
 
 ENGINE_EVERY_S = 2.0

@@ -6,16 +6,16 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from phm.clock import Clock
-from phm.settings import Settings
+from phm.core.clock import Clock
+from phm.core.settings import Settings
+from phm.facts.swarm import PeerFact, SwarmFact
 from phm.swarm.consensus import Consensus, agree, without_ground
+from phm.swarm.leader_election import Election
 from phm.swarm.peers import Peers
 from phm.swarm.share import Share
-from phm.swarm.speaker import Election
-from phm.swarm_facts import PeerFact, SwarmFact
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
-from phm.transport.mavlink_budget import periods
+from phm.transport.priority import periods
 from phm.wire import status_word, tunnel
 
 FRESH_S, FRESH_PERIODS = 0.5, 0.1

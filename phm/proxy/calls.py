@@ -11,10 +11,10 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from phm.core.settings import ContainerSettings, FileSettings, Settings
+from phm.probes.docker_events import FILTERS
 from phm.probes.docker_processes import FORMS
-from phm.probes.docker_watch import FILTERS
 from phm.probes.volume_path import normal
-from phm.settings import ContainerSettings, FileSettings, Settings
 from phm.transport import docker_bodies
 
 COMMAND_LINES = "-ef"

@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from phm.core.settings import Settings
 from phm.proxy.calls import Call, Subject, calls, exact, problems
-from phm.settings import Settings
 from phm.transport import docker_bodies
 
 _VERSION = r"/v1\.(?:2[4-9]|[3-9][0-9])"

@@ -9,16 +9,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import cast
 
-from phm import threads
+from phm.core import threads
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, NotPermitted
-from phm.model import Fault
 from phm.recovery.armed import State
 from phm.recovery.base import Action, ActionFailed, NotYet, Unneeded
 from phm.recovery.critical import FlightCritical, Reach
 from phm.recovery.guarded_engine import GuardedEngine
 from phm.recovery.hands import InOtherHands
 from phm.recovery.shop import Shop
-from phm.settings import ContainerSettings
 from phm.transport.docker import Engine
 
 logger = logging.getLogger(__name__)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from phm.model import Phase
+from phm.core.model import Phase
+from phm.core.settings import ContainerSettings
 from phm.recovery import disks, links
 from phm.recovery.policy import Act, Advise, Decision, GiveUp, Wait
-from phm.settings import ContainerSettings
 
 
 @dataclass(frozen=True, slots=True)

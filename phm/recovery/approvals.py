@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from phm.model import Fault, Phase
+from phm.core.model import Fault, Phase
 from phm.recovery.approval import Approval, Situation
 from phm.recovery.cases import Case
 from phm.recovery.shop import Shop

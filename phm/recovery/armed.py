@@ -10,8 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from phm.clock import Clock
-from phm.link_facts import AutopilotFact
+from phm.core.clock import Clock
+from phm.facts.links import AutopilotFact
 
 REBOOT_S = 30.0
 """An autopilot that rebooted while armed says disarmed at first, also in the air: not relied on for so long."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from phm.model import Fault, Level, Result, Stamp, UnitState
+from phm.core.model import Fault, Level, Result, Stamp, UnitState
+from phm.core.settings import ContainerSettings, RecoverySettings
 from phm.recovery.history import History
-from phm.settings import ContainerSettings, RecoverySettings
 
 CONDITION = "asked"
 

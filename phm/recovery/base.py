@@ -11,12 +11,12 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from phm.clock import Clock, SystemClock
+from phm.core.clock import Clock, SystemClock
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings, Settings
 from phm.facts import Attachment, AutopilotFact, CannotTell, ContainerFact, LinkFact
-from phm.model import Fault
 from phm.recovery.critical import Reach
 from phm.recovery.relief import Relief
-from phm.settings import ContainerSettings, Settings
 from phm.transport.docker import Engine
 
 

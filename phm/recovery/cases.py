@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from phm.model import Fault
+from phm.core.model import Fault
 from phm.recovery.approval import Approval
 from phm.recovery.state import MAX_TOLD, Case as Kept
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import Enum
 
+from phm.core.settings import Settings
 from phm.facts import CannotTell, ContainerFact
 from phm.recovery.armed import Armed, State
 from phm.recovery.dependants import dependants
-from phm.settings import Settings
 
 
 class Reach(Enum):

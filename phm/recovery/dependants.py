@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from phm.core.settings import ContainerSettings
 from phm.facts import ContainerFact
-from phm.settings import ContainerSettings
 
 
 def dependants(

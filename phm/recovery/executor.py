@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 
-from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Outcome, Transition
+from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Level, Outcome, Transition
 from phm.recovery import disks, links
 from phm.recovery.asked import NotAllowed, NotNow
 from phm.recovery.history import History

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from phm.model import Fault
+from phm.core.model import Fault
+from phm.core.settings import RecoverySettings
 from phm.recovery.history import CLEAN_S, Attempt, History
-from phm.settings import RecoverySettings
 
 
 @dataclass(frozen=True, slots=True)

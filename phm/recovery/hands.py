@@ -14,9 +14,9 @@ import contextlib
 import threading
 from collections.abc import Iterator
 
-from phm.clock import Clock
+from phm.checking.pipeline import Pipeline
+from phm.core.clock import Clock
 from phm.facts import CannotTell
-from phm.pipeline import Pipeline
 
 POLL_S = 0.05
 

@@ -11,17 +11,17 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from phm import threads
-from phm.clock import Clock
+from phm.checking.pipeline import Pipeline
+from phm.core import threads
+from phm.core.clock import Clock
+from phm.core.maintenance import LABEL, parse
+from phm.core.model import Event, HoldChanged
+from phm.core.settings import Settings
 from phm.facts import COMPLETE, CannotTell, ContainerFact, EventStreamFact
-from phm.maintenance import LABEL, parse
-from phm.model import Event, HoldChanged
-from phm.pipeline import Pipeline
 from phm.recovery.armed import Armed, State
 from phm.recovery.dependants import dependants
 from phm.recovery.holds import ALL, MAX_TEXT, OPERATOR, STOP, WINDOW, Hold, Holds
 from phm.recovery.manual_stop import ManualStops, Verdict
-from phm.settings import Settings
 from phm.wire.report import iso
 from phm.wire.text import one_line
 
@@ -43,7 +43,7 @@ CLOSED_S = 3.0
 LOOK_S = 0.1
 """While the event stream is closed, it is looked at this often."""
 STOP_MAX_S = 121.0
-"""The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.docker_watch.STOP_S`)."""
+"""The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.docker_events.STOP_S`)."""
 _DONE = {Verdict.STOPPED: "stopped", Verdict.REMOVED: "removed"}
 
 
@@ -140,7 +140,7 @@ class HoldService:
     # ------------------------------------------------------------ the engine's events
 
     def happened(self, container: str, action: str, detail: str, container_id: str = "") -> None:
-        """An event of a configured container, before anybody is woken for it; actions as in `phm.probes.docker_watch`."""
+        """An event of a configured container, before anybody is woken for it; actions as in `phm.probes.docker_events`."""
         with self._lock:
             now, own = self._clock.mono(), self._world.own(container)
             late = own and not self._pipeline.acting_on(container)

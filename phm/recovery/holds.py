@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from phm.model import Stamp
+from phm.core.model import Stamp
 from phm.wire.report import iso
 
 ALL = ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phm.settings import ContainerSettings
+from phm.core.settings import ContainerSettings
 
 PREFIX = "link:"
 

@@ -21,7 +21,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from phm.clock import Clock
+from phm.core.clock import Clock
 from phm.facts import CannotTell, ContainerFact
 
 FOUND, ENGINE, OTHERS, RECREATED, COUNTED = "found", "engine", "others", "recreated", "counted"

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from phm.bus import Bus
-from phm.clock import Clock
-from phm.model import Event
-from phm.pipeline import Pipeline
+from phm.checking.pipeline import Pipeline
+from phm.core.bus import Bus
+from phm.core.clock import Clock
+from phm.core.model import Event
+from phm.core.settings import Settings
 from phm.recovery.armed import ArmedMonitor
 from phm.recovery.executor import Executor
 from phm.recovery.state import RecoveryState, State
 from phm.recovery.state_file import Keeper, StateFile
-from phm.settings import Settings
 
 
 class Memory:

@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from phm.model import NEVER_WELL, Fault
+from phm.core.model import NEVER_WELL, Fault
+from phm.core.settings import ContainerSettings, RecoverySettings
 from phm.recovery.failures import Failures
 from phm.recovery.history import Attempt, History
 from phm.recovery.holds import BEING_STOPPED
-from phm.settings import ContainerSettings, RecoverySettings
 
 HOLD, STARVED, START = "hold", "starved", "start"
 LADDERS: Mapping[str, tuple[str, ...]] = {
@@ -75,7 +75,7 @@ back what the start had, and is tried once; where it never was, nothing is done.
 ONCE_WELL_S, FOUND_WELL_S = 2.0, 5.0
 """What has been told well for longer was not wrong from the start: beyond the grace of that start, in which all comes up and names
 of the life before go; where the container ran before PHM did, since PHM looks. A check that knows better says so
-(`phm.model.NEVER_WELL`)."""
+(`phm.core.model.NEVER_WELL`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from phm.model import Fault, Level, Result
+from phm.core.model import Fault, Level, Result
 from phm.recovery.base import Action
 from phm.recovery.lives import ENGINE, Life, by_phm
 from phm.recovery.policy import OUTSIDE
@@ -20,7 +20,7 @@ STILL_BAD_S = 2.0
 
 
 class Seen(Protocol):
-    """What runs have found; `phm.pipeline.Pipeline` is one."""
+    """What runs have found; `phm.checking.pipeline.Pipeline` is one."""
 
     def well_since(self, unit: str, mono: float) -> bool: ...
 

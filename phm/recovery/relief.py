@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from phm.clock import Clock
+from phm.core.clock import Clock
+from phm.core.model import Event, FaultClosed, Level, UnitState
 from phm.facts import CannotTell, ContainerFact
-from phm.model import Event, FaultClosed, Level, UnitState
 from phm.transport.docker import Engine
 
 LOW_SHARES = 64
@@ -32,7 +32,7 @@ class Lowered:
 
 
 class Pipeline(Protocol):
-    """What is published; `phm.pipeline.Pipeline` is one."""
+    """What is published; `phm.checking.pipeline.Pipeline` is one."""
 
     def states(self) -> tuple[UnitState, ...]: ...
 

@@ -7,15 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from phm.core.model import Fault, Phase
+from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell
-from phm.model import Fault, Phase
 from phm.recovery.acting import Acting
 from phm.recovery.armed import State
 from phm.recovery.base import Action, ActionFailed
 from phm.recovery.critical import Reach
 from phm.recovery.proof import Meanwhile, prove
 from phm.recovery.shop import Shop
-from phm.settings import ContainerSettings
 
 logger = logging.getLogger(__name__)
 

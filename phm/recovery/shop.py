@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from phm.clock import Clock
-from phm.model import Event, Fault
-from phm.pipeline import Pipeline
+from phm.checking.pipeline import Pipeline
+from phm.core.clock import Clock
+from phm.core.model import Event, Fault
+from phm.core.settings import ContainerSettings
 from phm.recovery.armed import Armed
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.critical import Reach, Safeguard
@@ -15,7 +16,6 @@ from phm.recovery.hands import Hands
 from phm.recovery.holds import Holds
 from phm.recovery.lives import Lives
 from phm.recovery.policy import ladder_of
-from phm.settings import ContainerSettings
 
 
 def _nothing_below(unit: str) -> Mapping[str, frozenset[str]]:
@@ -28,7 +28,7 @@ class Shop:
 
     armed:   whether the vehicle is armed, as far as that is known now.
     grace_s: of a unit, seconds.
-    below:   units that need a unit and are other containers', by container (`phm.plan.Plan.below`).
+    below:   units that need a unit and are other containers', by container (`phm.checking.plan.Plan.below`).
     """
 
     pipeline: Pipeline

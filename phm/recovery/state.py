@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from phm.clock import MAX_STEPS
-from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.core.clock import MAX_STEPS
+from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.armed import LastKnown
 from phm.recovery.history import CLEAN_S, KEPT, Attempt
 from phm.recovery.holds import MAX_DONE, MAX_HOLDS, Hold, KeptHold, carried
@@ -87,7 +87,7 @@ class State:
     given_up: tuple[Fault, ...] = ()
     recovery: RecoveryState = field(default_factory=RecoveryState)
     clock: tuple[tuple[float, float], ...] = ()
-    """How the UTC clock was set on this start of the machine, as far as PHM has seen (`phm.clock.Steps.kept`)."""
+    """How the UTC clock was set on this start of the machine, as far as PHM has seen (`phm.core.clock.Steps.kept`)."""
 
 
 # ---------------------------------------------------------------- to and from JSON

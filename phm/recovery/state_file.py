@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from phm.clock import Clock
-from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, HoldChanged
-from phm.pipeline import Pipeline
+from phm.checking.pipeline import Pipeline
+from phm.core.clock import Clock
+from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, HoldChanged
 from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
 from phm.wire.status_file import place
 

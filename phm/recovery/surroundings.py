@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Collection, Iterable
 
-from phm.model import Fault, Phase
+from phm.core.model import Fault, Phase
 from phm.recovery.cases import Case
 from phm.recovery.history import CLEAN_S, History
 from phm.recovery.lives import Life, by_phm

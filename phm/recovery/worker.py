@@ -13,8 +13,9 @@ from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
-from phm import threads
-from phm.model import ActionEvent, Fault, Phase
+from phm.core import threads
+from phm.core.model import ActionEvent, Fault, Phase
+from phm.core.settings import ContainerSettings
 from phm.recovery.announcements import announce, in_words
 from phm.recovery.approvals import Approvals
 from phm.recovery.asked import NotAllowed, NotNow, permit, stand_in
@@ -27,7 +28,6 @@ from phm.recovery.repair import Repair
 from phm.recovery.shop import Shop
 from phm.recovery.state import Case as Kept, UnderWay
 from phm.recovery.surroundings import Surroundings
-from phm.settings import ContainerSettings
 
 logger = logging.getLogger(__name__)
 

@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
-from phm.clock import Clock
+from phm.core.clock import Clock
+from phm.core.model import Event, Fault, UnitState
+from phm.core.settings import Settings
 from phm.facts import LinkFact
-from phm.model import Event, Fault, UnitState
-from phm.ros_facts import DiagnosticFact
-from phm.settings import Settings
-from phm.swarm_facts import SwarmProbe
-from phm.transport.mavlink_budget import Class
+from phm.facts.ros import DiagnosticFact
+from phm.facts.swarm import SwarmProbe
+from phm.transport.priority import Class
 
 
 class MavlinkPort(Protocol):
@@ -43,7 +43,7 @@ class MavlinkPort(Protocol):
 
 
 class DiagnosticsPort(Protocol):
-    """The way to /diagnostics (`phm.probes.ros.process.RosProcess`)."""
+    """The way to /diagnostics (`phm.probes.ros.supervisor.RosProcess`)."""
 
     def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
         """Have these published, by name; never blocks. Returns how many times in a row that did not succeed."""

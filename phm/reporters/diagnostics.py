@@ -11,9 +11,19 @@ from collections.abc import Sequence
 from typing import Any
 
 from phm import __version__
-from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Transition, UnitState, worst_by_slot
+from phm.core.model import (
+    ActionEvent,
+    Event,
+    Fault,
+    FaultClosed,
+    FaultOpened,
+    Level,
+    Transition,
+    UnitState,
+    worst_by_slot,
+)
+from phm.facts.ros import DiagnosticFact
 from phm.reporters.base import DiagnosticsPort, Reporter, ReporterContext
-from phm.ros_facts import DiagnosticFact
 from phm.wire import status_word
 from phm.wire.report import array_text, iso, status_array, values_json
 from phm.wire.text import one_line

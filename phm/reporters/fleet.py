@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Protocol
 
-from phm.model import Event, Fault, FaultClosed, FaultOpened, Report, Transition
+from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Report, Transition
 from phm.reporters.base import Reporter, ReporterContext
 from phm.transport.zenoh_link import FleetFact, Keys, ZenohLink
 from phm.wire import fleet_status, status_word

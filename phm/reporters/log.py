@@ -1,7 +1,7 @@
 """The log on board: `phm.log` for people and `phm.jsonl`, the record for everything computed after flight.
 
-What the lines look like is `phm.reporters.lines` (text) and `docs/logs.md` (JSON keys, a contract); how
-they get to the disk is `phm.reporters.rotating`.
+What the lines look like is `phm.reporters.text_log_format` (text) and `docs/logs.md` (JSON keys, a contract); how
+they get to the disk is `phm.reporters.rotating_file`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from phm import __version__
-from phm.model import (
+from phm.core.model import (
     ActionEvent,
     Event,
     FaultClosed,
@@ -28,9 +28,9 @@ from phm.model import (
     worst_by_slot,
 )
 from phm.reporters.base import Reporter, ReporterContext
-from phm.reporters.lines import MAX_BYTES, TextLines, closed_kind, encode, note_kind, unit_kind
-from phm.reporters.rotating import RotatingLines
-from phm.wire.journal import VERSION
+from phm.reporters.rotating_file import RotatingLines
+from phm.reporters.text_log_format import MAX_BYTES, TextLines, closed_kind, encode, note_kind, unit_kind
+from phm.wire.json_log import VERSION
 from phm.wire.report import clock_text, fault_json, iso, status_array, unit_json
 from phm.wire.text import one_line
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from phm.model import (
+from phm.core.model import (
     ActionEvent,
     Event,
     FaultClosed,
@@ -21,11 +21,11 @@ from phm.model import (
     worst_by_slot,
 )
 from phm.reporters.base import MavlinkPort, Reporter, ReporterContext
-from phm.reporters.mavlink_flaps import Damper
-from phm.reporters.mavlink_lines import Line, Teller
-from phm.reporters.stations import Stations
+from phm.reporters.flap_damping import Damper
+from phm.reporters.gcs_presence import Stations
+from phm.reporters.statustext import Line, Teller
 from phm.transport.dialect import mavlink
-from phm.transport.mavlink_budget import periods
+from phm.transport.priority import periods
 from phm.wire import status_line, status_word
 
 PEERS = "peers/"

@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 from phm import __version__
-from phm.model import (
+from phm.core.model import (
     ActionEvent,
     Event,
     Fault,

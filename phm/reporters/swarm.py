@@ -8,16 +8,16 @@ from __future__ import annotations
 import threading
 from typing import Any, ClassVar
 
-from phm.model import Event, worst_by_slot
+from phm.core.model import Event, worst_by_slot
+from phm.facts.swarm import SwarmFact, SwarmProbe
 from phm.reporters.base import MavlinkPort, Reporter, ReporterContext
-from phm.reporters.mavlink_flaps import Damper
-from phm.reporters.mavlink_lines import Line
-from phm.reporters.stations import Stations
+from phm.reporters.flap_damping import Damper
+from phm.reporters.gcs_presence import Stations
+from phm.reporters.statustext import Line
 from phm.swarm import digest
 from phm.swarm.consensus import Consensus, State, Verdict
-from phm.swarm_facts import SwarmFact, SwarmProbe
 from phm.transport.dialect import mavlink
-from phm.transport.mavlink_budget import Class, periods
+from phm.transport.priority import Class, periods
 from phm.wire import status_word, tunnel
 from phm.wire.status_line import Severity
 from phm.wire.tunnel import Seen, View

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from phm.model import Level, Slot
+from phm.core.model import Level, Slot
 from phm.swarm.consensus import Consensus, State
 from phm.wire import status_word
 from phm.wire.status_line import MAX_CHARS, Severity, agent_name, severity

@@ -2,7 +2,7 @@
 
 A peer is known by PHM's own heartbeat, which carries its status word. How long its silence may be follows from how
 often it is heard: agents may be set to other periods than ours, and radios lose frames. Where its heartbeats were steady, it is
-known to be lost sooner (`phm.swarm.pulse`), and sooner still where others fell silent with it (`phm.swarm.vanished`).
+known to be lost sooner (`phm.swarm.heartbeat_stats`), and sooner still where others fell silent with it (`phm.swarm.group_loss`).
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from phm.scheduling import Late, never_late
-from phm.swarm.pulse import Pulse
+from phm.core.scheduling_delay import Late, never_late
+from phm.swarm.group_loss import NEARLY, gravest, silences, vanished
+from phm.swarm.heartbeat_stats import Pulse
 from phm.swarm.share import RECENT_S, STEADY
-from phm.swarm.vanished import NEARLY, gravest, silences, vanished
 from phm.wire.tunnel import Seen, View
 
 LATE_PERIODS, LOST_PERIODS = 2.5, 5.0

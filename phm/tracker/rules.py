@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from phm.model import CERTAIN, CONCLUSIVE, ON_HOLD, Level, Result
+from phm.core.model import CERTAIN, CONCLUSIVE, ON_HOLD, Level, Result
 from phm.tracker import starvation
 from phm.tracker.units import Entry, Pending, Scene
 
@@ -157,7 +157,7 @@ def grace(look: Look) -> Verdict | None:
     What was seen before the grace began never counts again: the unit is run anew. It begins with PHM itself; after a
     repair, for the target and all that needs it; after an ERROR, told or not, for all that need the unit: what looked
     bad meanwhile may follow from it; and once for each new life of a
-    container (`phm.tracker.lives`), for all that need it. A container that never comes well is told by its own check.
+    container (`phm.tracker.start_dedup`), for all that need it. A container that never comes well is told by its own check.
     """
     if not too_early(look.entry, look.now):
         return None

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from phm.model import CERTAIN, CONCLUSIVE, Level, Result
+from phm.core.model import CERTAIN, CONCLUSIVE, Level, Result
 from phm.tracker.units import Entry, Scene, Starving
 
 WAITING = frozenset({"cpu_throttled", "cpu_starved", "cpu_high", "memory_pressure", "io_pressure"})

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from phm.model import LIFE, Fault, Level, Outcome, Result, Stamp, Transition, UnitState
-from phm.needs import Needs
+from phm.core.dependency_graph import Needs
+from phm.core.model import LIFE, Fault, Level, Outcome, Result, Stamp, Transition, UnitState
 from phm.tracker import starvation
-from phm.tracker.episodes import Episodes
-from phm.tracker.lives import Lives, Saw
+from phm.tracker.faults import Episodes
 from phm.tracker.rules import SURE_S, judge, not_known_yet, too_early
+from phm.tracker.start_dedup import Lives, Saw
 from phm.tracker.units import NEVER, Entry, Hold, Pause, Scene, Step, Tracked
 
 ITSELF = "itself"

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from phm.api import Unit
-from phm.model import Event, Fault, Layer, Level, Result, Slot, UnitState
-from phm.needs import Needs
+from phm.core.dependency_graph import Needs
+from phm.core.model import Event, Fault, Layer, Level, Result, Slot, UnitState
 
 NEVER = float("-inf")
 

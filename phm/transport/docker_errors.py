@@ -9,7 +9,7 @@ from docker.errors import APIError
 from urllib3.exceptions import ProtocolError
 
 from phm.facts import CannotTell, NotPermitted
-from phm.transport.deadline import Call
+from phm.transport.call_deadlines import Call
 
 _MAX_TEXT = 300
 

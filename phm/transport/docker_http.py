@@ -23,9 +23,9 @@ import urllib3.connectionpool
 from docker import APIClient
 from requests.models import PreparedRequest, Response
 
-from phm.transport.deadline import Call, cut
+from phm.transport.call_deadlines import Call, cut
+from phm.transport.dns import Resolver
 from phm.transport.docker_errors import EngineBroken, EngineError
-from phm.transport.resolve import Resolver
 
 MAX_ANSWER_BYTES = 16 << 20
 """An answer that is held in memory; a list of 1000 containers is about 2 MB."""

@@ -1,6 +1,6 @@
 """Calls to the Docker Engine through docker-py: a client for each thread, the API's version, deadlines and errors.
 
-Calls run in the thread that makes them; a call that is overdue is cut by the watchdog (see `phm.transport.deadline`),
+Calls run in the thread that makes them; a call that is overdue is cut by the watchdog (see `phm.transport.call_deadlines`),
 even when the engine keeps sending a byte now and then, which docker-py's own timeout never notices.
 """
 
@@ -18,9 +18,9 @@ from docker import APIClient
 from docker.errors import DockerException
 from urllib3.exceptions import HTTPError
 
-from phm.clock import Clock, SystemClock
+from phm.core.clock import Clock, SystemClock
 from phm.facts import CannotTell
-from phm.transport.deadline import Call, Watchdog
+from phm.transport.call_deadlines import Call, Watchdog
 from phm.transport.docker_errors import EngineNotConnected, EngineUnreachable, translate
 from phm.transport.docker_http import client_for, resolver_for, using
 

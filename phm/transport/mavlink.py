@@ -11,15 +11,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from typing import Any
 
-from phm.clock import Clock
+from phm.core.clock import Clock
+from phm.core.settings import MavlinkSettings
 from phm.facts import LinkFact
-from phm.settings import MavlinkSettings
-from phm.transport.mavlink_budget import Class, Count
 from phm.transport.mavlink_codec import Codec, Counters
 from phm.transport.mavlink_endpoint import RADIO_STATUS, Endpoint
-from phm.transport.mavlink_outbox import HEARTBEAT
 from phm.transport.mavlink_signing import Signer, Signing, read_key, unsigned_of
 from phm.transport.mavlink_traffic import Traffic
+from phm.transport.priority import Class, Count
+from phm.transport.send_queue import HEARTBEAT
 
 logger = logging.getLogger(__name__)
 

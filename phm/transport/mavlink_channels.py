@@ -13,10 +13,10 @@ import socket
 from abc import ABC, abstractmethod
 from typing import Any
 
-from phm.clock import Clock
-from phm.transport.mavlink_admission import Admission
+from phm.core.clock import Clock
+from phm.transport.client_admission import Admission
 from phm.transport.mavlink_codec import Codec, Parser
-from phm.transport.serial_line import LineCount
+from phm.transport.serial_errors import LineCount
 
 READ_BYTES = 16384
 SEND_BUFFER_BYTES = 16384

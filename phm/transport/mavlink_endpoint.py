@@ -10,17 +10,17 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from phm import threads
-from phm.clock import Clock
+from phm.core import threads
+from phm.core.clock import Clock
+from phm.core.settings import EndpointSettings
 from phm.facts import LinkFact
-from phm.settings import EndpointSettings
-from phm.transport.mavlink_budget import Class, Count
+from phm.transport.connect import Opener
 from phm.transport.mavlink_channels import Channel
 from phm.transport.mavlink_codec import Codec
-from phm.transport.mavlink_open import Opener
-from phm.transport.mavlink_outbox import Outbox
 from phm.transport.mavlink_traffic import Traffic
-from phm.transport.serial_line import LineCount
+from phm.transport.priority import Class, Count
+from phm.transport.send_queue import Outbox
+from phm.transport.serial_errors import LineCount
 
 logger = logging.getLogger(__name__)
 

@@ -23,8 +23,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from phm import threads
-from phm.clock import Clock
+from phm.core import threads
+from phm.core.clock import Clock
 
 SIGNATURE_BYTES = 13
 KEY_BYTES = 32

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from phm.transport.serial_line import LineCount
+from phm.transport.serial_errors import LineCount
 
 MAX_SENDERS = 64
 """Whoever can send on a link can make up senders; of too many, those with the fewest frames are forgotten."""

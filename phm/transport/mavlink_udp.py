@@ -9,8 +9,8 @@ import socket
 from abc import abstractmethod
 from typing import Any
 
-from phm.clock import Clock
-from phm.transport.mavlink_admission import Admission
+from phm.core.clock import Clock
+from phm.transport.client_admission import Admission
 from phm.transport.mavlink_channels import Channel
 from phm.transport.mavlink_codec import Codec
 

@@ -6,7 +6,7 @@ import json
 import re
 from typing import Any
 
-from phm.settings import FleetSettings
+from phm.core.settings import FleetSettings
 
 RETRY_MS = (500, 4000)
 """Zenoh's pauses between attempts to find a lost router again, the first and the longest."""

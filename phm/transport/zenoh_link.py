@@ -13,9 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from phm import threads
-from phm.clock import Clock
-from phm.settings import FleetSettings
+from phm.core import threads
+from phm.core.clock import Clock
+from phm.core.settings import FleetSettings
 from phm.transport import zenoh_config
 
 logger = logging.getLogger(__name__)

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from phm.model import Fault, Level, Slot, Stamp, UnitState, worst_by_slot
+from phm.core.model import Fault, Level, Slot, Stamp, UnitState, worst_by_slot
 from phm.wire import status_line, status_word
 from phm.wire.report import iso
 

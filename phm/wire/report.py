@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
-from phm.model import Fault, Level, Slot, UnitState, Value, worst_by_slot
+from phm.core.model import Fault, Level, Slot, UnitState, Value, worst_by_slot
 
 ARRAY_SLOTS = 8
 """The printed status array covers the slots of the paper's Fig. 5, 1 to 8."""

@@ -31,7 +31,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 
-from phm.model import ON_HOLD, Level, Slot, UnitState, worst_by_slot
+from phm.core.model import ON_HOLD, Level, Slot, UnitState, worst_by_slot
 
 MAX_CHARS = 50
 """Of a STATUSTEXT that needs no chunks: ground stations do not join chunks of component 193."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from phm.model import Level, Slot, UnitState
+from phm.core.model import Level, Slot, UnitState
 from phm.wire.status_line import MISSION_SLOTS
 
 VERSION = 1

@@ -36,7 +36,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from phm.model import Level
+from phm.core.model import Level
 
 PAYLOAD_TYPE = 46_193
 """In 32768 to 65535, which MAV_TUNNEL_PAYLOAD_TYPE leaves to private use."""

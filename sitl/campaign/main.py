@@ -15,19 +15,19 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from sitl.bench import machine
+from sitl.bench.main import machine
 from sitl.campaign import table
-from sitl.campaign.aims import short
-from sitl.campaign.choice import CHANGES, chosen, class_of
+from sitl.campaign.fault_catalog import CHANGES, chosen, class_of
 from sitl.campaign.metrics import figures
 from sitl.campaign.plan import TrialPlan, plan
 from sitl.campaign.report import Setting, as_html, as_json, as_markdown, between_marks
 from sitl.campaign.run import Runner, Unwell
+from sitl.campaign.targets import short
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Trial, append, load
+from sitl.demo.compose_stack import ROOT
+from sitl.demo.console import screen
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
-from sitl.screen import screen
-from sitl.stack import ROOT
 from sitl.swarm.options import DEFAULT_NAME, Options
 from sitl.swarm.swarm import Swarm
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from sitl.campaign import uptime
-from sitl.campaign.judge import Judged, Verdict, judge
+from sitl.campaign.scoring import Judged, Verdict, judge
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Alarm, Cost, Trial
 
 

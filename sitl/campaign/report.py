@@ -9,8 +9,8 @@ from html import escape
 from typing import Any
 
 from sitl.campaign import plots, table
-from sitl.campaign.aims import judged as aims_judged, short as aims_short
 from sitl.campaign.metrics import Figures, figures
+from sitl.campaign.targets import judged as aims_judged, short as aims_short
 from sitl.campaign.trial import Trial
 
 BEGIN, END = "<!-- campaign: begin, written by scripts/campaign --markdown -->", "<!-- campaign: end -->"

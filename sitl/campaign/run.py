@@ -9,14 +9,14 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
-from phm.transport.mavlink_budget import SIZES
-from sitl.campaign.choice import LEFT_ALONE, OFF as RECOVERY_OFF, injection
-from sitl.campaign.judge import judge
+from phm.transport.priority import SIZES
+from sitl.campaign.fault_catalog import LEFT_ALONE, OFF as RECOVERY_OFF, injection
 from sitl.campaign.plan import Draw, TrialPlan
 from sitl.campaign.restore import restore
+from sitl.campaign.scoring import judge
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Injection, Trial
 from sitl.campaign.watch import Ear, Meter, Watch
-from sitl.evidence import world
+from sitl.demo.log_queries import world
 from sitl.faults.base import Fault
 from sitl.swarm import config
 from sitl.swarm.swarm import Swarm, SwarmAgent

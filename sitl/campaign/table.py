@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sitl.campaign.aims import judged
-from sitl.campaign.judge import Judged, Verdict
 from sitl.campaign.metrics import Figures, Stats
+from sitl.campaign.scoring import Judged, Verdict
+from sitl.campaign.targets import judged
 
 TABLE2 = ("metric", "paper, Table 2", "here", "aim", "")
 CLASSES = (

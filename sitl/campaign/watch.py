@@ -12,12 +12,12 @@ from typing import Any
 import psutil
 from docker.errors import DockerException
 
-from sitl.bench import processes
-from sitl.campaign.gather import Levels, note
+from sitl.bench.main import processes
+from sitl.campaign.collect import Levels, note
 from sitl.campaign.trial import Cost, Line, Trial
+from sitl.demo.log_follower import Record
 from sitl.faults.base import Agent
-from sitl.ground import Ground
-from sitl.record import Record
+from sitl.simulation.ground import Ground
 
 PHM_COMPONENT = 193
 LAST = 3

@@ -177,7 +177,7 @@ class Fault(ABC):
     healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
     needs: what it takes: ``air``, emulated links; ``peers``, other agents; ``configuration``, changes to the
     shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it; ``starvation``, somebody who
-    judges its symptoms as those of one cause, which `sitl.starvation` does.
+    judges its symptoms as those of one cause, which `sitl.bench.starvation` does.
     least: how many agents its swarm must have for it to be what it says.
     """
 
@@ -203,7 +203,7 @@ class Fault(ABC):
         )
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
-        """Changes to the shipped configuration without which it cannot be seen, for `sitl.derived`."""
+        """Changes to the shipped configuration without which it cannot be seen, for `sitl.demo.config_overrides`."""
         return {}
 
     def prepare(self, agent: Agent) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 
-from sitl.faults._burden import burden, relieve
+from sitl.faults._load_container import burden, relieve
 from sitl.faults.base import Agent, Fault
 
 SPIN = "import os\nfor _ in range({cores} - 1):\n    if not os.fork():\n        break\nwhile True:\n    pass\n"

@@ -6,7 +6,7 @@ import contextlib
 import time
 
 from sitl.faults._cgroups import cgroup, disk, throttle
-from sitl.faults._inmate import end, start
+from sitl.faults._container_process import end, start
 from sitl.faults.base import Agent, Fault, undoing
 
 BYTES_S = 256 * 1024

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from sitl.faults._engine_door import put_up, shut, take_down
+from sitl.faults._docker_proxy import put_up, shut, take_down
 from sitl.faults.base import Agent, Fault
 
 AWAY_S = 15.0

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import psutil
 
-from sitl.faults._burden import LASTS_S, burden, relieve
+from sitl.faults._load_container import LASTS_S, burden, relieve
 from sitl.faults.base import Agent, Fault
 
 WARN, ERROR, TAKEN = 0.04, 0.05, 0.08

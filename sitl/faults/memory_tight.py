@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from sitl.faults._cgroups import update
-from sitl.faults._inmate import end, start
+from sitl.faults._container_process import end, start
 from sitl.faults.base import Agent, Fault, undoing
 
 MIB = 2**20

@@ -22,7 +22,7 @@ class Injection(Fault):
     def inject(self, agent: Agent) -> float:
         self._life = agent.life
         node = (
-            f"echo $$ > {PID}; exec ros-entrypoint python -m sitl.node --name node_1 --namespace /{agent.name} "
+            f"echo $$ > {PID}; exec ros-entrypoint python -m sitl.application.node --name node_1 --namespace /{agent.name} "
             "--publish topic_1:10 --subscribe topic_3"
         )
         moment = time.monotonic()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from sitl.faults._cgroups import cgroup, update
-from sitl.faults._inmate import LASTS_S, end, start
+from sitl.faults._container_process import LASTS_S, end, start
 from sitl.faults.base import Agent, Fault, undoing
 
 ROOM = 16

@@ -15,9 +15,9 @@ from docker.errors import DockerException
 from rich import box
 from rich.table import Table
 
+from sitl.demo.console import screen
 from sitl.faults import all_faults
-from sitl.screen import screen
-from sitl.swarm import cost, injected
+from sitl.swarm import active_faults, cost
 from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
 from sitl.swarm.swarm import Swarm
 
@@ -199,7 +199,7 @@ def _inject(chosen: argparse.Namespace) -> int:
             print(f"{fault.layer:10} {name:24} {fault.title}")
         return 0
     swarm = Swarm.load(chosen.name)
-    fault = injected.inject(swarm, chosen.agent, chosen.fault)
+    fault = active_faults.inject(swarm, chosen.agent, chosen.fault)
     where = ", ".join(fault.places(swarm.agents[chosen.agent - 1])) or "no fault"
     print(f"{fault.title}: injected into agent {chosen.agent}; expected of PHM: {fault.condition} at {where}")
     return 0
@@ -207,7 +207,7 @@ def _inject(chosen: argparse.Namespace) -> int:
 
 def _clear(chosen: argparse.Namespace) -> int:
     swarm = Swarm.load(chosen.name)
-    cleared = injected.clear(swarm, chosen.agent)
+    cleared = active_faults.clear(swarm, chosen.agent)
     print(f"cleared: {', '.join(cleared) or 'nothing was injected'}; all links are as they were at the start")
     return 0
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import yaml
 
-from sitl.derived import derived
-from sitl.graph import NodePlan, read, ring
-from sitl.swarm import pilots
+from sitl.application.graph import NodePlan, read, ring
+from sitl.demo.config_overrides import derived
+from sitl.swarm import external_autopilots
 from sitl.swarm.options import Options
 from sitl.swarm.ports import INSIDE
 
@@ -27,7 +27,7 @@ def graph(options: Options) -> list[NodePlan]:
 
 
 def text(options: Options, number: int, changes: Mapping[str, str] | None = None) -> str:
-    """The YAML for agent `number`. changes: further lines of the shipped file to be replaced, as `sitl.derived` has it."""
+    """The YAML for agent `number`. changes: further lines of the shipped file to be replaced, as `sitl.demo.config_overrides` has it."""
     tree = yaml.safe_load(derived({**options.changes, **(changes or {})}))
     agent = f"agent_{number}"
     plans = graph(options)
@@ -57,7 +57,7 @@ def endpoints(options: Options, number: int) -> list[dict[str, Any]]:
         },
         {"url": f"udpout:{AIR_HOST}:{INSIDE.peers_of(number)}", "name": "peers", "leads_to": "peers"},
     ]
-    serial = pilots.serial_port(options, number)
+    serial = external_autopilots.serial_port(options, number)
     if serial is not None:
         # On a cable of its own, as beside a real flight controller, and not limited as a radio is.
         url = f"tcp:{AIR_HOST}:{serial}"

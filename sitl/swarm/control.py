@@ -1,4 +1,4 @@
-"""The control client of the air process (`sitl.air`): what radios, routers and autopilots of a swarm are told to do.
+"""The control client of the air process (`sitl.simulation.link_emulator`): what radios, routers and autopilots of a swarm are told to do.
 
 One JSON object a line goes there, one comes back, over a TCP connection of its own for each call: any number of
 programs may do it at once, and one that was killed leaves nothing behind.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from sitl.link import mavlink
+from sitl.simulation.link import mavlink
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 RADIO_STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 from docker.errors import APIError
 from docker.models.containers import Container
 
-from sitl.derived import write
-from sitl.stack import ROOT
-from sitl.swarm import config, engine, pilots
+from sitl.demo.compose_stack import ROOT
+from sitl.demo.config_overrides import write
+from sitl.swarm import config, engine, external_autopilots
+from sitl.swarm.health import Watch
 from sitl.swarm.ports import INSIDE
-from sitl.swarm.standing import Watch
 
 if TYPE_CHECKING:
     from sitl.swarm.swarm import Swarm, SwarmAgent
@@ -73,7 +73,7 @@ def _air(swarm: Swarm, lock: int) -> None:
         "PHM_SWARM": swarm.name,
         "PHM_AGENTS": str(options.agents),
         "PHM_SEED": str(options.seed),
-        "PHM_PILOTS": pilots.urls(options),
+        "PHM_PILOTS": external_autopilots.urls(options),
     }
     engine.compose(f"{swarm.name}-air", engine.AIR_FILES, ["up", "--detach", "--no-build"], variables, [lock])
     _until(lambda: _connected(swarm), AIR_LIMIT_S, _air_container(swarm), Event())
@@ -103,7 +103,7 @@ def _create(swarm: Swarm, agent: SwarmAgent, lock: int) -> None:
     agent.config.parent.mkdir(parents=True, exist_ok=True)
     write(config.text(swarm.options, agent.number), agent.config)
     agent.make_device()
-    files = [*engine.AGENT_FILES, *pilots.write(swarm.options, agent.number, agent.config.parent)]
+    files = [*engine.AGENT_FILES, *external_autopilots.write(swarm.options, agent.number, agent.config.parent)]
     engine.compose(agent.project, files, ["create", "--no-build"], _variables(swarm, agent), [lock])
 
 
@@ -127,7 +127,7 @@ def _variables(swarm: Swarm, agent: SwarmAgent) -> dict[str, str]:
 
 def _application(swarm: Swarm, agent: SwarmAgent, nodes: int, stop: Event) -> None:
     if swarm.options.autopilot != "sim":
-        _started(agent.container(pilots.SERVICE))
+        _started(agent.container(external_autopilots.SERVICE))
     app = agent.app
     _started(app)
     _until(lambda: app.logs().count(UP) >= nodes, APP_LIMIT_S, app, stop)

@@ -13,12 +13,12 @@ from typing import Any
 
 from docker import DockerClient
 
-from sitl.derived import write
+from sitl.demo.config_overrides import write
 from sitl.faults.base import Agent
-from sitl.swarm import config, engine, pilots, place, start
+from sitl.swarm import config, engine, external_autopilots, start, workspace
 from sitl.swarm.control import Air
+from sitl.swarm.health import MACHINE, Watch
 from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
-from sitl.swarm.standing import MACHINE, Watch
 
 __all__ = ["Air", "Options", "Swarm", "SwarmAgent"]
 
@@ -63,7 +63,7 @@ class Swarm:
     def __post_init__(self) -> None:
         if not 1 <= self.options.agents <= MOST_AGENTS:
             raise ValueError(f"{self.options.agents} agents: allowed are 1 to {MOST_AGENTS}")
-        self.folder = place.folder(self.name)
+        self.folder = workspace.folder(self.name)
         self.agents = [self._agent(number) for number in range(1, self.options.agents + 1)]
 
     @property
@@ -78,7 +78,7 @@ class Swarm:
     def load(cls, name: str = DEFAULT_NAME) -> Swarm:
         """The one that is up under this name; LookupError says what to do when there is none."""
         try:
-            words = json.loads((place.folder(name) / "swarm.json").read_text("utf-8"))
+            words = json.loads((workspace.folder(name) / "swarm.json").read_text("utf-8"))
         except (OSError, ValueError) as error:
             raise LookupError(f"no swarm {name} is up: start one with `python -m sitl up --name {name}`") from error
         swarm = cls(Options(**words["options"]), ground_url=words["ground_url"], took=words["took"])
@@ -90,8 +90,8 @@ class Swarm:
         look at it, until `down`."""
         # Mistakes are told before anything is made.
         config.text(self.options, 1)
-        pilots.check(self.options)
-        with place.locked(self.name, UP_LOCK_S) as lock:
+        external_autopilots.check(self.options)
+        with workspace.locked(self.name, UP_LOCK_S) as lock:
             if engine.belongings(self.docker, self.name):
                 raise RuntimeError(
                     f"the swarm {self.name} is there already: `python -m sitl down --name {self.name}` first"
@@ -107,7 +107,7 @@ class Swarm:
 
         Doing it twice is harmless. keep_logs: leave the folder with PHM's logs.
         """
-        with place.locked(self.name, DOWN_LOCK_S):
+        with workspace.locked(self.name, DOWN_LOCK_S):
             removed = engine.remove(self.docker, self.name)
             for device in engine.devices(self.name):
                 device.unlink(missing_ok=True)

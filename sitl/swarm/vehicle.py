@@ -16,10 +16,10 @@ from collections import Counter
 from dataclasses import asdict
 from typing import Any, Literal
 
-from sitl.link import mavlink
-from sitl.pilot import AUTOPILOT, BOOT_S, Pilot
+from sitl.simulation.autopilot_model import AUTOPILOT, BOOT_S, Pilot
+from sitl.simulation.link import mavlink
+from sitl.swarm.channel_model import Conditions, Pipe
 from sitl.swarm.frames import HEARTBEAT, RADIO_STATUS, Frame
-from sitl.swarm.medium import Conditions, Pipe
 
 Place = Literal["phm", "pilot", "ground"]
 PLACES: tuple[Place, ...] = ("phm", "pilot", "ground")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm.probes.processor import SHORTEST_S, Processor
+from phm.probes.cpu_usage import SHORTEST_S, Processor
 from phm_checks._cpu import STAYS_S, WAITING_PERCENT
 from phm_checks.host import Host
 

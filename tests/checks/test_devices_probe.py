@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from phm import testing
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 from phm.facts import CannotTell
 from phm.probes import devices as module
 from phm.probes.devices import Devices
@@ -124,7 +124,7 @@ def test_an_error_of_opening_is_told_apart(monkeypatch: pytest.MonkeyPatch, numb
 def test_a_device_with_nothing_behind_it_is_refused() -> None:
     """The kernel's own answer: a process without a controlling terminal finds nothing behind /dev/tty."""
     code = (
-        "from phm import testing; from phm.clock import SystemClock; from phm.probes.devices import Devices\n"
+        "from phm import testing; from phm.core.clock import SystemClock; from phm.probes.devices import Devices\n"
         "fact = Devices(testing.settings(), SystemClock()).look('/dev/tty', open_it=True)\n"
         "print(fact.major, fact.minor, fact.openable, fact.reason)"
     )

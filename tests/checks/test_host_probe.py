@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from phm import testing
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 from phm.facts import CannotTell
+from phm.probes.blocking_call import Worker
 from phm.probes.host import Host
-from phm.probes.worker import Worker
 
 
 def probe(sysfs: Path, **host: object) -> Host:

@@ -26,8 +26,8 @@ def found(node: Wanted, processes: list[ProcessFact]) -> int:
     [
         "/ws/install/pkg/lib/pkg/driver --ros-args -r __node:=node_1 -r __ns:=/agent_1",
         "/ws/install/pkg/lib/pkg/driver --ros-args --remap __node:=node_1",
-        "python -m sitl.node --name node_1 --namespace /agent_1 --publish topic_1:10",
-        "python -m sitl.node --name=node_1",
+        "python -m sitl.application.node --name node_1 --namespace /agent_1 --publish topic_1:10",
+        "python -m sitl.application.node --name=node_1",
         "/ws/install/pkg/lib/pkg/node_1 --ros-args -r __ns:=/agent_1",
         "/usr/bin/python3 /ws/install/pkg/lib/pkg/node_1",
         "python3 /ws/node_1.py",
@@ -50,7 +50,7 @@ def test_ways_to_be_known(command: str) -> None:
         "/usr/bin/launcher node_1.launch.py",
         "/usr/bin/python3 /opt/ros/jazzy/bin/ros2 bag record /agent_1/node_1/out",
         "/ws/lib/pkg/driver --ros-args -r __node:=node_1 -r __ns:=/agent_2",
-        "python -m sitl.node --name node_1 --namespace /agent_2",
+        "python -m sitl.application.node --name node_1 --namespace /agent_2",
         "/ws/lib/pkg/node_1 --ros-args -r __node:=another",
     ],
 )
@@ -122,7 +122,7 @@ def test_the_users_words_must_all_stand_in_it() -> None:
     assert found(Wanted("/agent_1/node_1", process=("no such",)), processes) == 0
 
 
-GRAPH = 'python -m sitl.app --graph [{"name": "node_1"}, {"name": "node_2"}]'
+GRAPH = 'python -m sitl.application.app --graph [{"name": "node_1"}, {"name": "node_2"}]'
 
 
 def test_a_launcher_that_names_its_nodes_is_none_of_them() -> None:

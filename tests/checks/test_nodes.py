@@ -19,9 +19,9 @@ NODE = "nodes/agent_1/node_1"
 NAME = "/agent_1/node_1"
 TOPIC = "/agent_1/topic_1"
 GRACE_S = 8.0
-ONE = api.ProcessFact(71, 1, "S", 5.0, "python -m sitl.node --name node_1 --namespace /agent_1")
-TWO = api.ProcessFact(72, 1, "S", 5.0, "python -m sitl.node --name node_2 --namespace /agent_1")
-MAIN = api.ProcessFact(70, 0, "S", 1.0, "python -m sitl.app")
+ONE = api.ProcessFact(71, 1, "S", 5.0, "python -m sitl.application.node --name node_1 --namespace /agent_1")
+TWO = api.ProcessFact(72, 1, "S", 5.0, "python -m sitl.application.node --name node_2 --namespace /agent_1")
+MAIN = api.ProcessFact(70, 0, "S", 1.0, "python -m sitl.application.app")
 
 
 def flowing(silent_s: float = 0.0) -> dict[str, api.TopicFact]:
@@ -669,7 +669,7 @@ def test_a_container_that_does_not_run_is_named(status: str, condition: str) -> 
 
 def test_a_launcher_seen_before_its_nodes_is_not_kept_as_one_of_them() -> None:
     """All there is with the node's name in the first moment; then the node comes, is killed, and the launcher lives on."""
-    main = replace(MAIN, command='python -m sitl.app --graph [{"name": "node_1"}]')
+    main = replace(MAIN, command='python -m sitl.application.app --graph [{"name": "node_1"}]')
     bench = rated()
     bench.processes(main)
     bench.after(0.5)

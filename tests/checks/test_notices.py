@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 from phm.probes.devices import Devices
-from phm.probes.notices import Notices, Watch
+from phm.probes.inotify import Notices, Watch
 from phm.testing import settings
 
 LIMIT_S = 5.0

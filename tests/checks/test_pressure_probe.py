@@ -13,8 +13,8 @@ from hypothesis import given, strategies as st
 from phm import testing
 from phm.facts import CannotTell, ConsumerFact, ContainerFact, StallFact
 from phm.probes import cgroups, engine_stats
-from phm.probes.consumers import LEAST_S, MOST_S, Consumers
 from phm.probes.pressure import ENGINE_EVERY_S, Pressure
+from phm.probes.top_consumers import LEAST_S, MOST_S, Consumers
 from phm.transport.docker import EngineMissing, EngineRefused
 
 ID = "ab" * 32

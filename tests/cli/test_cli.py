@@ -17,11 +17,11 @@ from click.testing import CliRunner, Result
 import phm
 from phm.cli import VERBS, group
 from phm.cli.reading import Read
-from phm.clock import SystemClock
-from phm.model import Level, Outcome, Slot, UnitState
-from phm.needs import NeedsLoop
+from phm.core.clock import SystemClock
+from phm.core.dependency_graph import NeedsLoop
+from phm.core.model import Level, Outcome, Slot, UnitState
+from phm.core.settings import Settings
 from phm.reporters.status import Status
-from phm.settings import Settings
 from tests.fakes.records import closed, context, opened, unit
 
 ROOT = Path(phm.__file__).parents[1]
@@ -235,7 +235,7 @@ def test_the_graph_of_needs_is_a_tree() -> None:
 
 def test_no_checks_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """An installation that judges nothing must not look well."""
-    monkeypatch.setattr("phm.registry.find", lambda group, base: [])
+    monkeypatch.setattr("phm.checking.registry.find", lambda group, base: [])
     result = invoke("checks")
     assert result.exit_code == 1
     assert "No checks are installed" in result.stderr
@@ -325,10 +325,10 @@ def test_without_a_daemon_status_says_so(tmp_path: Path) -> None:
 DAEMON = """
 import sys, time
 from phm.cli.reading import Read
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 from phm.reporters.base import ReporterContext
 from phm.reporters.status import Status
-from phm.settings import Settings
+from phm.core.settings import Settings
 status = Status.build(
     ReporterContext(Settings(run_dir=sys.argv[1]), SystemClock(), "b", tuple, lambda: True, dict))
 status.tick()
@@ -389,7 +389,7 @@ def with_daemon(monkeypatch: pytest.MonkeyPatch, **functions: Any) -> None:
     """Settings without a file, and the daemon's functions replaced."""
     monkeypatch.setattr("phm.cli.reading.read", lambda path: Read("phm.yaml", Settings(), {}))
     for name, function in functions.items():
-        monkeypatch.setattr(f"phm.daemon.{name}", function)
+        monkeypatch.setattr(f"phm.runtime.daemon.{name}", function)
 
 
 def test_once_prints_the_report_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -415,9 +415,9 @@ def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_run_ends_with_the_daemons_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What `phm.service.run` returns is the exit code."""
+    """What `phm.runtime.service.run` returns is the exit code."""
     with_daemon(monkeypatch)
-    monkeypatch.setattr("phm.service.run", lambda settings, read: 3)
+    monkeypatch.setattr("phm.runtime.service.run", lambda settings, read: 3)
     monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process stays
     assert invoke("run").exit_code == 3
 
@@ -453,7 +453,7 @@ def test_needs_in_a_circle_end_like_a_bad_configuration(verb: str, monkeypatch: 
         raise NeedsLoop(["a", "b", "a"])
 
     with_daemon(monkeypatch, once=loop)
-    monkeypatch.setattr("phm.service.run", loop)
+    monkeypatch.setattr("phm.runtime.service.run", loop)
     result = invoke(verb)
     assert (result.exit_code, result.stderr) == (78, "checks: needs run in a circle: a -> b -> a\n")
 

@@ -11,12 +11,12 @@ import pytest
 from click.testing import CliRunner, Result
 
 from phm.cli import group
-from phm.clock import SystemClock
-from phm.model import ActionEvent, Event, Level, Outcome, Phase, Slot, Transition
+from phm.core.clock import SystemClock
+from phm.core.model import ActionEvent, Event, Level, Outcome, Phase, Slot, Transition
+from phm.core.settings import Settings
 from phm.reporters.log import Log
 from phm.reporters.status import Status
-from phm.settings import Settings
-from phm.wire.episodes import MAX_STEPS, gather
+from phm.wire.fault_timeline import MAX_STEPS, gather
 from tests.fakes.records import at, closed, context, opened, unit
 
 DEAD = unit("nodes/n1", Slot.NODES, Level.ERROR, "Node n1 is not running", brief="n1 dead", target="app")

@@ -12,11 +12,11 @@ import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
-from phm.clock import SystemClock
-from phm.control import Control
+from phm.commands.control_server import Control
+from phm.core.clock import SystemClock
+from phm.core.settings import Settings
 from phm.reporters.base import ReporterContext
 from phm.reporters.status import Status
-from phm.settings import Settings
 from phm.wire import control as wire
 
 

@@ -18,11 +18,11 @@ from pydantic.fields import FieldInfo
 
 from phm.cli.validate import command
 from phm.config import load, loads, schema
-from phm.config.expand import Expander
-from phm.config.fields import bound, field_at, metadata, model_of
-from phm.config.words import PATTERNS
+from phm.config.env_expansion import Expander
+from phm.config.error_messages import PATTERNS
+from phm.config.schema_lookup import bound, field_at, metadata, model_of
 from phm.config.yaml_tree import parse
-from phm.settings import Settings
+from phm.core.settings import Settings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SHIPPED = sorted([CONFIG / "phm.yaml", *(CONFIG / "examples").glob("*.yaml")])

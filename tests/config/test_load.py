@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from phm.config import ConfigError, Problem, find, load, loads
-from phm.config.scalars import resolve
+from phm.config.yaml_scalars import resolve
 from phm.config.yaml_tree import MAX_BYTES
-from phm.settings import Settings
+from phm.core.settings import Settings
 
 NAMES = ("host", "nodes")
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from phm import api, registry
+from phm import api
+from phm.checking import registry
 from phm.cli import reading
 from phm.cli.reading import read
 from phm.cli.validate import command

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 
 from phm import testing
-from phm.bus import Bus
-from phm.clock import SystemClock
-from phm.model import Event, Note, ReportStarted, Stamp
+from phm.core.bus import Bus
+from phm.core.clock import SystemClock
+from phm.core.model import Event, Note, ReportStarted, Stamp
 
 AT = Stamp(0.0, 0.0)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from phm import testing
-from phm.clock import MAX_STEPS, STEP_S, UNWATCHED_S, Clock, Steps, SystemClock
-from phm.model import Stamp
+from phm.core.clock import MAX_STEPS, STEP_S, UNWATCHED_S, Clock, Steps, SystemClock
+from phm.core.model import Stamp
 
 HOUR_S = 3600.0
 

@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
-from phm.control import MAX_CONNECTIONS, Control, HoldDesk
+from phm.commands.control_server import MAX_CONNECTIONS, Control, HoldDesk
 from phm.wire import control as wire
 
 
@@ -174,7 +174,7 @@ def test_few_connections_at_a_time(daemon: Daemon) -> None:
 
 def test_only_root_and_its_own_user_may_ask(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel says who is at the other end."""
-    monkeypatch.setattr("phm.control._user", lambda peer: os.geteuid() + 12345)
+    monkeypatch.setattr("phm.commands.control_server._user", lambda peer: os.geteuid() + 12345)
     with pytest.raises(wire.Refused, match="only root"):
         daemon.ping()
 

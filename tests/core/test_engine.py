@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 import pytest
 
 from phm import api, testing
-from phm.engine import Batch, Engine, Scheduled
+from phm.checking.scheduler import Batch, Engine, Scheduled
 
 
 def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:

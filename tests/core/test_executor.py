@@ -11,14 +11,14 @@ import pytest
 
 from phm import testing
 from phm.api import Layer, Slot, Unit, error, ok
-from phm.bus import Bus
+from phm.checking.pipeline import Pipeline
+from phm.core.bus import Bus
+from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Phase
+from phm.core.settings import ContainerSettings, Settings
 from phm.facts import NotPermitted
-from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Phase
-from phm.pipeline import Pipeline
 from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext, ActionFailed
 from phm.recovery.executor import Executor, Shop
-from phm.settings import ContainerSettings, Settings
 from phm.tracker import Tracked, Tracker
 
 

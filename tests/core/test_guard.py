@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from phm import guard as guard_module
-from phm.guard import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, Guard, state_of, watch
-from phm.last_end import LastEnd
+from phm.core import watchdog as guard_module
+from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, Guard, state_of, watch
+from phm.runtime.shutdown_marker import LastEnd
 
 LOOK_S = 0.02
 LIMIT_S = 20.0
@@ -139,7 +139,7 @@ def test_a_starved_daemon_is_let_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 BEATING = """
 import time
-from phm.guard import Guard
+from phm.core.watchdog import Guard
 guard = Guard()
 guard.start()
 print("beats", flush=True)

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from phm.api import Level
-from phm.daemon import CALM_S, Daemon
-from phm.guard import Guard
-from phm.model import UnitState
+from phm.core.model import UnitState
+from phm.core.watchdog import Guard
+from phm.runtime.daemon import CALM_S, Daemon
 from phm.testing import settings
 
 LIMIT_S = 20.0

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from phm.api import error, stale
-from phm.model import FaultClosed, FaultOpened, Level, Outcome
+from phm.core.model import FaultClosed, FaultOpened, Level, Outcome
 from phm.tracker.starvation import LATE_S
 from tests.fakes.agent_world import CAUSES, HIDDEN, NODES, STARVING, TARGET, Sim, shipped
 from tests.fakes.healer import Healer

@@ -6,7 +6,7 @@ from datetime import datetime, timezone
 
 import pytest
 
-from phm.maintenance import parse
+from phm.core.maintenance import parse
 
 
 def utc(text: str) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from phm.needs import Needs, NeedsLoop
+from phm.core.dependency_graph import Needs, NeedsLoop
 
 
 def test_upstream_lists_causes_before_consequences() -> None:

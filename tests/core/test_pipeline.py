@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 from phm import testing
 from phm.api import Layer, Level, Slot, Unit, error, ok, stale
-from phm.bus import Bus
-from phm.model import Event, Report, ReportStarted, Result
-from phm.pipeline import Pipeline
+from phm.checking.pipeline import Pipeline
+from phm.core.bus import Bus
+from phm.core.model import Event, Report, ReportStarted, Result
 from phm.tracker import Tracked, Tracker
 
 BAD = error("broken", brief="broken", condition="broken")

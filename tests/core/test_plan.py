@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
-from phm import plan, registry, testing
-from phm.settings import Settings
+from phm import testing
+from phm.checking import plan, registry
+from phm.core.settings import Settings
 
 CONFIG: dict[str, Any] = {
     "containers": [

@@ -7,10 +7,10 @@ from unittest.mock import ANY
 
 import pytest
 
-from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.core.settings import ContainerSettings, RecoverySettings
 from phm.recovery.history import Attempt, History
 from phm.recovery.policy import Act, Advise, GiveUp, Leave, Wait, decide
-from phm.settings import ContainerSettings, RecoverySettings
 
 APP = ContainerSettings(name="app", recover=True)
 RULES = RecoverySettings()

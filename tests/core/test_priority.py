@@ -8,13 +8,13 @@ import sys
 
 import pytest
 
-from phm.priority import apply
-from phm.settings import ProcessSettings
+from phm.core.process_priority import apply
+from phm.core.settings import ProcessSettings
 
 INHERITED = """
 import os, threading
-from phm.priority import apply
-from phm.settings import ProcessSettings
+from phm.core.process_priority import apply
+from phm.core.settings import ProcessSettings
 found = apply(ProcessSettings(nice=os.getpriority(os.PRIO_PROCESS, 0) + 1))
 seen = []
 thread = threading.Thread(target=lambda: seen.append(os.getpriority(os.PRIO_PROCESS, 0)))

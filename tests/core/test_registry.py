@@ -6,16 +6,16 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from phm import registry
 from phm.api import Check
+from phm.checking import registry
 
 
 @pytest.mark.parametrize(
     ("value", "words"),
     [
         ("no_such_module_anywhere:X", "cannot be imported"),
-        ("phm.model:NoSuchName", "has no 'NoSuchName'"),
-        ("phm.model:Level", "is no subclass of phm.api.Check"),
+        ("phm.core.model:NoSuchName", "has no 'NoSuchName'"),
+        ("phm.core.model:Level", "is no subclass of phm.api.Check"),
         ("phm.api:Check", "is named None"),
     ],
 )

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from phm.wire import control, journal, status_file
+from phm.wire import control, json_log, status_file
 from tests.core.test_service import LIMIT_S, ROOT, until
 from tests.fakes.mavlink import free_port
 
@@ -108,11 +108,11 @@ def test_a_good_configuration_applies_and_faults_stay_open(agent: Agent) -> None
     assert POWEROFF not in seen
     opened = [
         each
-        for each in journal.read(agent.folder / "log")
+        for each in json_log.read(agent.folder / "log")
         if each["event"] == "fault_opened" and each["unit"] == "host/disk"
     ]
     assert len(opened) == 1
-    notes = [each["text"] for each in journal.read(agent.folder / "log") if each["event"] == "note"]
+    notes = [each["text"] for each in json_log.read(agent.folder / "log") if each["event"] == "note"]
     assert any(text.startswith("configuration reloaded: interval") for text in notes)
 
 

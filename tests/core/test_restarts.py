@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 
 from phm import api, testing
 from phm.api import ContainerFact, Level
-from phm.model import Result
+from phm.core.model import Result
 from phm_checks.container import Container
 from tests.core.test_interleavings import SEEDS, assert_over, examples
 from tests.fakes.agent_world import NODES, TARGET, Bad, Sim, World

@@ -12,15 +12,15 @@ import time
 import pytest
 
 from phm import api
-from phm.clock import SystemClock
-from phm.engine import Batch, Engine, Scheduled
-from phm.probes.link_cadence import Cadence
-from phm.probes.link_flow import Flow
-from phm.probes.link_pilot import Pilot
-from phm.scheduling import NOISE_S, PERIOD_S, Lateness
+from phm.checking.scheduler import Batch, Engine, Scheduled
+from phm.core.clock import SystemClock
+from phm.core.scheduling_delay import NOISE_S, PERIOD_S, Lateness
+from phm.probes.adaptive_timeout import Cadence
+from phm.probes.autopilot_state import Pilot
+from phm.probes.link_stats import Flow
 from phm.swarm.peers import LOST_PERIODS, Peers
 from phm.testing import FakeClock, world
-from phm.transport.deadline import Watchdog
+from phm.transport.call_deadlines import Watchdog
 from phm.transport.mavlink_traffic import Traffic
 from phm.wire.tunnel import Seen
 from tests.fakes.mavlink import heartbeat, until
@@ -78,7 +78,7 @@ def test_the_longest_pause_counts_in_full_and_all_others_up_to_the_deadline_itse
 
 PAUSED = """
 import sys, time
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 clock = SystemClock()
 clock.measure()
 began = clock.mono()

@@ -16,12 +16,12 @@ from typing import Any
 
 import pytest
 
-from phm.clock import SystemClock
-from phm.closing import Closing
-from phm.daemon import Daemon
-from phm.instance_lock import NAME, AlreadyRunning, InstanceLock
-from phm.last_end import NAME as MARKER
-from phm.signals import Signals
+from phm.core.clock import SystemClock
+from phm.core.closing import Closing
+from phm.core.instance_lock import NAME, AlreadyRunning, InstanceLock
+from phm.core.signals import Signals
+from phm.runtime.daemon import Daemon
+from phm.runtime.shutdown_marker import NAME as MARKER
 from phm.testing import FakeClock, settings
 from phm.wire import control
 

@@ -11,16 +11,17 @@ from typing import Any
 
 import pytest
 
-from phm import api, testing, threads
-from phm.bus import Bus
-from phm.daemon import Daemon
-from phm.engine import Batch, Engine, Scheduled
+from phm import api, testing
+from phm.checking.scheduler import Batch, Engine, Scheduled
+from phm.core import threads
+from phm.core.bus import Bus
+from phm.core.model import Event, Note, Phase, Stamp
+from phm.core.watchdog import Guard
 from phm.facts import CannotTell
-from phm.guard import Guard
-from phm.model import Event, Note, Phase, Stamp
-from phm.probes.worker import Worker
+from phm.probes.blocking_call import Worker
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
-from phm.transport.resolve import Resolver
+from phm.transport.dns import Resolver
 from tests.core.test_engine import Scripted
 from tests.core.test_executor import World, make, worlds  # noqa: F401 - a fixture
 
@@ -200,7 +201,7 @@ def test_ros_is_started_whatever_joining_a_network_comes_to(tmp_path: Path, monk
     def odd(target: object, context: object) -> str:
         raise AttributeError("'list' object has no attribute 'get'")
 
-    monkeypatch.setattr("phm.daemon.join", odd)
+    monkeypatch.setattr("phm.runtime.daemon.join", odd)
     monkeypatch.setattr(type(daemon.parts), "start_ros", lambda parts: started.set())
     monkeypatch.setattr(daemon.pipeline, "note", lambda kind, text: notes.append(text))
     thread = threading.Thread(target=daemon._join_networks)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from phm.api import Layer, Level, Slot, Unit, error, stale, warn
-from phm.model import FaultClosed, FaultOpened, Outcome, Transition
+from phm.core.model import FaultClosed, FaultOpened, Outcome, Transition
 from phm.tracker import Tracked
 from tests.fakes.tracker_bench import BAD, OK, Bench, chain, unit
 

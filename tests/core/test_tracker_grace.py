@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from phm.api import Level
-from phm.model import CERTAIN
+from phm.core.model import CERTAIN
 from tests.fakes.tracker_bench import BAD, OK, Bench, chain, unit
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from phm.api import Level, stale
-from phm.model import FaultOpened, Outcome
+from phm.core.model import FaultOpened, Outcome
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from phm.api import Level, Result, error, ok, stale, warn
-from phm.model import CERTAIN, CONCLUSIVE, Outcome, Transition
+from phm.core.model import CERTAIN, CONCLUSIVE, Outcome, Transition
 from phm.tracker.starvation import EXPLAINED, LAST_WORD_S, LATE_S, OVER_S, RISING_S, UNREAD_S
 from tests.fakes.tracker_bench import OK, Bench, unit
 

@@ -13,7 +13,7 @@ import pytest
 
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
 from phm.probes.files import MAX_BYTES, Files
-from phm.probes.notices import Notices
+from phm.probes.inotify import Notices
 from phm.probes.volume_path import Outside, resolve
 from phm.testing import FakeClock, FakeDocker, container as fact, settings
 from phm.transport.docker import Engine

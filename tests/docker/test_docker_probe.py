@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 from phm.facts import CannotTell, HealthcheckFact
 from phm.probes.docker import Docker, own_ids
 from phm.probes.docker_facts import container_fact
-from phm.probes.reach import Reach
+from phm.probes.ping import Reach
 from phm.testing import FakeClock, settings
 from phm.transport.docker import Engine
 from tests.fakes.engine import FakeEngine, Hang, Status, container

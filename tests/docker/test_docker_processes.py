@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 from phm.facts import CannotTell, ProcessFact
 from phm.probes.docker import Docker
 from phm.probes.docker_processes import AGAIN_MOST_S, AGAIN_S, FORMS, Processes, processes
@@ -26,9 +26,12 @@ def probe(engine: Engine, name: str) -> Docker:
 
 def test_a_row_is_a_process() -> None:
     """Numbers, the state's first letter, whole seconds of processor time and age, and the command as it is."""
-    rows = [["7", "1", "Sl+", "12", "300", "python -m sitl.node --name node_1"], ["8", "7", "R", "0", "0", "sh"]]
+    rows = [
+        ["7", "1", "Sl+", "12", "300", "python -m sitl.application.node --name node_1"],
+        ["8", "7", "R", "0", "0", "sh"],
+    ]
     assert processes({"Titles": TITLES, "Processes": rows}) == (
-        ProcessFact(7, 1, "S", 12.0, "python -m sitl.node --name node_1", 300.0),
+        ProcessFact(7, 1, "S", 12.0, "python -m sitl.application.node --name node_1", 300.0),
         ProcessFact(8, 7, "R", 0.0, "sh", 0.0),
     )
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from phm.clock import SystemClock
-from phm.probes.docker_compare import Expected, after, differences
-from phm.probes.docker_watch import ENDLESS_STOP_S, KILL_S, STOP_S, DockerEvent, Watch
+from phm.core.clock import SystemClock
+from phm.probes.docker_events import ENDLESS_STOP_S, KILL_S, STOP_S, DockerEvent, Watch
+from phm.probes.docker_reconcile import Expected, after, differences
 from phm.testing import settings
 from phm.transport.docker import Engine
 from tests.fakes.engine import DropStream, FakeEngine, Hang, Status, container
@@ -444,7 +444,7 @@ def test_the_stream_says_since_when_nothing_was_missed(
     missed_s: float, complete: bool,
 ) -> None:  # fmt: skip
     """A short interruption is replayed; after a long one, and at the start, something may be missing."""
-    monkeypatch.setattr("phm.probes.docker_watch.MISSED_S", missed_s)
+    monkeypatch.setattr("phm.probes.docker_events.MISSED_S", missed_s)
     fake.containers["app"] = container("app")
     made, _ = watch({"name": "app"})
     until(lambda: made.fact.open, "the stream")

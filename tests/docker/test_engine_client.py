@@ -12,7 +12,7 @@ import pytest
 
 from phm.facts import CannotTell, NotPermitted
 from phm.testing import FakeClock
-from phm.transport.deadline import Watchdog
+from phm.transport.call_deadlines import Watchdog
 from phm.transport.docker import (
     Engine,
     EngineBroken,

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from phm.clock import SystemClock
-from phm.daemon import Daemon
-from phm.engine import Batch
-from phm.probes.docker_watch import DockerEvent, Watch
+from phm.checking.scheduler import Batch
+from phm.core.clock import SystemClock
+from phm.probes.docker_events import DockerEvent, Watch
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.docker import Engine
 from tests.fakes.engine import DropStream, FakeEngine, container

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 from phm.probes.docker import Docker
 from phm.transport.docker import Engine
 from phm_checks.nodes import Nodes

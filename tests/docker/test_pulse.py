@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from phm.facts import CannotTell
-from phm.probes.pulse import GIVEN_UP_S, PERIOD_S, Pulse
-from phm.probes.reach import LEARNED, LEAST_S, LIMIT_S, TIMES, Reach
+from phm.probes.ping import LEARNED, LEAST_S, LIMIT_S, TIMES, Reach
+from phm.probes.reachability_monitor import GIVEN_UP_S, PERIOD_S, Pulse
 from phm.testing import FakeClock
 
 
@@ -104,7 +104,7 @@ def test_how_long_an_answer_may_take_is_learned() -> None:
 def test_slow_answers_are_given_more_time(monkeypatch: pytest.MonkeyPatch, took_s: float, limit_s: float) -> None:
     """A busy machine delays answers and whoever waits for them; never more than a second."""
     clock = FakeClock()
-    monkeypatch.setattr("phm.probes.reach.time.monotonic", clock.mono)
+    monkeypatch.setattr("phm.probes.ping.time.monotonic", clock.mono)
 
     def knock(address: str, limit_s: float) -> bool:
         clock.advance(took_s)

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 from phm.facts import CannotTell, ContainerFact
 from phm.probes.docker import Docker
-from phm.probes.docker_watch import DockerEvent, Watch
+from phm.probes.docker_events import DockerEvent, Watch
 from phm.probes.files import Files
 from phm.testing import settings
 from phm.transport.docker import Engine, EngineConflict, EngineError, EngineMissing

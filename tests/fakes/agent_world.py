@@ -27,12 +27,13 @@ from functools import cache
 from pathlib import Path
 from random import Random
 
-from phm import plan, registry, testing
+from phm import testing
+from phm.checking import plan, registry
+from phm.checking.plan import Plan
 from phm.config import load
+from phm.core.model import CONCLUSIVE, LIFE, Event, FaultClosed, FaultOpened, Level, Result, Stamp, Transition, Value
+from phm.core.settings import Settings
 from phm.facts import ContainerFact
-from phm.model import CONCLUSIVE, LIFE, Event, FaultClosed, FaultOpened, Level, Result, Stamp, Transition, Value
-from phm.plan import Plan
-from phm.settings import Settings
 from phm.tracker import SURE_S, Step, Tracker
 from phm.tracker.starvation import UNREAD_S
 

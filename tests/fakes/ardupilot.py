@@ -12,7 +12,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from sitl.link import Port, mavlink, parser
+from sitl.simulation.link import Port, mavlink, parser
 
 STEP_S = 0.02
 

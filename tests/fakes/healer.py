@@ -13,15 +13,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
-from phm.bus import Bus
-from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase, Transition
-from phm.pipeline import Pipeline
+from phm.checking.pipeline import Pipeline
+from phm.core.bus import Bus
+from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase, Transition
+from phm.core.settings import ContainerSettings
 from phm.recovery import actions as real
 from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor
 from phm.recovery.shop import Shop
-from phm.settings import ContainerSettings
 from phm.testing import FakeClock
 from tests.fakes.agent_world import FIXES, Sim
 

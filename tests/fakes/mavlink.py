@@ -9,7 +9,7 @@ from typing import Any
 
 from phm.facts import LinkFact
 from phm.transport.dialect import mavlink
-from phm.transport.mavlink_budget import Class
+from phm.transport.priority import Class
 
 LIMIT_S = 15.0
 

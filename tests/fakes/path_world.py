@@ -10,9 +10,10 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from phm import api, plan, registry, testing
+from phm import api, testing
+from phm.checking import plan, registry
+from phm.core.model import Event, FaultClosed, FaultOpened, Result, Transition
 from phm.facts import AutopilotFact, LinkFact, RadioFact, SenderFact
-from phm.model import Event, FaultClosed, FaultOpened, Result, Transition
 from phm.tracker import Step, Tracker
 
 STEP_S = 0.25

@@ -6,10 +6,22 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from phm.clock import Clock
-from phm.model import Fault, FaultClosed, FaultOpened, Layer, Level, Outcome, Result, Slot, Stamp, Transition, UnitState
+from phm.core.clock import Clock
+from phm.core.model import (
+    Fault,
+    FaultClosed,
+    FaultOpened,
+    Layer,
+    Level,
+    Outcome,
+    Result,
+    Slot,
+    Stamp,
+    Transition,
+    UnitState,
+)
+from phm.core.settings import Settings
 from phm.reporters.base import ReporterContext
-from phm.settings import Settings
 from phm.testing import FakeClock
 
 T0 = 1_772_366_400.123

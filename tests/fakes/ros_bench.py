@@ -15,10 +15,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
+from phm.core.settings import Settings
 from phm.facts import CannotTell, RosFact
-from phm.probes.ros.process import COMMAND, Limits, RosProcess
-from phm.settings import Settings
+from phm.probes.ros.supervisor import COMMAND, Limits, RosProcess
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMITS = Limits()
@@ -74,7 +74,7 @@ class Bench:
         _open.append(self)
         self._closing.callback(_open.remove, self)
 
-    def node(self, name: str, *arguments: str, module: str = "sitl.node") -> subprocess.Popen[bytes]:
+    def node(self, name: str, *arguments: str, module: str = "sitl.application.node") -> subprocess.Popen[bytes]:
         """A demo node in /agent_1 with the short-lease profile that we ship."""
         environ = {**self.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds.xml")}
         command = [sys.executable, "-m", module, "--name", name, "--namespace", "/agent_1", *arguments]

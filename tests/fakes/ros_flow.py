@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from phm.probes.ros.meter import ALONE, Listening, Meter
-from phm.probes.ros.track import Sample
-from phm.ros_facts import RateFact
+from phm.facts.ros import RateFact
+from phm.probes.ros.publisher_stats import Sample
+from phm.probes.ros.rate_meter import ALONE, Listening, Meter
 
 TICK_S = 0.25
 TRACES = Path(__file__).resolve().parents[1] / "ros" / "traces"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from phm.api import Layer, Level, Result, Slot, Unit, error, ok
-from phm.model import Event, FaultClosed, FaultOpened, Outcome, Stamp
+from phm.core.model import Event, FaultClosed, FaultOpened, Outcome, Stamp
 from phm.tracker import Step, Tracked, Tracker
 
 OK = ok("well")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from phm.settings import FleetSettings
+from phm.core.settings import FleetSettings
 from phm.testing import FakeClock
 from phm.transport.zenoh_link import MAX_QUERIES, Keys, ZenohLink
 

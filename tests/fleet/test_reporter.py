@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from phm.cli import render
-from phm.model import Level, Outcome, Report, Slot, UnitState
+from phm.core.model import Level, Outcome, Report, Slot, UnitState
+from phm.core.settings import Settings
 from phm.reporters.fleet import AGAIN_S, ALONG_S, Fleet
-from phm.settings import Settings
 from phm.testing import FakeClock
 from phm.transport.zenoh_link import FleetFact
 from tests.fakes.records import at, closed, context, fault, opened, transition, unit

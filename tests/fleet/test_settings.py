@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from phm.config import ConfigError, fleet_rules, loads
-from phm.settings import Settings
+from phm.core.settings import Settings
 
 ON = "fleet:\n  enabled: true\n"
 ROUTER = "  connect: [tcp/router:7447]\n"

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.model import Level, Slot, UnitState
+from phm.core.model import Level, Slot, UnitState
 from phm.wire import fleet_status, status_word
 from tests.fakes.records import at, fault, unit
 

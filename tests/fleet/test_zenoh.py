@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 import zenoh
 
-from phm.model import Level, Slot
+from phm.core.model import Level, Slot
 from phm.wire.status_file import NAME, read
-from sitl.fleet_agents import Agent, Crowd, Ticker
-from sitl.fleet_router import Ground, Router, config, free_port
+from sitl.simulation.fleet_agents import Agent, Crowd, Ticker
+from sitl.simulation.fleet_router import Ground, Router, config, free_port
 
 FLEET = "north"
 LIMIT_S = 120.0

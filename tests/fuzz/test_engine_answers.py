@@ -16,10 +16,10 @@ import pytest
 from hypothesis import strategies as st
 
 from phm.facts import CannotTell, ContainerFact
-from phm.probes.docker_compare import Expected, differences
+from phm.probes.docker_events import DockerEvent, Watch
 from phm.probes.docker_facts import container_fact
 from phm.probes.docker_processes import processes
-from phm.probes.docker_watch import DockerEvent, Watch
+from phm.probes.docker_reconcile import Expected, differences
 from phm.testing import FakeClock, settings
 from phm.transport.docker import Engine
 from phm.transport.docker_session import FAILURES

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from hypothesis import strategies as st
 
 from phm.cli import group
-from phm.wire import episodes, journal
+from phm.wire import fault_timeline, json_log
 from tests.fuzz.hostile import messages
 from tests.fuzz.targets import fuzzed
 
@@ -38,10 +38,10 @@ def test_any_log_is_read(lines: list[bytes]) -> None:
     """Each line that is an object is an event, episodes can be printed as text and as strict JSON, and nothing raises."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "phm.jsonl").write_bytes(b"\n".join(lines))
-        events = list(journal.read(folder))
+        events = list(json_log.read(folder))
         assert all(isinstance(event, dict) for event in events)
         for open_now in (None, [], [event for event in events if event.get("event") == "fault_opened"]):
-            found = episodes.gather(events, open_now)
+            found = fault_timeline.gather(events, open_now)
             json.dumps(found, allow_nan=False)
         runner = CliRunner()
         names = [str(found[0]["fault"])] if found else []

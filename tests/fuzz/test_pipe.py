@@ -7,9 +7,9 @@ import json
 
 from hypothesis import strategies as st
 
+from phm.facts.ros import BeaconFact, DiagnosticFact, NeighbourFact
 from phm.probes.ros import protocol as pipe
-from phm.probes.ros.lines import Lines
-from phm.ros_facts import BeaconFact, DiagnosticFact, NeighbourFact
+from phm.probes.ros.line_splitter import Lines
 from tests.fuzz.hostile import messages
 from tests.fuzz.targets import fuzzed
 

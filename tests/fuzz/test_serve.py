@@ -11,7 +11,7 @@ from typing import Any, cast
 
 from hypothesis import strategies as st
 
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 from phm.gcs.serve import MAX_REQUEST, Server
 from tests.fuzz.hostile import torn
 from tests.fuzz.targets import fuzzed

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.history import Attempt
 from phm.recovery.lives import Life
 from phm.recovery.state import Case, RecoveryState, State, UnderWay, decode, encode

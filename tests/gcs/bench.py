@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from phm.core.model import Level, Slot
+from phm.gcs.events import News
+from phm.gcs.fleet_state import Store
 from phm.gcs.frames import Beat, Frame, Payload, Said
-from phm.gcs.news import News
-from phm.gcs.store import Store
-from phm.model import Level, Slot
 from phm.testing import FakeClock
 from phm.wire import status_word, tunnel
 from phm.wire.tunnel import Message

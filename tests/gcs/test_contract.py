@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import phm
-from phm.gcs.news import encode, timed
-from phm.model import Level, Slot
+from phm.core.model import Level, Slot
+from phm.gcs.events import encode, timed
 from phm.wire import tunnel
 from phm.wire.tunnel import Digest, Seen, View, Words
 from tests.gcs.bench import Ground, beat, pilot, said, told

@@ -21,16 +21,16 @@ from typing import Any
 import pytest
 
 import phm
-from phm.clock import SystemClock
-from phm.daemon import Daemon
-from phm.gcs.outlet import Outlet
-from phm.gcs.record import Record
+from phm.core.clock import SystemClock
+from phm.core.settings import MavlinkSettings
+from phm.gcs.recorder import Record
 from phm.gcs.station import COMPONENT, Station
-from phm.settings import MavlinkSettings
+from phm.gcs.subscriber_queue import Outlet
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
-from phm.wire import journal
-from sitl.autopilot import Autopilot
+from phm.wire import json_log
+from sitl.simulation.autopilot import Autopilot
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
 
 ROOT = Path(phm.__file__).parents[1]
@@ -189,7 +189,7 @@ def test_the_record_can_be_read_back(scene: Scene, tmp_path: Path) -> None:
     book.close()
     with path.open("ab") as stream:
         stream.write(b'{"v":1,"run":"torn')
-    events = list(journal.read(path))
+    events = list(json_log.read(path))
     news = [event for event in events if event["event"] != "snapshot"]
     assert [event["seq"] for event in news] == list(range(news[0]["seq"], news[0]["seq"] + len(news)))
     assert events[-1]["event"] == "snapshot"
@@ -381,7 +381,7 @@ def test_the_command_prints_news_until_it_is_ended(voices: tuple[int, Callable[[
     rest, errors = done.communicate(timeout=30)
     assert (done.returncode, errors) == (0, "")
     assert json.loads(rest.splitlines()[-1])["event"] == "end"
-    recorded = [event["event"] for event in journal.read(tmp_path / "r.jsonl")]
+    recorded = [event["event"] for event in json_log.read(tmp_path / "r.jsonl")]
     assert recorded[-2:] == ["end", "snapshot"]
 
 
@@ -453,7 +453,7 @@ def test_a_bare_name_is_recorded_in_the_current_folder(tmp_path: Path, monkeypat
     done = run(f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}", "--record", "flight.jsonl", "--for", "0.3")
     errors = done.communicate(timeout=60)[1]
     assert (done.returncode, errors) == (0, "")
-    assert [event["event"] for event in journal.read(tmp_path / "flight.jsonl")][-1] == "snapshot"
+    assert [event["event"] for event in json_log.read(tmp_path / "flight.jsonl")][-1] == "snapshot"
 
 
 @pytest.mark.parametrize("more", [(), ("--json",), ("--once",), ("--once", "--json")])

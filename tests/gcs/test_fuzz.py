@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings as hypothesis_settings, stra
 from rich.console import Console
 
 from phm.gcs import frames, table
-from phm.gcs.news import encode, timed
-from phm.gcs.sieve import BURST, NEW_BURST, Copies, Meter
+from phm.gcs.events import encode, timed
+from phm.gcs.ingress_filter import BURST, NEW_BURST, Copies, Meter
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
 from phm.wire import tunnel

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from phm.core.scheduling_delay import WINDOW_S
 from phm.gcs.station import LATE_MOST_S, Station
-from phm.scheduling import WINDOW_S
 from phm.testing import FakeClock, settings
 from tests.gcs.bench import beat, pilot
 

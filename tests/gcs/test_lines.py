@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from phm.gcs import lines
-from phm.gcs.lines import Kind, Line
-from phm.model import Level, Slot
+from phm.core.model import Level, Slot
+from phm.gcs import statustext_parser
+from phm.gcs.statustext_parser import Kind, Line
 from phm.swarm import digest
 from phm.wire import status_line
 from tests.fakes.records import unit
 
 
 def read(text: str) -> Line:
-    found = lines.read(text)
+    found = statustext_parser.read(text)
     assert found is not None, text
     return found
 
@@ -37,8 +37,8 @@ def test_what_is_over_names_what_was_bad(by: str) -> None:
     for brief in ("node_1 dead", "x" * 20 + "y" * 18):
         over = read(status_line.over(250, Slot.USER_1, brief, by)).over
         assert over
-        assert lines.same(brief, over)
-    assert not lines.same("node_2 dead", "node_1 dead")
+        assert statustext_parser.same(brief, over)
+    assert not statustext_parser.same("node_2 dead", "node_1 dead")
 
 
 def test_a_refresh_says_how_many_are_bad() -> None:
@@ -63,13 +63,15 @@ def test_what_the_speaker_says_is_read() -> None:
 def test_a_swarm_line_names_who_is_not_well() -> None:
     """Unless it had no room for all."""
     many = dict.fromkeys(range(1, 20), (Level.ERROR, "lost"))
-    assert lines.named(read(digest.line(many))) is None
-    assert lines.named(read(digest.line({1: (Level.OK, ""), 103: (Level.WARN, "deaf"), 4: (Level.ERROR, "lost")}))) == {
+    assert statustext_parser.named(read(digest.line(many))) is None
+    assert statustext_parser.named(
+        read(digest.line({1: (Level.OK, ""), 103: (Level.WARN, "deaf"), 4: (Level.ERROR, "lost")}))
+    ) == {
         4,
         103,
     }
-    assert lines.named(read(digest.line({1: (Level.OK, "")}))) == frozenset()
-    assert lines.named(read("SWARM 90/100 FAIL +7")) is None
+    assert statustext_parser.named(read(digest.line({1: (Level.OK, "")}))) == frozenset()
+    assert statustext_parser.named(read("SWARM 90/100 FAIL +7")) is None
 
 
 @pytest.mark.parametrize(
@@ -82,4 +84,4 @@ def test_a_swarm_line_names_who_is_not_well() -> None:
 )  # fmt: skip
 def test_lines_of_others_are_not_phms(text: str) -> None:
     """Nor what only looks alike, with numbers that no agent and no slot has."""
-    assert lines.read(text) is None
+    assert statustext_parser.read(text) is None

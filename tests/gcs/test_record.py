@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from phm.clock import SystemClock
-from phm.gcs import record
-from phm.gcs.record import Record
-from phm.wire import journal
+from phm.core.clock import SystemClock
+from phm.gcs import recorder
+from phm.gcs.recorder import Record
+from phm.wire import json_log
 from tests.fakes.mavlink import until
 from tests.gcs.test_serve import Source
 
@@ -19,7 +19,7 @@ def made(path: Path, source: Source, **limits: int) -> Record:
 
 
 def numbers(path: Path) -> list[int]:
-    return [event["seq"] for event in journal.read(path) if event["event"] == "said"]
+    return [event["seq"] for event in json_log.read(path) if event["event"] == "said"]
 
 
 def test_it_is_rotated_and_capped(tmp_path: Path) -> None:
@@ -49,7 +49,7 @@ def test_a_disk_that_fails_is_told_and_what_is_lost_is_counted(tmp_path: Path) -
     folder.unlink()
     until(lambda: book.about() == "", "the disk working again")
     book.close()
-    events = list(journal.read(folder / "flight.jsonl"))
+    events = list(json_log.read(folder / "flight.jsonl"))
     assert (events[0]["event"], events[0]["lines"], events[0]["seq"]) == ("lost", 500, 500)
     assert numbers(folder / "flight.jsonl") == list(range(501, 1501))
 
@@ -59,7 +59,7 @@ def test_a_snapshot_comes_again_and_again(tmp_path: Path) -> None:
     source, path = Source(), tmp_path / "flight.jsonl"
     book = made(path, source)
     book._snapshot_at = 0.0
-    until(lambda: [event for event in journal.read(path) if event["event"] == "snapshot"], "a snapshot")
-    assert record.SNAPSHOT_S == 60.0
+    until(lambda: [event for event in json_log.read(path) if event["event"] == "snapshot"], "a snapshot")
+    assert recorder.SNAPSHOT_S == 60.0
     book.close()
-    assert [event["event"] for event in journal.read(path)] == ["snapshot", "snapshot"]
+    assert [event["event"] for event in json_log.read(path)] == ["snapshot", "snapshot"]

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
 from phm.gcs import serve
-from phm.gcs.news import News, encode
-from phm.gcs.outlet import Item, Outlet
+from phm.gcs.events import News, encode
 from phm.gcs.serve import Server
+from phm.gcs.subscriber_queue import Item, Outlet
 from tests.fakes.mavlink import until
 
 

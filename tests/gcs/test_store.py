@@ -6,10 +6,10 @@ import json
 
 import pytest
 
+from phm.core.model import Level, Slot, Stamp
+from phm.gcs.events import encode, timed
+from phm.gcs.fleet_state import Store
 from phm.gcs.frames import Beat, Payload, Radio, Said
-from phm.gcs.news import encode, timed
-from phm.gcs.store import Store
-from phm.model import Level, Slot, Stamp
 from phm.wire import status_word, tunnel
 from phm.wire.tunnel import Digest, Seen, View, Words
 from tests.gcs.bench import EMERGENCY, HEALTHY, Ground, beat, events, pilot, said, told

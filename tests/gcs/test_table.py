@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import pytest
 from rich.console import Console
 
+from phm.core.model import Level, Slot
 from phm.gcs import table
 from phm.gcs.frames import Radio
-from phm.model import Level, Slot
 from phm.wire import status_word
 from phm.wire.tunnel import Digest, Seen, View
 from tests.gcs.bench import Ground, beat, pilot, said, told

@@ -9,7 +9,7 @@ import struct
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.inbound.judge import Do, Ignore, Refuse, addressed, judge
+from phm.commands.authorize import Do, Ignore, Refuse, addressed, judge
 from phm.wire.command import (
     Approve,
     Asked,

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from phm.daemon import Daemon
-from phm.model import Event, Note
+from phm.core.model import Event, Note
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_signing import NAME

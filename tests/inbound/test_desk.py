@@ -6,15 +6,15 @@ from typing import Any
 
 import pytest
 
+from phm.commands import responses
+from phm.commands.handler import CHECK_EVERY_S, MAX_WAITING, Desk, Powers
+from phm.commands.ledger import ONE_BY_ONE, PERIOD_S
+from phm.commands.rate_limit import BURST
+from phm.core.model import Fault, Layer, Level, Result as Found, Slot, Stamp, UnitState
 from phm.facts import DiskFact
-from phm.inbound import answers
-from phm.inbound.desk import CHECK_EVERY_S, MAX_WAITING, Desk, Powers
-from phm.inbound.gate import BURST
-from phm.inbound.ledger import ONE_BY_ONE, PERIOD_S
-from phm.model import Fault, Layer, Level, Result as Found, Slot, Stamp, UnitState
 from phm.testing import FakeClock, FakeHost, settings, world
 from phm.transport.dialect import mavlink
-from phm.transport.mavlink_budget import Class
+from phm.transport.priority import Class
 from phm.wire import status_word, tunnel
 from phm.wire.command import Result
 from phm_checks.host import Host
@@ -175,7 +175,7 @@ def test_the_computers_figures_are_those_of_the_host_check() -> None:
     assert abs(computer.ram_usage - computer.ram_total / 2) <= 1
     assert computer.storage_usage == computer.storage_total == [2**32 - 1] * 4
     assert computer.fan_speed == [2**15 - 1] * 4
-    nothing = answers.computer((), mono=1.5, utc=0.0)
+    nothing = responses.computer((), mono=1.5, utc=0.0)
     assert (nothing.cpu_combined, nothing.ram_usage, nothing.ram_total) == ([255] * 10, 2**32 - 1, 2**32 - 1)
     assert nothing.uptime == 1500
 
@@ -192,7 +192,7 @@ def test_disks_and_fans_are_those_of_the_host_check() -> None:
         UnitState(unit, "host", Slot.HOST, Layer.COMPANION, result.level, result, Stamp(0.0, 0.0))
         for unit, result in results.items()
     ]
-    computer = answers.computer(units, mono=1.0, utc=1.0)
+    computer = responses.computer(units, mono=1.0, utc=1.0)
     assert computer.storage_usage == [15 * 1024, 1024, 2**32 - 1, 2**32 - 1]
     assert computer.storage_total == [20 * 1024, 2 * 1024, 2**32 - 1, 2**32 - 1]
     assert computer.fan_speed == [1200, 0, 2**15 - 2, 2**15 - 1]

@@ -7,12 +7,12 @@ from typing import Any
 
 from hypothesis import HealthCheck, assume, example, given, settings as hypothesis_settings, strategies as st
 
-from phm.inbound.desk import MAX_WAITING, Desk, Powers
+from phm.commands.handler import MAX_WAITING, Desk, Powers
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
-from phm.transport.mavlink_budget import Class
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_signing import Signer, Signing, unsigned_of
+from phm.transport.priority import Class
 from tests.fakes.mavlink import Sender, heartbeat
 from tests.inbound.test_signing import KEY, NOW, OTHER, sign, ticks
 

@@ -6,7 +6,18 @@ from dataclasses import replace
 
 from hypothesis import given, strategies as st
 
-from phm.inbound.gate import ALL_BURST, ALL_RATE, BURST, COPY_S, MAX_DONE, MAX_SENDERS, RATE, REPEAT_S, Gate, Memory
+from phm.commands.rate_limit import (
+    ALL_BURST,
+    ALL_RATE,
+    BURST,
+    COPY_S,
+    MAX_DONE,
+    MAX_SENDERS,
+    RATE,
+    REPEAT_S,
+    Gate,
+    Memory,
+)
 from phm.wire.command import Asked, Result
 
 ASKED = Asked(31010, (3.0, 1.0), 0, 255, 190, "radio", False)

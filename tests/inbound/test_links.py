@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from phm.clock import SystemClock
-from phm.inbound.desk import Desk, Powers
-from phm.settings import MavlinkSettings
+from phm.commands.handler import Desk, Powers
+from phm.core.clock import SystemClock
+from phm.core.settings import MavlinkSettings
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub

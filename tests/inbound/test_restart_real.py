@@ -9,8 +9,8 @@ from typing import Any
 
 from pymavlink import mavutil
 
-from phm.daemon import Daemon
-from phm.model import ActionEvent, Event, FaultOpened, Level
+from phm.core.model import ActionEvent, Event, FaultOpened, Level
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from tests.fakes.mavlink import free_port, heartbeat

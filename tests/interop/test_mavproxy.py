@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from phm.model import Level, Slot
-from sitl.ground import Ground
-from sitl.link import mavlink
+from phm.core.model import Level, Slot
+from sitl.simulation.ground import Ground
+from sitl.simulation.link import mavlink
 from tests.fakes.mavlink import Sender, free_port, text
 from tests.interop.programs import Mavproxy, Program, until
 from tests.interop.vehicle import COMPONENT, ERROR, FAIL, FIXED, SYSTEM, WARN, Vehicle

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from phm.model import Level, Slot
+from phm.core.model import Level, Slot
 from phm.wire import status_word, tunnel
-from sitl.ground import Ground
+from sitl.simulation.ground import Ground
 from tests.interop.programs import Watcher, until
 from tests.interop.vehicle import COMPONENT, ERROR, FAIL, FIXED, SYSTEM, WARN, Vehicle
 

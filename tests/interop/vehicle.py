@@ -6,11 +6,11 @@ import hashlib
 import threading
 from pathlib import Path
 
-from phm.daemon import Daemon
-from phm.model import worst_by_slot
+from phm.core.model import worst_by_slot
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.wire import status_word
-from sitl.autopilot import Autopilot
+from sitl.simulation.autopilot import Autopilot
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.mavlink import free_port
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.transport.mavlink_admission import IDLE_S, MAX_PEERS, PER_ADDRESS, PROVE_S, RESERVED, Admission
+from phm.transport.client_admission import IDLE_S, MAX_PEERS, PER_ADDRESS, PROVE_S, RESERVED, Admission
 
 
 def full(admission: Admission, per_address: int = PER_ADDRESS) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.transport.mavlink_budget import (
+from phm.transport.priority import (
     BURST_MIN,
     MAX_WAITING,
     REST,

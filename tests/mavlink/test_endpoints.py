@@ -15,14 +15,14 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
+from phm.core.settings import MavlinkSettings
 from phm.facts import LinkFact
-from phm.settings import MavlinkSettings
 from phm.testing import FakeClock
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
-from phm.transport.mavlink_budget import MAX_WAITING
-from phm.transport.mavlink_outbox import OUTBOX_AGE_S, Outbox
+from phm.transport.priority import MAX_WAITING
+from phm.transport.send_queue import OUTBOX_AGE_S, Outbox
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
 
 WORD = 0x40025D55

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from phm.probes.link_cadence import LEARN_S, STEP_S, STEPS, UNEVEN_S, Cadence
+from phm.probes.adaptive_timeout import LEARN_S, STEP_S, STEPS, UNEVEN_S, Cadence
 
 BOUND_S = 10.0
 LOOK_S = 0.5

@@ -15,16 +15,16 @@ import pytest
 from hypothesis import given, strategies as st
 
 from phm.facts import LinkFact
-from phm.probes.link_cadence import LEARN_S
-from phm.probes.link_flow import LOSS_S, MIN_FRAMES, Flow
-from phm.probes.link_pilot import TWINS, Pilot
+from phm.probes.adaptive_timeout import LEARN_S
+from phm.probes.autopilot_state import TWINS, Pilot
 from phm.probes.link_radio import Radio
-from phm.probes.link_users import users
-from phm.transport import serial_line
+from phm.probes.link_stats import LOSS_S, MIN_FRAMES, Flow
+from phm.probes.serial_port_users import users
+from phm.transport import serial_errors
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_traffic import MAX_SENDERS, Senders, Traffic
-from phm.transport.serial_line import LineCount
+from phm.transport.serial_errors import LineCount
 from tests.fakes.mavlink import Sender, heartbeat, until
 
 BASE = LinkFact("ground", open=True)
@@ -442,12 +442,12 @@ def test_a_port_keeps_its_dtr() -> None:
     attributes = termios.tcgetattr(near)
     attributes[2] |= termios.HUPCL
     termios.tcsetattr(near, termios.TCSANOW, attributes)
-    serial_line.keep_dtr(near)
+    serial_errors.keep_dtr(near)
     assert not termios.tcgetattr(near)[2] & termios.HUPCL
-    assert serial_line.count(near) is None
+    assert serial_errors.count(near) is None
     os.close(far)
     os.close(near)
-    serial_line.keep_dtr(near)  # a port that is gone raises nothing
+    serial_errors.keep_dtr(near)  # a port that is gone raises nothing
 
 
 def test_line_errors_are_read_as_linux_lays_them_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -455,5 +455,5 @@ def test_line_errors_are_read_as_linux_lays_them_out(monkeypatch: pytest.MonkeyP
     counters = bytearray(80)
     for at, value in ((6, 11), (7, 20), (8, 33), (10, 4)):
         counters[at * 4 : at * 4 + 4] = value.to_bytes(4, sys.byteorder)
-    monkeypatch.setattr("phm.transport.serial_line.fcntl.ioctl", lambda fd, request, data: bytes(counters))
-    assert serial_line.count(0) == LineCount(framing=11, overrun=24, parity=33)
+    monkeypatch.setattr("phm.transport.serial_errors.fcntl.ioctl", lambda fd, request, data: bytes(counters))
+    assert serial_errors.count(0) == LineCount(framing=11, overrun=24, parity=33)

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
+from phm.core.settings import Settings
 from phm.probes.links import Links
-from phm.settings import Settings
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub

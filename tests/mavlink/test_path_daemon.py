@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from phm.daemon import Daemon
-from phm.model import ActionEvent, Event, FaultClosed, FaultOpened, Level, Phase
+from phm.core.model import ActionEvent, Event, FaultClosed, FaultOpened, Level, Phase
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
-from sitl.autopilot import Autopilot
-from sitl.ground import Ground
-from sitl.radio import Radio
+from sitl.simulation.autopilot import Autopilot
+from sitl.simulation.ground import Ground
+from sitl.simulation.radio import Radio
 from tests.fakes.mavlink import free_port, until
 
 ALL_OK = "GCS ok -> radio ok -> port ground ok -> companion ok -> link fc ok -> autopilot ok"

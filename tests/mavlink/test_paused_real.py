@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from phm.model import Level, Slot
+from phm.core.model import Level, Slot
 from phm.transport.dialect import mavlink
 from phm.wire import status_word
 from tests.fakes.mavlink import Sender, free_port, heartbeat

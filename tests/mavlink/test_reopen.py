@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 
-from phm.clock import SystemClock
-from phm.daemon import Daemon
+from phm.core.clock import SystemClock
+from phm.core.model import ActionEvent, Event, FaultClosed, FaultOpened, Phase
 from phm.facts import AutopilotFact
-from phm.model import ActionEvent, Event, FaultClosed, FaultOpened, Phase
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from phm.model import (
+from phm.core.model import (
     ActionEvent,
     Fault,
     FaultClosed,
@@ -27,7 +27,7 @@ from phm.reporters.mavlink import Mavlink
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
-from phm.transport.mavlink_outbox import Outbox
+from phm.transport.send_queue import Outbox
 from phm.wire import status_word
 from tests.fakes.mavlink import FakePort, Sender, heartbeat
 

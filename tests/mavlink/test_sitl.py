@@ -7,15 +7,15 @@ from collections.abc import Iterator
 
 import pytest
 
-from phm.clock import SystemClock
-from phm.model import Level, Slot
+from phm.core.clock import SystemClock
+from phm.core.model import Level, Slot
 from phm.probes.links import Links
 from phm.testing import settings
 from phm.transport.mavlink import MavlinkHub
 from phm.wire import status_word
-from sitl.autopilot import Autopilot
-from sitl.ground import Ground, TextLine, WordChange, as_text
-from sitl.link import Port, mavlink
+from sitl.simulation.autopilot import Autopilot
+from sitl.simulation.ground import Ground, TextLine, WordChange, as_text
+from sitl.simulation.link import Port, mavlink
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
 
 

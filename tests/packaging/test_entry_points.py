@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from phm.api import Check
+from phm.checking.registry import ACTIONS, CHECKS, REPORTERS, find
 from phm.recovery.base import Action
-from phm.registry import ACTIONS, CHECKS, REPORTERS, find
 from phm.reporters.base import Reporter
 
 if sys.version_info >= (3, 11):

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from phm.core.settings import Settings
 from phm.proxy.haproxy import rules
-from phm.settings import Settings
 from phm.testing import settings
 from phm.transport.docker import Engine
 

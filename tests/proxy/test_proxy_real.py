@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from phm.probes.docker_events import FILTERS
 from phm.probes.docker_processes import FORMS
-from phm.probes.docker_watch import FILTERS
 from phm.testing import settings
 from phm.transport import docker_bodies
 from phm.transport.docker import Engine, EngineMissing, EngineRefused

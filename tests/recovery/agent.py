@@ -11,17 +11,17 @@ from typing import Any, cast
 
 from phm import testing
 from phm.api import Layer, Result, Slot, Unit, error, ok
-from phm.bus import Bus
-from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Note, Phase
-from phm.needs import Needs
-from phm.pipeline import Pipeline
-from phm.plan import Plan
+from phm.checking.pipeline import Pipeline
+from phm.checking.plan import Plan
+from phm.core.bus import Bus
+from phm.core.dependency_graph import Needs
+from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Note, Phase
+from phm.core.settings import ContainerSettings, Settings
 from phm.recovery.armed import Armed, ArmedMonitor, State
 from phm.recovery.base import Action, ActionContext, Unneeded
 from phm.recovery.executor import Executor
 from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
-from phm.settings import ContainerSettings, Settings
 from phm.tracker import Tracked, Tracker
 from phm.transport.docker import EngineError
 

@@ -6,15 +6,15 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from phm.clock import SystemClock
+from phm.core.clock import SystemClock
+from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp, Value
+from phm.core.settings import ContainerSettings, Settings
 from phm.facts import ContainerFact
-from phm.model import Fault, Layer, Level, Result, Slot, Stamp, Value
 from phm.probes.docker import Docker
 from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.critical import Safeguard
 from phm.recovery.guarded_engine import guarded
-from phm.settings import ContainerSettings, Settings
 from phm.testing import settings
 from phm.transport.docker import Engine
 from tests.proxy.haproxy import BehindProxy

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from phm.core.model import Outcome
 from phm.facts import NotPermitted
-from phm.model import Outcome
 from phm.probes.docker import Docker
 from phm.recovery.actions import Relaunch, Restart, Restore, Start
 from phm.recovery.base import ActionFailed, Unneeded

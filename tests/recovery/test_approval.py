@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.model import ActionEvent, Phase
+from phm.core.model import ActionEvent, Phase
 from phm.recovery.approval import Approval, Situation
 from phm.recovery.armed import State
 from phm.recovery.executor import NotNow

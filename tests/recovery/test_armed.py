@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from phm.link_facts import AutopilotFact
-from phm.model import Fault, Phase
+from phm.core.model import Fault, Phase
+from phm.facts.links import AutopilotFact
 from phm.recovery.armed import ArmedMonitor, LastKnown, State, judge
 from phm.recovery.base import ActionContext
 from phm.recovery.critical import FlightCritical

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from phm.daemon import Daemon
-from phm.model import ActionEvent, Event, Phase
+from phm.core.model import ActionEvent, Event, Phase
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.wire import control

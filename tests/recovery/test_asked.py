@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from phm.model import ActionEvent, Phase
+from phm.core.model import ActionEvent, Phase
 from phm.recovery.executor import NotAllowed, NotNow
 from phm.testing import FakeClock
 from tests.recovery.agent import Agent, Containers, Of

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterable
 
 from phm.api import Layer, Slot, error
-from phm.model import Fault, Stamp
+from phm.core.model import Fault, Stamp
 from phm.recovery.cases import Cases
 
 

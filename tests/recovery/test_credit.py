@@ -10,8 +10,8 @@ from typing import Any, cast
 import pytest
 
 from phm import testing
+from phm.core.model import ActionEvent, Fault, Layer, Level, Phase, Result, Slot, Stamp
 from phm.facts import AutopilotFact, LinkFact
-from phm.model import ActionEvent, Fault, Layer, Level, Phase, Result, Slot, Stamp
 from phm.recovery.actions.reopen import BEHIND_S, BOOT_S, PROMPT_S, Reopen
 from phm.recovery.base import ActionContext, Unneeded
 from phm.recovery.links import as_container

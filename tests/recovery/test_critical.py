@@ -9,11 +9,11 @@ from typing import Any, cast
 import pytest
 
 from phm import testing
+from phm.core.settings import Settings
 from phm.facts import CannotTell, ContainerFact
 from phm.recovery.armed import Armed, State
 from phm.recovery.critical import FlightCritical, Reach, Safeguard
 from phm.recovery.guarded_engine import READS, guarded
-from phm.settings import Settings
 from phm.testing import settings
 from phm.transport.docker import Engine
 

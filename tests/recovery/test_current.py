@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from phm.api import error
-from phm.model import Fault, Level, Outcome, Phase
+from phm.core.model import Fault, Level, Outcome, Phase
 from phm.recovery.base import ActionContext
 from phm.testing import FakeClock
 from tests.recovery.agent import Agent, Containers, Of

@@ -9,9 +9,9 @@ import pytest
 
 from phm import testing
 from phm.api import Layer, Slot, Unit
-from phm.model import Outcome, Phase
-from phm.needs import Needs
-from phm.plan import Plan
+from phm.checking.plan import Plan
+from phm.core.dependency_graph import Needs
+from phm.core.model import Outcome, Phase
 from phm.tracker import Tracked
 from tests.recovery.agent import Agent, Containers, Of
 

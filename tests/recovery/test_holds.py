@@ -11,15 +11,15 @@ from typing import Any
 
 import pytest
 
-from phm.daemon import Daemon
+from phm.core.model import FaultClosed, HoldChanged, Level, Outcome, Phase, Stamp
 from phm.facts import COMPLETE, EventStreamFact
-from phm.model import FaultClosed, HoldChanged, Level, Outcome, Phase, Stamp
-from phm.probes.docker_watch import DockerEvent
+from phm.probes.docker_events import DockerEvent
 from phm.recovery.armed import Armed, LastKnown, State as ArmedState
 from phm.recovery.executor import NotApprovable, NotNow
 from phm.recovery.hold_service import CLOSED_S, LABELS_S, HoldRefused, HoldService, HoldWorld
 from phm.recovery.holds import ALL, Hold, Holds
 from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
+from phm.runtime.daemon import Daemon
 from phm.testing import FakeClock, settings
 from tests.recovery.agent import Agent, Containers, Of
 

@@ -8,10 +8,10 @@ from typing import Any, cast
 import pytest
 
 from phm import testing
+from phm.core.settings import ContainerSettings, Settings
 from phm.facts import NotPermitted
 from phm.recovery.actions.join import join
 from phm.recovery.base import ActionContext
-from phm.settings import ContainerSettings, Settings
 
 APP = ContainerSettings(name="app", networks=["net"])
 

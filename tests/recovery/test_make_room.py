@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 
 from phm import testing
-from phm.clock import Clock
+from phm.core.clock import Clock
+from phm.core.settings import RoomSettings, Settings
 from phm.recovery.actions import make_room
 from phm.recovery.actions.make_room import MakeRoom
 from phm.recovery.base import ActionFailed
 from phm.recovery.disks import as_container, by_hand, path_of
-from phm.settings import RoomSettings, Settings
 
 DISK_BYTES = 100_000
 HOUR_S = 3600.0

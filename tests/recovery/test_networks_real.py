@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from docker.errors import APIError
 
-from phm.model import ActionEvent, FaultOpened, Phase
+from phm.core.model import ActionEvent, FaultOpened, Phase
 from phm.recovery.actions import Start
 from phm.transport.docker import Engine
 from tests.recovery.bench import bench, fault

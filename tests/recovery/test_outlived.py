@@ -8,7 +8,7 @@ import pytest
 
 from phm import testing
 from phm.api import ok
-from phm.model import Event, FaultOpened, Phase
+from phm.core.model import Event, FaultOpened, Phase
 from tests.fakes.mavlink import until
 from tests.recovery.agent import Agent, Containers, Of
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from phm import testing
+from phm.core.model import ActionEvent, Fault, Phase
 from phm.facts import CannotTell
-from phm.model import ActionEvent, Fault, Phase
 from phm.recovery.base import ActionContext
 from tests.recovery.agent import Agent, Containers, Of
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from phm.model import Layer, Level, Result, Slot, Stamp, UnitState
+from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
 from phm.recovery.actions.relieve import Relieve
 from phm.recovery.actions.unpause import Unpause
 from phm.recovery.base import Action, Unneeded

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from phm import testing
-from phm.model import ActionEvent, Fault, Phase
+from phm.core.model import ActionEvent, Fault, Phase
 from phm.recovery.base import ActionContext
 from phm.transport.docker import EngineError, EngineNotConnected, EngineTimeout, EngineUnreachable
 from tests.recovery.agent import Agent, Containers, Of

@@ -6,13 +6,13 @@ from typing import Any, cast
 
 import pytest
 
-from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.core.settings import ContainerSettings
 from phm.recovery.actions.reopen import Reopen
 from phm.recovery.base import ActionContext, ActionFailed
 from phm.recovery.history import History
 from phm.recovery.links import as_container, by_hand, name_of
 from phm.recovery.policy import Act, Leave, decide
-from phm.settings import ContainerSettings
 from phm.testing import settings
 
 

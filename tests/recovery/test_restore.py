@@ -12,15 +12,15 @@ import pytest
 
 from phm import testing
 from phm.api import Layer, Slot, Unit, error, ok
-from phm.bus import Bus
-from phm.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Note, Phase, Transition
-from phm.pipeline import Pipeline
+from phm.checking.pipeline import Pipeline
+from phm.core.bus import Bus
+from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Note, Phase, Transition
+from phm.core.settings import ContainerSettings, Settings
 from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor, NotApprovable
 from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
-from phm.settings import ContainerSettings, Settings
 from phm.tracker import Tracked, Tracker
 
 APP = "health/app"

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from phm.api import Result, error, stale
-from phm.model import Outcome, Phase
+from phm.core.model import Outcome, Phase
 from phm.testing import FakeClock
 from tests.recovery.agent import Agent, Containers, Of
 

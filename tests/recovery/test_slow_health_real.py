@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from phm.model import Phase
+from phm.core.model import Phase
 from tests.recovery.test_whole_real import Phm, Start, phm
 
 __all__ = ["phm"]

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from phm import testing
-from phm.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.armed import LastKnown
 from phm.recovery.history import Attempt
 from phm.recovery.lives import OTHERS, Life

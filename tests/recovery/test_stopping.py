@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 
 from phm import testing
+from phm.core.model import Fault, Phase
 from phm.facts import CannotTell
-from phm.model import Fault, Phase
 from phm.recovery.base import ActionContext
 from tests.recovery.agent import Agent, Containers, Of
 

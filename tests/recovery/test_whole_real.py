@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from phm.daemon import Daemon
-from phm.model import ActionEvent, Event, FaultOpened, Level, Note, Phase
+from phm.core.model import ActionEvent, Event, FaultOpened, Level, Note, Phase
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from tests.proxy.haproxy import Door
 

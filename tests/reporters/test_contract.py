@@ -6,13 +6,13 @@ import re
 from pathlib import Path
 
 import phm
-from phm.model import ActionEvent, HoldChanged, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
-from phm.reporters.lines import NOTE_KINDS
+from phm.core.model import ActionEvent, HoldChanged, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
+from phm.core.settings import LogSettings, Settings
 from phm.reporters.log import Log
-from phm.reporters.rotating import FIRST_RETRY_S, RING_LINES
-from phm.settings import LogSettings, Settings
+from phm.reporters.rotating_file import FIRST_RETRY_S, RING_LINES
+from phm.reporters.text_log_format import NOTE_KINDS
 from phm.testing import FakeClock
-from phm.wire import journal
+from phm.wire import json_log
 from tests.fakes.records import at, closed, context, opened, transition, unit
 
 DOCUMENT = Path(phm.__file__).parents[1] / "docs" / "logs.md"
@@ -46,7 +46,7 @@ def written(directory: Path) -> dict[str, set[str]]:
         log.handle(event)
     log.close()
     Log.build(context(Settings(log=LogSettings(directory=str(directory / "logs")))))
-    return {str(line["event"]): set(line) for line in journal.read(directory / "logs")}
+    return {str(line["event"]): set(line) for line in json_log.read(directory / "logs")}
 
 
 def test_every_key_that_is_written_is_documented_and_the_other_way_round(tmp_path: Path) -> None:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import phm
-from phm.model import ActionEvent, Layer, Level, Outcome, Phase, Slot, UnitState
+from phm.core.model import ActionEvent, Layer, Level, Outcome, Phase, Slot, UnitState
+from phm.core.settings import Settings
+from phm.facts.ros import DiagnosticFact
 from phm.reporters.diagnostics import ALONG_S, MAX_MESSAGE, MAX_UNITS, MAX_VALUES, Diagnostics
-from phm.ros_facts import DiagnosticFact
-from phm.settings import Settings
 from phm.testing import FakeClock
 from tests.fakes.records import at, closed, context, fault, opened, transition, unit
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from phm.gcs import lines
-from phm.gcs.lines import Kind
-from phm.model import ON_HOLD, HoldChanged, Level, Slot, UnitState, worst_by_slot
-from phm.reporters.mavlink_lines import Teller
+from phm.core.model import ON_HOLD, HoldChanged, Level, Slot, UnitState, worst_by_slot
+from phm.gcs import statustext_parser
+from phm.gcs.statustext_parser import Kind
+from phm.reporters.statustext import Teller
 from phm.swarm import digest
 from phm.wire import status_line, status_word
 from tests.fakes.records import at, opened, transition, unit
@@ -38,7 +38,7 @@ def test_a_hold_is_a_line(target: str, began: bool, for_s: float, reason: str, t
     """What, for how long and why; and that it is over. It is read back as a change that says nothing is bad."""
     line = Teller(1).hold(changed(target, began=began, for_s=for_s, reason=reason))[0]
     assert (line.text, int(line.severity)) == (text, 5)
-    found = lines.read(line.text)
+    found = statustext_parser.read(line.text)
     assert found is not None and (found.kind, found.word, found.level) == (Kind.CHANGE, "HOLD", None)
 
 

@@ -6,15 +6,15 @@ from typing import ClassVar
 
 import pytest
 
-from phm import registry
-from phm.bus import Bus
-from phm.clock import SystemClock
-from phm.closing import Closing
-from phm.model import Event, Note
-from phm.registry import Found
+from phm.checking import registry
+from phm.checking.registry import Found
+from phm.core.bus import Bus
+from phm.core.clock import SystemClock
+from phm.core.closing import Closing
+from phm.core.model import Event, Note
+from phm.core.settings import Settings
 from phm.reporters.base import Reporter, ReporterContext
-from phm.reporters.installed import Installed
-from phm.settings import Settings
+from phm.reporters.reporter_manager import Installed
 from tests.fakes.records import at, context
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from phm.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
-from phm.reporters.lines import MAX_BYTES, TextLines, encode
+from phm.core.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
+from phm.reporters.text_log_format import MAX_BYTES, TextLines, encode
 from tests.fakes.records import at, closed, opened, transition, unit
 
 STAMP = "2026-03-01 12:00:00.123"

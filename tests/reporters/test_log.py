@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from phm.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
-from phm.reporters.lines import MAX_BYTES
+from phm.core.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
+from phm.core.settings import LogSettings, Settings
 from phm.reporters.log import Log
-from phm.reporters.rotating import FIRST_RETRY_S, RING_LINES
-from phm.settings import LogSettings, Settings
+from phm.reporters.rotating_file import FIRST_RETRY_S, RING_LINES
+from phm.reporters.text_log_format import MAX_BYTES
 from phm.testing import FakeClock
-from phm.wire import journal
+from phm.wire import json_log
 from tests.fakes.records import at, closed, context, opened, transition, unit
 
 DEAD = unit(
@@ -46,7 +46,7 @@ def written(directory: Path, *events: Event) -> list[dict[str, object]]:
     for event in events:
         log.handle(event)
     log.close()
-    return list(journal.read(directory))[1:]
+    return list(json_log.read(directory))[1:]
 
 
 def test_every_line_says_who_where_and_when(tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_every_line_says_who_where_and_when(tmp_path: Path) -> None:
     log = make(tmp_path)
     for event in (started, transition(DEAD), opened(DEAD), report, Note(at(), "INJECT", "kill")):
         log.handle(event)
-    lines = list(journal.read(tmp_path))
+    lines = list(json_log.read(tmp_path))
     assert [line["event"] for line in lines] == [
         "start", "report_started", "transition", "fault_opened", "unit", "unit", "report", "note",
     ]  # fmt: skip
@@ -157,7 +157,7 @@ def test_lost_lines_leave_a_line_that_explains_the_gap(tmp_path: Path) -> None:
     clock.advance(FIRST_RETRY_S)
     log.tick()
     assert log.problem() == ""
-    lines = list(journal.read(tmp_path / "logs"))
+    lines = list(json_log.read(tmp_path / "logs"))
     assert (lines[0]["event"], lines[0]["lines"], lines[0]["seq"], lines[0]["reason"]) == (
         "lost",
         10,
@@ -185,11 +185,11 @@ def test_sync_is_asked_for_faults_and_reports_only(tmp_path: Path, monkeypatch: 
 
 WRITER = """
 import sys
-from phm.clock import SystemClock
-from phm.model import Note, Stamp
+from phm.core.clock import SystemClock
+from phm.core.model import Note, Stamp
 from phm.reporters.base import ReporterContext
 from phm.reporters.log import Log
-from phm.settings import LogSettings, Settings
+from phm.core.settings import LogSettings, Settings
 settings = Settings(log=LogSettings(directory=sys.argv[1], max_size=20000, files=100))
 log = Log.build(ReporterContext(settings, SystemClock(), "b", tuple, lambda: True, dict))
 number = 0
@@ -209,11 +209,13 @@ def test_sigkill_loses_no_line_that_was_handed_over(tmp_path: Path) -> None:
                 process.send_signal(signal.SIGKILL)
                 break
         handed_over = 500 + len(process.stdout.read().split())
-    recorded = [int(line["text"]) for line in journal.read(tmp_path) if line["event"] == "note"]
+    recorded = [int(line["text"]) for line in json_log.read(tmp_path) if line["event"] == "note"]
     assert recorded[:handed_over] == list(range(1, handed_over + 1))
     assert len(recorded) - handed_over in (0, 1)
     text = [
-        line.rpartition(" ")[2] for file in journal.files(tmp_path / "phm.log") for line in file.read_text().split("\n")
+        line.rpartition(" ")[2]
+        for file in json_log.files(tmp_path / "phm.log")
+        for line in file.read_text().split("\n")
     ]
     assert [int(number) for number in text if number][:handed_over] == list(range(1, handed_over + 1))
 
@@ -234,16 +236,16 @@ def test_the_reader_takes_rotated_files_in_order_and_skips_what_is_no_event(tmp_
         (tmp_path / f"phm.jsonl.{number}").write_text(json.dumps({"seq": 100 - number}) + "\n[1]\nnull\n")
     (tmp_path / "phm.jsonl").write_text('{"seq": 100}\n\n{"seq": 101}\n{"seq": 1')
     (tmp_path / "phm.jsonl.bak").write_text('{"seq": 0}\n')
-    assert [line["seq"] for line in journal.read(tmp_path)] == [90, 98, 99, 100, 101]
-    assert [line["seq"] for line in journal.read(tmp_path / "phm.jsonl")] == [90, 98, 99, 100, 101]
-    assert list(journal.read(tmp_path / "nothing.jsonl")) == []
+    assert [line["seq"] for line in json_log.read(tmp_path)] == [90, 98, 99, 100, 101]
+    assert [line["seq"] for line in json_log.read(tmp_path / "phm.jsonl")] == [90, 98, 99, 100, 101]
+    assert list(json_log.read(tmp_path / "nothing.jsonl")) == []
 
 
 def test_a_rotation_while_reading_neither_repeats_nor_skips(tmp_path: Path) -> None:
     """What was there when reading began is read once, though files are renamed meanwhile."""
     for name, seq in (("phm.jsonl.1", 1), ("phm.jsonl", 2)):
         (tmp_path / name).write_text(json.dumps({"seq": seq}) + "\n")
-    reader = journal.read(tmp_path)
+    reader = json_log.read(tmp_path)
     seen = [next(reader)["seq"]]
     (tmp_path / "phm.jsonl.1").rename(tmp_path / "phm.jsonl.2")
     (tmp_path / "phm.jsonl").rename(tmp_path / "phm.jsonl.1")

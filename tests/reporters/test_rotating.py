@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.reporters.rotating import FIRST_RETRY_S, LAST_RETRY_S, RING_LINES, RotatingLines
+from phm.reporters.rotating_file import FIRST_RETRY_S, LAST_RETRY_S, RING_LINES, RotatingLines
 from phm.testing import FakeClock
 
 CAP_SYS_ADMIN = 1 << 21
@@ -287,8 +287,8 @@ if _may_mount():  # a mount needs root; the same rules are tested above and belo
 LIMITED = """
 import resource, sys
 from pathlib import Path
-from phm.clock import SystemClock
-from phm.reporters.rotating import RotatingLines
+from phm.core.clock import SystemClock
+from phm.reporters.rotating_file import RotatingLines
 resource.setrlimit(resource.RLIMIT_FSIZE, (1050, 1050))
 lines = RotatingLines(sys.argv[1], max_size=10**6, files=9, clock=SystemClock(), lost_line=lambda *_: b"lost")
 for number in range(50):

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from phm.clock import SystemClock
-from phm.model import Level, Outcome, Slot, UnitState
+from phm.core.clock import SystemClock
+from phm.core.model import Level, Outcome, Slot, UnitState
+from phm.core.settings import Settings
 from phm.reporters.status import ALONG_S, CLOSED_FAULTS, Status
-from phm.settings import Settings
 from phm.testing import FakeClock
 from phm.wire import status_file, status_word
 from tests.fakes.records import closed, context, opened, transition, unit

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from phm.facts import RosFact
-from phm.probes.ros.process import RosProcess
+from phm.probes.ros.supervisor import RosProcess
 from tests.fakes import app_messages
 from tests.fakes.app_messages import OTHER_DISTRIBUTION, OWN_DISTRIBUTION
 from tests.fakes.ros_bench import ROOT, Bench, seen

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from phm.facts import RosFact
-from sitl.app import node_argv
-from sitl.graph import ring
-from sitl.node import topic_rate
+from sitl.application.app import node_argv
+from sitl.application.graph import ring
+from sitl.application.node import topic_rate
 from tests.fakes.ros_bench import Bench, gone, seen, until
 
 
@@ -37,7 +37,17 @@ def test_the_application_runs_and_stops_as_a_container_would(bench: Bench, tmp_p
     """Pid files lead to the nodes, a killed node stays dead, a stale marker is gone, SIGTERM ends all with code 0."""
     marker, pids = tmp_path / "unhealthy", tmp_path / "nodes"
     marker.touch()
-    command = [sys.executable, "-m", "sitl.app", "--nodes", "2", "--pids", str(pids), "--marker", str(marker)]
+    command = [
+        sys.executable,
+        "-m",
+        "sitl.application.app",
+        "--nodes",
+        "2",
+        "--pids",
+        str(pids),
+        "--marker",
+        str(marker),
+    ]
     app = subprocess.Popen(command, env=bench.environ, stdout=subprocess.DEVNULL)
     try:
         probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}])
@@ -83,7 +93,17 @@ def test_a_node_is_left_out_once(bench: Bench, tmp_path: Path) -> None:
     """The file names it; the start after that has all nodes again."""
     left_out, pids = tmp_path / "left_out", tmp_path / "nodes"
     left_out.write_text("node_1\n")
-    command = [sys.executable, "-m", "sitl.app", "--nodes", "2", "--pids", str(pids), "--left-out", str(left_out)]
+    command = [
+        sys.executable,
+        "-m",
+        "sitl.application.app",
+        "--nodes",
+        "2",
+        "--pids",
+        str(pids),
+        "--left-out",
+        str(left_out),
+    ]
     for expected in (["node_2.pid"], ["node_1.pid", "node_2.pid"]):
         app = subprocess.Popen(command, env=bench.environ, stdout=subprocess.PIPE)
         try:

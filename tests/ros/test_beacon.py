@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from phm.facts import BeaconFact, RosFact
-from phm.probes.ros.process import RosProcess
+from phm.probes.ros.supervisor import RosProcess
 from tests.fakes.ros_bench import ROOT, Bench, seen, until
 
 A, B, C = "/agent_1/a", "/agent_1/b", "/agent_1/c"

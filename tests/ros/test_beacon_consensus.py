@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 from phm import api, testing
-from phm.probes.ros.process import RosProcess
+from phm.probes.ros.supervisor import RosProcess
 from phm_checks.consensus import Consensus
 from tests.fakes.ros_bench import Bench, seen, until
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from phm.beacon import BEACON_FORMAT
 from phm.probes.ros.beacon_text import log_texts
-from phm.probes.ros.hearsay import Hearsay
 from phm.probes.ros.ledger import Ledger, portions
 from phm.probes.ros.protocol import LINE_LIMIT, Heard, decode, encode
+from phm.probes.ros.self_reports import Hearsay
 from tests.fuzz.hostile import messages, torn
 from tests.fuzz.targets import fuzzed
 

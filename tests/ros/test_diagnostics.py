@@ -14,10 +14,10 @@ from typing import Any
 
 from phm.facts import DiagnosticFact, RosFact
 from phm.probes.ros.diagnostics import MAX_TEXT, MAX_VALUES, portions
-from phm.probes.ros.hearsay import MAX_NAMES, Hearsay, Own
-from phm.probes.ros.process import RosProcess
 from phm.probes.ros.protocol import LINE_LIMIT, Heard, encode
-from phm.wire import journal
+from phm.probes.ros.self_reports import MAX_NAMES, Hearsay, Own
+from phm.probes.ros.supervisor import RosProcess
+from phm.wire import json_log
 from tests.fakes.ros_bench import ROOT, Bench, seen, until
 
 FREQUENCY = "camera: Frequency"
@@ -208,7 +208,7 @@ def test_what_is_no_order_is_ignored() -> None:
     """A line that was cut, or is not JSON, does no harm to the next; a closed pipe is the end."""
     code = (
         "import time; from types import SimpleNamespace\n"
-        "from phm.probes.ros import child; from phm.probes.ros.lines import Lines\n"
+        "from phm.probes.ros import child; from phm.probes.ros.line_splitter import Lines\n"
         "orders, got = Lines(), []\n"
         "watch = SimpleNamespace(events=None, obey=got.append)\n"
         "while child._wait(time.monotonic() + 9, orders, watch) is not None: pass\n"
@@ -252,7 +252,7 @@ def test_a_running_daemon_judges_what_it_hears_and_is_seen_by_others(bench: Benc
         return monitor.heard.get(unit, [None])[0]
 
     def closed() -> list[Any]:
-        return [line for line in journal.read(tmp_path / "log") if line["event"] == "fault_closed"]
+        return [line for line in json_log.read(tmp_path / "log") if line["event"] == "fault_closed"]
 
     try:
         until(lambda: level() == 0, "OK", 40.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phm.probes.ros.ghosts import DOUBT_S, Ghosts
+from phm.probes.ros.stale_nodes import DOUBT_S, Ghosts
 
 
 def test_only_what_lasts_longer_than_a_lease_is_doubted() -> None:

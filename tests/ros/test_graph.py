@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from phm.facts import EndpointFact, NameFact, RateFact, RosFact
-from phm.probes.ros.process import Limits
+from phm.probes.ros.supervisor import Limits
 from tests.fakes.ros_bench import Bench, gone, seen, stale, until
 from tests.fakes.ros_truth import within_2_percent
 
@@ -178,8 +178,8 @@ def test_a_leaking_child_is_replaced(bench: Bench) -> None:
 def test_the_child_ends_with_its_parent(bench: Bench) -> None:
     """A daemon that is killed leaves no child behind: neither a running nor a stopped one."""
     code = (
-        "import sys, time; from phm.clock import SystemClock; from phm.settings import Settings\n"
-        "from phm.probes.ros.process import RosProcess\n"
+        "import sys, time; from phm.core.clock import SystemClock; from phm.core.settings import Settings\n"
+        "from phm.probes.ros.supervisor import RosProcess\n"
         "p = RosProcess(Settings(), SystemClock(), lambda: print(p.pid, flush=True), print); p.start(); time.sleep(60)"
     )
     daemon = subprocess.Popen([sys.executable, "-c", code], env=bench.environ, stdout=subprocess.PIPE)

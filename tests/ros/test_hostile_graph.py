@@ -7,12 +7,12 @@ import signal
 import pytest
 
 from phm.facts import EndpointFact, RosFact, TopicFact
-from phm.probes.ros.caps import MAX_STRANGERS, kept_ends, kept_nodes
-from phm.probes.ros.lines import Lines
-from phm.probes.ros.process import OVERLONG, RosProcess
+from phm.probes.ros.graph_snapshot import View
+from phm.probes.ros.line_splitter import Lines
+from phm.probes.ros.name_limits import MAX_STRANGERS, kept_ends, kept_nodes
 from phm.probes.ros.protocol import LINE_LIMIT, Picture, Tick, encode
 from phm.probes.ros.raw_names import LONGEST, printable
-from phm.probes.ros.view import View
+from phm.probes.ros.supervisor import OVERLONG, RosProcess
 from tests.fakes.ros_bench import Bench, seen, stale, until
 from tests.ros.test_supervision import FAST, fake
 

@@ -9,13 +9,14 @@ from typing import Any
 
 import pytest
 
-from phm import plan, testing
-from phm.bus import Bus
-from phm.clock import SystemClock
-from phm.engine import Batch, Engine
+from phm import testing
+from phm.checking import plan
+from phm.checking.pipeline import Pipeline
+from phm.checking.scheduler import Batch, Engine
+from phm.core.bus import Bus
+from phm.core.clock import SystemClock
+from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Level, Transition, UnitState
 from phm.facts import CannotTell, ProcessFact
-from phm.model import Event, Fault, FaultClosed, FaultOpened, Level, Transition, UnitState
-from phm.pipeline import Pipeline
 from phm.probes.docker_processes import FORMS, processes
 from phm.tracker import SURE_S, Tracker
 from phm_checks.nodes import Nodes

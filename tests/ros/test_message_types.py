@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from phm.probes.ros import anytype, message_types
-from phm.probes.ros.anytype import AnyTypes, NotHere
+from phm.probes.ros import message_types, opaque_types
 from phm.probes.ros.message_types import UnknownType, load_type
+from phm.probes.ros.opaque_types import AnyTypes, NotHere
 from phm.probes.ros.protocol import INSTALLS
 from tests.fakes import app_messages
 from tests.fakes.app_messages import OTHER_DISTRIBUTION, OWN_DISTRIBUTION, OWN_PYTHON
@@ -38,7 +38,7 @@ NAMES = (
 @pytest.fixture
 def by_name_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a middleware that is not known: classes cannot be made from a name."""
-    monkeypatch.setattr(anytype, "KNOWN", {})
+    monkeypatch.setattr(opaque_types, "KNOWN", {})
     monkeypatch.setattr(message_types, "_any_types", AnyTypes())
 
 
@@ -91,7 +91,7 @@ def test_a_middleware_that_is_not_known_is_left_alone(
     monkeypatch: pytest.MonkeyPatch, lines: list[str], variables: dict[str, str], reason: str
 ) -> None:
     """By the library that is loaded, and by the distribution where the environment names one."""
-    monkeypatch.setattr(anytype, "_maps", lambda: [f"7f00-7f01 r-xp 0 0:0 1 {line}" for line in lines])
+    monkeypatch.setattr(opaque_types, "_maps", lambda: [f"7f00-7f01 r-xp 0 0:0 1 {line}" for line in lines])
     monkeypatch.delenv("ROS_DISTRO", raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
@@ -112,33 +112,33 @@ def test_memory_that_is_laid_out_otherwise_is_told_and_not_followed(
     monkeypatch: pytest.MonkeyPatch, offset: int
 ) -> None:
     """Pointers that lead elsewhere, or nowhere, end in a sentence: this very process would have ended otherwise."""
-    real = anytype._peek
+    real = opaque_types._peek
 
     def shifted(address: int, size: int) -> bytes:
         return real(address + offset, size)
 
-    monkeypatch.setattr(anytype, "_peek", shifted)
+    monkeypatch.setattr(opaque_types, "_peek", shifted)
     with pytest.raises(NotHere, match="not laid out as known"):
         AnyTypes().make("a", "msg", "B")
 
 
 def test_the_copied_names_must_be_where_they_are_expected(monkeypatch: pytest.MonkeyPatch) -> None:
     """The original's own names, found where they are to be changed, say that the layout is the known one."""
-    monkeypatch.setattr(anytype, "_BASE", ("rcl_interfaces", "msg", "Log"))
+    monkeypatch.setattr(opaque_types, "_BASE", ("rcl_interfaces", "msg", "Log"))
     with pytest.raises(NotHere, match="its names are not where they were"):
         AnyTypes().make("a", "msg", "B")
 
 
 def test_functions_must_be_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where functions are expected there must be addresses of code."""
-    monkeypatch.setattr(anytype, "_code", lambda: [(0, 1)])
+    monkeypatch.setattr(opaque_types, "_code", lambda: [(0, 1)])
     with pytest.raises(NotHere, match="its functions are not where they were"):
         AnyTypes().make("a", "msg", "B")
 
 
 def test_what_is_made_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """What was made stays for ever, and names come from outside."""
-    monkeypatch.setattr(anytype, "MAX_TYPES", 2)
+    monkeypatch.setattr(opaque_types, "MAX_TYPES", 2)
     types = AnyTypes()
     for name in ("A", "B", "A"):
         types.make("a", "msg", name)
@@ -172,8 +172,8 @@ def installs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def loaded(installs: list[Path], *names: str) -> str:
     """What a process of its own says of types that it can only find in these folders."""
     code = (
-        "import sys\nfrom phm.probes.ros import anytype, message_types\n"
-        "anytype.KNOWN.clear()\n"
+        "import sys\nfrom phm.probes.ros import opaque_types, message_types\n"
+        "opaque_types.KNOWN.clear()\n"
         "for name in sys.argv[1:]:\n"
         " try: kind = message_types.load_type(name)\n"
         " except message_types.UnknownType as error: print(error)\n"

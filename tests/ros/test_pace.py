@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from phm.probes.ros.meter import Meter
-from phm.probes.ros.pace import LOOKS, Pace
+from phm.probes.ros.rate_change import LOOKS, Pace
+from phm.probes.ros.rate_meter import Meter
 from tests.fakes.ros_flow import Publication, even, feed, looks, trace
 
 PHASES = (0.0, 0.06, 0.12, 0.19)

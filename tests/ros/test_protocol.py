@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from phm.facts import BeaconFact, DiagnosticFact, EndpointFact, NameFact, NeighbourFact, RateFact, TopicFact
+from phm.probes.ros.graph_snapshot import View
 from phm.probes.ros.protocol import (
     Heard,
     Message,
@@ -24,7 +25,6 @@ from phm.probes.ros.protocol import (
     encode_order,
     encode_wanted,
 )
-from phm.probes.ros.view import View
 
 END = EndpointFact("/a/n", "std_msgs/msg/String", "reliable", "volatile")
 

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from phm.probes.ros.meter import STALL_S, Listening, Meter
-from phm.ros_facts import RateFact
+from phm.facts.ros import RateFact
+from phm.probes.ros.rate_meter import STALL_S, Listening, Meter
 from tests.fakes.ros_flow import TICK_S, even, feed, looks, quiet
 
 TWO = Listening(publishers=2, several=True)

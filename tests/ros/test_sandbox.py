@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from phm.core.settings import Settings
 from phm.probes.ros import sandbox
-from phm.probes.ros.process import child_environ
-from phm.settings import Settings
+from phm.probes.ros.supervisor import child_environ
 from tests.fakes.ros_bench import ROOT, Bench, seen, stale, until
 
 ALLOWED = {"send a datagram", "read the application's packages", "signal itself"}

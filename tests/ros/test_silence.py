@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from phm.probes.ros.meter import Meter
-from phm.probes.ros.recent import Recent
-from phm.probes.ros.silence import LEAST, Silence
+from phm.probes.ros.rate_meter import Meter
+from phm.probes.ros.silence_timeout import LEAST, Silence
+from phm.probes.ros.windowed_max import Recent
 from tests.fakes.ros_flow import TICK_S, looks, silent_from, trace
 
 CONFIGURED_S = 3.0

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from phm.probes.ros.meter import Listening, Meter
-from phm.probes.ros.sorter import DEPTH_MOST, MOST, PER_PUBLISHER, Sorter
+from phm.probes.ros.publisher_demux import DEPTH_MOST, MOST, PER_PUBLISHER, Sorter
+from phm.probes.ros.rate_meter import Listening, Meter
 from tests.fakes.ros_flow import Publication, even, feed, looks
 
 WAYS = [

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import pytest
 
 from phm import api, testing
-from phm.probes.ros.meter import WIDE_S, Meter
-from phm.probes.ros.spread import Spread
+from phm.probes.ros.rate_meter import WIDE_S, Meter
+from phm.probes.ros.rate_uncertainty import Spread
 from phm_checks.rates import Rates
 from tests.fakes.ros_flow import Publication, even, feed, looks, trace
 

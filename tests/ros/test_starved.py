@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from phm import api
-from phm.probes.ros import process
-from phm.probes.ros.meter import Meter
-from phm.probes.ros.process import Limits
+from phm.core.scheduling_delay import Lateness, Progress
+from phm.probes.ros import supervisor
+from phm.probes.ros.graph_snapshot import AGAIN_S, BREAK_S, View, again_s
 from phm.probes.ros.protocol import Heard, Picture, Tick
-from phm.probes.ros.track import Sample
-from phm.probes.ros.view import AGAIN_S, BREAK_S, View, again_s
-from phm.scheduling import Lateness, Progress
+from phm.probes.ros.publisher_stats import Sample
+from phm.probes.ros.rate_meter import Meter
+from phm.probes.ros.supervisor import Limits
 from phm_checks._quorum import silent
 from tests.fakes.ros_bench import Bench, until
 from tests.ros.test_supervision import fake
@@ -202,12 +202,12 @@ def held(monkeypatch: pytest.MonkeyPatch, share: float) -> None:
             self.last = now
             return share * passed_s
 
-    monkeypatch.setattr(process, "Progress", Held)
+    monkeypatch.setattr(supervisor, "Progress", Held)
 
 
 def test_what_was_heard_is_sent_before_the_picture(bench: Bench) -> None:
     """So that no silence is judged by a picture that is newer than what was heard until then."""
-    from phm.probes.ros.watch import Watch
+    from phm.probes.ros.observer import Watch
 
     order: list[str] = []
 

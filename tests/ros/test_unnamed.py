@@ -6,7 +6,7 @@ import signal
 from itertools import pairwise
 
 from phm.facts import EndpointFact, RateFact, RosFact, TopicFact
-from phm.probes.ros.unnamed import REST_MOST_S, REST_S, UNNAMED_S, Unnamed
+from phm.probes.ros.unnamed_participants import REST_MOST_S, REST_S, UNNAMED_S, Unnamed
 from tests.fakes.ros_bench import Bench, seen
 
 STRING = "std_msgs/msg/String"

@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from sitl.air import AirProcess
-from sitl.ground import Ground
-from sitl.link import Port, mavlink, messages, parser
-from sitl.pilot import Pilot
+from sitl.simulation.autopilot_model import Pilot
+from sitl.simulation.ground import Ground
+from sitl.simulation.link import Port, mavlink, messages, parser
+from sitl.simulation.link_emulator import AirProcess
+from sitl.swarm.channel_model import BUFFER_BYTES, Conditions, Losses, Pipe
 from sitl.swarm.control import Air
 from sitl.swarm.frames import HEARTBEAT, RADIO_STATUS, Frame
-from sitl.swarm.medium import BUFFER_BYTES, Conditions, Losses, Pipe
 from sitl.swarm.mesh import Mesh
 from sitl.swarm.ports import Ports
 from sitl.swarm.vehicle import Vehicle

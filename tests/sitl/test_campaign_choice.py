@@ -6,15 +6,15 @@ from typing import Any
 
 import pytest
 
-from sitl.campaign.choice import CHANGES, LEFT_ALONE, OFF, chosen, class_of, useless
-from sitl.campaign.gather import Levels, note
+from sitl.campaign.collect import Levels, note
+from sitl.campaign.fault_catalog import CHANGES, LEFT_ALONE, OFF, chosen, class_of, useless
 from sitl.campaign.main import main
 from sitl.campaign.plan import plan
 from sitl.campaign.report import BEGIN, END
 from sitl.campaign.trial import append
-from sitl.derived import derived
+from sitl.demo.compose_stack import ROOT
+from sitl.demo.config_overrides import derived
 from sitl.faults import all_faults
-from sitl.stack import ROOT
 from tests.fakes.campaign_trials import trial
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sitl.campaign.judge import Verdict, judge, tells
+from sitl.campaign.scoring import Verdict, judge, tells
 from sitl.campaign.trial import OFF, Start, Trial, Warned
 from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, trial, verified
 

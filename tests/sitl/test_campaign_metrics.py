@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from sitl.campaign import uptime
-from sitl.campaign.aims import AIMS, judged, short
 from sitl.campaign.metrics import figures, rank, stats
+from sitl.campaign.targets import AIMS, judged, short
 from sitl.campaign.trial import NOMINAL, OFF, Cost, Trial
 from tests.fakes.campaign_trials import T0, alarm, injection, trial
 

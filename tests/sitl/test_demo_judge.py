@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from phm.model import Slot
-from sitl.demo import Outcome, judge
+from phm.core.model import Slot
+from sitl.demo.main import Outcome, judge
 from sitl.faults import all_faults
-from sitl.ground import TextLine
+from sitl.simulation.ground import TextLine
 
 FAULT = all_faults()["node_killed"]
 UNIT = "node/node_1"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sitl.faults import _engine_door as door
+from sitl.faults import _docker_proxy as door
 
 LIMIT_S = 20.0
 

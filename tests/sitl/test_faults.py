@@ -11,11 +11,12 @@ import pytest
 
 from phm.config import load
 from phm.recovery.policy import LADDERS
-from sitl import faults, proof, proofplan
-from sitl.demo import STORY
-from sitl.derived import derived, write
+from sitl import faults
+from sitl.acceptance import main, plan
+from sitl.demo.compose_stack import ROOT
+from sitl.demo.config_overrides import derived, write
+from sitl.demo.main import STORY
 from sitl.faults.base import LAYERS, Agent, Fault
-from sitl.stack import ROOT
 
 FILES = sorted(path.stem for path in Path(faults.__file__).parent.glob("[!_]*.py") if path.stem != "base")
 
@@ -54,18 +55,16 @@ def agent() -> Agent:
 
 def test_the_demonstration_and_the_proof_play_faults_that_exist() -> None:
     """The proof plays every fault exactly once that starves nothing and is not the campaign's; the demonstration some of them."""
-    assert sorted((*proofplan.ORDER, *proofplan.APART, *proofplan.CAMPAIGN, *proofplan.STARVING)) == FILES
-    assert set(proofplan.STARVING) == {
-        name for name, fault in faults.all_faults().items() if "starvation" in fault.needs
-    }
+    assert sorted((*plan.ORDER, *plan.APART, *plan.CAMPAIGN, *plan.STARVING)) == FILES
+    assert set(plan.STARVING) == {name for name, fault in faults.all_faults().items() if "starvation" in fault.needs}
     assert set(STORY) <= set(FILES)
-    assert set(proofplan.LEFT_ALONE) <= set(FILES)
+    assert set(plan.LEFT_ALONE) <= set(FILES)
 
 
 def test_only_faults_that_need_a_configuration_are_played_apart() -> None:
     """What needs a configuration of its own could not be seen among the others, and says so."""
     needing = [name for name, fault in faults.all_faults().items() if fault.configuration(agent())]
-    assert [name for name in needing if name not in proofplan.CAMPAIGN] == list(proofplan.APART)
+    assert [name for name in needing if name not in plan.CAMPAIGN] == list(plan.APART)
     assert needing == [name for name, fault in faults.all_faults().items() if "configuration" in fault.needs]
 
 
@@ -81,35 +80,33 @@ UNPROVEN = {
 def test_every_ladder_is_proven() -> None:
     """Each condition for which PHM has a ladder has a fault, or a reason why not (docs/recovery.md gives it, too)."""
     known = faults.all_faults()
-    proven = {known[name].condition for name in (*proofplan.ORDER, *proofplan.APART)}
+    proven = {known[name].condition for name in (*plan.ORDER, *plan.APART)}
     assert set(LADDERS) - proven == set(UNPROVEN)
 
 
 def test_neighbours_in_the_proof_break_different_units() -> None:
     """The same unit broken twice in a row could pass for one fault that came back."""
     known = faults.all_faults()
-    units = [{known[name].unit, *known[name].also} for name in proofplan.ORDER]
+    units = [{known[name].unit, *known[name].also} for name in plan.ORDER]
     assert all(not one & two for one, two in itertools.pairwise(units))
 
 
 def test_the_programme_can_be_narrowed() -> None:
     """By fault and by mode; what is left keeps its order, and nothing is played that was not asked for."""
-    whole = list(proofplan.plays())
+    whole = list(plan.plays())
     assert [play.mode for play in whole if not play.first] == ["act", "act", "off", "advise"]
-    assert list(proofplan.plays(["container_stopped"], ["advise"])) == [
-        proofplan.Play("advise", ("container_stopped",))
-    ]
-    assert [play.faults for play in proofplan.plays(["node_killed"], ["act"])] == [("node_killed",), ("node_killed",)]
-    assert [play.apart for play in proofplan.plays(["owner_killed"])] == [True]
+    assert list(plan.plays(["container_stopped"], ["advise"])) == [plan.Play("advise", ("container_stopped",))]
+    assert [play.faults for play in plan.plays(["node_killed"], ["act"])] == [("node_killed",), ("node_killed",)]
+    assert [play.apart for play in plan.plays(["owner_killed"])] == [True]
 
 
-@pytest.mark.parametrize("mode", proofplan.MODES)
+@pytest.mark.parametrize("mode", plan.MODES)
 def test_the_proof_has_a_valid_configuration(mode: str) -> None:
     """What is derived from the shipped file is a configuration without mistakes, in every mode and with relaunch."""
     for relaunch in (False, True):
-        settings = load(write(proofplan.configuration(mode, relaunch=relaunch)))
+        settings = load(write(plan.configuration(mode, relaunch=relaunch)))
         assert settings.recovery.mode == mode
-        assert settings.recovery.budget > len(proofplan.ORDER)
+        assert settings.recovery.budget > len(plan.ORDER)
         assert settings.containers[0].files[0].restore == "image"
         assert bool(settings.ros.nodes[0].relaunch) is relaunch
 
@@ -120,12 +117,12 @@ def test_the_proof_has_a_valid_configuration(mode: str) -> None:
 def test_what_a_fault_adds_to_the_configuration_is_valid(name: str) -> None:
     """With the changes of its own the configuration has no mistakes, and is another one than without."""
     more = faults.all_faults()[name].configuration(agent())
-    assert load(write(proofplan.configuration(more=more))) != load(write(proofplan.configuration()))
+    assert load(write(plan.configuration(more=more))) != load(write(plan.configuration()))
 
 
 def test_lasting_is_longer_than_the_shipped_verify() -> None:
     """The proof waits for what it must wait for when the shipped value changes."""
-    assert load(write(proofplan.configuration())).recovery.verify < proof.LASTING_S
+    assert load(write(plan.configuration())).recovery.verify < main.LASTING_S
 
 
 def test_deriving_refuses_what_is_not_there() -> None:

@@ -9,9 +9,9 @@ from unittest import mock
 
 import pytest
 
-from sitl.air import AirProcess
 from sitl.faults import all_faults
 from sitl.faults.base import Agent
+from sitl.simulation.link_emulator import AirProcess
 from sitl.swarm.control import Air
 from sitl.swarm.ports import Ports
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from sitl.bench.load import FAULTS, HALF, HEARTBEAT_S, LOADS, Measured, late_s, table_cells
+from sitl.bench.starvation_rows import Row
 from sitl.faults import all_faults
-from sitl.load_bench import FAULTS, HALF, HEARTBEAT_S, LOADS, Measured, late_s, table_cells
-from sitl.starvation_rows import Row
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from phm.model import Level
+from phm.core.model import Level
 from phm.wire.report import report_json
-from sitl import forms, mavlink_bench
+from sitl.bench import mavlink, report_sizes
 
-REPORTS = mavlink_bench.REPORTS
+REPORTS = mavlink.REPORTS
 
 
 def test_the_recorded_reports_are_read_as_they_were() -> None:
@@ -19,14 +19,14 @@ def test_the_recorded_reports_are_read_as_they_were() -> None:
     for name in ("well", "failing"):
         path = REPORTS / f"{name}.json"
         wanted = json.loads(path.read_text())["checks"]
-        assert report_json("agent_1", forms.load(path))["checks"] == wanted
-    bad = [state.unit for state in forms.load(REPORTS / "failing.json") if state.level is Level.ERROR]
+        assert report_json("agent_1", report_sizes.load(path))["checks"] == wanted
+    bad = [state.unit for state in report_sizes.load(REPORTS / "failing.json") if state.level is Level.ERROR]
     assert bad == ["container/ros_app"]
 
 
 def test_the_bench_prints_the_figures_of_each_swarm(capsys: pytest.CaptureFixture[str]) -> None:
     """Two agents, idle and with one failing. A heartbeat has 21 bytes, and its period is 2 s."""
-    code = mavlink_bench.main(["--agents", "2", "--seconds", "60", "--json"])
+    code = mavlink.main(["--agents", "2", "--seconds", "60", "--json"])
     printed = json.loads(capsys.readouterr().out)
     idle, failing = printed["figures"]
     assert (code, printed["missed"]) == (0, [])
@@ -44,7 +44,7 @@ def test_a_report_that_is_none_is_refused(tmp_path: Path, capsys: pytest.Capture
     wrong = tmp_path / "wrong.json"
     wrong.write_text("{}")
     with pytest.raises(SystemExit) as ended:
-        mavlink_bench.main(["--well", str(wrong)])
+        mavlink.main(["--well", str(wrong)])
     assert ended.value.code == 2
     assert "has no 'checks'; `phm status --json` makes one" in capsys.readouterr().err
 
@@ -52,7 +52,7 @@ def test_a_report_that_is_none_is_refused(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.ros
 def test_a_diagnostic_array_is_weighed_by_ros_itself() -> None:
     """The bytes hold at least all names and messages, four bytes for the length of each, and the stamp."""
-    units = forms.load(REPORTS / "well.json")
-    weight = forms.sizes(units).diagnostics
+    units = report_sizes.load(REPORTS / "well.json")
+    weight = report_sizes.sizes(units).diagnostics
     assert weight is not None
     assert weight > sum(len(state.unit) + len(state.result.summary) + 8 for state in units) + 8

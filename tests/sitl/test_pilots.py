@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 import yaml
 
-from sitl.air import AirProcess
-from sitl.ground import Ground
-from sitl.link import Port, mavlink
-from sitl.swarm import config, pilots
+from sitl.simulation.ground import Ground
+from sitl.simulation.link import Port, mavlink
+from sitl.simulation.link_emulator import AirProcess
+from sitl.swarm import config, external_autopilots
 from sitl.swarm.options import Options
 from sitl.swarm.ports import Ports
 from tests.fakes.ardupilot import ArduPilot, decoded, read, record
@@ -118,31 +118,31 @@ def test_a_command_of_the_ground_reaches_it_alone(air: AirProcess, vehicle: Ardu
 
 def test_ardupilot_has_the_ports_and_ids_of_its_convention() -> None:
     """Instance i on 5760 + 10 i with system id i + 1, and PHM on its serial port 1, which passes nothing on."""
-    assert pilots.urls(ARDUPILOT) == "1=tcp:127.0.0.1:5760,2=tcp:127.0.0.1:5770,3=tcp:127.0.0.1:5780"
+    assert external_autopilots.urls(ARDUPILOT) == "1=tcp:127.0.0.1:5760,2=tcp:127.0.0.1:5770,3=tcp:127.0.0.1:5780"
     own = config.endpoints(ARDUPILOT, 3)[2]
     assert (own["url"], own["leads_to"]) == ("tcp:air:5782", "autopilot")
-    assert "MAV2_OPTIONS 2" in pilots.PARAMETER_LINES
+    assert "MAV2_OPTIONS 2" in external_autopilots.PARAMETER_LINES
     assert len(config.endpoints(Options(), 3)) == 2
 
 
 def test_its_container_is_the_swarms_and_lives_in_the_airs_network(tmp_path: Path) -> None:
     """So `down` finds it, and every instance has the ports of its convention on one address."""
-    (file,) = pilots.write(ARDUPILOT, 2, tmp_path)
-    made = yaml.safe_load(Path(file).read_text())["services"][pilots.SERVICE]
+    (file,) = external_autopilots.write(ARDUPILOT, 2, tmp_path)
+    made = yaml.safe_load(Path(file).read_text())["services"][external_autopilots.SERVICE]
     assert made["labels"] == {"phm.sitl.swarm": "${PHM_SWARM}"}
     assert made["network_mode"] == "container:${PHM_SWARM}-air-air-1"
     words = " ".join(made["entrypoint"])
     assert words.startswith("/opt/autopilot --model quad --instance 1 --sysid 2 ")
     assert "/usr/bin/env:/opt/autopilot:ro" in made["volumes"]
-    assert pilots.write(Options(), 2, tmp_path) == []
+    assert external_autopilots.write(Options(), 2, tmp_path) == []
 
 
 def test_px4_is_an_image_and_hears_where_its_api_is() -> None:
     """Instance i sends to UDP 14540 + i; its container is started in the image's own way, or as is said."""
     options = Options(agents=2, autopilot="px4", autopilot_image="px4:sih", autopilot_command="run-px4 {instance} {id}")
-    pilots.check(options)
-    assert pilots.urls(options) == "1=udpin:127.0.0.1:14540,2=udpin:127.0.0.1:14541"
-    made = pilots.service(options, 2, Path("/p"))["services"][pilots.SERVICE]
+    external_autopilots.check(options)
+    assert external_autopilots.urls(options) == "1=udpin:127.0.0.1:14540,2=udpin:127.0.0.1:14541"
+    made = external_autopilots.service(options, 2, Path("/p"))["services"][external_autopilots.SERVICE]
     assert (made["image"], made["entrypoint"]) == ("px4:sih", ["run-px4", "1", "2"])
 
 
@@ -158,4 +158,4 @@ def test_px4_is_an_image_and_hears_where_its_api_is() -> None:
 def test_what_cannot_be_started_is_refused_before_anything_is_made(options: Options, said: str) -> None:
     """The sentence has what is needed."""
     with pytest.raises(ValueError, match=said):
-        pilots.check(options)
+        external_autopilots.check(options)

@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from sitl.evidence import relapses
-from sitl.prooftable import BEGIN, END, Row, as_json, between_marks, grouped, judged_words, markdown
-from sitl.stack import ROOT
+from sitl.acceptance.table import BEGIN, END, Row, as_json, between_marks, grouped, judged_words, markdown
+from sitl.demo.compose_stack import ROOT
+from sitl.demo.log_queries import relapses
 
 
 def row(**changes: object) -> Row:

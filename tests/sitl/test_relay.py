@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from sitl import relay
+from sitl.simulation import router as program
 from tests.fakes.swarm import until
 
 LIMIT_S = 10.0
@@ -51,7 +51,7 @@ def port() -> int:
 
 @pytest.fixture
 def router(far: Far, port: int) -> Iterator[subprocess.Popen[bytes]]:
-    argv = [sys.executable, "-I", "-S", str(Path(relay.__file__)), str(port), "127.0.0.1", str(far.port)]
+    argv = [sys.executable, "-I", "-S", str(Path(program.__file__)), str(port), "127.0.0.1", str(far.port)]
     with subprocess.Popen(argv) as process:
         yield process
         process.kill()

@@ -13,11 +13,11 @@ import pytest
 import yaml
 
 from phm.config import loads
-from sitl import graph
-from sitl.swarm import config, cost, place
+from sitl.application import graph
+from sitl.swarm import config, cost, workspace
 from sitl.swarm.cli import main
+from sitl.swarm.health import MACHINE, Standing
 from sitl.swarm.options import Options
-from sitl.swarm.standing import MACHINE, Standing
 from sitl.swarm.swarm import Swarm
 from tests.fakes.swarm import until
 
@@ -204,17 +204,17 @@ def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_name_that_compose_would_not_take_is_refused(name: str) -> None:
     """Nor one that leaves the folder, or is that of another swarm's air."""
     with pytest.raises(ValueError, match="is no name for a swarm"):
-        place.folder(name)
+        workspace.folder(name)
 
 
 def test_one_command_at_a_time_works_on_a_swarm(base: Path) -> None:
     """A second one is told who is at work; swarms of other names are free."""
-    with place.locked("one", 0.0):
-        with pytest.raises(RuntimeError, match="another command works on this swarm"), place.locked("one", 0.0):
+    with workspace.locked("one", 0.0):
+        with pytest.raises(RuntimeError, match="another command works on this swarm"), workspace.locked("one", 0.0):
             pass
-        with place.locked("two", 0.0):
+        with workspace.locked("two", 0.0):
             pass
-    with place.locked("one", 0.0):
+    with workspace.locked("one", 0.0):
         pass
 
 
@@ -223,7 +223,7 @@ def test_a_child_keeps_the_lock_of_a_parent_that_was_killed(base: Path) -> None:
     code = (
         "import subprocess, sys, os, time\n"
         "from sitl.swarm import place\n"
-        "with place.locked('one', 0.0) as lock:\n"
+        "with workspace.locked('one', 0.0) as lock:\n"
         "    child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'], pass_fds=[lock])\n"
         "    print(child.pid, flush=True)\n"
         "    time.sleep(600)\n"
@@ -237,7 +237,7 @@ def test_a_child_keeps_the_lock_of_a_parent_that_was_killed(base: Path) -> None:
 
     def free() -> bool:
         try:
-            with place.locked("one", 0.0):
+            with workspace.locked("one", 0.0):
                 return True
         except RuntimeError:
             return False

@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from phm.model import Level, Slot
+from phm.core.model import Level, Slot
 from phm.swarm import digest
 from phm.swarm.consensus import Consensus, State, Verdict, agree, without_ground
+from phm.swarm.leader_election import STEADY_S, Election
 from phm.swarm.peers import LATE_PERIODS, LOST_PERIODS, Peers
 from phm.swarm.share import Share
-from phm.swarm.speaker import STEADY_S, Election
 from phm.wire import status_word
 from phm.wire.tunnel import Seen, View
 

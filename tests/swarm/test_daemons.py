@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from phm.daemon import Daemon
-from phm.swarm_facts import SwarmFact
+from phm.facts.swarm import SwarmFact
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.wire import tunnel
 from tests.fakes.mesh import Mesh

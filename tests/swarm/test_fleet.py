@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from phm.model import Level
+from phm.core.model import Level
 from phm.transport.dialect import mavlink
-from phm.transport.mavlink_budget import BURST_MIN, SWARM_BYTES_S
-from sitl.fleet import Fleet
+from phm.transport.priority import BURST_MIN, SWARM_BYTES_S
+from sitl.simulation.fleet import Fleet
 from tests.fakes.mavlink import Sender, heartbeat
 
 

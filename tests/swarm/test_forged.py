@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from phm.clock import SystemClock
-from phm.model import Level, Slot
+from phm.core.clock import SystemClock
+from phm.core.model import Level, Slot
+from phm.core.settings import MavlinkSettings
 from phm.probes.swarm import Swarm
-from phm.settings import MavlinkSettings
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
-from phm.transport.mavlink_budget import SIZES, periods
 from phm.transport.mavlink_signing import EPOCH_S, TICKS
+from phm.transport.priority import SIZES, periods
 from phm.wire import status_word, tunnel
 from phm.wire.tunnel import Seen, View
 from tests.fakes.mavlink import free_port, heartbeat, until

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from phm.daemon import Daemon
-from phm.settings import Settings
-from phm.swarm_facts import SwarmFact
+from phm.core.settings import Settings
+from phm.facts.swarm import SwarmFact
+from phm.runtime.daemon import Daemon
 from phm.testing import settings
-from sitl.link import Pty
+from sitl.simulation.link import Pty
 from tests.fakes.mavlink import until
 
 PACKET_BYTES = 72

@@ -11,9 +11,9 @@ import pytest
 from docker import DockerClient
 from rich.console import Console
 
-from sitl import demo
-from sitl.record import Record
-from sitl.stack import Stack
+from sitl.demo.compose_stack import Stack
+from sitl.demo.log_follower import Record
+from sitl.demo.main import main
 from tests.system.conftest import poll
 
 
@@ -37,7 +37,7 @@ def stack() -> Iterator[Stack]:
 def test_the_whole_story(stack: Stack, docker_client: DockerClient) -> None:
     """A clean pass, four faults seen once at their cause, healed, verified and told to the ground: exit 0."""
     output = io.StringIO()
-    code = demo.run(stack, Console(file=output, width=200))
+    code = main.run(stack, Console(file=output, width=200))
     assert code == 0, output.getvalue()
     assert "A01 FAIL 6 node_1 dead" in output.getvalue()
 
@@ -54,7 +54,7 @@ def test_the_sidecar_runs_with_least_privilege_and_is_healthy(stack: Stack, dock
     assert f"{stack.project}_net" in phm.attrs["NetworkSettings"]["Networks"]
 
     def healthy() -> bool:
-        phm.reload()
+        phm.runtime.reload()
         return bool(phm.attrs["State"]["Health"]["Status"] == "healthy")
 
     poll(healthy, "a healthy sidecar", 60.0)
@@ -81,5 +81,5 @@ def test_a_killed_daemon_is_back_and_goes_on(stack: Stack, docker_client: Docker
         return len(boots) == 2
 
     poll(second_boot, "a report of a second boot", 60.0)
-    phm.reload()
+    phm.runtime.reload()
     assert phm.attrs["RestartCount"] == 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.model import Layer, Level, Result, Slot, Stamp, UnitState
+from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
 from phm.wire import status_line
 from phm.wire.status_line import Severity
 

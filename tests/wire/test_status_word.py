@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.model import Level, Slot
+from phm.core.model import Level, Slot
 from phm.wire.status_word import VERSION, decode, encode
 
 LEVELS = st.dictionaries(st.sampled_from(Slot), st.sampled_from(Level))

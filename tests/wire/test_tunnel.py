@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.model import Level
+from phm.core.model import Level
 from phm.wire.tunnel import (
     MAX_BYTES,
     MAX_PARTS,

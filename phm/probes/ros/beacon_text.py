@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from phm.beacon import MAX_LATE_S, MAX_NAME, MAX_NEIGHBOURS, MAX_NODES, MAX_TEXT, NAME, PERIODS_S
-from phm.ros_facts import BeaconFact, NeighbourFact
+from phm.facts.ros import BeaconFact, NeighbourFact
 
 MAX_WORD = 60
 MAX_AGE_S = 1e6

@@ -16,9 +16,9 @@ from phm.beacon import BEACON, MAX_TEXT
 from phm.probes.ros.beacon_text import log_texts
 from phm.probes.ros.graph import full_name
 from phm.probes.ros.ledger import Ledger, portions
+from phm.probes.ros.message_taker import GID_BYTES, Taken, Taker
 from phm.probes.ros.protocol import Heard, Message
 from phm.probes.ros.raw_names import printable
-from phm.probes.ros.taker import GID_BYTES, Taken, Taker
 
 MAX_TAKES = 250
 """Messages read in one look, of which there are four a second: 200 processes that beat five times a second."""

@@ -1,6 +1,6 @@
 """The child process that looks at ROS, so that the middleware can crash or hang without harm to PHM.
 
-Started by `phm.probes.ros.process`. The parts that it looks with (`watch`) alone import rclpy. There is one hidden
+Started by `phm.probes.ros.supervisor`. The parts that it looks with (`watch`) alone import rclpy. There is one hidden
 node, no executor, and one thread that only waits for the graph to change. It ends when its parent does.
 """
 
@@ -14,7 +14,7 @@ import time
 from typing import TYPE_CHECKING
 
 from phm.probes.ros import sandbox
-from phm.probes.ros.lines import Lines
+from phm.probes.ros.line_splitter import Lines
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
     INSTALLS,
@@ -30,7 +30,7 @@ from phm.probes.ros.protocol import (
 from phm.probes.ros.second_look import SecondLook
 
 if TYPE_CHECKING:
-    from phm.probes.ros.watch import Watch
+    from phm.probes.ros.observer import Watch
 
 MISSED = "the ROS child looks with a new participant: the one before had missed {}"
 MAX_MISSED = 300
@@ -62,7 +62,7 @@ def main() -> int:
         return 2
     _send(out, _restrict())
     try:
-        from phm.probes.ros.watch import Watch
+        from phm.probes.ros.observer import Watch
 
         watch = Watch(wanted)
     except ImportError as error:

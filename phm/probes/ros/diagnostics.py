@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+from phm.facts.ros import DiagnosticFact
 from phm.probes.ros.protocol import Heard, Message, Publish, Remark
-from phm.ros_facts import DiagnosticFact
 
 TOPIC = "/diagnostics"
 OWN = "phm/"

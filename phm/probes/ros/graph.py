@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 from phm.facts import EndpointFact
-from phm.probes.ros.caps import MAX_STRANGERS, Ends, kept_ends, kept_nodes
+from phm.probes.ros.name_limits import MAX_STRANGERS, Ends, kept_ends, kept_nodes
 from phm.probes.ros.raw_names import printable, raw_node_names, undecodable
 
 OWN = "_phm_"

@@ -10,9 +10,9 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 from phm.beacon import BEACON_FORMAT
+from phm.facts.ros import BeaconFact
 from phm.probes.ros.beacon_text import beacons_in
 from phm.probes.ros.protocol import Heard
-from phm.ros_facts import BeaconFact
 
 MAX_STRANGERS = 200
 """Nodes that are kept though they are not configured."""

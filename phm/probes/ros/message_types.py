@@ -14,8 +14,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from phm.probes.ros.anytype import AnyTypes, NotHere
-from phm.probes.ros.mounted import Mounted
+from phm.probes.ros.mounted_packages import Mounted
+from phm.probes.ros.opaque_types import AnyTypes, NotHere
 from phm.probes.ros.protocol import INSTALLS
 
 _NAME = re.compile(r"([a-z][a-z0-9_]{0,99})/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]{0,99})")

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, NoReturn
 
-from phm.probes.ros.records import pack, value
-from phm.ros_facts import BeaconFact, DiagnosticFact, NameFact, TopicFact
+from phm.facts.ros import BeaconFact, DiagnosticFact, NameFact, TopicFact
+from phm.probes.ros.fact_codec import pack, value
 
 LINE_LIMIT = 1_000_000
 """Longest line in bytes; a picture of 200 topics with 10 endpoints each is about 200 kB."""

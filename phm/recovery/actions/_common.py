@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact
-from phm.model import Fault
 from phm.recovery.base import ActionContext, ActionFailed
 from phm.recovery.critical import FlightCritical
 from phm.recovery.dependants import dependants
-from phm.settings import ContainerSettings
 
 MOST_STOP_S = 120.0
 """A container that asks for more time to end gets this much when PHM restarts it: it has failed already."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from phm.core.settings import ContainerSettings
 from phm.facts import Attachment, ContainerFact, NotPermitted
 from phm.recovery.base import ActionContext
-from phm.settings import ContainerSettings
 from phm.transport.docker import EngineMissing
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings
 from phm.facts import NotPermitted
-from phm.model import Fault
 from phm.recovery.actions._networks import missing, network_id, not_there
 from phm.recovery.base import Action, ActionContext, Unneeded
-from phm.settings import ContainerSettings
 
 
 class Join(Action):

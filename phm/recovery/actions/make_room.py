@@ -12,13 +12,13 @@ from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import PurePosixPath
 
-from phm.disk_space import space
-from phm.model import Fault
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings, RoomSettings, Settings
+from phm.facts.disk_space import space
 from phm.recovery.actions._paths import FOLDER, open_plain
 from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.critical import Reach
 from phm.recovery.disks import path_of
-from phm.settings import ContainerSettings, RoomSettings, Settings
 
 ENOUGH = 0.9
 """Files go until the disk is at this share of `host.disk.warn`: at the limit itself it would be full again at once."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings
 from phm.facts import ContainerFact
-from phm.model import Fault
 from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import connect, missing, network_id, not_there
 from phm.recovery.base import Action, ActionContext, NotYet, Unneeded
 from phm.recovery.critical import Reach
-from phm.settings import ContainerSettings
 
 
 class Reconnect(Action):

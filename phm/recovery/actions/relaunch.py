@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings, NodeSettings, Settings
 from phm.facts import CannotTell
-from phm.model import Fault
 from phm.recovery.actions._common import present
 from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.critical import Reach
-from phm.settings import ContainerSettings, NodeSettings, Settings
 
 
 class Relaunch(Action):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from phm.model import Fault
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings, Settings
 from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.critical import Reach
 from phm.recovery.relief import LOW_SHARES
-from phm.settings import ContainerSettings, Settings
 
 
 class Relieve(Action):

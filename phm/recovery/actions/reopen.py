@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings
 from phm.facts import AutopilotFact
-from phm.model import Fault
 from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.links import name_of
-from phm.settings import ContainerSettings
 
 OPEN_S = 8.0
 """A connection is given up after 5 s."""

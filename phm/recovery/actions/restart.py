@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from phm.model import Fault
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings
 from phm.recovery.actions._common import present, restart_dependants, restart_gracefully
 from phm.recovery.actions._networks import has_its_own, missing, not_there, reconnect_stopped
 from phm.recovery.base import Action, ActionContext
-from phm.settings import ContainerSettings
 
 
 class Restart(Action):

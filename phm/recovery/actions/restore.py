@@ -9,13 +9,13 @@ import os
 import posixpath
 import stat
 
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings, FileSettings, Settings
 from phm.facts import ContainerFact
-from phm.model import Fault
 from phm.recovery.actions._common import present
 from phm.recovery.actions._paths import open_plain
 from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.critical import Reach
-from phm.settings import ContainerSettings, FileSettings, Settings
 from phm.transport.docker import Engine, EngineMissing, FileCopy
 
 LIMIT = 16 << 20

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from phm.model import Fault, Outcome
+from phm.core.model import Fault, Outcome
+from phm.core.settings import ContainerSettings
 from phm.recovery.actions._common import present, restart_dependants
 from phm.recovery.actions._networks import missing, not_there, reconnect_stopped, stale
 from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
 from phm.recovery.critical import Reach
-from phm.settings import ContainerSettings
 
 
 class Start(Action):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from phm.model import Fault
+from phm.core.model import Fault
+from phm.core.settings import ContainerSettings
 from phm.recovery.actions._common import present
 from phm.recovery.base import Action, ActionContext, Unneeded
 from phm.recovery.critical import Reach
-from phm.settings import ContainerSettings
 
 
 class Unpause(Action):

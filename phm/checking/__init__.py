@@ -1,0 +1,1 @@
+"""From the configuration to results: which checks there are, when they run, and what becomes of their results."""

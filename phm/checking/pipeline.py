@@ -1,0 +1,242 @@
+"""Joins engine, tracker and bus: results in, events out, wake-ups back. Also counts the passes.
+
+One lock guards the tracker. Everything done under it is pure computation and queueing, so whoever
+brings a result (a check's own thread) never waits for the outside world here.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+
+from phm.core.bus import Bus
+from phm.core.clock import Clock
+from phm.core.model import Event, Fault, FaultClosed, Note, Report, ReportStarted, Result, Stamp, UnitState
+from phm.tracker import Step, Tracker
+
+WakeUnits = Callable[[Iterable[str], str], None]
+RECENT_FAULTS = 20
+
+
+class Pipeline:
+    """The one owner of the tracker. `pass_limit_s` ends a pass whose slowest check does not come back."""
+
+    def __init__(self, tracker: Tracker, bus: Bus, clock: Clock, pass_limit_s: float = 15.0) -> None:
+        self._tracker, self._bus, self._clock, self._pass_limit_s = tracker, bus, clock, pass_limit_s
+        self._lock = threading.Lock()
+        self._wake_units: WakeUnits = lambda units, reason: None
+        self._pass_number = 0
+        self._pass_started: Stamp | None = None
+        self._outstanding: set[str] = set()
+        self._overdue: set[str] = set()
+        """Units whose check is past its deadline and has not come back since: no pass waits for them."""
+        self._recent: list[Fault] = []
+        self.last_batch = clock.mono()
+        """When a check last came back by itself (monotonic seconds): the engine's sign of life."""
+        self.complete = False
+        """Whether a first report is done."""
+        self.waiting = True
+        """Whether `tick` has something to do before the next result: a unit settles, an action is at work."""
+        self._stir: Callable[[], None] = lambda: None
+
+    def attach(self, wake_units: WakeUnits, stir: Callable[[], None] = lambda: None) -> None:
+        """Tell the pipeline how to have units run again, and whom to tell that `waiting` became true."""
+        self._wake_units, self._stir = wake_units, stir
+
+    def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault]) -> tuple[Event, ...]:
+        """Before anything runs: see `Tracker.restore`. The events are for the caller to publish, once somebody hears."""
+        with self._lock:
+            return tuple(self._tracker.restore(faults, given_up, self._clock.stamp()).events)
+
+    # ------------------------------------------------------------ from the engine
+
+    def observe(self, results: dict[str, Result], started: float, duration_s: float, *, overdue: bool = False) -> None:
+        """Take the results of one run; `started` in monotonic seconds."""
+        now = self._clock.stamp()
+        rerun: set[str] = set()
+        with self._lock:
+            if overdue:
+                self._overdue.update(results)
+            else:
+                self.last_batch = now.mono
+                self._overdue.difference_update(results)
+            changed = False
+            for unit, result in results.items():
+                step = self._tracker.observe(unit, result, started, now, duration_s)
+                rerun |= self._publish(step)
+                changed = changed or step.waiting or bool(step.events or step.rerun)
+            if not overdue and self._pass_started is not None and started >= self._pass_started.mono:
+                self._outstanding.difference_update(results)
+            self._finish_pass(now)
+        self._wake(rerun)
+        if changed:
+            self._wait()
+
+    def tick(self) -> None:
+        """Let time pass; called a few times a second."""
+        now = self._clock.stamp()
+        with self._lock:
+            step = self._tracker.tick(now)
+            rerun, self.waiting = self._publish(step), step.waiting
+            if self._pass_started is not None and now.mono - self._pass_started.mono >= self._pass_limit_s:
+                self._end_pass(now, self._pass_started)
+        self._wake(rerun)
+
+    def begin_pass(self) -> None:
+        """A new report: it ends when every unit has been run since now, except those whose check hangs.
+
+        A pass that is still open is published first with what is known.
+        """
+        with self._lock:
+            now = self._clock.stamp()
+            if self._pass_started is not None:
+                self._end_pass(now, self._pass_started)
+            self._pass_number += 1
+            self._pass_started = now
+            self._outstanding = {state.unit for state in self._tracker.states()}
+            self._bus.publish(ReportStarted(now, self._pass_number))
+            units = set(self._outstanding)
+            self._finish_pass(now)
+        self._wake_units(units, "pass")
+
+    # ------------------------------------------------------------ from recovery and from events
+
+    def hold(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
+        self._apply(lambda now: self._tracker.hold(target, owner, action, now, at_most_s, proving=proving))
+
+    def release(self, target: str, *, worked: bool) -> None:
+        self._apply(lambda now: self._tracker.release(target, now, worked=worked))
+
+    def discredit(self, unit: str) -> None:
+        self._apply(lambda now: self._tracker.discredit(unit))
+
+    def acting_on(self, target: str) -> str:
+        """The action of recovery that is at work on the target; empty: none."""
+        with self._lock:
+            return self._tracker.acting_on(target)
+
+    def pause(self, target: str, words: str, conditions: frozenset[str] = frozenset()) -> None:
+        """The target is on hold: see `Tracker.pause`."""
+        self._apply(lambda now: self._tracker.pause(target, words, conditions, now))
+
+    def resume(self, target: str) -> None:
+        self._apply(lambda now: self._tracker.resume(target, now))
+
+    def expect_end(self, target: str, at_most_s: float) -> None:
+        """The container has got a signal to end (`docker stop`): see `Tracker.expect_end`."""
+        self._apply(lambda now: self._tracker.expect_end(target, now, at_most_s))
+
+    def ended(self, target: str) -> None:
+        """An event says that the container has ended: see `Tracker.ended`."""
+        self._apply(lambda now: self._tracker.ended(target, now))
+
+    def stopping(self, target: str) -> bool:
+        """Whether the container has got a signal to end, is given time for it, and has not ended yet."""
+        with self._lock:
+            return self._tracker.stopping(target, self._clock.mono())
+
+    def started(self, target: str) -> None:
+        """An event says that the container has been started: see `Tracker.started`."""
+        self._apply(lambda now: self._tracker.started(target, now))
+
+    def escalate(self, fault_id: str) -> None:
+        self._apply(lambda now: self._tracker.escalate(fault_id, now))
+
+    def judge_afresh(self, *units: str) -> None:
+        """Recovery has a reason to try again on what it had given up: see `Tracker.judge_afresh`."""
+        self._apply(lambda now: self._tracker.judge_afresh(units, now))
+
+    def look_again(self, *units: str) -> None:
+        """Run these units' checks now, e.g. to verify an action."""
+        self._wake_units(units, "verify")
+
+    def well_since(self, unit: str, mono: float) -> bool:
+        """Whether a run that began after `mono` found the unit OK."""
+        with self._lock:
+            return self._tracker.found_well(unit, mono)
+
+    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+        """Units that need `unit` and have not been found free of ERROR since `mono`: see `Tracker.suffering`."""
+        with self._lock:
+            return self._tracker.suffering(unit, mono)
+
+    def bad_since(self, unit: str, mono: float) -> bool:
+        """Whether the unit is still in ERROR by a run that began after `mono`: see `Tracker.found_bad`."""
+        with self._lock:
+            return self._tracker.found_bad(unit, mono)
+
+    def starved(self, unit: str) -> str:
+        """The pressure unit that explains what is wrong with this one; empty: none does. See `Tracker.starved`."""
+        with self._lock:
+            return self._tracker.starved(unit, self._clock.stamp())
+
+    def starving(self, unit: str) -> str:
+        """The pressure unit by which this one is starved now: see `Tracker.starving`."""
+        with self._lock:
+            return self._tracker.starving(unit)
+
+    def newest(self, unit: str, mono: float) -> Result | None:
+        """The unit's newest result, published or not, if its run began after `mono`."""
+        with self._lock:
+            return self._tracker.newest(unit, mono)
+
+    # ------------------------------------------------------------ for reporters
+
+    def note(self, kind: str, text: str) -> None:
+        self._bus.publish(Note(self._clock.stamp(), kind, text))
+
+    def states(self) -> tuple[UnitState, ...]:
+        with self._lock:
+            return self._tracker.states()
+
+    def undecided(self) -> tuple[str, ...]:
+        with self._lock:
+            return self._tracker.undecided(self._clock.stamp())
+
+    def open_faults(self) -> tuple[Fault, ...]:
+        with self._lock:
+            return self._tracker.open_faults()
+
+    def given_up(self) -> tuple[Fault, ...]:
+        """Escalated faults of units that have not been well since."""
+        with self._lock:
+            return self._tracker.given_up()
+
+    def recent_faults(self) -> tuple[Fault, ...]:
+        """The last RECENT_FAULTS closed faults, oldest first."""
+        with self._lock:
+            return tuple(self._recent)
+
+    # ------------------------------------------------------------ inside
+
+    def _apply(self, change: Callable[[Stamp], Step]) -> None:
+        with self._lock:
+            rerun = self._publish(change(self._clock.stamp()))
+        self._wake(rerun)
+        self._wait()
+
+    def _publish(self, step: Step) -> set[str]:
+        for event in step.events:
+            if isinstance(event, FaultClosed):
+                self._recent = [*self._recent, event.fault][-RECENT_FAULTS:]
+            self._bus.publish(event)
+        return step.rerun
+
+    def _wait(self) -> None:
+        if not self.waiting:
+            self.waiting = True
+            self._stir()
+
+    def _wake(self, units: set[str]) -> None:
+        if units:
+            self._wake_units(units, "confirm")
+
+    def _finish_pass(self, now: Stamp) -> None:
+        if self._pass_started is not None and self._outstanding <= self._overdue:
+            self._end_pass(now, self._pass_started)
+
+    def _end_pass(self, now: Stamp, began: Stamp) -> None:
+        states = self._tracker.states()
+        missing = tuple(state.unit for state in states if state.unit in self._outstanding)
+        self._bus.publish(Report(now, self._pass_number, began, states, missing))
+        self._pass_started, self.complete = None, True

@@ -1,0 +1,88 @@
+"""From configuration and installed checks to what runs: scheduled checks and tracked units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from phm.api import Check
+from phm.checking.scheduler import Scheduled
+from phm.core.dependency_graph import Needs
+from phm.core.settings import CheckSettings, Settings
+from phm.tracker import Tracked, all_needs
+from phm.tracker.tracker import PRESSURE
+
+HOST_PRESSURE = ("host/cpu", "host/io", "host/memory")
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """`scheduled` runs in threads of its own, `tracked` is what the tracker publishes, in the same order."""
+
+    scheduled: tuple[Scheduled, ...]
+    tracked: tuple[Tracked, ...]
+    needs: Needs
+
+    def below(self, unit: str) -> Mapping[str, frozenset[str]]:
+        """Units that need `unit` and belong to other containers, by container."""
+        targets = {entry.unit.id: entry.unit.target for entry in self.tracked}
+        found: dict[str, set[str]] = {}
+        for name in self.needs.downstream(unit) if unit in targets else ():
+            if targets[name] not in ("", targets[unit]):
+                found.setdefault(targets[name], set()).add(name)
+        return {target: frozenset(units) for target, units in found.items()}
+
+    @property
+    def pass_limit_s(self) -> float:
+        """A report waits this long at most: the longest deadline of any check, and a second more."""
+        return max((entry.deadline_s for entry in self.scheduled), default=0.0) + 1.0
+
+
+def make(settings: Settings, checks: Mapping[str, type[Check]]) -> Plan:
+    """The plan for this configuration. Raises `NeedsLoop` when the needs run in a circle."""
+    instances: list[tuple[Check, CheckSettings]] = []
+    for name, check_class in sorted(checks.items(), key=lambda item: (item[1].slot, item[0])):
+        override = settings.checks.get(name, CheckSettings())
+        if override.enabled:
+            instances.extend((check, override) for check in check_class.build(settings))
+    by_check: dict[str, list[str]] = {}
+    for check, _ in instances:
+        by_check.setdefault(check.name, []).extend(unit.id for unit in check.units)
+    scheduled = tuple(_schedule(check, override, settings) for check, override in instances)
+    tracked = tuple(entry for check, override in instances for entry in _track(check, override, by_check))
+    needs = Needs({entry.unit.id: entry.needs for entry in tracked})
+    return Plan(scheduled, _with_starved_by(tracked, needs, settings), needs)
+
+
+def _with_starved_by(tracked: Sequence[Tracked], needs: Needs, settings: Settings) -> tuple[Tracked, ...]:
+    """Each unit with the pressure units that can explain its symptoms: its own container's, those of what it needs, the host's.
+
+    The pressure of a container may follow from the host's, the host's from nothing. One that recovery can relieve has a
+    fault of its own, whatever the host does: that is what the action is for.
+    """
+    targets = {entry.unit.id: entry.unit.target for entry in tracked}
+    critical = {entry.key for entry in settings.containers if entry.flight_critical}
+    relieved = {f"{PRESSURE}{key}" for key in critical} if settings.recovery.relieve else set()
+
+    def starved_by(unit: str) -> tuple[str, ...]:
+        if unit in HOST_PRESSURE or unit in relieved:
+            return ()
+        homes = () if unit.startswith(PRESSURE) else (targets[unit], *(targets[name] for name in needs.upstream(unit)))
+        names = (*(f"{PRESSURE}{home}" for home in dict.fromkeys(homes)), *HOST_PRESSURE)
+        return tuple(name for name in names if name in targets)
+
+    return tuple(replace(entry, starved_by=starved_by(entry.unit.id)) for entry in tracked)
+
+
+def _schedule(check: Check, override: CheckSettings, settings: Settings) -> Scheduled:
+    """A check without a period runs at each pass; twice the interval is its own safety net."""
+    period_s = override.period or check.period_s or 2.0 * settings.interval
+    return Scheduled(check, period_s, override.deadline or check.deadline_s)
+
+
+def _track(check: Check, override: CheckSettings, by_check: Mapping[str, Sequence[str]]) -> list[Tracked]:
+    failures = override.failures or check.failures
+    return [
+        Tracked(unit, check.name, check.slot, check.layer, failures, all_needs(unit, override.needs, by_check))
+        for unit in check.units
+    ]

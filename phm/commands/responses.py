@@ -1,0 +1,116 @@
+"""The messages that answer a command. Built from what the tracker publishes: nothing is measured for it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from phm.core.model import Fault, UnitState, Value, worst_by_slot
+from phm.transport.dialect import mavlink
+from phm.wire import command, status_line, status_word, tunnel
+from phm.wire.command import HEARTBEAT, STATUSTEXT, Asked, Result
+from phm.wire.status_line import Severity
+
+_U8, _I8, _I16, _U32 = 0xFF, 0x7F, 0x7FFF, 0xFFFFFFFF
+"""What the standard writes for `not known` into a field of that type."""
+_MIB = 2**20
+MOST_OTHERS = 20
+_TOTAL = "disk_total_bytes "
+
+
+def ack(asked: Asked, result: Result) -> Any:
+    """To the asker alone."""
+    return mavlink.MAVLink_command_ack_message(asked.command, int(result), 0, 0, asked.system, asked.component)
+
+
+def status(message: int, agent: int, states: Sequence[UnitState], *, complete: bool, mono: float, utc: float) -> Any:
+    """HEARTBEAT, STATUSTEXT or ONBOARD_COMPUTER_STATUS. complete: a first report is done; mono, utc: seconds."""
+    if message == HEARTBEAT:
+        kind, autopilot = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+        word = status_word.encode(worst_by_slot(tuple(states)))
+        return mavlink.MAVLink_heartbeat_message(
+            kind, autopilot, 0, word, status_word.system_status(states, complete=complete), 3
+        )
+    if message == STATUSTEXT:
+        line = status_line.refresh(agent, states)
+        return mavlink.MAVLink_statustext_message(int(Severity.INFO), line.encode("ascii"))
+    return computer(states, mono=mono, utc=utc)
+
+
+def computer(states: Sequence[UnitState], *, mono: float, utc: float) -> Any:
+    """ONBOARD_COMPUTER_STATUS with what the host check found last; what it does not tell is marked as not known."""
+    values: dict[str, Value] = {key: value for state in states for key, value in state.result.values.items()}
+    cpu, heat = _number(values.get("cpu_percent")), _number(values.get("temperature_c"))
+    memory = _number(values.get("memory_percent"))
+    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if memory is not None else None
+    used, whole = _disks(values)
+    fans = [_within(rpm, 0, _I16 - 1) for rpm in _of(values, "fan_rpm ")]
+    return mavlink.MAVLink_onboard_computer_status_message(
+        time_usec=int(max(0.0, utc) * 1e6),
+        uptime=int(max(0.0, mono) * 1e3) & _U32,
+        type=0,
+        cpu_cores=[_U8] * 8,
+        cpu_combined=[_U8 if cpu is None else _within(cpu, 0, 100), *[_U8] * 9],
+        gpu_cores=[_U8] * 4,
+        gpu_combined=[_U8] * 10,
+        temperature_board=_I8,
+        temperature_core=[_I8 if heat is None else _within(heat, -127, 126), *[_I8] * 7],
+        fan_speed=_four(fans, _I16),
+        ram_usage=_U32 if memory is None or total is None else round(total * memory / 100 / _MIB),
+        ram_total=_U32 if total is None else round(total / _MIB),
+        storage_type=[_U32] * 4, storage_usage=_four(used, _U32), storage_total=_four(whole, _U32),
+        link_type=[_U32] * 6, link_tx_rate=[_U32] * 6, link_rx_rate=[_U32] * 6,
+        link_tx_max=[_U32] * 6, link_rx_max=[_U32] * 6,
+    )  # fmt: skip
+
+
+def _disks(values: Mapping[str, Value]) -> tuple[list[int], list[int]]:
+    """Used and all of each watched disk in MiB, in the order of the configuration; those that could not be read are left out."""
+    used, whole = [], []
+    for key, value in values.items():
+        total, free = _number(value), _number(values.get(f"disk_free_bytes {key.removeprefix(_TOTAL)}"))
+        if key.startswith(_TOTAL) and total and free is not None:
+            used.append(round((total - free) / _MIB))
+            whole.append(round(total / _MIB))
+    return used, whole
+
+
+def _of(values: Mapping[str, Value], prefix: str) -> list[float]:
+    found = (_number(value) for key, value in values.items() if key.startswith(prefix))
+    return [number for number in found if number is not None]
+
+
+def _four(known: Sequence[int], unknown: int) -> list[int]:
+    """As the field has it: four of them."""
+    return [*(min(value, unknown) for value in known[:4]), *[unknown] * (4 - len(known[:4]))]
+
+
+def details(fault: Fault, asked: Asked, others: Sequence[str] = ()) -> list[Any]:
+    """TUNNEL messages with the text about a fault, to the asker alone. others: ids of open faults, which may be asked for next."""
+    since = time.strftime("%H:%M:%S", time.gmtime(max(0.0, min(fault.opened.utc, 1e11))))
+    pieces = [f"{fault.unit}: {fault.result.summary}", f"{fault.outcome.value} since {since} UTC"]
+    if fault.consequences:
+        pieces.append(f"blocks {', '.join(fault.consequences)}")
+    if fault.suspects:
+        pieces.append(f"also bad: {', '.join(fault.suspects)}")
+    numbers = [number for other in others if (number := command.number(other)) is not None]
+    if numbers:
+        pieces.append(f"other open faults: {', '.join(map(str, numbers[:MOST_OTHERS]))}")
+    payloads = [tunnel.encode(part) for part in tunnel.details(fault.id, "; ".join(pieces))]
+    return [
+        mavlink.MAVLink_tunnel_message(
+            asked.system, asked.component, tunnel.PAYLOAD_TYPE, len(payload),
+            list(payload.ljust(tunnel.MAX_BYTES, b"\0")),
+        )
+        for payload in payloads
+    ]  # fmt: skip
+
+
+def _number(value: Value | None) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def _within(value: float, least: int, most: int) -> int:
+    return min(max(round(value), least), most)

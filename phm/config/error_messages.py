@@ -1,0 +1,103 @@
+"""pydantic's errors as sentences for someone who edits a YAML file and has never heard of pydantic."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from phm.config.problems import Path, listed, shown, unknown
+from phm.config.schema_lookup import field_at, model_at, range_of, unit_of
+
+# By pattern as in `phm.core.settings`; a test finds every pattern that has no words here.
+PATTERNS = {
+    r"^[A-Za-z0-9][A-Za-z0-9_.-]*$": "letters, digits, '_', '.' and '-', the first a letter or a digit",
+    r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$": "a ROS name such as /agent_1/node_1: "
+    "words of letters, digits and '_' that start with no digit, with '/' between",
+    r"^/": "an absolute path, one that starts with '/'",
+    r"^[^/]+$": "a name, or a pattern with '*' and '?', without '/'",
+    r"^/[^:]*$": "an absolute path, one that starts with '/', without ':'",
+    r"^[0-9a-fA-F]{64}$": "64 hexadecimal digits, as sha256sum prints",
+    r"^(image|/.*)$": "'image', or an absolute path that PHM sees",
+    r"^[^=\s]+(=.*)?$": "'key' or 'key=value' without spaces in the key",
+    r"^[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*$": "package/msg/Type, such as std_msgs/msg/String",
+    r"^(tcp|tls|quic)/([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}$": "tcp/HOST:PORT, tls/HOST:PORT or quic/HOST:PORT",
+    r"^(unix:///.+|tcp://.+)$": "unix:///path or tcp://host:port",
+}
+_WANTED = {
+    "int_type": "a whole number", "float_type": "a number", "bool_type": "true or false", "string_type": "text",
+    "list_type": "a list", "dict_type": "a mapping", "model_type": "a section with keys of its own",
+    "string_unicode": "text that is valid Unicode", "int_from_float": "a whole number",
+    "int_parsing_size": "a smaller number",
+}  # fmt: skip
+_RANGES = {"greater_than_equal", "greater_than", "less_than_equal", "less_than", "finite_number"}
+
+
+def sentence(error: Mapping[str, Any]) -> str:
+    """What is wrong and what is allowed, for one entry of `ValidationError.errors()`."""
+    kind, path, value = str(error["type"]), tuple(error["loc"]), error.get("input")
+    context: Mapping[str, Any] = error.get("ctx", {})
+    if kind == "extra_forbidden":
+        return _unknown_key(path)
+    if kind == "missing":
+        return f"is missing, it must be given{_description(path)}"
+    if kind == "value_error":
+        return str(context.get("error", error["msg"]))
+    if kind in _WANTED:
+        return _wrong_type(kind, path, value)
+    if kind in _RANGES:
+        field = field_at(path)
+        return f"is {shown(value)}, {(range_of(field) if field else '') or 'a finite number is wanted'}"
+    if kind == "string_pattern_mismatch":
+        pattern = str(context.get("pattern"))
+        return f"is {shown(value)}, allowed is {PATTERNS.get(pattern, f'text that matches {pattern}')}"
+    if kind == "literal_error":
+        allowed = re.findall(r"'([^']*)'", str(context.get("expected")))
+        return f"is {shown(value)}, allowed are {listed(allowed)}"
+    if kind == "string_too_long":
+        return f"is {shown(value)}, allowed are at most {context.get('max_length')} characters"
+    if kind == "string_too_short":
+        return "is empty text, at least one character is wanted"
+    return f"is {shown(value)}: {error['msg']}"
+
+
+def _unknown_key(path: Path) -> str:
+    model = model_at(path[:-1])
+    return unknown("key", str(path[-1]), model.model_fields if model else ())
+
+
+def _wrong_type(kind: str, path: Path, value: object) -> str:
+    field = field_at(path)
+    wanted = _WANTED[kind]
+    unit = unit_of(field) if field else ""
+    if kind == "float_type" and unit:
+        wanted = f"a number of {unit}"
+    hint = ""
+    if value is None:
+        hint = " (give it a value or remove the key)"
+    elif kind == "string_type" and not isinstance(value, (list, dict)):
+        hint = " (put it in quotes)"
+    elif kind == "bool_type" and str(value).lower() in ("yes", "on", "no", "off"):
+        hint = f" (write {'true' if str(value).lower() in ('yes', 'on') else 'false'})"
+    elif kind == "list_type" and not isinstance(value, dict):
+        hint = " (put '- ' before each entry)"
+    return f"is {_what(value)}, {wanted} is wanted{hint}"
+
+
+def _what(value: object) -> str:
+    if value is None:
+        return "empty"
+    if isinstance(value, bool):
+        return f"{str(value).lower()}"
+    if isinstance(value, str):
+        return f"text {shown(value)}"
+    if isinstance(value, int):
+        return f"the whole number {shown(value)}"
+    if isinstance(value, float):
+        return f"the number {shown(value)}"
+    return "a list" if isinstance(value, list) else "a mapping"
+
+
+def _description(path: Path) -> str:
+    field = field_at(path)
+    return f": {field.description.rstrip('.')}" if field and field.description else ""

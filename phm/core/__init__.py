@@ -1,0 +1,1 @@
+"""What all of PHM is built on: records, clock, threads, settings, the event bus."""

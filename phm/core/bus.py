@@ -1,0 +1,142 @@
+"""Events from the tracker and recovery to whoever subscribed: bounded queues, a thread each.
+
+`publish` never waits. A reporter's queue drops its oldest event when full, and counts; a subscription
+with a `key` keeps the newest event of each key instead, so its owner never misses how things stand.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+
+from phm.core import threads
+from phm.core.clock import Clock
+from phm.core.model import Event
+
+logger = logging.getLogger(__name__)
+
+Handler = Callable[[Event], None]
+
+
+class Subscription:
+    """One subscriber: a queue and the thread that empties it. Handler errors are counted, never fatal."""
+
+    def __init__(
+        self,
+        name: str,
+        handler: Handler,
+        clock: Clock,
+        *,
+        kinds: tuple[type, ...] = (),
+        size: int = 1000,
+        key: Callable[[Event], Hashable] | None = None,
+        tick: Callable[[], None] | None = None,
+        period_s: float | None = None,
+    ) -> None:
+        self.name, self.kinds = name, kinds
+        self._handler, self._clock, self._size, self._key = handler, clock, size, key
+        self._tick, self._period_s = tick, period_s
+        self._queue: OrderedDict[Hashable, Event] = OrderedDict()
+        self._serial = 0
+        self._lock = threading.Lock()
+        self._ready = threading.Event()
+        self._closing = False
+        self.dropped = 0
+        self.errors = 0
+        self.last_error = ""
+        self._thread = threading.Thread(target=self._loop, name=f"phm-bus-{name}", daemon=True)
+        threads.start(self._thread)
+
+    def put(self, event: Event) -> None:
+        if self.kinds and not isinstance(event, self.kinds):
+            return
+        with self._lock:
+            self._serial += 1
+            key = self._serial if self._key is None else self._key(event)
+            self._queue.pop(key, None)
+            self._queue[key] = event
+            if len(self._queue) > self._size:
+                self._queue.popitem(last=False)
+                self.dropped += 1
+        self._ready.set()
+
+    def close(self, timeout_s: float) -> bool:
+        """Let the queue run empty, then end. False when the handler did not finish in time."""
+        self._closing = True
+        self._ready.set()
+        return threads.join(self._thread, timeout_s)
+
+    def _next(self) -> Event | None:
+        with self._lock:
+            if self._queue:
+                return self._queue.popitem(last=False)[1]
+            self._ready.clear()
+            return None
+
+    def _loop(self) -> None:
+        due = self._clock.mono() if self._period_s is not None else None
+        while True:
+            event = self._next()
+            if event is not None:
+                self._guarded(lambda event=event: self._handler(event))  # type: ignore[misc]
+            elif self._closing:
+                return
+            now = self._clock.mono()
+            if due is not None and self._tick is not None and self._period_s is not None and now >= due:
+                self._guarded(self._tick)
+                due = max(due + self._period_s, now)
+            if event is None:
+                self._clock.wait(self._ready, None if due is None else max(0.0, due - self._clock.mono()))
+
+    def _guarded(self, call: Callable[[], None]) -> None:
+        try:
+            call()
+        except Exception as error:  # a reporter is a plug-in: whatever it raises stays its own affair
+            self.errors += 1
+            self.last_error = f"{self.name}: {type(error).__name__}: {error}"
+            if self.errors in (1, 10, 100) or self.errors % 1000 == 0:
+                logger.exception("subscriber %s failed (%d times)", self.name, self.errors)
+
+
+class Bus:
+    """All subscriptions. Subscribing while events flow is allowed."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._subscriptions: tuple[Subscription, ...] = ()
+
+    def subscribe(
+        self,
+        name: str,
+        handler: Handler,
+        *,
+        kinds: tuple[type, ...] = (),
+        size: int = 1000,
+        key: Callable[[Event], Hashable] | None = None,
+        tick: Callable[[], None] | None = None,
+        period_s: float | None = None,
+    ) -> Subscription:
+        """`kinds`: event classes taken (all when empty). `key`: keep the newest event per key, drop none."""
+        subscription = Subscription(
+            name, handler, self._clock, kinds=kinds, size=size, key=key, tick=tick, period_s=period_s
+        )
+        self._subscriptions = (*self._subscriptions, subscription)
+        return subscription
+
+    def publish(self, event: Event) -> None:
+        for subscription in self._subscriptions:
+            subscription.put(event)
+
+    def dropped(self) -> dict[str, int]:
+        return {entry.name: entry.dropped for entry in self._subscriptions if entry.dropped}
+
+    def problems(self) -> tuple[str, ...]:
+        return tuple(entry.last_error for entry in self._subscriptions if entry.errors)
+
+    def close(self, timeout_s: float = 2.0) -> None:
+        """Hand out what is queued, within `timeout_s` for all together."""
+        end = self._clock.mono() + timeout_s
+        for subscription in self._subscriptions:
+            subscription.close(max(0.05, end - self._clock.mono()))

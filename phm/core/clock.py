@@ -1,0 +1,162 @@
+"""Time is injected: intervals are monotonic, stamps are UTC, and tests own the clock."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+from phm.core import threads
+from phm.core.model import Stamp
+from phm.core.scheduling_delay import Lateness, Monitor
+
+STEP_S = 1.0
+"""UTC that has moved by more than this against the monotonic clock was set, and not slewed."""
+MAX_STEPS = 64
+UNWATCHED_S = 5.0
+"""A step after a longer time without a look may have been several: what the clock was before is then not known."""
+
+
+class Clock(Protocol):
+    """What PHM needs of time. `phm.testing.FakeClock` is the other implementation."""
+
+    def mono(self) -> float:
+        """Seconds of a clock that never jumps."""
+
+    def utc(self) -> float:
+        """Seconds since the epoch; may jump when the clock is set."""
+
+    def stamp(self) -> Stamp:
+        """Both at one moment."""
+
+    def latest(self, utc: float) -> float:
+        """The latest monotonic moment at which this machine's clock can have stamped something `utc`: see `Steps.latest`."""
+
+    @property
+    def steps(self) -> Steps:
+        """How the UTC clock was set."""
+
+    def late_s(self, since: float, most_s: float | None = None) -> float:
+        """Seconds since `since` (monotonic) in which PHM itself did not get to run: see `Lateness.late_s`."""
+
+    def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
+        """Wait until `event` is set or `timeout_s` has passed on the monotonic clock; True when set."""
+
+
+@dataclass(slots=True)
+class _Period:
+    """From `begin` to `end` (monotonic seconds), UTC was `offset` ahead of the monotonic clock."""
+
+    offset: float
+    begin: float
+    end: float
+
+    def holds(self, utc: float) -> bool:
+        """Whether something can have been stamped `utc` in it."""
+        return self.begin - STEP_S <= utc - self.offset <= self.end + STEP_S
+
+
+class Steps:
+    """The steps of the UTC clock for as long as it has been watched. Thread-safe.
+
+    What it was before is not known: without a battery-backed clock a computer starts in 1970, or at the time of its last
+    shutdown, and nothing shows afterwards when the clock was set.
+
+    Invariant: periods follow each other without a gap.
+    """
+
+    def __init__(self) -> None:
+        self._periods: list[_Period] = []
+        self._lock = threading.Lock()
+
+    def note(self, now: Stamp) -> None:
+        """Look at the clock; to be called often, in the order of the stamps."""
+        offset = now.utc - now.mono
+        with self._lock:
+            last = self._periods[-1] if self._periods else None
+            if last is not None and abs(offset - last.offset) <= STEP_S:
+                last.end = now.mono
+                return
+            if last is None or now.mono - last.end > UNWATCHED_S:
+                self._periods = [_Period(offset, now.mono, now.mono)]
+                return
+            self._periods.append(_Period(offset, last.end, now.mono))
+            del self._periods[:-MAX_STEPS]
+
+    def known_since(self) -> float:
+        """Since when (monotonic seconds) every step of the clock is known. `note` must have been called."""
+        with self._lock:
+            return self._periods[0].begin
+
+    def latest(self, utc: float) -> float:
+        """The latest moment (monotonic seconds) at which something that is stamped `utc` can have been stamped.
+
+        So an age is never made longer by a step of the clock, and what was stamped before the clock was watched counts as
+        only as old as that. `note` must have been called after the stamp was read.
+        """
+        with self._lock:
+            possible = [utc - period.offset for period in self._periods if period.holds(utc)]
+            return max(possible, default=self._periods[0].begin)
+
+    def kept(self) -> tuple[tuple[float, float], ...]:
+        """For a PHM that is started later: offset and beginning of each period."""
+        with self._lock:
+            return tuple((period.offset, period.begin) for period in self._periods)
+
+    def resume(self, kept: Iterable[tuple[float, float]]) -> None:
+        """Go on from what an earlier PHM has `kept` since this start of the machine.
+
+        It counts only if UTC has not moved since: else it was set while no PHM was watching.
+        """
+        with self._lock:
+            first, before = self._periods[0], sorted(kept, key=lambda each: each[1])
+            if not (
+                before
+                and abs(before[-1][0] - first.offset) <= STEP_S
+                and 0 <= before[0][1] <= before[-1][1] <= first.begin
+            ):
+                return
+            ends = [begin for _, begin in before[1:]]
+            earlier = [_Period(*each, end) for each, end in zip(before, ends, strict=False)]
+            first.offset, first.begin = before[-1]
+            self._periods = [*earlier, *self._periods][-MAX_STEPS:]
+
+
+class SystemClock:
+    """The machine's clocks. CLOCK_MONOTONIC, as `time.monotonic` uses on Linux. Thread-safe.
+
+    lateness: of this process, as far as a `phm.core.scheduling_delay.Monitor` measures it.
+    """
+
+    def __init__(self) -> None:
+        self.lateness = Lateness()
+        self.steps, self._lock = Steps(), threading.Lock()
+        self.stamp()
+
+    def measure(self) -> None:
+        """Begin to measure how late PHM is, once for a process: until its end."""
+        threads.start(Monitor(self.lateness).thread)
+
+    def mono(self) -> float:
+        return time.monotonic()
+
+    def utc(self) -> float:
+        return time.time()
+
+    def stamp(self) -> Stamp:
+        with self._lock:  # stamps that overtake each other would look like a clock that was set
+            stamp = Stamp(utc=time.time(), mono=time.monotonic())
+            self.steps.note(stamp)
+        return stamp
+
+    def latest(self, utc: float) -> float:
+        self.stamp()  # a step of this moment must be known
+        return self.steps.latest(utc)
+
+    def late_s(self, since: float, most_s: float | None = None) -> float:
+        return self.lateness.late_s(since, time.monotonic(), most_s)
+
+    def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
+        return event.wait(timeout_s)

@@ -1,0 +1,119 @@
+"""News: what the ground has learned at one moment, as a line of JSON for machines and a line of words for people. Pure.
+
+The keys of the JSON lines are a contract: `docs/gcs.md`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from phm.core.model import Stamp
+from phm.wire.report import clock_text, iso
+from phm.wire.status_line import agent_name
+
+VERSION = 1
+"""`v` of the lines. It rises only when a key changes its meaning or goes away."""
+SEVERITIES = ("EMERGENCY", "ALERT", "CRITICAL", "ERROR", "WARNING", "NOTICE", "INFO", "DEBUG")
+
+_BAD = frozenset(("WARN", "ERROR"))
+_QUIET = {"OK": "OK", "STALE": "unknown"}
+
+
+@dataclass(frozen=True, slots=True)
+class News:
+    """at: when it came, by the ground's clocks. body: JSON-able."""
+
+    at: Stamp
+    event: str
+    body: Mapping[str, Any]
+
+
+def encode(news: News, run: str, number: int) -> bytes:
+    """One line of JSON, without its end. run: id of this run; number: counts its news up from 1."""
+    when = {"utc": iso(news.at.utc), "utc_s": round(news.at.utc, 6), "mono": round(news.at.mono, 6)}
+    whole = {"v": VERSION, "run": run, "seq": number, **when, "event": news.event, **news.body}
+    return json.dumps(whole, separators=(",", ":"), allow_nan=False, default=str).encode("ascii")
+
+
+def severity_name(severity: int) -> str:
+    return SEVERITIES[severity] if 0 <= severity < len(SEVERITIES) else str(severity)
+
+
+def words(news: News) -> str:
+    """For people, without the time; empty for what only repeats itself."""
+    told = _WORDS.get(news.event)
+    return told(news.body) if told is not None else ""
+
+
+def timed(news: News) -> str:
+    """`words` with UTC before them; empty when they are."""
+    said = words(news)
+    return f"{clock_text(news.at.utc)} {said}" if said else ""
+
+
+def _text(body: Mapping[str, Any]) -> str:
+    if body["repeat"]:
+        return ""
+    who = "" if body["phm"] else f"{body['system']}/{body['component']} "
+    return f"{severity_name(body['severity']):8} {who}{body['text']}"
+
+
+def _slots(body: Mapping[str, Any]) -> str:
+    """What is bad or was: slot by slot; the others by number."""
+    changed = dict(body["changed"])
+    notable = {slot: pair for slot, pair in changed.items() if _BAD.intersection(pair)}
+    pieces = [f"slot {slot} {old} -> {new}" for slot, (old, new) in notable.items()]
+    quiet = [new for slot, (_, new) in changed.items() if slot not in notable]
+    pieces += [f"{quiet.count(level)} slots become {word}" for level, word in _QUIET.items() if level in quiet]
+    return ", ".join([f"{_name(body)} {body['state']}", *pieces])
+
+
+def _presence(body: Mapping[str, Any]) -> str:
+    silent = f", silent for {body['silent_s']:g} s" if body["presence"] == "lost" and body["silent_s"] else ""
+    return f"{_name(body)} is {body['presence']}{silent}"
+
+
+def _hop(body: Mapping[str, Any]) -> str:
+    hop = body["hop"]
+    if hop is None:
+        return f"{_name(body)} the way is whole, as far as is known"
+    return f"{_name(body)} {'broken' if hop['certain'] else 'maybe broken'} at {hop['name']}: {hop['evidence']}"
+
+
+def _pilot(body: Mapping[str, Any]) -> str:
+    how = "armed" if body["armed"] else "disarmed"
+    return f"autopilot {body['system']} is {body['presence']}, {how}, mode {body['mode']}"
+
+
+def _link(body: Mapping[str, Any]) -> str:
+    return f"link {body['link']} is {'open' if body['open'] else 'closed: ' + body['error']}"
+
+
+def _digest(body: Mapping[str, Any]) -> str:
+    told = ", ".join(f"{agent_name(int(agent))} {level}" for agent, level in body["levels"].items() if level != "OK")
+    return f"swarm: {body['alive']} of {body['members']} live{', ' if told else ''}{told}" if body["changed"] else ""
+
+
+def _name(body: Mapping[str, Any]) -> str:
+    return str(body["name"])
+
+
+_WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
+    "text": _text,
+    "slots": _slots,
+    "presence": _presence,
+    "hop": _hop,
+    "pilot": _pilot,
+    "link": _link,
+    "digest": _digest,
+    "agent": lambda body: f"{_name(body)} is heard, {body['system']}/{body['component']} on {body['link']}",
+    "restart": lambda body: f"{_name(body)} PHM has started anew",
+    "detail": lambda body: f"{_name(body)} fault {body['fault']}: {body['text']}",
+    "problem": lambda body: f"problem: {body['text']}",
+    "start": lambda body: (
+        f"phm gcs {body['version']} as {body['system']}/{body['component']} on {', '.join(body['links'])}"
+    ),
+}

@@ -1,0 +1,71 @@
+"""The record of the ground: every line of news, on disk, rotated and capped, with a snapshot every minute.
+
+Stamps are of the ground's clocks alone. A line torn by a power cut stays on a line of its own, and readers skip it
+(`phm.wire.json_log.read`).
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+
+from phm.core import threads
+from phm.core.clock import Clock
+from phm.gcs.events import VERSION
+from phm.gcs.station import Station
+from phm.gcs.subscriber_queue import Outlet
+from phm.reporters.rotating_file import RotatingLines
+
+MAX_SIZE, FILES = 20_000_000, 5
+"""120 MB in all."""
+SNAPSHOT_S = 60.0
+LOOK_S = 0.5
+CLOSE_LIMIT_S = 3.0
+
+
+class Record:
+    """Has a thread of its own, since a dying disk keeps its writer waiting. `start` subscribes; `close` writes what waits."""
+
+    def __init__(
+        self, path: str, station: Station, clock: Clock, *, max_size: int = MAX_SIZE, files: int = FILES
+    ) -> None:
+        self._station, self._clock, self._outlet = station, clock, Outlet(clock)
+        self._lines = RotatingLines(path, max_size=max_size, files=files, clock=clock, lost_line=_lost)
+        self._stop = threading.Event()
+        self._snapshot_at = clock.mono() + SNAPSHOT_S
+        self._thread = threading.Thread(target=self._loop, name="phm-gcs-record", daemon=True)
+        station.subscribe(self._outlet)
+
+    def start(self) -> None:
+        threads.start(self._thread)
+
+    def about(self) -> str:
+        """A sentence while the record is not complete, else empty."""
+        dropped, path = self._outlet.dropped, self._lines.path
+        problem = self._lines.problem() or (f"{dropped} lines are missing in {path}" if dropped else "")
+        return f"record: {problem}" if problem else ""
+
+    def close(self) -> None:
+        self._stop.set()
+        self._outlet.wake()
+        if self._thread.ident is not None:
+            self._thread.join(CLOSE_LIMIT_S)
+
+    def _loop(self) -> None:
+        last = False
+        while not last:
+            last = self._stop.is_set()
+            for item in self._outlet.take(0.0 if last else LOOK_S):
+                self._lines.write(item.line)
+            self._lines.retry()
+            if self._clock.mono() >= self._snapshot_at or last:
+                self._snapshot_at = self._clock.mono() + SNAPSHOT_S
+                self._lines.write(self._station.line(*self._station.snapshot()))
+        self._lines.close()
+
+
+def _lost(count: int, reason: str, last: bytes) -> bytes:
+    """Takes the place of the last lost line, with its number and stamps."""
+    head = json.loads(last)
+    kept = {key: head[key] for key in ("run", "seq", "utc", "utc_s", "mono")}
+    return json.dumps({"v": VERSION, **kept, "event": "lost", "lines": count, "reason": reason}).encode("ascii")

@@ -1,0 +1,162 @@
+"""What the store knows, as JSON: the bodies of news and the whole at one moment. Pure. The keys are a contract: `docs/gcs.md`.
+
+What is not known is null or left out, never a guess; what an agent said before it was lost stands under `last_slots` alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from phm.core.model import Level, Stamp
+from phm.gcs.agent import Agent
+from phm.gcs.events import severity_name
+from phm.gcs.fleet import Fleet, Look, Pilot, Swarm
+from phm.gcs.frames import BOOT, Said, state_name
+from phm.gcs.hops import Hop
+from phm.gcs.presence import State
+from phm.gcs.statustext_parser import Line
+from phm.wire.report import iso
+from phm.wire.tunnel import Digest, View
+
+UNKNOWN = "UNKNOWN"
+_RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
+
+
+def who(agent: Agent) -> dict[str, Any]:
+    return {"agent": agent.system, "name": agent.name}
+
+
+def word(agent: Agent) -> dict[str, Any]:
+    """What its last heartbeat said."""
+    return {"word": agent.word, "state": state_name(agent.state), "slots": slots(agent)}
+
+
+def slots(agent: Agent) -> dict[str, str]:
+    """Those that its last word says something about."""
+    return {str(int(slot)): level.name for slot, level in sorted(agent.levels.items())}
+
+
+def hop(found: Hop | None) -> dict[str, Any] | None:
+    return None if found is None else asdict(found)
+
+
+def pilot(found: Pilot, now: float) -> dict[str, Any]:
+    return {
+        "presence": found.seen(now).value, "armed": found.armed, "mode": found.mode, "state": state_name(found.state),
+        "age_s": seconds(found.presence.silent_s(now)),
+    }  # fmt: skip
+
+
+def text(said: Said, line: Line | None) -> dict[str, Any]:
+    """line: what PHM says with it; None: it is somebody else's."""
+    body: dict[str, Any] = {
+        "system": said.system, "component": said.component, "severity": said.severity,
+        "severity_name": severity_name(said.severity), "text": said.text, "phm": line is not None,
+    }  # fmt: skip
+    if line is not None:
+        about = {"agent": line.agent or None, "kind": line.kind.value, "word": line.word or None}
+        body = {**body, **about, "slot": line.slot or None, "brief": line.text}
+    return body
+
+
+def view(said: View) -> dict[str, Any]:
+    peers = {str(number): seen.name.lower() for number, seen in sorted(said.peers.items())}
+    return {"gcs": said.gcs, "autopilot": said.autopilot, "radio": said.radio, "peers": peers}
+
+
+def digest(said: Digest) -> dict[str, Any]:
+    levels = {str(number): level.name for number, level in sorted(said.levels.items())}
+    return {"members": said.members, "alive": said.alive, "levels": levels}
+
+
+def how(agent: Agent, state: State) -> str:
+    """One word for an agent: OK, WARN, ERROR, STALE, HOLD, BOOT, LOST, LEFT, UNKNOWN."""
+    if not state.there:
+        return {State.LOST: "LOST", State.LEFT: "LEFT"}.get(state, UNKNOWN)
+    worst = agent.worst
+    if agent.state == BOOT and worst not in (Level.WARN, Level.ERROR):
+        return "BOOT"
+    if agent.on_hold and worst in (Level.OK, Level.STALE):
+        return "HOLD"
+    return UNKNOWN if worst is None else worst.name
+
+
+def whole(fleet: Fleet, at: Stamp) -> dict[str, Any]:
+    """Everybody at one moment."""
+    look = fleet.look(at.mono)
+    agents = sorted(fleet.agents.values(), key=lambda agent: (agent.system, agent.component))
+    return {
+        "agents": [_agent(fleet, look, agent, at.mono) for agent in agents],
+        "pilots": {str(system): pilot(found, at.mono) for system, found in sorted(fleet.pilots.items())},
+        "stations": [{"system": system, "component": component} for system, component in look.stations()],
+        "radios": [
+            {"link": link, "age_s": seconds(at.mono - heard), **{key: getattr(said, key) for key in _RADIO}}
+            for link, (heard, said) in fleet.radios.items()
+        ],
+        "swarm": _swarm(fleet.swarm, at.mono),
+        "links": [{"link": name, "open": is_open, "error": error} for name, (is_open, error) in fleet.links.items()],
+        "refused": fleet.refused,
+    }
+
+
+def seconds(value: float | None) -> float | None:
+    return None if value is None else round(value, 1)
+
+
+def _agent(fleet: Fleet, look: Look, agent: Agent, now: float) -> dict[str, Any]:
+    state = look.state(agent)
+    heard_by, unheard_by = look.heard_by(agent)
+    said = fleet.swarm.digest
+    level = said.levels.get(agent.system) if said is not None else None
+    aboard = fleet.pilots.get(agent.system)
+    learned = agent.presence.heard_s is not None
+    return {
+        **who(agent), "component": agent.component, "link": agent.link or None,
+        "how": how(agent, state), "presence": state.value, "age_s": seconds(agent.presence.silent_s(now)),
+        "period_s": seconds(agent.presence.period_s(fleet.guess_s)) if learned else None,
+        "word": agent.word, "state": state_name(agent.state) or None,
+        "slots": slots(agent) if state.there else {}, "last_slots": slots(agent),
+        "hop": hop(look.hop(agent)), "line": _line(agent, now), "bad": _bad(agent, now) if state.there else [],
+        "view": _view(agent, now), "heard_by": heard_by, "unheard_by": unheard_by,
+        "hears_ground": None if agent.deaf is None else not agent.deaf,
+        "swarm_says": level.name if level not in (None, Level.STALE) else None,
+        "pilot": pilot(aboard, now) if aboard is not None else None,
+        "on_hold": agent.on_hold, "restarts": agent.restarts, "problem": agent.problem or None,
+        "first_utc": iso(agent.first.utc) if agent.first else None,
+        "last_utc": iso(agent.last.utc) if agent.last else None,
+    }  # fmt: skip
+
+
+def _line(agent: Agent, now: float) -> dict[str, Any] | None:
+    told = agent.told
+    if told is None:
+        return None
+    age_s = seconds(now - told.at.mono)
+    return {"text": told.text, "severity": told.severity, "age_s": age_s, "via": told.via or None}
+
+
+def _bad(agent: Agent, now: float) -> list[dict[str, Any]]:
+    return [
+        {"slot": slot, "level": bad.level.name, "text": bad.text, "age_s": seconds(now - bad.at.mono)}
+        for slot, units in sorted(agent.bad.items())
+        for bad in units.values()
+    ]
+
+
+def _view(agent: Agent, now: float) -> dict[str, Any] | None:
+    if agent.view is None or agent.view_at is None:
+        return None
+    return {**view(agent.view), "age_s": seconds(now - agent.view_at.mono)}
+
+
+def _swarm(swarm: Swarm, now: float) -> dict[str, Any] | None:
+    if swarm.digest is None and not swarm.line:
+        return None
+    ages = {
+        "line_age_s": seconds(now - swarm.line_at.mono) if swarm.line_at else None,
+        "digest_age_s": seconds(now - swarm.digest_at.mono) if swarm.digest_at else None,
+    }
+    told = digest(swarm.digest) if swarm.digest is not None else {"members": None, "alive": None, "levels": {}}
+    by = swarm.line_by or swarm.digest_by
+    return {"by": by, "line": swarm.line or None, **told, **ages}

@@ -1,0 +1,88 @@
+"""Reads the lines that PHM tells the ground (`phm.wire.status_line`, `phm.swarm.digest`) back into data. Pure."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+from phm.core.model import Level
+
+_AGENT = r"A(?P<agent>0[1-9]|[1-9][0-9]{1,2})"
+_REFRESH = re.compile(
+    rf"{_AGENT} (?P<word>FAIL|WARN|OK|STALE|HOLD) (?P<array>[01-]{{8}})(?: (?P<slot>[0-9]{{1,2}})(?: (?P<text>.+))?)?"
+)
+_CHANGE = re.compile(
+    rf"{_AGENT} (?P<word>FAIL|WARN|OK|HOLD|ADVISE|APPROVED|EXPIRED|GAVE UP) (?P<slot>[0-9]{{1,2}})(?: (?P<text>.+))?"
+)
+_RELAY = re.compile(rf"{_AGENT} (?P<text>no GCS radio[,:] .*)")
+_SWARM = re.compile(r"SWARM (?P<well>[0-9]{1,3})/(?P<members>[0-9]{1,3}) (?P<word>OK|WARN|FAIL)(?: (?P<text>.+))?")
+_OVER = re.compile(r"(?:cleared itself|cleared|\S.{0,15}? fixed): (?P<brief>.+)")
+_MORE = re.compile(r" \+[0-9]+$")
+_NAMED = re.compile(r"A([0-9]{2,3}):")
+LEVELS = {"FAIL": Level.ERROR, "GAVE UP": Level.ERROR, "WARN": Level.WARN}
+
+
+class Kind(str, Enum):
+    """REFRESH repeats how the whole agent is; RELAY is about an agent that does not reach the ground."""
+
+    CHANGE = "change"
+    REFRESH = "refresh"
+    RELAY = "relay"
+    SWARM = "swarm"
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """agent: whom it is about, 0 for the swarm. slot: 0 where the line has none. text: what stands behind the head."""
+
+    kind: Kind
+    agent: int
+    word: str
+    slot: int
+    text: str
+    alone: bool = False
+    """A refresh that knows of one bad unit and no more."""
+
+    @property
+    def level(self) -> Level | None:
+        """What it says a unit is: ERROR or WARN, else None."""
+        return LEVELS.get(self.word) if self.kind in (Kind.CHANGE, Kind.REFRESH) and self.text else None
+
+    @property
+    def over(self) -> str:
+        """The words of what is over, empty when the line does not say so."""
+        match = _OVER.fullmatch(self.text) if self.kind is Kind.CHANGE and self.word == "OK" else None
+        return match["brief"] if match else ""
+
+
+def read(text: str) -> Line | None:
+    """None: not a line of PHM's."""
+    for kind, form in ((Kind.REFRESH, _REFRESH), (Kind.CHANGE, _CHANGE), (Kind.RELAY, _RELAY), (Kind.SWARM, _SWARM)):
+        match = form.fullmatch(text)
+        if match is None:
+            continue
+        found = match.groupdict()
+        agent, slot = int(found.get("agent") or 0), int(found.get("slot") or 0)
+        if agent > 250 or slot > 15 or (kind is not Kind.SWARM and agent < 1) or (kind is Kind.CHANGE and slot < 1):
+            return None
+        word, rest = found.get("word") or "", found.get("text") or ""
+        if kind is Kind.REFRESH:
+            return Line(kind, agent, word, slot, _MORE.sub("", rest), word in LEVELS and not _MORE.search(rest))
+        return Line(kind, agent, word, slot, rest)
+    return None
+
+
+def named(line: Line) -> frozenset[int] | None:
+    """Who is not well by a SWARM line; None when it had no room for all."""
+    if _MORE.search(f" {line.text}"):
+        return None
+    return frozenset(int(found) for found in _NAMED.findall(line.text))
+
+
+def same(brief: str, cut: str) -> bool:
+    """Whether `cut` is `brief`, be it cut in its middle to fit a longer line."""
+    if brief == cut:
+        return True
+    head, dots, tail = cut.partition("..")
+    return bool(dots) and brief.startswith(head) and brief.endswith(tail)

@@ -1,0 +1,131 @@
+"""The vehicle's autopilot by its heartbeats, and its reboots by the time since boot that it tells. Pure.
+
+As ArduPilot's routing asks of ground stations, a reboot is seen by `time_boot_ms` going back: in SYSTEM_TIME, or in whatever
+else carries it. It must not be missed, for an autopilot that reboots within seconds leaves no gap in its heartbeats.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from phm.core.scheduling_delay import Late, never_late
+from phm.facts.links import AutopilotFact
+from phm.probes.adaptive_timeout import Cadence
+from phm.transport.dialect import mavlink
+
+BACK_S = 3.0
+"""Messages overtake each other, and some carry the time of a measurement and not of sending."""
+WRAP_S, WRAPS_AT_S = 60.0, 2**32 / 1000.0
+TWINS, TWINS_S = 4, 6.0
+"""An autopilot that reboots again and again has run for BACK_S each time: faster than so, two of them speak."""
+FLIPS, FLIPS_S = 4, 10.0
+"""An operator does not arm and disarm so often in so short a time: two autopilots disagree."""
+KEPT = 16
+ALIVE_S = 1.0
+"""While other frames of it come, its heartbeats are late or lost, and it is not."""
+
+
+class Pilot:
+    """Not thread-safe. timeout_s: after which it counts as lost in any case. late_s: for how long PHM did not run."""
+
+    def __init__(self, timeout_s: float = 3.5, late_s: Late = never_late) -> None:
+        self._cadence, self._timeout_s, self._late_s = Cadence(timeout_s), timeout_s, late_s
+        self._said: dict[str, tuple[float, bool]] = {}
+        """By link: when a heartbeat came last, and whether it said armed."""
+        self._said_armed: dict[bool, float] = {}
+        """When armed (True) and disarmed (False) was last said, by any link."""
+        self._disarmed_from: float | None = None
+        """When the unbroken row of disarmed heartbeats began; None: the newest one says armed."""
+        self._stalled: float | None = None
+        self._spoke = float("-inf")
+        self._beat: tuple[float, Any, str] | None = None
+        self._armed: deque[tuple[float, bool]] = deque(maxlen=KEPT)
+        """Changes of the armed state, with when they were seen."""
+        self._boot: tuple[float, float] | None = None
+        """When the newest time since boot was heard, and that time in seconds."""
+        self._seen: deque[float] = deque(maxlen=TWINS)
+        self.reboots = 0
+        self._rebooted_armed = False
+
+    @property
+    def link(self) -> str:
+        """By which it was heard last; empty: by none."""
+        return self._beat[2] if self._beat is not None else ""
+
+    def broke(self, now: float) -> None:
+        """Pauses until now say nothing about it: its link was closed, or PHM stood still."""
+        self._cadence.broke(now)
+
+    def stalled(self, now: float) -> None:
+        """PHM has been suspended until now: what it reads next may be old."""
+        self._stalled = now
+        self.broke(now)
+
+    def heartbeat(self, now: float, message: Any, link: str) -> None:
+        late_s = 0.0 if self._beat is None else self._late_s(self._beat[0], None)
+        self._beat, self._spoke = (now, message, link), now
+        self._cadence.beat(now, late_s)
+        armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        self._said[link] = (now, armed)
+        if armed:
+            self._disarmed_from = None
+        elif self._disarmed_from is None or now - self._said_armed.get(False, now) > self._timeout_s:
+            self._disarmed_from = now
+        self._said_armed[armed] = now
+        if not self._armed or self._armed[-1][1] != armed:
+            self._armed.append((now, armed))
+
+    def booted(self, now: float, time_boot_ms: int) -> None:
+        """It says that it has run for so long."""
+        self._spoke = now
+        new_s = time_boot_ms / 1000.0
+        old_s = self._boot[1] if self._boot is not None else 0.0
+        wrapped = old_s > WRAPS_AT_S - WRAP_S and new_s < WRAP_S
+        if new_s < old_s - BACK_S and not wrapped:
+            self._seen.append(now)
+            self._cadence.broke(now)
+            self.reboots += 1
+            self._rebooted_armed = self._armed_at(now - new_s)
+        self._boot = (now, new_s)
+
+    def boot_s(self, now: float) -> float | None:
+        """For how long it has been running; None: not known."""
+        return self._boot[1] + now - self._boot[0] if self._boot is not None else None
+
+    def twins(self, now: float) -> bool:
+        """Whether two autopilots speak with one identity: by their times since boot, or by their armed states."""
+        rebooting = len(self._seen) == TWINS and self._seen[-1] - self._seen[0] < TWINS_S
+        changes = [at for at, _ in self._armed][-FLIPS:]
+        flipping = len(changes) == FLIPS and changes[-1] - changes[0] < FLIPS_S
+        return (rebooting and now - self._seen[-1] < TWINS_S) or (flipping and now - changes[-1] < FLIPS_S)
+
+    def fact(
+        self, now: float, read_at: Callable[[str], float | None] = lambda link: None, unread_s: float = 0.0
+    ) -> AutopilotFact | None:
+        """None: never heard. read_at: until when what came by a link of this name has been read; None: not known. unread_s: for
+        how long its link should have been read, and was not."""
+        if self._beat is None:
+            return None
+        heard, message, link = self._beat
+        rebooted = bool(self._seen) and not self.twins(now)
+        armed = any(said for at, said in self._said.values() if heard - at <= self._timeout_s)
+        ages = {said: now - at for said, at in self._said_armed.items()}
+        return AutopilotFact(
+            now - heard, armed, message.custom_mode, message.system_status, link,
+            self.boot_s(now), self.reboots, now - self._seen[-1] if rebooted else None, rebooted and self._rebooted_armed,
+            self._cadence.due_s(), self._overdue(read_at(link)), now - self._spoke,
+            ages.get(True), ages.get(False), None if self._stalled is None else now - self._stalled,
+            None if self._boot is None else now - self._boot[0],
+            None if self._disarmed_from is None else now - self._disarmed_from,
+            max(min(unread_s, self._timeout_s), self._late_s(heard, self._timeout_s)),
+        )  # fmt: skip
+
+    def _overdue(self, read_at: float | None) -> bool:
+        speaks = read_at is not None and read_at - self._spoke < ALIVE_S
+        return self._cadence.overdue(None if speaks else read_at, self._late_s)
+
+    def _armed_at(self, moment: float) -> bool:
+        """As last heard before `moment`: after a reboot the first heartbeat, disarmed, may come before the new time."""
+        return next((armed for at, armed in reversed(self._armed) if at <= moment), False)

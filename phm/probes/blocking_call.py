@@ -1,0 +1,79 @@
+"""A thread of its own for calls into the kernel that may hang, such as statvfs on a dead network mount."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from phm.core import threads
+from phm.facts import CannotTell
+
+T = TypeVar("T")
+
+
+class _Job(Generic[T]):
+    """One call on its way: `done` is set when `value` or `error` is there."""
+
+    def __init__(self, function: Callable[[], T]) -> None:
+        self.function = function
+        self.done = threading.Event()
+        self.value: T | None = None
+        self.error: Exception | None = None
+
+    def run(self) -> None:
+        try:
+            self.value = self.function()
+        except Exception as error:  # whatever it is, it is the caller's, who gets it from `result`
+            self.error = error
+        self.done.set()
+
+    def result(self) -> T:
+        if self.error is not None:
+            raise self.error
+        return self.value  # type: ignore[return-value]  # set by run, and T may itself be None
+
+
+class Worker:
+    """Runs one call at a time with a deadline.
+
+    Invariant: at most one thread and one call. While a call hangs, every further one is refused at once,
+    so a dead mount costs one thread however often it is asked about.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._lock = threading.Lock()
+        self._jobs: queue.SimpleQueue[_Job[object]] = queue.SimpleQueue()
+        self._hanging: _Job[object] | None = None
+        self._thread: threading.Thread | None = None
+
+    def call(self, function: Callable[[], T], timeout_s: float) -> T:
+        """The function's value or exception; CannotTell when it does not come back within `timeout_s`."""
+        if not self._lock.acquire(timeout=timeout_s):
+            raise CannotTell(f"another call has kept {self._name} busy for {timeout_s:g} s")
+        try:
+            if self._hanging is not None and not self._hanging.done.is_set():
+                raise CannotTell("an earlier call has not come back from the kernel yet")
+            self._hanging = None
+            job: _Job[T] = _Job(function)
+            self._start()
+            self._jobs.put(job)  # type: ignore[arg-type]  # the queue does not care for the type of the value
+            if not job.done.wait(timeout_s):
+                self._hanging = job  # type: ignore[assignment]
+                raise CannotTell(f"the kernel did not answer within {timeout_s:g} s")
+            return job.result()
+        finally:
+            self._lock.release()
+
+    def _start(self) -> None:
+        if self._thread is None:
+            thread = threading.Thread(target=self._loop, name=f"phm-{self._name}", daemon=True)
+            if not threads.start_now(thread):
+                raise CannotTell("no thread can be started: the limit of processes is reached")
+            self._thread = thread
+
+    def _loop(self) -> None:
+        while True:
+            self._jobs.get().run()

@@ -1,0 +1,222 @@
+"""Tells when an entry of a directory changes, by the kernel's inotify: nothing is asked while nothing happens.
+
+It watches inodes, so what the host or another container does to a directory is seen through PHM's own, read-only mount
+of it. What it cannot tell (a network mount changed elsewhere, a write through a hard link in another directory, a
+directory that PHM may not read) is left to the checks' own period.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import logging
+import os
+import select
+import struct
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from phm.core import threads
+from phm.core.clock import Clock, SystemClock
+
+logger = logging.getLogger(__name__)
+
+Tell = Callable[[], None]
+Watch = Callable[[str, str], bool]
+"""Watch the entry of this name in this directory. True when it was not watched before: what was seen until now may be old."""
+
+MOST_DIRECTORIES = 128
+MOST_NAMES = 256
+"""Of one directory."""
+GATHER_S = 0.05
+"""After each event others are gathered for so long, so that a directory in which much is written costs little."""
+PACE_S, PACE_MAX_S, CALM_S = 0.1, 5.0, 10.0
+"""Between two tellings to one listener at least PACE_S, twice as long each time up to PACE_MAX_S, until there was nothing to tell
+for CALM_S: a file that is written all the time does not keep its check busy. The last change is always told."""
+
+_ATTRIB, _CLOSE_WRITE, _MOVED, _CREATE, _DELETE = 0x4, 0x8, 0x40 | 0x80, 0x100, 0x200
+_DELETE_SELF, _MOVE_SELF, _UNMOUNT, _OVERFLOW, _IGNORED = 0x400, 0x800, 0x2000, 0x4000, 0x8000
+_ONLY_DIRECTORIES = 0x01000000
+_COMING_AND_GOING = _ATTRIB | _MOVED | _CREATE | _DELETE | _DELETE_SELF | _MOVE_SELF | _ONLY_DIRECTORIES
+_HEAD = struct.Struct("iIII")
+_READ_BYTES = 65536
+
+
+@dataclass(eq=False)
+class _Listener:
+    """Whom to tell, and how soon the next time."""
+
+    tell: Tell
+    mask: int
+    due: float | None = None
+    gap_s: float = PACE_S
+    last: float = float("-inf")
+
+
+@dataclass(eq=False)
+class _Directory:
+    key: tuple[int, int]
+    mask: int = 0
+    wanted: dict[str, list[_Listener]] = field(default_factory=dict)
+
+
+class Notices:
+    """One inotify instance and one thread for all listeners; both are made when the first directory is watched.
+
+    Invariant: `_directories` and `_numbers` name the same directories, and are read and written with `_lock` held.
+    """
+
+    def __init__(self, clock: Clock | None = None) -> None:
+        self._clock = clock or SystemClock()
+        self._lock = threading.Lock()
+        self._libc: ctypes.CDLL | None = None
+        self._descriptor = -1
+        self._wakeup: tuple[int, int] | None = None
+        self._directories: dict[int, _Directory] = {}
+        self._numbers: dict[tuple[int, int], int] = {}
+        self._listeners: list[_Listener] = []
+        self._closed = False
+
+    def on(self, tell: Tell, *, content: bool = False) -> Watch:
+        """A way to watch for one listener. `tell` is called from the thread of this object.
+
+        content: a file that was written and closed counts as changed, too. Not for devices: to open and close one is
+        no change.
+        """
+        listener = _Listener(tell, _COMING_AND_GOING | (_CLOSE_WRITE if content else 0))
+        self._listeners.append(listener)
+        return lambda directory, name: self._watch(listener, directory, name)
+
+    def close(self) -> None:
+        with self._lock:
+            self._closed = True
+            if self._wakeup is not None:
+                with contextlib.suppress(OSError):
+                    os.write(self._wakeup[1], b"x")
+
+    # ------------------------------------------------------------ what is watched
+
+    def _watch(self, listener: _Listener, directory: str, name: str) -> bool:
+        try:
+            seen = os.stat(directory)
+        except OSError:
+            return False  # one that is above it is watched
+        with self._lock:
+            number = self._number((seen.st_dev, seen.st_ino), directory, listener.mask)
+            if number is None:
+                return False
+            listeners = self._directories[number].wanted.setdefault(name, [])
+            if listener in listeners or len(self._directories[number].wanted) > MOST_NAMES:
+                return False
+            listeners.append(listener)
+            return True
+
+    def _number(self, key: tuple[int, int], directory: str, mask: int) -> int | None:
+        """The kernel's number for watching the directory; None when it cannot be watched."""
+        number = self._numbers.get(key)
+        known = self._directories[number] if number is not None else _Directory(key)
+        if number is not None and known.mask | mask == known.mask:
+            return number
+        libc = self._start()
+        if libc is None or (number is None and len(self._directories) >= MOST_DIRECTORIES):
+            return None
+        known.mask |= mask
+        number = int(libc.inotify_add_watch(self._descriptor, os.fsencode(directory), known.mask))
+        if number < 0:
+            return None
+        self._numbers[key], self._directories[number] = number, known
+        return number
+
+    def _start(self) -> ctypes.CDLL | None:
+        if self._libc is not None or self._closed:
+            return None if self._closed else self._libc
+        try:
+            libc = ctypes.CDLL(None, use_errno=True)
+            descriptor = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
+        except (OSError, AttributeError):
+            descriptor = -1
+        if descriptor < 0:
+            return None  # no inotify here, or too many instances (fs.inotify.max_user_instances)
+        self._libc, self._descriptor, self._wakeup = libc, descriptor, os.pipe()
+        threads.start(threading.Thread(target=self._follow, name="phm-notices", daemon=True))
+        return libc
+
+    # ------------------------------------------------------------ what happens
+
+    def _follow(self) -> None:
+        assert self._wakeup is not None
+        poll = select.poll()
+        poll.register(self._descriptor, select.POLLIN)
+        poll.register(self._wakeup[0], select.POLLIN)
+        while not self._closed:
+            poll.poll(self._patience_ms())
+            if self._closed:
+                break
+            try:
+                for listener in self._concerned():
+                    self._happened(listener)
+                self._tell_due()
+            except Exception:  # a listener's defect must not end the watch for ever
+                logger.exception("a change of a directory could not be handed on")
+            self._clock.wait(threading.Event(), GATHER_S)
+        for number in (self._descriptor, *self._wakeup):
+            os.close(number)
+
+    def _patience_ms(self) -> float | None:
+        due = [listener.due for listener in self._listeners if listener.due is not None]
+        return max(0.0, (min(due) - self._clock.mono()) * 1000) if due else None
+
+    def _concerned(self) -> list[_Listener]:
+        """The listeners of what the kernel has to tell now."""
+        try:
+            data = os.read(self._descriptor, _READ_BYTES)
+        except BlockingIOError:
+            return []
+        found: dict[int, _Listener] = {}
+        at = 0
+        with self._lock:
+            while at < len(data):
+                number, mask, _, length = _HEAD.unpack_from(data, at)
+                name = os.fsdecode(data[at + _HEAD.size : at + _HEAD.size + length].rstrip(b"\0"))
+                at += _HEAD.size + length
+                found.update((id(listener), listener) for listener in self._of(number, mask, name))
+        return list(found.values())
+
+    def _of(self, number: int, mask: int, name: str) -> list[_Listener]:
+        if mask & _OVERFLOW:
+            return list(self._listeners)
+        directory = self._directories.get(number)
+        if directory is None:
+            return []
+        everybody = [listener for some in directory.wanted.values() for listener in some]
+        if mask & (_IGNORED | _MOVE_SELF | _UNMOUNT):
+            # What stands at its path now is another directory, or none: whoever looks next watches that.
+            self._forget(number, directory, gone=bool(mask & _IGNORED))
+            return everybody
+        return [listener for listener in directory.wanted.get(name, ()) if listener.mask & mask]
+
+    def _forget(self, number: int, directory: _Directory, *, gone: bool) -> None:
+        del self._directories[number]
+        self._numbers.pop(directory.key, None)
+        if not gone and self._libc is not None:
+            self._libc.inotify_rm_watch(self._descriptor, number)
+
+    # ------------------------------------------------------------ who is told, and when
+
+    def _happened(self, listener: _Listener) -> None:
+        now = self._clock.mono()
+        if now - listener.last > CALM_S:
+            listener.gap_s = PACE_S
+        if listener.due is None:
+            listener.due = max(now, listener.last + listener.gap_s)
+
+    def _tell_due(self) -> None:
+        now = self._clock.mono()
+        for listener in self._listeners:
+            if listener.due is None or listener.due > now:
+                continue
+            if now - listener.last <= CALM_S:
+                listener.gap_s = min(listener.gap_s * 2, PACE_MAX_S)
+            listener.due, listener.last = None, now
+            listener.tell()

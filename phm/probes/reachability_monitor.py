@@ -1,0 +1,73 @@
+"""Feels the pulse of addresses that have answered: who falls silent or answers again is told at once.
+
+A look at a network takes three questions to the engine; a knock at an address takes two packets and no engine. So the
+check looks every few seconds, and this knocks in between. It judges nothing: one lost knock only makes the check look.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterable
+
+from phm.core import threads
+from phm.core.clock import Clock
+from phm.facts import CannotTell
+
+logger = logging.getLogger(__name__)
+
+PERIOD_S = 1.0
+GIVEN_UP_S = 30.0
+"""An address that is silent for longer is left to the check's own period: mostly its container is gone."""
+MOST = 32
+
+
+class Pulse:
+    """One thread. `turned` is called when an address has fallen silent, or answers again.
+
+    addresses: those that have answered. knock: whether one answers within what it is given; may raise CannotTell.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        addresses: Callable[[], Iterable[str]],
+        knock: Callable[[str], bool],
+        turned: Callable[[], None],
+    ) -> None:
+        self._clock, self._addresses, self._knock, self._turned = clock, addresses, knock, turned
+        self._silent_since: dict[str, float] = {}
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="phm-pulse", daemon=True)
+
+    def start(self) -> None:
+        threads.start(self._thread)
+
+    def stop(self) -> None:
+        self._stopping.set()
+
+    def feel(self) -> None:
+        """Knock once at each address."""
+        addresses = list(self._addresses())[:MOST]
+        self._silent_since = {known: since for known, since in self._silent_since.items() if known in addresses}
+        for address in addresses:
+            now = self._clock.mono()
+            since = self._silent_since.get(address)
+            if self._stopping.is_set() or (since is not None and now - since > GIVEN_UP_S):
+                continue
+            there = self._knock(address)
+            if there and since is not None:
+                del self._silent_since[address]
+            elif not there and since is None:
+                self._silent_since[address] = now
+            if there is not (since is None):
+                self._turned()
+
+    def _loop(self) -> None:
+        while not self._clock.wait(self._stopping, PERIOD_S):
+            try:
+                self.feel()
+            except CannotTell as error:
+                logger.debug("no pulse can be felt: %s", error)
+            except Exception:  # a defect here must not end the watch for ever
+                logger.exception("the pulse of an address could not be felt")

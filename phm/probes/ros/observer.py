@@ -1,0 +1,158 @@
+"""What the child looks with: one participant, the graph that it sees, and a gauge for each topic with a rate.
+
+Importing this module raises ImportError where there is no rclpy.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from phm.facts.ros import RateFact, TopicFact
+from phm.probes.ros.beacons import Beacons
+from phm.probes.ros.diagnostics import Diagnostics
+from phm.probes.ros.graph import OWN, Graph
+from phm.probes.ros.graph_events import GraphEvents
+from phm.probes.ros.graph_snapshot import flow
+from phm.probes.ros.protocol import Message, Others, Picture, Publish, Tick, Wanted
+from phm.probes.ros.second_look import Known, Scout
+from phm.probes.ros.self_reports import Own
+from phm.probes.ros.topic_monitor import Gauge
+from phm.probes.ros.unconfigured_topics import Names
+
+
+class Watch:
+    """One look a tick; nothing in it waits."""
+
+    def __init__(self, wanted: Wanted, number: int = 0) -> None:
+        """number: of the newest picture before."""
+        self._wanted = wanted
+        self.known: Known = frozenset()
+        """What the last look has found of nodes and ends that are configured."""
+        self._context, self._node = _participant(wanted, wanted.agent)
+        self._began_s = time.monotonic()
+        self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
+        self._gauges = {
+            topic.name: Gauge(self._node, topic, wanted.tick_s) for topic in wanted.topics if topic.rate_hz is not None
+        }
+        self._names = Names(self._node, {topic.name for topic in wanted.topics})
+        self._diagnostics = Diagnostics(self._node, wanted.listen, Own(statuses=wanted.watch).is_status)
+        self._beacons = Beacons(self._node, frozenset(wanted.nodes))
+        self._events = GraphEvents(self._node, self._context)
+        self._full_s = wanted.full_s
+        self._next_full_s = 0.0
+        self._number = number
+        self._states: dict[str, tuple[float | None, bool, str]] = {}
+
+    @property
+    def events(self) -> int | None:
+        """A descriptor that is readable when the graph may have changed; None where there is none."""
+        return self._events.fd
+
+    def look(self, *, told: bool = False, late_s: float = 0.0) -> list[Message]:
+        """Called once a tick, and told when `events` was readable: what there is to tell the daemon. late_s: how much too late.
+
+        The picture comes last: whoever judges a silence by its time has received what was heard until then.
+        """
+        if told:
+            self._events.take()
+        picture = self._picture(told=told, late_s=round(late_s, 3))
+        heard = [*self._beacons.look(), *self._diagnostics.look()]
+        others: list[Message] = [Others(self._names.names)] if self._names.look(time.monotonic()) else []
+        return [*heard, *others, picture]
+
+    @property
+    def lacking(self) -> bool:
+        """Whether a node that is configured is not listed, or a topic with a rate has no publisher."""
+        return not self._graph.nodes.keys() >= set(self._wanted.nodes) or any(
+            not self._graph.publishers[name] for name in self._gauges
+        )
+
+    def second(self) -> Scout:
+        """Another participant, that looks at the same graph."""
+        return _Second(self._wanted)
+
+    def renewed(self) -> Watch:
+        """Closes this one. Returns one that has a participant of its own, and begins anew."""
+        self.close()
+        return Watch(self._wanted, self._number)
+
+    def obey(self, order: Publish) -> None:
+        """Called as soon as the daemon has said so."""
+        self._diagnostics.publish(order)
+
+    def _picture(self, *, told: bool, late_s: float) -> Picture | Tick:
+        """The whole picture when something changed or it is time, else only that nothing did."""
+        now_s = time.monotonic()
+        changed = self._graph.look(now_s, told=told)
+        if changed:
+            self.known = _known(self._graph)
+        rates: dict[str, RateFact] = {}
+        for name, gauge in self._gauges.items():
+            rates[name] = gauge.look(now_s, self._graph.publishers[name])
+        states = {name: flow(rate) for name, rate in rates.items()}
+        up_s = round(now_s - self._began_s, 3)
+        if not changed and states == self._states and now_s < self._next_full_s:
+            return Tick(up_s, {name: rate.silent_s for name, rate in rates.items()}, self._number, late_s)
+        self._states = states
+        self._next_full_s = now_s + self._full_s
+        graph = self._graph
+        topics = {
+            name: TopicFact(publishers, graph.subscribers[name], rates.get(name))
+            for name, publishers in graph.publishers.items()
+        }
+        self._number += 1
+        problems = tuple(filter(None, (*graph.problems, self._names.problem)))
+        return Picture(up_s, graph.nodes, topics, self._number, graph.names_known, problems, late_s)
+
+    def close(self) -> None:
+        """Leave the graph politely, so that others forget this participant now and not after its lease."""
+        self._events.close()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+class _Second:
+    """A participant that reads nothing but the graph."""
+
+    def __init__(self, wanted: Wanted) -> None:
+        self._context, self._node = _participant(wanted, f"{wanted.agent}_second")
+        self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
+
+    def known(self, now_s: float) -> Known:
+        self._graph.look(now_s)
+        return _known(self._graph)
+
+    def close(self) -> None:
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def _participant(wanted: Wanted, name: str) -> tuple[Any, Any]:
+    """A context with one hidden node."""
+    context: Any = Context()
+    # Without logging set up rcl creates no log directory: the sidecar's file system is read-only.
+    context.init(args=[], initialize_logging=False, domain_id=wanted.domain)
+    node: Any = Node(
+        OWN + re.sub(r"\W", "_", name, flags=re.ASCII),
+        context=context,
+        start_parameter_services=False,
+        enable_rosout=False,
+        use_global_arguments=False,
+        parameter_overrides=[Parameter("start_type_description_service", value=False)],
+    )
+    return context, node
+
+
+def _known(graph: Graph) -> Known:
+    """Of strangers only what they have to do with a configured topic: nobody else is to keep PHM busy."""
+    nodes = {(name,) for name in graph.nodes if name in graph.configured}
+    sides = {"publisher": graph.publishers, "subscriber": graph.subscribers}
+    return frozenset(nodes) | {
+        (topic, side, end.node) for side, ends in sides.items() for topic in ends for end in ends[topic] if end.node
+    }

@@ -1,0 +1,209 @@
+"""The samples of one publisher of a topic: how often it publishes, how evenly, and how old its newest sample is."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+from phm.probes.ros.rate_change import Pace
+from phm.probes.ros.windowed_max import Recent
+
+SHORTEST_S = 1.0
+"""Below this span of publication time the jitter of two stamps is too large a share of it."""
+JUMP_S = 1.0
+"""Stamps that disagree with the time between two looks by more than this tell a clock that was set."""
+FALLS, FALLS_S = 3, 10.0
+"""A number that falls is a restarted publisher; this many falls within this time are two publishers."""
+QUICKEST_S = 60.0
+"""For how long the quickest delivery counts, at least: clocks of two hosts drift apart by 3 ms meanwhile."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One look. sequence: None where the middleware has none. source_ns: publisher's clock. at_s: ours, monotonic."""
+
+    sequence: int | None
+    source_ns: int
+    at_s: float
+    writer: bytes | None = None
+    """Identity of the publisher, where the middleware tells it (from Kilted on)."""
+    size: int = 0
+    """Bytes of the serialized message."""
+    delay_s: float = 0.0
+    """From publication to reception, each by the clock of its own host: beside a constant, how late it came."""
+    waited_s: float = 0.0
+    """From reception to the look that took it."""
+
+
+class Track:
+    """One publisher.
+
+    Invariant: of what is kept, sequence numbers rise and source times do not fall; whatever breaks that
+    (restart, a clock that was set) starts the window anew.
+    """
+
+    def __init__(self, window_s: float) -> None:
+        self.window_s = window_s
+        self._kept: deque[Sample] = deque(maxlen=10_000)
+        self._counted = 0
+        self._falls: deque[float] = deque(maxlen=FALLS)
+        self._beat = Beat()
+        self._pace = Pace()
+        self._usual: tuple[float | None, float | None] = (None, None)
+        """Rate and jitter as of the last look that was as usual."""
+        self._odd_from: Sample | None = None
+        self._changed_from: Sample | None = None
+        """The newest sample before the looks that show another rate; the same where they were enough."""
+        self._quickest = Recent(QUICKEST_S)
+        self.last: Sample | None = None
+        self.fell = False
+        """Whether the number of the newest sample fell below that of the one before."""
+        self.turned = False
+        """Whether the newest sample showed that its rate has become another one."""
+        self.began_s = 0.0
+        self._first: int | None = None
+        self.replaced = False
+        """Whether it has been found to be the new life of another one."""
+
+    def add(self, sample: Sample) -> bool:
+        """Take the next sample; False when it does not continue what was before."""
+        numbered = sample.sequence is not None
+        if not numbered:
+            # No sequence numbers: the deep queue hands over every sample, so counting gives them.
+            self._counted += 1
+            sample = replace(sample, sequence=self._counted)
+        if self.last is None:
+            self.began_s, self._first = sample.at_s, sample.sequence
+        self.fell = self.turned = False
+        continues = self.last is None or self._continues(self.last, sample, numbered)
+        if not continues:
+            self.forget()
+        self._kept.append(sample)
+        while sample.at_s - self._kept[0].at_s > self.window_s and len(self._kept) > 2:
+            self._kept.popleft()
+        if self._pace.steady:
+            jitter_s = self.jitter_s
+            self._usual, self._odd_from = (self.hz, self._usual[1] if jitter_s is None else jitter_s), sample
+        self._quickest.add(-sample.delay_s, sample.at_s)
+        self.last = sample
+        return continues
+
+    def _continues(self, last: Sample, sample: Sample, numbered: bool) -> bool:
+        assert last.sequence is not None and sample.sequence is not None
+        count = sample.sequence - last.sequence
+        if count <= 0:
+            self._falls.append(sample.at_s)
+            self.fell = True
+            return False
+        published_s = (sample.source_ns - last.source_ns) / 1e9
+        # Samples that are only counted may be of several publishers, and come in any order.
+        if (numbered and published_s < 0) or abs(published_s - (sample.at_s - last.at_s)) > JUMP_S:
+            self._quickest.clear()
+            return False
+        if self._kept:  # else this is the first sample after a silence
+            if numbered and self._pace.add(count, published_s, *self._usual):
+                self._change()
+            self._beat.add(count, published_s)
+        return True
+
+    def _change(self) -> None:
+        """What was before is of another rate."""
+        self._changed_from, self.turned = self._odd_from, True
+        assert self._changed_from is not None
+        while self._kept[0].at_s < self._changed_from.at_s:
+            self._kept.popleft()
+        self._beat = Beat()
+
+    def forget(self) -> None:
+        """Begin anew: what comes after a silence must not be averaged with it."""
+        self._kept.clear()
+        self._pace.forget()
+        self._changed_from = None
+
+    def mixed(self, now_s: float) -> bool:
+        """Whether these numbers can only be those of several publishers."""
+        return len(self._falls) == FALLS and now_s - self._falls[0] <= FALLS_S
+
+    @property
+    def span_s(self) -> float:
+        """Publication time between the oldest and the newest sample of the window."""
+        return (self._kept[-1].source_ns - self._kept[0].source_ns) / 1e9 if self._kept else 0.0
+
+    @property
+    def hz(self) -> float | None:
+        """None until the window is long enough."""
+        if self.span_s < SHORTEST_S:
+            return None
+        first, last = self._kept[0].sequence, self._kept[-1].sequence
+        assert first is not None and last is not None
+        return (last - first) / self.span_s
+
+    @property
+    def changed_s(self) -> float | None:
+        """For how long it has had another rate than before, at each look; None: not that began within the window."""
+        return self.span_s if self._kept and self._kept[0] is self._changed_from else None
+
+    @property
+    def jitter_s(self) -> float | None:
+        """See `Beat`."""
+        return self._beat.jitter_s
+
+    @property
+    def at_s(self) -> float:
+        """When its newest sample was looked at; -inf before the first."""
+        return -math.inf if self.last is None else self.last.at_s
+
+    def takes_place(self, of: Track, most: float) -> bool:
+        """Whether it is the new life of another one: began after its end, with a number of `most`, and for no third one."""
+        assert self._first is not None
+        return self._first <= most and self.began_s > of.at_s and not self.replaced
+
+    def age_s(self, now_s: float) -> float | None:
+        """Seconds since the newest sample was published, against the quickest delivery of late."""
+        last, quickest = self.last, self._quickest.most
+        if last is None or quickest is None:
+            return None
+        return now_s - last.at_s + last.waited_s + last.delay_s + quickest
+
+    def clock_age_s(self, now_s: float) -> float | None:
+        """The same by the clocks of both hosts as they are; None when that cannot be true."""
+        if self.last is None:
+            return None
+        age_s = now_s - self.last.at_s + self.last.waited_s + self.last.delay_s
+        return age_s if age_s >= 0 else None
+
+
+class Beat:
+    """How evenly a publisher publishes, from what one look in a while can see of it.
+
+    Between two looks `count` samples are published in `seconds`. `jitter_s` is the standard deviation of
+    `seconds - count * period`. Where each period is seen by itself (topics slower than the looks, 4 Hz) that is the
+    standard deviation of the period. Of faster ones it is that of publication times against an even beat, which is
+    the same for a timer; where each period is drawn anew it is larger by the square root of `count`.
+    """
+
+    FADE = 0.98
+    """The weight of a look after the next one: half of all weight lies on the last 34."""
+    LEAST = 5.0
+
+    def __init__(self) -> None:
+        self._weight = self._count = self._seconds = self._counts2 = self._cross = self._seconds2 = 0.0
+
+    def add(self, count: int, seconds: float) -> None:
+        fade = self.FADE
+        self._weight = self._weight * fade + 1.0
+        self._count = self._count * fade + count
+        self._seconds = self._seconds * fade + seconds
+        self._counts2 = self._counts2 * fade + count * count
+        self._cross = self._cross * fade + count * seconds
+        self._seconds2 = self._seconds2 * fade + seconds * seconds
+
+    @property
+    def jitter_s(self) -> float | None:
+        """None until at least LEAST looks have been made."""
+        if self._weight < self.LEAST - 0.5:
+            return None
+        period_s = self._seconds / self._count
+        squares = self._seconds2 - 2 * period_s * self._cross + period_s**2 * self._counts2
+        return math.sqrt(max(0.0, squares / self._weight))

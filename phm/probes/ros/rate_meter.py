@@ -1,0 +1,265 @@
+"""Topic rates without reading the messages, from the sequence numbers that the publisher itself counts.
+
+A reader with a queue of one, never put in an executor, lets the middleware overwrite sample after sample
+in C++; Python looks at one of them each tick. Its sequence number says how many were published since the
+last look, its source timestamp how much time passed between those two publications. So the rate is exact
+however few samples are looked at, and what Python spends does not grow with the rate. The stamps are the
+middleware's own, of the publisher's system clock: `use_sim_time` does not touch them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from phm.facts.ros import RateFact
+from phm.probes.ros.publisher_demux import Sorter
+from phm.probes.ros.publisher_restarts import Restarts, gone_after_s
+from phm.probes.ros.publisher_stats import Sample, Track
+from phm.probes.ros.rate_uncertainty import Spread
+from phm.probes.ros.silence_timeout import Silence
+
+WINDOW_S, PERIODS = 3.0, 3
+"""A rate is measured over this time, or so many expected periods where that is longer."""
+WIDE_S, WIDE_PERIODS, WIDE_MOST_S = 10.0, 10, 60.0
+"""The same for an uneven publisher, but not over more than WIDE_MOST_S because of the periods."""
+UNEVEN = 0.1
+"""Share of the expected rate by which a rate must stray for that."""
+COUNTED = 20
+"""Samples of several publishers that a rate is counted from, at least: they come in no even beat."""
+LATE_S, STALL_S = 0.5, 1.0
+"""Looks further apart than LATE_S, two ticks, tell that PHM itself did not run: of that time half counts as silence of the
+publisher, so that a starved PHM still finds it, and of the longest pause nothing that is beyond STALL_S."""
+_SHARE = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Listening:
+    """Under which circumstances samples were looked for.
+
+    publishers: listed by discovery. several: whether samples may be of more than one. on: whether there was a
+    subscription since the last look. complete: whether the samples are all that were published since. closed_s: how
+    long there may be no subscription. problem: why there can be no rate.
+    """
+
+    publishers: int = 1
+    several: bool = False
+    on: bool = True
+    complete: bool = False
+    closed_s: float = 0.0
+    matched: int | None = None
+    problem: str = ""
+
+
+ALONE = Listening()
+
+
+class Meter:
+    """Judges nothing: turns the samples of one topic into a `RateFact`.
+
+    expected_hz and silence_s only set for how long samples are kept and from when on the topic
+    counts as silent, max(3 periods, silence_s) at most (see `Silence`); then the rate is 0.0. expected_hz 0 is a
+    latched topic, which never counts as silent.
+    """
+
+    def __init__(self, expected_hz: float, silence_s: float) -> None:
+        self._expected_hz = expected_hz
+        self._narrow_s = max(WINDOW_S, PERIODS / expected_hz) if expected_hz else WINDOW_S
+        wide_s = min(WIDE_MOST_S, WIDE_PERIODS / expected_hz) if expected_hz else 0.0
+        self._wide_s = max(WIDE_S, wide_s, self._narrow_s)
+        self._spread = Spread(self._narrow_s)
+        self._counted_over_s = max(WINDOW_S, COUNTED / expected_hz) if expected_hz else WINDOW_S
+        self._silence = Silence(expected_hz, max(3.0 / expected_hz, silence_s)) if expected_hz else None
+        self._tracks: dict[bytes | None, Track] = {}
+        self._sorter: Sorter | None = None
+        self._last_look_s: float | None = None
+        self._last_s: float | None = None
+        self._quiet_s = 0.0
+        self._paused_s = 0.0
+        self._held: tuple[float, float] | None = None
+        self._restarts = Restarts(expected_hz)
+        self._samples = 0
+        self._uneven = False
+        self.sample_bytes: float | None = None
+
+    def look(self, now_s: float, samples: Sequence[Sample], listening: Listening = ALONE) -> RateFact:
+        """Called once a tick, with what arrived since the last one, oldest first."""
+        self._listen(now_s, samples, listening)
+        if samples:
+            self._take(now_s, samples, listening)
+        self._drop_gone(now_s, listening)
+        self._restarts.settle(now_s, listening.closed_s, mixed=self.mixed(now_s))
+        silent = self._silence is not None and self._last_s is not None and self._quiet_s > self._silence.limit_s
+        if silent:
+            self.forget()
+        return self._fact(now_s, listening, silent)
+
+    @property
+    def span_s(self) -> float:
+        """Publication time that is measured over."""
+        return max((track.span_s for track in self._tracks.values()), default=0.0)
+
+    def mixed(self, now_s: float) -> bool:
+        """Whether the numbers of what seems one publisher can only be those of several."""
+        return any(track.mixed(now_s) for track in self._tracks.values())
+
+    def hold(self) -> None:
+        """What comes next does not continue what was seen so far, for no fault of the publisher: keep the rate."""
+        hz = self._sum()
+        held = self._held if hz is None else (hz, self.span_s)
+        self.forget()
+        self._held = held
+
+    def forget(self) -> None:
+        """Measure anew."""
+        self._held = None
+        self._spread.forget()
+        for track in self._tracks.values():
+            track.forget()
+
+    # ---- taking in
+
+    def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
+        """Count the time in which there was no sample though one would have been heard."""
+        passed_s = now_s - self._last_look_s if self._last_look_s is not None else 0.0
+        self._last_look_s = now_s
+        if not samples and listening.on:
+            longest_s = max(self._paused_s, passed_s)
+            # Of the pauses until now only the longest one is cut short.
+            self._quiet_s += _listened_s(passed_s) - _cut_s(longest_s) + _cut_s(self._paused_s)
+            self._paused_s = longest_s
+
+    def _take(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
+        before_s, self._last_s = self._last_s, now_s
+        if listening.several and samples[0].writer is None and samples[0].sequence is not None:
+            if self._sorter is None:
+                self._sorter = Sorter(self._counted_over_s)
+                self._hand_over()
+            samples = self._sorter.sort(samples, listening.publishers, complete=listening.complete)
+        elif self._sorter is not None:
+            self._take_back()
+        steady = True
+        for sample in samples:
+            steady = self._add(sample) and steady
+        self._samples += len(samples)
+        if self._silence is not None and before_s is not None and steady:
+            self._silence.ended(self._quiet_s, now_s)
+        self._quiet_s = self._paused_s = 0.0
+
+    def _hand_over(self) -> None:
+        """To the sorter, what was one publisher so far: it may be the one that another takes the place of."""
+        assert self._sorter is not None
+        if (alone := self._tracks.pop(None, None)) is not None and alone.last is not None:
+            self._tracks[self._sorter.adopt(alone.last, alone.hz)] = alone
+
+    def _take_back(self) -> None:
+        """One publisher is left: it is the one that was heard last."""
+        newest = max(self._tracks.values(), key=lambda track: track.at_s, default=None)
+        self._sorter = None
+        self._tracks.clear()
+        if newest is not None:
+            self._tracks[None] = newest
+
+    def _add(self, sample: Sample) -> bool:
+        """False when it does not continue what was seen of its publisher."""
+        track = self._tracks.get(sample.writer)
+        new = track is None
+        if track is None:
+            track = self._tracks[sample.writer] = Track(self._narrow_s)
+            self._restarts.back(sample.writer)
+        if self.sample_bytes is None:
+            self.sample_bytes = float(sample.size)
+        self.sample_bytes += _SHARE * (sample.size - self.sample_bytes)
+        track.window_s = self._wide_s if self._uneven else self._narrow_s
+        last, hz = track.last, track.hz
+        self._restarts.hear(sample, last)
+        continues = track.add(sample)
+        if track.turned:
+            self._spread.forget()  # that it was another rate before is no unevenness
+        if track.fell and last is not None:
+            self._restarts.fell(last, hz)
+        return continues and not new
+
+    def _drop_gone(self, now_s: float, listening: Listening) -> None:
+        """Forget publishers that fell silent while another goes on; one that came since took the place of one."""
+        if len(self._tracks) < 2 or self._last_s is None:
+            return
+        sure = self._sorter is None or not self._sorter.puzzled(listening.publishers, now_s)
+        for writer, track in list(self._tracks.items()):
+            if self._last_s - track.at_s <= gone_after_s(track.hz or 0.0) + listening.closed_s:
+                continue
+            del self._tracks[writer]
+            if sure:
+                self._restarts.gone(writer, track, list(self._tracks.values()))
+
+    # ---- telling
+
+    def _fact(self, now_s: float, listening: Listening, silent: bool) -> RateFact:
+        problem = listening.problem or ("" if silent else self._ambiguous(now_s, listening.publishers))
+        hz, window_s = self._hz(), self.span_s
+        if hz is None and self._held is not None:
+            hz, window_s = self._held
+        if problem:
+            hz = None
+        elif silent:
+            hz = 0.0
+        error_hz = self._error_hz(now_s, hz, window_s)
+        newest = max(self._tracks.values(), key=lambda track: track.at_s, default=None)
+        return RateFact(
+            _rounded(hz),
+            None if self._last_s is None else round(now_s - self._last_s, 3),
+            round(window_s, 3),
+            self._samples,
+            problem,
+            None if self._silence is None else round(self._silence.limit_s + listening.closed_s, 3),
+            _rounded(newest.jitter_s if newest is not None and not listening.several else None),
+            _rounded(self._age_s(newest, now_s)),
+            listening.publishers,
+            listening.matched,
+            self._restarts.count,
+            _rounded(self.sample_bytes),
+            _rounded(error_hz),
+            _rounded(newest.changed_s if newest is not None and hz and len(self._tracks) == 1 else None),
+        )
+
+    def _error_hz(self, now_s: float, hz: float | None, window_s: float) -> float | None:
+        if not hz:
+            return None
+        self._spread.add(now_s, hz, window_s)
+        self._uneven = (self._spread.error_hz(self._narrow_s) or 0.0) > UNEVEN * self._expected_hz
+        return self._spread.error_hz(window_s)
+
+    def _sum(self) -> float | None:
+        """Of all publishers together, or None while one of them is not known."""
+        rates = [track.hz for track in self._tracks.values()]
+        known = [hz for hz in rates if hz is not None]
+        return sum(known) if known and len(known) == len(rates) else None
+
+    def _hz(self) -> float | None:
+        counted_hz = None if self._sorter is None else self._sorter.counted_hz
+        return self._sum() if counted_hz is None else counted_hz
+
+    def _ambiguous(self, now_s: float, publishers: int) -> str:
+        sorter = self._sorter
+        if sorter is None or sorter.counted_hz is not None or not sorter.puzzled(publishers, now_s):
+            return ""
+        return f"ambiguous: {publishers} publishers, whose numbers cannot be told apart"
+
+    def _age_s(self, newest: Track | None, now_s: float) -> float | None:
+        if newest is None:
+            return None
+        return newest.age_s(now_s) if self._silence is not None else newest.clock_age_s(now_s)
+
+
+def _listened_s(passed_s: float) -> float:
+    """Of the time between two looks, what counts as silence."""
+    return passed_s if passed_s <= LATE_S else passed_s / 2
+
+
+def _cut_s(longest_s: float) -> float:
+    """Of what counts of the longest time between two looks, what does not all the same: PHM stood still."""
+    return max(0.0, (longest_s - STALL_S) / 2)
+
+
+def _rounded(number: float | None) -> float | None:
+    return None if number is None else round(number, 6)

@@ -1,0 +1,118 @@
+"""What nodes say of themselves, kept by the daemon: the newest of each, with when it was heard."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from phm.facts.ros import BeaconFact, DiagnosticFact
+from phm.probes.ros.fact_codec import changer
+from phm.probes.ros.protocol import Heard
+
+_aged_beacon = changer(BeaconFact, "age_s")
+_aged_status = changer(DiagnosticFact, "age_s")
+_late_beacon = changer(BeaconFact, "not_counted_s")
+_late_status = changer(DiagnosticFact, "not_counted_s")
+_Fact = TypeVar("_Fact", BeaconFact, DiagnosticFact)
+
+MAX_NAMES = 500
+"""Of beacons, and of diagnostics, that are not configured: names come from outside, and must not fill the memory."""
+SILENT_MISSES = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Own:
+    """What the configuration names: full names of nodes, and patterns of statuses with `*` and `?`."""
+
+    nodes: frozenset[str] = frozenset()
+    statuses: tuple[str, ...] = ()
+
+    def is_node(self, name: str) -> bool:
+        return name in self.nodes
+
+    def is_status(self, name: str) -> bool:
+        return any(_pattern(words).fullmatch(name) for words in self.statuses)
+
+
+@functools.cache
+def _pattern(words: str) -> re.Pattern[str]:
+    """Only `*` and `?` are special, as in the check of diagnostics."""
+    parts = {"*": ".*", "?": "."}
+    return re.compile("".join(parts.get(char, re.escape(char)) for char in words), re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Hearsay:
+    """Immutable, so that it can be read without a lock. Values are (monotonic seconds when it was told, fact)."""
+
+    beacons: Mapping[str, tuple[float, BeaconFact]] = field(default_factory=dict)
+    diagnostics: Mapping[str, tuple[float, DiagnosticFact]] = field(default_factory=dict)
+    refused: int = 0
+    """Messages on the beacons' topic that were none."""
+    lost_at: float | None = None
+    """When more beacons came than are read."""
+    own: Own = field(default_factory=Own)
+
+    def with_news(self, news: Heard, now_s: float) -> Hearsay:
+        beacons = {**self.beacons, **{name: (now_s, fact) for name, fact in news.beacons.items()}}
+        for name, age_s in news.ages.items():
+            if name in beacons:
+                beacons[name] = (now_s, _aged_beacon(beacons[name][1], age_s))
+        diagnostics = {**self.diagnostics, **{name: (now_s, fact) for name, fact in news.diagnostics.items()}}
+        return Hearsay(
+            _newest(beacons, self.own.is_node),
+            _newest(diagnostics, self.own.is_status),
+            max(self.refused, news.refused),
+            now_s if news.lost else self.lost_at,
+            self.own,
+        )
+
+    def differs(self, news: Heard) -> bool:
+        """Whether there is news worth a look at once.
+
+        A status with another level than before, or a new one that is not OK; a beacon that is new, wavers, or comes back.
+        """
+        if any(
+            fact.level != (self.diagnostics[name][1].level if name in self.diagnostics else 0)
+            for name, fact in news.diagnostics.items()
+        ):
+            return True
+        return any(
+            name not in self.beacons or _state(fact) != _state(self.beacons[name][1])
+            for name, fact in news.beacons.items()
+        )
+
+    def since(
+        self, now_s: float, late: Callable[[float], float] = lambda passed_s: 0.0
+    ) -> tuple[dict[str, BeaconFact], dict[str, DiagnosticFact]]:
+        """All of it that proves something, with ages as of `now_s`. late: of so many seconds until then, those in which the child did
+        not run."""
+        beacons = {name: _aged_beacon(fact, fact.age_s + now_s - at) for name, (at, fact) in self.beacons.items()}
+        statuses = {name: _aged_status(fact, fact.age_s + now_s - at) for name, (at, fact) in self.diagnostics.items()}
+        beacons |= {name: _late_beacon(fact, late_s) for name, fact in beacons.items() if (late_s := late(fact.age_s))}
+        statuses |= {
+            name: _late_status(fact, late_s) for name, fact in statuses.items() if (late_s := late(fact.age_s))
+        }
+        return {name: fact for name, fact in beacons.items() if not self._unproved(fact, now_s)}, statuses
+
+    def _unproved(self, fact: BeaconFact, now_s: float) -> bool:
+        """Whether it is silent, and may have been lost among too many."""
+        return fact.missed > SILENT_MISSES and self.lost_at is not None and now_s - self.lost_at < fact.age_s
+
+
+def _state(fact: BeaconFact) -> tuple[object, ...]:
+    """What must not change unnoticed: the life, who else has its name, whether two or three beats are missing, how late the
+    executor is, roughly."""
+    return fact.birth, fact.rivals, fact.copied_by, fact.missed > 2.0, fact.missed > 3.0, int(fact.late_s).bit_length()
+
+
+def _newest(found: dict[str, tuple[float, _Fact]], is_own: Callable[[str], bool]) -> dict[str, tuple[float, _Fact]]:
+    """What is configured, and of the rest at most MAX_NAMES, those received last."""
+    if len(found) <= MAX_NAMES:
+        return found
+    others = sorted((name for name in found if not is_own(name)), key=lambda name: found[name][0])
+    dropped = set(others[: max(0, len(others) - MAX_NAMES)])
+    return {name: entry for name, entry in found.items() if name not in dropped}

@@ -1,0 +1,448 @@
+"""The daemon's side of the ROS probe: keeps a child process that looks at ROS, and answers from its reports.
+
+Whatever happens to the child, `look` answers at once: with its newest picture, or with `CannotTell` and a
+sentence. A child that exits, falls silent or grows too large is replaced, at longer and longer intervals.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import phm
+from phm.core import threads
+from phm.core.clock import Clock
+from phm.core.scheduling_delay import NOISE_S, Lateness, Progress
+from phm.core.settings import Settings
+from phm.facts import CannotTell, RosFact
+from phm.facts.ros import DiagnosticFact
+from phm.probes.ros.child_process import Life
+from phm.probes.ros.graph_snapshot import View, again_s
+from phm.probes.ros.protocol import (
+    EXIT_MISSING,
+    INSTALLS,
+    LINE_LIMIT,
+    Message,
+    Missing,
+    Picture,
+    ProtocolError,
+    Publish,
+    Remark,
+    Sandbox,
+    Tick,
+    Wanted,
+    WantedTopic,
+    decode,
+    encode_order,
+    encode_wanted,
+)
+from phm.probes.ros.self_reports import SILENT_MISSES, Hearsay, Own
+from phm.probes.ros.stale_nodes import DOUBT_S, Ghosts
+from phm.probes.ros.unnamed_participants import UNNAMED_S, Unnamed
+
+NOT_INSTALLED = (
+    "rclpy is not installed here: ROS checks are off; "
+    "on x86-64 install phm-sidecar[ros], elsewhere use an image FROM a ROS base"
+)
+COMMAND = (sys.executable, "-m", "phm.probes.ros.child")
+OVERLONG = (
+    f"a message of the ROS child was longer than {LINE_LIMIT // 1000} kB and was dropped: what it saw is not known"
+)
+CROWDED = "more messages come on /phm/beacon than PHM reads: beacons may be lost; see which nodes publish there"
+TOLD_S = 30.0
+"""How long a loss is reported."""
+_REMARKS = 20
+"""Different remarks of the child that are written to the log; each is written once."""
+
+# Defaults that the environment may override.
+_ENVIRONMENT = {
+    # Two arenas instead of one for each of the middleware's threads: 10 MB less.
+    "MALLOC_ARENA_MAX": "2",
+    # numpy comes with rclpy's messages and would start a thread for each core.
+    "OPENBLAS_NUM_THREADS": "1",
+    # The sidecar shares no /dev/shm with the application: over shared memory topics are listed and no data comes.
+    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+}
+
+_VARIABLES = frozenset({"PATH", "HOME", "LANG", "LANGUAGE", "TZ", "CYCLONEDDS_URI", "OMP_NUM_THREADS"})
+_PREFIXES = (
+    "LC_", "LD_", "PYTHON", "ROS_", "RMW_", "RCL_", "RCUTILS_", "AMENT_", "COLCON_", "FASTDDS_", "FASTRTPS_", "ZENOH_",
+    "MALLOC_", "OPENBLAS_", "PHM_ROS_", "PHM_DEBUG_ROS_",
+)  # fmt: skip
+"""What the interpreter, ROS and the middleware read; nothing else of the daemon's environment reaches the child."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Deadlines of supervision, in seconds. Tests shorten them."""
+
+    start_s: float = 20.0
+    """From start to the first picture: importing rclpy takes seconds on a small board with an SD card."""
+    silent_s: float = 3.0
+    """Longest time between two messages in which the child could run; it sends four a second."""
+    starved_s: float = 30.0
+    """The same in any case. A child that waits for a core gains nothing from being replaced: its start takes more of it."""
+    weigh_s: float = 1.0
+    doubt_s: float = DOUBT_S
+    unnamed_s: float = UNNAMED_S
+    backoff_s: float = 0.5
+    backoff_max_s: float = 30.0
+    steady_s: float = 60.0
+    """A child that lived this long starts the back-off anew."""
+    missing_s: float = 60.0
+    """Between attempts where there is no rclpy."""
+    goodbye_s: float = 0.2
+    """For the last array to be written to a child that is about to be asked to go."""
+    farewell_s: float = 1.0
+    """For a child that is asked to go, before SIGKILL."""
+
+
+class RosProcess:
+    """Implements `phm.facts.RosProbe`.
+
+    `on_change` is called when the set of nodes or of endpoints, or a topic's silence changed, and when the
+    view is lost; `on_note` with a sentence for the log. Both are called from the probe's own thread and
+    must be quick. Everything shared with that thread is guarded by one lock, held for moments only.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        clock: Clock,
+        on_change: Callable[[], None],
+        on_note: Callable[[str], None],
+        environ: Mapping[str, str] | None = None,
+        *,
+        command: Sequence[str] = COMMAND,
+        limits: Limits = Limits(),
+    ) -> None:
+        self._clock = clock
+        self._on_change = on_change
+        self._on_note = on_note
+        self._environ = child_environ(settings, os.environ if environ is None else environ)
+        looked_for = wanted(settings)
+        self._first_line = encode_wanted(looked_for)
+        self._nodes = frozenset(looked_for.nodes)
+        self._blank = View(hearsay=Hearsay(own=Own(self._nodes, looked_for.watch)), again_s=again_s(settings.ros.grace))
+        self._max_memory = settings.ros.max_memory
+        self._command = tuple(command)
+        self._limits = limits
+        self._ghosts = Ghosts(limits.doubt_s)
+        self._unnamed = Unnamed(limits.unnamed_s)
+        self._lock = threading.Lock()
+        self._view = self._blank
+        self._late = Lateness()
+        self._post = b""
+        self._unsent = 0
+        self._remarks: set[str] = set()
+        self._dropped_s: float | None = None
+        self._why = "the ROS child has not been started yet"
+        self._renew = ""
+        self._closing = False
+        self._restarts = 0
+        self._pid = 0
+        self._sandbox: str | None = None
+        self._last_note = ""
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to look. Returns at once."""
+        self._thread = threading.Thread(target=self._run, name="phm-ros", daemon=True)
+        threads.start(self._thread)
+
+    @property
+    def restarts(self) -> int:
+        """How often the child was replaced because of a fault of its own; not counted: `renew`, no rclpy."""
+        return self._restarts
+
+    @property
+    def pid(self) -> int:
+        """Of the child now; 0 when there is none."""
+        return self._pid
+
+    @property
+    def sandbox(self) -> str | None:
+        """What the kernel did not offer to restrict the child with; empty: nothing is missing. None: not known yet."""
+        return self._sandbox
+
+    def look(self) -> RosFact:
+        """The newest picture. Raises CannotTell while there is none that is fresh."""
+        with self._lock:
+            view, why = self._view, self._why
+        if view.picture is None:
+            raise CannotTell(why)
+        fact = view.fact(view.picture, self._clock.mono(), self._late_s)
+        if fact.age_s > self._limits.silent_s:
+            raise CannotTell(f"the ROS child has sent no picture of the ROS graph for {fact.age_s:.1f} s")
+        return fact
+
+    def _late_s(self, since: float, most_s: float | None = None) -> float:
+        """Of the child, as `Clock.late_s` is of the daemon."""
+        return self._late.late_s(since, self._clock.mono(), most_s)
+
+    def problems(self) -> tuple[str, ...]:
+        """What keeps PHM from seeing all of the graph, in sentences."""
+        with self._lock:
+            view, times = self._view, {OVERLONG: self._dropped_s, CROWDED: self._view.hearsay.lost_at}
+        found = view.picture.problems if view.picture is not None else ()
+        now_s = self._clock.mono()
+        return (*found, *(words for words, at in times.items() if at is not None and now_s - at < TOLD_S))
+
+    def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
+        """Have the child publish these on /diagnostics, by name; never blocks. Nothing while there is no child that answers.
+
+        Returns how many in a row it has not taken: what waits is replaced by what is newer.
+        """
+        line = encode_order(Publish(self._clock.utc(), statuses))
+        with self._lock:
+            if self._view.picture is None or self._closing:
+                return 0
+            self._unsent = self._unsent + 1 if self._post else 0
+            self._post = line
+            self._poke()
+            return self._unsent
+
+    def renew(self, reason: str) -> None:
+        """Replace the child on purpose: the network changed under it. Returns at once."""
+        with self._lock:
+            if self._closing:
+                return
+            self._renew = reason
+            self._poke()
+
+    def close(self) -> None:
+        """End the child and the thread. Safe to call twice."""
+        with self._lock:
+            if self._closing:
+                return
+            self._closing = True
+        self._poke()
+        if self._thread is not None:
+            threads.join(self._thread, self._limits.farewell_s + 5.0)
+        if self._thread is None or not self._thread.is_alive():
+            self._lose("the ROS probe is closed")
+            os.close(self._wake)
+
+    # ---- the thread
+
+    def _run(self) -> None:
+        backoff_s = self._limits.backoff_s
+        while not self._closing:
+            began_s = self._clock.mono()
+            try:
+                sentence, wait_s = self._one_life()
+            except Exception as error:  # a mistake of ours must not end the supervision
+                sentence, wait_s = f"the ROS probe failed: {error!r}", None
+            if self._clock.mono() - began_s >= self._limits.steady_s:
+                backoff_s = self._limits.backoff_s
+                self._last_note = ""
+            if wait_s is None:
+                wait_s, backoff_s = backoff_s, min(2 * backoff_s, self._limits.backoff_max_s)
+                self._restarts += 1
+            self._lose(sentence)
+            self._pause(wait_s)
+        self._lose("the ROS probe is closed")
+
+    def _one_life(self) -> tuple[str, float | None]:
+        """Start a child and follow it to its end: why it ended, and how long to wait (None: back off)."""
+        with self._lock:
+            self._why = "the ROS child is starting" if self._restarts == 0 else f"{self._why}; a new one is starting"
+            self._renew = ""
+        try:
+            life = Life(self._command, self._environ, self._first_line)
+        except OSError as error:
+            return self._told(f"the ROS child cannot be started: {error}"), None
+        self._pid = life.pid
+        missing: list[Missing] = []
+        try:
+            reason = self._attend(life, missing)
+        finally:
+            orderly = self._closing or bool(self._renew)
+            life.end(self._limits.farewell_s if orderly or life.over else 0.0)
+            self._pid = 0
+        if self._closing:
+            return "the ROS probe is closed", 0.0
+        if self._renew:
+            return self._told(f"the ROS child is renewed: {self._renew}"), 0.0
+        if life.exit_code == EXIT_MISSING and missing:
+            return self._told(_missing_sentence(missing[-1])), self._limits.missing_s
+        return self._told(f"the ROS child {reason or life.obituary()}"), None
+
+    def _attend(self, life: Life, missing: list[Missing]) -> str:
+        """Read until it must be replaced; returns why, or nothing when it ended by itself or on request."""
+        heard_s = weighed_s = looked_s = self._clock.mono()
+        progress, held_s = Progress(life.pid), 0.0
+        limit_s = self._limits.start_s
+        dropped = 0
+        while not life.over and not self._closing and not self._renew:
+            self._hand_post(life)
+            lines = life.read(min(0.5, limit_s / 2), self._wake)
+            self._drain()
+            before_s, now_s = looked_s, self._clock.mono()
+            looked_s = now_s
+            held_s = 0.0 if lines else held_s + max(progress.turn(now_s), self._clock.late_s(before_s))
+            if life.dropped > dropped:
+                dropped = life.dropped
+                self._lose_sight(now_s)
+            for line in lines:
+                try:
+                    message = decode(line)
+                except ProtocolError:
+                    continue  # garbage is no sign of life either
+                heard_s = now_s
+                if isinstance(message, Missing):
+                    missing.append(message)
+                elif isinstance(message, Sandbox):
+                    self._note_sandbox(message)
+                else:
+                    limit_s = self._limits.silent_s
+                    self._take(message, now_s)
+            if now_s - heard_s - held_s > limit_s or now_s - heard_s > limit_s + self._limits.starved_s:
+                held = f", beside {held_s:.0f} s in which it did not get to run," if held_s >= 1.0 else ""
+                return f"said nothing for {limit_s:g} s{held} and was killed"
+            if now_s - weighed_s >= self._limits.weigh_s:
+                weighed_s = now_s
+                self._doubt(now_s)
+                if (rss := life.rss_bytes()) > self._max_memory:
+                    return f"used {rss / 1e6:.0f} MB, allowed are {self._max_memory / 1e6:.0f} MB, and was killed"
+        if self._closing:
+            self._say_goodbye(life)
+        return ""
+
+    def _note_sandbox(self, message: Sandbox) -> None:
+        if message.missing and message.missing != self._sandbox:
+            self._on_note(f"the ROS child is not fully restricted: {message.missing}")
+        self._sandbox = message.missing
+
+    def _doubt(self, now_s: float) -> None:
+        """What is listed twice, or without a name, for too long may be a mistake of this participant: another one shows."""
+        picture = self._view.picture
+        if picture is None:
+            return
+        # Strangers cannot have the child replaced.
+        ghosts = self._ghosts.look({name: picture.nodes.get(name, 0) for name in self._nodes}, now_s)
+        fact = self._view.fact(picture, now_s, self._late_s)
+        beating = {name for name in self._nodes if name in fact.beacons and fact.beacons[name].missed < SILENT_MISSES}
+        unnamed = self._unnamed.look(fact.topics, now_s, beating - fact.nodes.keys())
+        if ghosts:
+            self.renew(f"{', '.join(ghosts)} has been listed more than once for {self._limits.doubt_s:g} s")
+        elif unnamed:
+            names = ", ".join(unnamed[:3])
+            self.renew(f"{names} is in use, and the graph has not named all its nodes for {self._limits.unnamed_s:g} s")
+
+    def _say_goodbye(self, life: Life) -> None:
+        """What waits to be published may be the last word of PHM: the child reads it before the end of its input."""
+        self._hand_post(life)
+        until_s = self._clock.mono() + self._limits.goodbye_s
+        while life.writing and not life.over and self._clock.mono() < until_s:
+            life.read(0.02, self._wake)
+            self._drain()
+
+    def _hand_post(self, life: Life) -> None:
+        with self._lock:
+            if self._post and not life.writing:
+                life.hand(self._post)
+                self._post = b""
+
+    def _take(self, message: Message, now_s: float) -> None:
+        with self._lock:
+            if isinstance(message, (Picture, Tick)) and message.late_s >= NOISE_S:
+                self._late.add(now_s - message.late_s, now_s)
+            changed = self._view.changed_by(message)
+            self._view = self._view.with_message(message, now_s)
+        if isinstance(message, Remark) and message.text not in self._remarks and len(self._remarks) < _REMARKS:
+            self._remarks.add(message.text)
+            self._on_note(message.text)
+        if changed:
+            self._on_change()
+
+    def _lose_sight(self, now_s: float) -> None:
+        """A message was too long: whatever it said of the graph, the newest picture may not be true any more."""
+        with self._lock:
+            had_one = self._view.picture is not None
+            self._view, self._why, self._dropped_s = self._view.without_picture(), OVERLONG, now_s
+        self._told(OVERLONG)
+        if had_one:
+            self._on_change()
+
+    def _lose(self, sentence: str) -> None:
+        with self._lock:
+            had_one = self._view.picture is not None
+            self._view, self._post = self._blank, b""
+            self._why = sentence
+        if had_one and not self._closing:
+            self._on_change()
+
+    def _pause(self, wait_s: float) -> None:
+        """Wait, unless there is something to do: closing, or a wish to renew."""
+        until_s = self._clock.mono() + wait_s
+        while not self._closing and not self._renew and (left_s := until_s - self._clock.mono()) > 0:
+            if select.select([self._wake], [], [], left_s)[0]:
+                self._drain()
+        self._drain()
+
+    def _told(self, sentence: str) -> str:
+        """Write the sentence to the log, but a repeated one only once: a broken child must not fill the log."""
+        if sentence != self._last_note:
+            self._last_note = sentence
+            self._on_note(sentence)
+        return sentence
+
+    def _poke(self) -> None:
+        os.eventfd_write(self._wake, 1)
+
+    def _drain(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(self._wake)
+
+
+def wanted(settings: Settings) -> Wanted:
+    """What the child is asked for: full names of topics, and which of them have a rate to be measured."""
+    ros = settings.ros
+    topics = tuple(
+        WantedTopic(f"/{topic.name.lstrip('/')}", topic.rate, ros.silence if topic.silence is None else topic.silence)
+        for topic in ros.topics
+    )
+    names = [node.name for node in ros.nodes]
+    names += [node for topic in ros.topics for node in (*topic.publishers, *topic.subscribers)]
+    return Wanted(
+        agent=settings.agent.name,
+        domain=ros.domain,
+        topics=topics,
+        listen=_listen(settings),
+        nodes=tuple(dict.fromkeys(f"/{name.lstrip('/')}" for name in names)),
+        watch=tuple(entry.name for entry in ros.diagnostics.watch),
+    )
+
+
+def _listen(settings: Settings) -> tuple[str, ...]:
+    return tuple(f"/{name.lstrip('/')}" for name in settings.ros.diagnostics.listen)
+
+
+def child_environ(settings: Settings, environ: Mapping[str, str]) -> dict[str, str]:
+    """What the child needs of the daemon's environment, which may hold secrets; variables that are set already win."""
+    merged = {**_ENVIRONMENT, **{name: value for name, value in environ.items() if _needed(name)}}
+    if settings.ros.domain is not None:
+        merged["ROS_DOMAIN_ID"] = str(settings.ros.domain)
+    merged[INSTALLS] = os.pathsep.join(settings.ros.installs)
+    # The child must run this very PHM, wherever the daemon found it.
+    home = str(Path(phm.__file__).resolve().parent.parent)
+    merged["PYTHONPATH"] = os.pathsep.join(part for part in (merged.get("PYTHONPATH", ""), home) if part)
+    return merged
+
+
+def _needed(name: str) -> bool:
+    return name in _VARIABLES or name.startswith(_PREFIXES)
+
+
+def _missing_sentence(missing: Missing) -> str:
+    if missing.module.partition(".")[0] == "rclpy" and "." not in missing.module:
+        return NOT_INSTALLED
+    return f"rclpy cannot be loaded here: ROS checks are off; {missing.detail}"

@@ -1,0 +1,166 @@
+"""The gauge of one topic: a reader that follows its publishers, and the meter that its samples go into."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from phm.facts.ros import EndpointFact, RateFact
+from phm.probes.ros.message_types import UnknownType
+from phm.probes.ros.protocol import WantedTopic
+from phm.probes.ros.publisher_demux import DEPTH_MOST, PER_PUBLISHER
+from phm.probes.ros.publisher_stats import SHORTEST_S, Sample
+from phm.probes.ros.rate_meter import Listening, Meter
+from phm.probes.ros.reader import Quality, Reader
+
+LARGE_BPS = 1e6
+"""Bytes per second from which on a topic is listened to in windows only: the middleware copies all of them to PHM."""
+SMALL_BPS = 0.8e6
+PAUSE_S = 2.0
+"""Between two windows. A window ends with the first look that finds a sample."""
+MATCH_S = 3.0
+"""A subscription that is not connected to a listed publisher for this long never will be; it takes 0.1 s."""
+GHOST_S = 25.0
+"""Two publishers of one node are one that was restarted, until the lease of the older (20 s by default) is over."""
+MIXED_S = 60.0
+"""How long numbers that were found mixed are sorted, whatever discovery says; then it is tried again."""
+COUNTED_LOOKS = 4
+"""Without sequence numbers, a queue for as many looks as this at the expected rate, so for up to this times the rate."""
+TYPES = 3
+"""So many are named."""
+COUNTED, COUNTED_MOST = 10, 1000
+
+
+class Gauge:
+    """Follows the publishers of one topic; it never raises for what they are."""
+
+    def __init__(self, node: Any, topic: WantedTopic, tick_s: float = 0.25) -> None:
+        assert topic.rate_hz is not None
+        self._node = node
+        self._name = topic.name
+        self._expected_hz = topic.rate_hz
+        self._tick_s = tick_s
+        self._meter = Meter(topic.rate_hz, topic.silence_s)
+        self._reader: Reader | None = None
+        self._type = ""
+        self._unknown = ""
+        self._counted = False
+        self._large = False
+        self._complete = False
+        """Whether no sample was missed since the last one, as far as the queue can tell."""
+        self._open_at_s = -math.inf
+        self._lonely_since_s: float | None = None
+        self._twins_since_s: float | None = None
+        self._mixed_at_s = -math.inf
+
+    def look(self, now_s: float, publishers: tuple[EndpointFact, ...]) -> RateFact:
+        """Called once a tick, with what discovery says now."""
+        several = self._several(now_s, publishers)
+        listened = self._reader is not None
+        self._follow(now_s, publishers, several)
+        samples = self._take(now_s)
+        matched = self._reader.matched if self._reader is not None else None
+        listening = Listening(
+            publishers=len(publishers),
+            several=several,
+            on=listened,
+            complete=self._complete,
+            closed_s=PAUSE_S if self._large else 0.0,
+            matched=matched,
+            problem=self._problem(now_s, publishers, matched),
+        )
+        fact = self._meter.look(now_s, samples, listening)
+        if samples:
+            self._complete = True
+            self._shut_window(now_s, samples, fact)
+        return fact
+
+    def _take(self, now_s: float) -> list[Sample]:
+        if self._reader is None:
+            return []
+        samples = self._reader.take(now_s)
+        if samples and samples[0].sequence is None and not self._counted:
+            # This middleware does not number its samples: count them all instead.
+            self._counted = True
+            self._close()
+            return []
+        self._complete = self._complete and len(samples) < self._reader.quality.depth
+        return samples
+
+    def _several(self, now_s: float, publishers: Sequence[EndpointFact]) -> bool:
+        """Whether samples may be of more than one publisher. One node restarted is listed twice for a while."""
+        if len(publishers) < 2:
+            self._twins_since_s = None
+        elif self._twins_since_s is None:
+            self._twins_since_s = now_s
+        if self._meter.mixed(now_s):
+            self._mixed_at_s = now_s
+        twins = self._twins_since_s is not None and now_s - self._twins_since_s > GHOST_S
+        mixed = now_s - self._mixed_at_s < MIXED_S
+        # An endpoint is listed a moment before its node's name: no name is not another name.
+        return twins or mixed or len({publisher.node for publisher in publishers if publisher.node}) > 1
+
+    def _follow(self, now_s: float, publishers: Sequence[EndpointFact], several: bool) -> None:
+        """Have a reader that fits, unless this is the time between two windows."""
+        types = sorted({publisher.type for publisher in publishers if publisher.type})
+        if types and self._type not in types:
+            self._close()
+            self._type, self._unknown, self._open_at_s = types[0], "", -math.inf
+        quality = self._quality(publishers, several)
+        if self._reader is not None and publishers and self._reader.quality != quality:
+            self._close()
+        if self._reader is None and self._type and not self._unknown and now_s >= self._open_at_s:
+            self._open(quality)
+
+    def _quality(self, publishers: Sequence[EndpointFact], several: bool) -> Quality:
+        depth = 1
+        if self._counted:
+            looks = COUNTED_LOOKS * self._tick_s * self._expected_hz * max(1, len(publishers))
+            depth = min(COUNTED_MOST, max(COUNTED, math.ceil(looks)))
+        elif several or len(publishers) > 1:
+            # Also of a node that was restarted: whether the older one is gone shows by all that comes, not by the newest.
+            depth = min(DEPTH_MOST, PER_PUBLISHER * max(2, len(publishers)))
+        latched = not self._expected_hz and all(
+            (end.durability, end.reliability) == ("transient_local", "reliable") for end in publishers
+        )
+        return Quality(depth, latched and bool(publishers))
+
+    def _open(self, quality: Quality) -> None:
+        try:
+            self._reader = Reader(self._node, self._name, self._type, quality)
+        except UnknownType as error:
+            self._unknown = str(error)
+        if self._counted:
+            self._meter.hold()
+
+    def _close(self) -> None:
+        if self._reader is not None:
+            self._reader.close()
+        self._reader = self._lonely_since_s = None
+        self._complete = False
+
+    def _shut_window(self, now_s: float, samples: Sequence[Sample], fact: RateFact) -> None:
+        """A large topic was seen: nothing more is wanted of it for a while."""
+        hz = fact.hz or self._expected_hz
+        self._large = (self._meter.sample_bytes or 0.0) * hz > (SMALL_BPS if self._large else LARGE_BPS)
+        if not self._large or (self._counted and self._meter.span_s < SHORTEST_S):
+            return
+        self._close()
+        self._open_at_s = now_s + PAUSE_S
+
+    def _problem(self, now_s: float, publishers: Sequence[EndpointFact], matched: int | None) -> str:
+        """Why no rate can be told, whatever the samples say."""
+        types = sorted({publisher.type for publisher in publishers if publisher.type})
+        if len(types) > 1:
+            more = f" and {len(types) - TYPES} more" if len(types) > TYPES else ""
+            return f"ambiguous: published as {' and as '.join(types[:TYPES])}{more}"
+        if self._unknown:
+            return self._unknown
+        if matched != 0 or not publishers:
+            self._lonely_since_s = None
+        elif self._lonely_since_s is None:
+            self._lonely_since_s = now_s
+        if self._lonely_since_s is not None and now_s - self._lonely_since_s > MATCH_S:
+            return "QoS mismatch: the middleware does not connect PHM with the publisher (another partition, or another definition of its type?)"
+        return ""

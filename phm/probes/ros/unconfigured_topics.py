@@ -1,0 +1,107 @@
+"""The topics that the configuration does not name, with the nodes that use them: there a misspelt name shows.
+
+Runs in the child alone. Names cost microseconds; endpoints cost 50 us a topic and are read when their count changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from typing import Any
+
+from phm.facts.ros import NameFact
+from phm.probes.ros.graph import NOT_UTF8, endpoints
+from phm.probes.ros.raw_names import undecodable
+
+LOOK_S = 2.0
+MAX_TOPICS = 200
+MAX_NAMES_BYTES = 200_000
+"""For the names of topics and of their nodes together; the longest are left out."""
+MAX_NODES = 8
+"""Of one side of one topic: who is many is not misspelt."""
+MAX_COUNTED = 2000
+"""Topics whose ends are counted: that takes some 20 ms."""
+MAX_READS = 50
+"""Topics whose endpoints are read in one look; the rest has its turn in the next."""
+_UNREAD = (-1, -1)
+_EVERYWHERE = ("/parameter_events", "/rosout", "/phm/beacon", "/phm/hello")
+
+
+class Names:
+    """The newest view; `look` says whether it is another than before."""
+
+    def __init__(self, node: Any, configured: Collection[str]) -> None:
+        self._node = node
+        self._left_out = frozenset((*configured, *_EVERYWHERE))
+        self._next_s = 0.0
+        self._counts: dict[str, tuple[int, int]] = {}
+        self._facts: dict[str, NameFact] = {}
+        self.names: dict[str, NameFact] = {}
+        self.problem = ""
+        """What could not be read at the last look, in words."""
+
+    def look(self, now_s: float) -> bool:
+        """Every LOOK_S at most: read what has changed."""
+        if now_s < self._next_s:
+            return False
+        self._next_s = now_s + LOOK_S
+        try:
+            counts = self._read_counts()
+        except UnicodeDecodeError as error:
+            self.problem = NOT_UTF8.format(undecodable(error))
+            return False
+        self.problem = ""
+        changed = [name for name, count in counts.items() if count != self._counts.get(name)]
+        changed.sort(key=lambda name: name in self._facts)  # those of which nothing is known yet come first
+        for name in changed[MAX_READS:]:
+            counts[name] = self._counts.get(name, _UNREAD)
+        self._facts = {name: fact for name, fact in self._facts.items() if name in counts}
+        for name in changed[:MAX_READS]:
+            fact = self._read(name)
+            if "" in (*fact.publishers, *fact.subscribers):
+                counts[name] = _UNREAD  # the node's name comes a moment after its endpoint: look again
+            self._facts[name] = NameFact(_named(fact.publishers), _named(fact.subscribers))
+        self._counts = counts
+        before, self.names = (
+            self.names,
+            _fitting({name: fact for name, fact in self._facts.items() if fact != NameFact()}),
+        )
+        return self.names != before
+
+    def _read_counts(self) -> dict[str, tuple[int, int]]:
+        node = self._node
+        names = sorted(name for name, _ in node.get_topic_names_and_types() if self._is_other(name))[:MAX_COUNTED]
+        counts = {name: (node.count_publishers(name), node.count_subscribers(name)) for name in names}
+        # Used from one side only, subscribers first: of very many topics these are the ones to keep.
+        kept = sorted(names, key=lambda name: (counts[name][0] > 0, counts[name][1] > 0, name))[:MAX_TOPICS]
+        return {name: counts[name] for name in kept}
+
+    def _is_other(self, name: str) -> bool:
+        return name not in self._left_out and "/_" not in name
+
+    def _read(self, name: str) -> NameFact:
+        node = self._node
+        try:
+            return NameFact(
+                _nodes(node.get_publishers_info_by_topic(name)), _nodes(node.get_subscriptions_info_by_topic(name))
+            )
+        except UnicodeDecodeError as error:
+            self.problem = NOT_UTF8.format(undecodable(error))
+            return NameFact()
+
+
+def _fitting(facts: dict[str, NameFact]) -> dict[str, NameFact]:
+    sizes = {name: len(name) + sum(map(len, (*fact.publishers, *fact.subscribers))) for name, fact in facts.items()}
+    left = MAX_NAMES_BYTES
+    for name in sorted(sizes, key=lambda name: sizes[name]):
+        left -= sizes[name]
+        if left < 0:
+            del facts[name]
+    return facts
+
+
+def _named(nodes: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(filter(None, nodes))
+
+
+def _nodes(infos: Iterable[Any]) -> tuple[str, ...]:
+    return tuple(sorted({end.node for end in endpoints(infos)}))[:MAX_NODES]

@@ -1,0 +1,67 @@
+"""Topics of which PHM's participant has lost what others still know. Pure; the caller brings time.
+
+When the lease of a node runs out for PHM alone, as on an overloaded machine, Fast DDS forgets the node. At its next announcement
+the endpoints come back. The names do not: they are data of a topic (`ros_discovery_info`) whose writer still has PHM's
+reader as served and sends nothing again (measured with Jazzy and Kilted, for as long as it was waited for). A new participant
+gets all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+from phm.facts.ros import TopicFact
+
+UNNAMED_S = 5.0
+"""An endpoint is listed some milliseconds before the name of its node. On an overloaded machine it takes seconds."""
+FLOWS_S = 1.0
+REST_S, REST_MOST_S = 60.0, 900.0
+"""Between two looks with a new participant. Doubled while they do not help: anyone can make endpoints without a name."""
+
+
+class Unnamed:
+    """Decides for which topics and nodes a new participant is due."""
+
+    def __init__(self, unnamed_s: float = UNNAMED_S) -> None:
+        self._unnamed_s = unnamed_s
+        self._named: set[str] = set()
+        """Topics whose ends all had names when they were looked at last, or before they lost them."""
+        self._since: dict[str, float] = {}
+        self._looked_at: float | None = None
+        self._rest_s = REST_S
+
+    def look(self, topics: Mapping[str, TopicFact], now: float, unlisted: Collection[str] = ()) -> tuple[str, ...]:
+        """Names of topics and nodes. topics: of the newest picture. now: monotonic seconds. unlisted: nodes that beat and are
+        not listed."""
+        for name in [name for name in self._since if name not in topics and name not in unlisted]:
+            del self._since[name]
+        for name in unlisted:
+            self._since.setdefault(name, now)
+        for name, topic in topics.items():
+            complete = _complete(topic)
+            if complete and (topic.publishers or topic.subscribers):
+                self._named.add(name)
+            if complete or not (name in self._named or _flows(topic)):
+                self._since.pop(name, None)
+            else:
+                self._since.setdefault(name, now)
+        due = tuple(sorted(name for name, at in self._since.items() if now - at >= self._unnamed_s))
+        if not due or (self._looked_at is not None and now - self._looked_at < self._rest_s):
+            return ()
+        again = self._looked_at is not None and now - self._looked_at < 2 * self._rest_s
+        self._rest_s = min(2 * self._rest_s, REST_MOST_S) if again else REST_S
+        self._looked_at = now
+        self._since.clear()
+        return due
+
+
+def _complete(topic: TopicFact) -> bool:
+    """Whether all that uses the topic is listed by name."""
+    if any(not end.node for end in (*topic.publishers, *topic.subscribers)):
+        return False
+    return bool(topic.publishers) or not _flows(topic)
+
+
+def _flows(topic: TopicFact) -> bool:
+    rate = topic.rate
+    return rate is not None and bool(rate.hz) and rate.silent_s is not None and rate.silent_s <= FLOWS_S

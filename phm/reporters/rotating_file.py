@@ -1,0 +1,212 @@
+"""A file of lines that outlives what flights do to files: SIGKILL, power cuts, full disks, vanished directories.
+
+Each line is one `os.write` to a descriptor opened with O_APPEND and nothing is kept in user space, so every
+line handed over survives the death of the process. What cannot be written waits in a bounded ring in memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import resource
+import stat
+from collections import deque
+from collections.abc import Callable
+
+from phm.core.clock import Clock
+from phm.wire.json_log import rotated_number
+
+RING_LINES = 1000
+"""Lines kept in memory while the file cannot be written; older ones are dropped and counted."""
+FIRST_RETRY_S = 1.0
+LAST_RETRY_S = 30.0
+HANGS_S = 5.0
+"""A call to the disk that takes longer is told: a dying SD card blocks its writer instead of failing."""
+
+LostLine = Callable[[int, str, bytes], bytes]
+"""Makes the line that says how many lines were lost, why, and which the last of them was."""
+
+
+class RotatingLines:
+    """Appends lines to `path` and rotates it to ``path.1`` .. ``path.<files>`` before it passes `max_size` bytes.
+
+    Invariants: `write` never raises; a file never holds more than `max_size` bytes (a caller's line must be
+    shorter), so all files together hold at most ``(files + 1) * max_size``; lines reach the file in the order
+    in which they were given. One thread writes; `problem` may be asked from any.
+    """
+
+    def __init__(self, path: str, *, max_size: int, files: int, clock: Clock, lost_line: LostLine) -> None:
+        self.path = os.path.abspath(path)
+        self._max_size, self._files, self._clock, self._lost_line = (max_size, files, clock, lost_line)
+        self._fd = -1
+        self._size = 0
+        self._torn = False
+        self._ring: deque[bytes] = deque()
+        self._lost = 0
+        self._last_lost = b""
+        self._reason = ""
+        self._failures = 0
+        self._retry_at = 0.0
+        self._asked_at: float | None = None
+
+    def write(self, line: bytes, *, sync: bool = False) -> None:
+        """Append one line (without its newline). `sync` waits until it is on the disk."""
+        if len(self._ring) >= RING_LINES:
+            self._last_lost = self._ring.popleft()
+            self._lost += 1
+        self._ring.append(line)
+        self.retry(sync=sync)
+
+    def retry(self, *, sync: bool = False, now: bool = False) -> None:
+        """Write what waits, if anything does and the back-off has passed (or `now`)."""
+        if not self._ring or (self._reason and not now and self._clock.mono() < self._retry_at):
+            return
+        self._asked_at = self._clock.mono()
+        try:
+            self._open()
+            self._drain()
+            if sync and self._regular():
+                os.fdatasync(self._fd)
+            self._reason, self._failures = "", 0
+        except OSError as error:
+            self._failed(error)
+        finally:
+            self._asked_at = None
+
+    def problem(self) -> str:
+        """A sentence while lines cannot be written, else empty."""
+        reason, waiting, lost, asked_at = self._reason, len(self._ring), self._lost, self._asked_at
+        hangs_s = 0.0 if asked_at is None else self._clock.mono() - asked_at
+        if hangs_s > HANGS_S:
+            return f"the disk has not answered for {hangs_s:.0f} s to a write to {self.path}"
+        if not reason:
+            return ""
+        return f"cannot write {self.path}: {reason}; {waiting} lines are kept in memory, {lost} lost"
+
+    def close(self) -> None:
+        """Try once more to write what waits, then let go of the file."""
+        self.retry(now=True)
+        self._close()
+
+    def _drain(self) -> None:
+        if self._lost:
+            self._append(self._lost_line(self._lost, self._reason, self._last_lost))
+            self._lost = 0
+        while self._ring:
+            self._append(self._ring[0])
+            self._ring.popleft()
+
+    def _append(self, line: bytes) -> None:
+        data = (b"\n" if self._torn else b"") + line + b"\n"
+        if self._regular() and self._size and self._size + len(data) > self._max_size:
+            self._rotate()
+            data = line + b"\n"
+        try:
+            self._put(data)
+        except OSError as error:
+            # A limit on the size of a file (RLIMIT_FSIZE, FAT) below ours: go on in a new one.
+            if error.errno != errno.EFBIG or not self._size:
+                raise
+            self._rotate()
+            self._put(line + b"\n")
+
+    def _put(self, data: bytes) -> None:
+        """One write. A short one (the disk became full in the middle) is taken back as far as possible."""
+        written = os.write(self._fd, data)
+        if written == len(data):
+            self._size += written
+            self._torn = False
+            return
+        try:
+            os.ftruncate(self._fd, self._size)
+        except OSError:
+            self._size += written
+            self._torn = True
+        cause = errno.ENOSPC if self._regular() else errno.EAGAIN
+        if self._limited(len(data)):
+            cause = errno.EFBIG
+        raise OSError(cause, os.strerror(cause))
+
+    def _limited(self, more: int) -> bool:
+        limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+        return limit != resource.RLIM_INFINITY and self._size + more > limit
+
+    def _open(self) -> None:
+        """Open the file, again if it was moved or deleted since. Repairs a line torn by a power cut."""
+        if self._fd >= 0:
+            if self._in_place():
+                return
+            self._close()
+        directory = os.path.dirname(self.path)
+        os.makedirs(directory, exist_ok=True)
+        # O_NONBLOCK: a log that someone turned into a pipe nobody reads must fail, not hang.
+        self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK, 0o644)
+        self._size = 0
+        if self._regular():
+            self._size = os.fstat(self._fd).st_size
+            # The torn piece stays as it is, on a line of its own: it may hold the last words before the cut.
+            self._torn = self._size > 0 and os.pread(self._fd, 1, self._size - 1) != b"\n"
+            self._prune(directory)
+
+    def _in_place(self) -> bool:
+        try:
+            there, mine = os.stat(self.path), os.fstat(self._fd)
+        except FileNotFoundError:
+            return False
+        if (there.st_dev, there.st_ino) != (mine.st_dev, mine.st_ino):
+            return False
+        # Truncated by someone else (`> phm.log`, logrotate's copytruncate): count on from there.
+        self._size = mine.st_size
+        return True
+
+    def _regular(self) -> bool:
+        return stat.S_ISREG(os.fstat(self._fd).st_mode)
+
+    def _rotate(self) -> None:
+        """Shift ``.1`` to ``.2`` and so on; the oldest is replaced. Renames only: at no moment is content without a file.
+
+        A directory or link that somebody else gave such a name is left alone and its number passed over. Without any
+        number left, the file is begun again: a log of the last lines is better than none.
+        """
+        names = [name for number in range(1, self._files + 1) if _ours(name := f"{self.path}.{number}")]
+        if not names:
+            os.ftruncate(self._fd, 0)
+            self._size = 0
+            return
+        for older, newer in zip(names[:0:-1], names[-2::-1], strict=True):
+            with contextlib.suppress(FileNotFoundError):
+                os.rename(newer, older)
+        os.rename(self.path, names[0])
+        self._close()
+        self._open()
+
+    def _prune(self, directory: str) -> None:
+        """Remove rotated files beyond the number that is kept now; an earlier configuration may have kept more."""
+        base = os.path.basename(self.path)
+        extra = [name for name in os.listdir(directory) if (rotated_number(base, name) or 0) > self._files]
+        for path in (os.path.join(directory, name) for name in extra):
+            with contextlib.suppress(OSError):  # a file that cannot be removed must not stop the log
+                if _ours(path):
+                    os.unlink(path)
+
+    def _failed(self, error: OSError) -> None:
+        self._reason = error.strerror or type(error).__name__
+        self._retry_at = self._clock.mono() + min(FIRST_RETRY_S * 2**self._failures, LAST_RETRY_S)
+        self._failures = min(self._failures + 1, 10)
+        self._close()
+
+    def _close(self) -> None:
+        if self._fd >= 0:
+            fd, self._fd = self._fd, -1
+            # The descriptor is gone either way; what could not be written was told by the write.
+            with contextlib.suppress(OSError):
+                os.close(fd)
+
+
+def _ours(path: str) -> bool:
+    """Whether rotation may put a file there: it is free, or a regular file. Raises OSError."""
+    try:
+        return stat.S_ISREG(os.lstat(path).st_mode)
+    except FileNotFoundError:
+        return True

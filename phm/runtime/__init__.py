@@ -1,0 +1,1 @@
+"""The daemon as a process: construction in one place, start, reload and shutdown."""

@@ -1,0 +1,105 @@
+"""Whether several peers fell silent in one moment: known sooner than that one of them is lost, for chance would have to strike
+them all. Pure.
+
+One heartbeat that is missed says little on a lossy radio; of seven peers one each says much. So the missed heartbeats of all that
+fell silent together are added up, each by how improbable its loss is (`Pulse.weight`), less what the choice of these peers among
+all explains. And since a short fade of this agent's own radio, or of the air between two groups, takes one heartbeat of each, too,
+the silence has to be longer than any fade of one period, and half as long again as those that were seen lately.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from phm.swarm.heartbeat_stats import Pulse
+
+SURE = math.log(1e5)
+NEARLY = SURE / 2
+FEWEST = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """One peer that is not lost so far. `missed`: how many of its heartbeats are overdue."""
+
+    agent: int
+    heard_s: float
+    pulse: Pulse
+    missed: int
+
+    @property
+    def due_s(self) -> float:
+        """When the first heartbeat after the last one was due."""
+        return self.heard_s + self.pulse.period_s
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Peers whose silence began within one period. `weight`: of its evidence; SURE is enough."""
+
+    members: tuple[Silence, ...]
+    weight: float
+
+    @property
+    def agents(self) -> frozenset[int]:
+        return frozenset(member.agent for member in self.members)
+
+    @property
+    def since_s(self) -> float:
+        """The last that was heard of any of them."""
+        return max(member.heard_s for member in self.members)
+
+    @property
+    def due_s(self) -> float:
+        """When the first of their missed heartbeats was due."""
+        return min(member.due_s for member in self.members)
+
+    @property
+    def outlasts_a_fade(self) -> bool:
+        """Heartbeats that were due more than one period apart were missed."""
+        last = max(member.heard_s + member.missed * member.pulse.period_s for member in self.members)
+        return last - self.due_s >= max(
+            (1.0 + member.pulse.jitter / 2) * member.pulse.period_s for member in self.members
+        )
+
+    def complete(self, everybody: Iterable[Silence]) -> bool:
+        """Whether each other peer has been heard since, or had fallen silent before: nobody's turn is still to come."""
+        return all(
+            other.heard_s > self.due_s or other.missed > 0 for other in everybody if other.agent not in self.agents
+        )
+
+
+def silences(peers: Iterable[tuple[int, float, Pulse]], now: float) -> list[Silence]:
+    """Agent, when it was heard last, and its pulse, for each peer that is not lost."""
+    return [Silence(agent, heard, pulse, pulse.missed(now - heard)) for agent, heard, pulse in peers]
+
+
+def gravest(everybody: Sequence[Silence]) -> Group | None:
+    """The group of two or more that chance explains worst."""
+    overdue = [entry for entry in everybody if entry.missed]
+    if len(overdue) < FEWEST:
+        return None
+    groups = []
+    for last in overdue:
+        members = tuple(
+            entry
+            for entry in overdue
+            if last.heard_s - entry.pulse.period_s - entry.pulse.slack_s < entry.heard_s <= last.heard_s
+        )
+        if len(members) >= FEWEST:
+            told = sum(entry.pulse.weight(entry.missed) for entry in members)
+            groups.append(Group(members, told - math.log(math.comb(len(everybody), len(members)))))
+    return max(groups, key=lambda group: group.weight, default=None)
+
+
+def vanished(everybody: Sequence[Silence], now: float, least_s: float = 0.0) -> frozenset[int]:
+    """Agents that are lost together; empty when none are, or it is too early to say. least_s: of their silence."""
+    group = gravest(everybody)
+    if group is None or group.weight < SURE or now - group.since_s < least_s:
+        return frozenset()
+    if not (group.outlasts_a_fade and group.complete(everybody)):
+        return frozenset()
+    # Who had lost a heartbeat by chance just before is none of the group, and as silent.
+    return group.agents | {entry.agent for entry in everybody if entry.missed > 1}

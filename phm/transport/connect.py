@@ -1,0 +1,174 @@
+"""Opening MAVLink channels by pymavlink's connection strings, with a deadline on every step."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import socket
+import termios
+import threading
+from collections.abc import Callable, Iterator
+
+from phm.core.clock import Clock
+from phm.core.settings import EndpointSettings
+from phm.transport.dns import Address, Resolver
+from phm.transport.mavlink_channels import Channel, StreamChannel, TcpServer, tune
+from phm.transport.mavlink_codec import Codec
+from phm.transport.mavlink_udp import UdpBroadcast, UdpIn, UdpOut
+from phm.transport.serial_errors import LineCount, count, keep_dtr
+
+CONNECT_LIMIT_S = 5.0
+RESOLVE_LIMIT_S = 5.0
+_SLICE_S = 0.1
+"""How soon an opening notices that it is to end."""
+
+
+class Opener:
+    """Opens one endpoint again and again. `open` is called in the endpoint's own thread, and given up when `enough` is set."""
+
+    def __init__(self, settings: EndpointSettings, codec: Codec, clock: Clock, enough: threading.Event) -> None:
+        self._settings, self._codec, self._clock, self._enough = settings, codec, clock, enough
+        self._scheme = "serial"
+        self._resolver: Resolver | None = None
+        self._target: Address | None = None
+        self._source = ""
+        """Own address of the connected UDP socket."""
+        if not settings.url.startswith("/"):
+            self._scheme, _, rest = settings.url.partition(":")
+            host, _, port = rest.rpartition(":")
+            kind = socket.SOCK_STREAM if self._scheme.startswith("tcp") else socket.SOCK_DGRAM
+            self._resolver = Resolver(host, int(port), kind, passive=self._scheme.endswith("in"))
+
+    def moved(self) -> bool:
+        """Whether the peer's name now stands for another address (its container was started again), or the way there begins
+        at another address of this machine (another interface has taken over).
+
+        Looks the name up in the background; what it says is what earlier look-ups found. For `udpout` only:
+        TCP notices by itself.
+        """
+        if self._scheme != "udpout" or self._resolver is None:
+            return False
+        if self._rerouted():
+            return True
+        if self._resolver.literal:
+            return False
+        self._resolver.ask()
+        return self._resolver.newest() not in (None, self._target)
+
+    def open(self) -> Channel:
+        """A new channel. Raises OSError with a sentence for the log."""
+        makers: dict[str, Callable[[], Channel]] = {
+            "serial": self._serial, "tcp": self._tcp, "tcpin": self._tcpin,
+            "udpin": self._udpin, "udpout": self._udpout, "udpbcast": self._udpbcast,
+        }  # fmt: skip
+        return makers[self._scheme]()
+
+    def _address(self) -> Address:
+        assert self._resolver is not None
+        done = self._resolver.ask()
+        end = self._clock.mono() + RESOLVE_LIMIT_S
+        while not done.is_set() and not self._enough.is_set() and self._clock.mono() < end:
+            done.wait(_SLICE_S)
+        self._target = self._resolver.answer()
+        return self._target
+
+    def _tcp(self) -> Channel:
+        family, target = self._address()
+        sock = socket.socket(family, socket.SOCK_STREAM)
+        with _closed_on_failure(sock):
+            tune(sock)
+            problem = sock.connect_ex(target)
+            if problem == errno.EINPROGRESS:
+                problem = self._connected(sock)
+            if problem:
+                raise OSError(problem, os.strerror(problem))
+        return StreamChannel(sock, sock.fileno(), self._codec)
+
+    def _connected(self, sock: socket.socket) -> int:
+        """The error number with which a connection in progress ended, 0 when it stands."""
+        poller = select.poll()
+        poller.register(sock, select.POLLOUT)
+        end = self._clock.mono() + CONNECT_LIMIT_S
+        while not self._enough.is_set() and self._clock.mono() < end:
+            if poller.poll(_SLICE_S * 1000):
+                return sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        return errno.ETIMEDOUT
+
+    def _tcpin(self) -> Channel:
+        family, address = self._address()
+        sock = socket.socket(family, socket.SOCK_STREAM)
+        with _closed_on_failure(sock):
+            sock.setblocking(False)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            sock.bind(address)
+            sock.listen(8)
+        return TcpServer(sock, self._codec, self._clock)
+
+    def _udpin(self) -> Channel:
+        family, address = self._address()
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        with _closed_on_failure(sock):
+            sock.setblocking(False)
+            sock.bind(address)
+        return UdpIn(sock, self._codec, self._clock)
+
+    def _udpout(self) -> Channel:
+        family, target = self._address()
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        with _closed_on_failure(sock):
+            sock.setblocking(False)
+            sock.connect(target)
+            self._source = sock.getsockname()[0]
+            return UdpOut(sock, self._codec)
+
+    def _udpbcast(self) -> Channel:
+        family, target = self._address()
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        with _closed_on_failure(sock):
+            sock.setblocking(False)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            return UdpBroadcast(sock, target, self._codec)
+
+    def _rerouted(self) -> bool:
+        """Whether the way to the peer now begins at another address of this machine: a connected socket keeps its first one."""
+        assert self._target is not None
+        family, target = self._target
+        with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect(target)  # of UDP: nothing is sent
+            return bool(probe.getsockname()[0] != self._source)
+        return False
+
+    def _serial(self) -> Channel:
+        # Imported here: an agent without serial endpoints does not pay for pyserial.
+        import serial
+
+        try:
+            # exclusive: two readers of one port steal each other's bytes, and both look broken.
+            port = serial.Serial(self._settings.url, self._settings.baud, timeout=0, write_timeout=0, exclusive=True)
+        except ValueError as error:  # a baud rate that the driver refuses
+            raise OSError(f"{self._settings.url}: {error}") from error
+        keep_dtr(port.fileno())
+        return SerialChannel(port, port.fileno(), self._codec)
+
+
+@contextlib.contextmanager
+def _closed_on_failure(sock: socket.socket) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:  # goes on to whoever asked; here only the socket must not be left open
+        sock.close()
+        raise
+
+
+class SerialChannel(StreamChannel):
+    """A serial port. What was not sent is thrown away at the end: a stuck port keeps `close` waiting for it."""
+
+    def line(self) -> LineCount | None:
+        return count(self._owner.fileno())
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError, termios.error):  # the port may be gone, and is closed either way
+            self._owner.reset_output_buffer()
+        super().close()

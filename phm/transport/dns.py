@@ -1,0 +1,75 @@
+"""Names to addresses without waiting: the C library's resolver has no deadline, so it gets a thread.
+
+A Docker name may appear minutes after PHM; a dead name server may hang a look-up for half a minute.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+from typing import Any
+
+from phm.core import threads
+
+Address = tuple[int, Any]
+"""Address family and what `socket.connect` takes."""
+
+
+class Resolver:
+    """Looks up one host and port. Invariant: at most one look-up is under way, however often one asks."""
+
+    def __init__(self, host: str, port: int, kind: socket.SocketKind, *, passive: bool = False) -> None:
+        self._host, self._port, self._kind, self._passive = host.strip("[]"), port, kind, passive
+        self._done = threading.Event()
+        self._running = False
+        self._found: Address | None = None
+        self._problem = ""
+        self._lock = threading.Lock()
+
+    @property
+    def literal(self) -> bool:
+        """The host is an address already, and never changes."""
+        try:
+            socket.getaddrinfo(self._host, None, flags=socket.AI_NUMERICHOST)
+        except OSError:
+            return False
+        return True
+
+    def ask(self) -> threading.Event:
+        """Begin a look-up unless one is under way; the event is set when `answer` has something to say."""
+        with self._lock:
+            if not self._running:
+                self._done = threading.Event()
+                thread = threading.Thread(target=self._look_up, name=f"phm-resolve-{self._host}", daemon=True)
+                self._running = threads.start_now(thread)
+                if not self._running:
+                    self._problem = f"the name {self._host} cannot be looked up: no thread can be started"
+                    self._done.set()
+            return self._done
+
+    def answer(self) -> Address:
+        """The newest address. Raises OSError with a sentence when the name was never found."""
+        with self._lock:
+            if self._found is None:
+                raise OSError(
+                    self._problem or f"the name {self._host} has not been found yet: the name server is silent"
+                )
+            return self._found
+
+    def newest(self) -> Address | None:
+        """What the last successful look-up found."""
+        with self._lock:
+            return self._found
+
+    def _look_up(self) -> None:
+        flags = socket.AI_PASSIVE if self._passive else 0
+        found, problem = None, ""
+        try:
+            answers = socket.getaddrinfo(self._host, self._port, type=self._kind, flags=flags)
+            found = (int(answers[0][0]), answers[0][4])
+        except (OSError, UnicodeError, IndexError) as error:
+            problem = f"the name {self._host} is not known: {getattr(error, 'strerror', None) or error}"
+        with self._lock:
+            # A name server that is lost in flight takes no address away that was good before.
+            self._found, self._problem, self._running = found or self._found, problem, False
+            self._done.set()

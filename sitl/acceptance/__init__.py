@@ -1,0 +1,1 @@
+"""Injects every fault on the real stack and reports what PHM did."""

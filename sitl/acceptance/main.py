@@ -1,0 +1,270 @@
+"""Every fault class for real: one alarm at its cause, healed and verified; `off` and `advise` touch nothing.
+
+``scripts/proof`` starts one agent with the shipped images and injects the faults one after the other. Exit 0 only
+when every row holds. ``--markdown`` writes the table of docs/recovery.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterable
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from sitl.acceptance.plan import APART, MODES, ORDER, Play, configuration, plays
+from sitl.acceptance.table import Row, as_json, judged_words, rich_table, write_markdown
+from sitl.bench.main import Bench
+from sitl.demo.compose_stack import ROOT, Stack
+from sitl.demo.config_overrides import write
+from sitl.demo.console import screen
+from sitl.demo.log_follower import Event
+from sitl.demo.log_queries import closed, phase, relapses, world
+from sitl.faults import all_faults
+from sitl.faults.base import Agent, Fault
+
+NOMINAL_S = 20.0
+SEEN_LIMIT_S = 30.0
+HEALED_LIMIT_S = 90.0
+AFTER_S = 12.0
+"""How long a fault is watched after it is healed: longer than any grace, so late alarms are caught."""
+STILL_S = 10.0
+"""How long nothing may happen in the modes `off` and `advise`."""
+LASTING_S = 31.0
+"""Longer than `recovery.verify`, 30 s: what was mended by hand for so long counts as well for good."""
+
+
+class Proof:
+    """Makes the rows on a stack that is up."""
+
+    def __init__(self, stack: Stack, console: Console, config: Path) -> None:
+        self.stack, self.console, self._config = stack, console, config
+        self.bench = Bench(stack, console)
+        self.record = self.bench.record
+        self.mode = "act"
+        self._prepared: Fault | None = None
+        self._given_up: set[str] = set()
+
+    @property
+    def agent(self) -> Agent:
+        return self.stack.agent
+
+    def configure(self, mode: str, *, relaunch: bool = False, prepared: Fault | None = None) -> None:
+        """Start PHM again with another configuration, that which `prepared` needs, and wait until everything is well."""
+        more = {}
+        if prepared is not None:
+            prepared.prepare(self.agent)
+            more = dict(prepared.configuration(self.agent))
+        write(configuration(mode, relaunch=relaunch, more=more), self._config)
+        mark = self._mark()
+        self.agent.container("phm").restart()
+        if self.record.wait(lambda event: event["event"] == "start", SEEN_LIMIT_S, since=mark) is None:
+            raise RuntimeError(f"PHM did not start again in mode {mode}; see {self.stack.logs}")
+        self.mode = mode
+        if self._prepared is not None and self._prepared is not prepared:
+            self._prepared.dismantle(self.agent)
+        self._prepared = prepared
+        self.bench.wait_well()
+
+    def nominal(self) -> list[Row]:
+        """Nothing is injected: no alarm and no action while everything starts, and none after."""
+        starting = Row(self.mode, "start", "nothing, while all starts", "-")
+        self.bench.wait_well()
+        mark = self._mark()
+        self._fill(starting, self.record.events)
+        well = Row(self.mode, "nominal", f"nothing, for {NOMINAL_S:g} s", "-")
+        self._watch(NOMINAL_S, mark)
+        self._fill(well, self.record.events[mark:])
+        for row in (starting, well):
+            if row.alarms or row.actions:
+                row.problems.append(f"told or done: {', '.join([*row.alarms, *row.actions])}")
+        return [starting, well]
+
+    def heal(self, fault: Fault, title: str = "") -> Row:
+        """Inject, watch until it is healed and verified (or given up), then whether everything is well again."""
+        row = self._row(fault, title)
+        self._wait_lasting(row)
+        mark = self._mark()
+        moment = fault.inject(self.agent)
+        if fault.healable:
+            for unit in row.expected:
+                self.record.wait(partial(phase, "verified", unit), HEALED_LIMIT_S, since=mark)
+        else:
+            self.record.wait(lambda event: event["event"] == "fault_opened", SEEN_LIMIT_S, since=mark)
+            if self._acted(mark):
+                self.record.wait(partial(phase, "escalated", row.unit), HEALED_LIMIT_S, since=mark)
+        self._watch(AFTER_S, mark)
+        self._fill(row, self.record.events[mark:], moment)
+        row.problems += relapses(row.expected, self.record.events[mark:])
+        cleared = self._mark()
+        fault.clear(self.agent)
+        self._well_again(row, mark)
+        judged_words(row, healable=fault.healable)
+        self._judge_condition(row, fault, mark)
+        if row.given_up_s is not None:
+            self._given_up.add(row.unit)
+        later = [event["action"] for event in self.record.events[cleared:] if phase("verified", row.unit, event)]
+        if later:
+            row.outcome += f"; {', '.join(later)} once it was mended"
+        return row
+
+    def leave_alone(self, fault: Fault) -> Row:
+        """In `off` and `advise` the fault is told and the application container stays as the fault left it."""
+        row = self._row(fault)
+        self._wait_lasting(row)
+        mark = self._mark()
+        moment = fault.inject(self.agent)
+        before = world(self.agent)
+        self.record.wait(lambda event: event["event"] == "fault_opened", SEEN_LIMIT_S, since=mark)
+        self._watch(STILL_S, mark)
+        after = world(self.agent)
+        events = self.record.events[mark:]
+        self._fill(row, events, moment)
+        if before != after:
+            row.problems.append(f"the container changed: {before} became {after}")
+        if row.actions or any(closed(row.unit, event) for event in events):
+            row.problems.append("something was done")
+        if bool(row.advised) != (self.mode == "advise"):
+            row.problems.append(f"advised: {row.advised or 'nothing'}")
+        row.outcome = "told, container unchanged" if not row.problems else "changed"
+        fault.clear(self.agent)
+        self._well_again(row, mark)
+        if sorted(row.alarms) != sorted(row.expected):
+            row.problems.append(f"alarms: {row.alarms}")
+        self._judge_condition(row, fault, mark)
+        return row
+
+    def _row(self, fault: Fault, title: str = "") -> Row:
+        self.console.print(f"[bold]{self.mode}[/]  {title or fault.title}")
+        unit, *also = (each.format(agent=self.stack.agent_name) for each in (fault.unit, *fault.also))
+        return Row(self.mode, fault.name, title or fault.title, unit, also)
+
+    def _wait_lasting(self, row: Row) -> None:
+        """What PHM gave up on before it tries again only after that was well for so long, as this run of PHM has seen it."""
+        if row.unit not in self._given_up:
+            return
+        mark = self._mark()
+        told = (
+            event["mono"]
+            for event in self.record.events
+            if event["event"] == "transition" and event["unit"] == row.unit
+        )
+        until = max(told, default=0.0) + LASTING_S
+        self.record.wait(lambda event: event["mono"] > until, 2 * LASTING_S, since=mark)
+
+    def _mark(self) -> int:
+        self.record.update()
+        return len(self.record.events)
+
+    def _watch(self, seconds: float, mark: int) -> None:
+        """Let the record go on for so long; reports come every few seconds, so it does."""
+        until = time.monotonic() + seconds
+        self.record.wait(lambda event: event["mono"] > until, 2 * seconds, since=mark)
+
+    def _acted(self, mark: int) -> bool:
+        """Whether PHM tries something within a moment."""
+        return (
+            self.record.wait(lambda event: event["event"] == "action" and event["phase"] == "started", 3.0, since=mark)
+            is not None
+        )
+
+    def _fill(self, row: Row, events: list[Event], moment: float = 0.0) -> None:
+        """Read off the record what happened; alarms at other units count as well. Of several units, the last one counts."""
+        seen: dict[str, float] = {}
+        mended: dict[str, float] = {}
+        for event in events:
+            unit, after = event.get("unit", ""), event["mono"] - moment
+            if unit in row.expected and phase("verified", unit, event):
+                mended.setdefault(unit, after)
+            if event["event"] == "fault_opened":
+                row.alarm(unit)
+                seen.setdefault(unit, after)
+                row.summary = row.summary or (event["summary"] if unit == row.unit else "")
+            elif event["event"] == "action":
+                if event["phase"] == "started":
+                    row.actions.append(event["action"])
+                elif event["phase"] == "advised":
+                    row.advised.append(event["action"])
+                elif phase("escalated", row.unit, event):
+                    row.given_up_s = after
+        row.detected_s = max(seen[unit] for unit in row.expected) if seen.keys() >= set(row.expected) else None
+        row.healed_s = max(mended.values()) if mended.keys() == set(row.expected) else None
+
+    def _judge_condition(self, row: Row, fault: Fault, mark: int) -> None:
+        """The alarm was for this fault and no other at the same unit. It may have been another thing for a moment first."""
+        events = (event for event in self.record.events[mark:] if event.get("unit") == row.unit)
+        seen = {event["condition"] for event in events if event.get("condition")}
+        if fault.condition not in seen:
+            row.problems.append(f"known as {', '.join(sorted(seen)) or 'nothing'}, expected {fault.condition}")
+
+    def _well_again(self, row: Row, mark: int) -> None:
+        """Everything is well again, and neither healing nor clearing raised a further alarm."""
+        try:
+            self.bench.wait_well()
+        except RuntimeError as error:
+            row.problems.append(str(error))
+        self.record.update()
+        row.alarms, row.beside = [], []
+        for event in self.record.events[mark:]:
+            if event["event"] == "fault_opened":
+                row.alarm(event["unit"])
+
+
+def run(stack: Stack, console: Console, config: Path, programme: Iterable[Play]) -> list[Row]:
+    """All rows of the programme, on a stack that is up with the configuration of the mode `act`."""
+    proof, faults = Proof(stack, console, config), all_faults()
+    rows = [_told(row, console) for row in proof.nominal()]
+    for play in programme:
+        if not play.first:
+            alone = faults[play.faults[0]] if play.apart else None
+            proof.configure(play.mode, relaunch=play.relaunch, prepared=alone)
+        for name in play.faults:
+            title = f"{faults[name].title}, `relaunch` configured" if play.relaunch else ""
+            row = proof.heal(faults[name], title) if play.mode == "act" else proof.leave_alone(faults[name])
+            rows.append(_told(row, console))
+    return rows
+
+
+def _told(row: Row, console: Console) -> Row:
+    colour, words = ("green", "holds") if row.good else ("red", "; ".join(row.problems))
+    console.print(f"  [{colour}]{words}[/]  {row.outcome}, {', '.join(row.actions) or 'no action'}", highlight=False)
+    return row
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="scripts/proof", description=__doc__)
+    faults, modes = (*ORDER, *APART), ", ".join(MODES)
+    parser.add_argument("--only", nargs="+", default=(), choices=faults, metavar="FAULT", help="these faults alone")
+    parser.add_argument("--mode", nargs="+", default=MODES, choices=MODES, metavar="MODE", help=f"of {modes}")
+    parser.add_argument("--json", action="store_true", help="print the rows as JSON")
+    parser.add_argument("--markdown", action="store_true", help="write the table of docs/recovery.md")
+    parser.add_argument("--keep-logs", action="store_true", help="do not remove the log folder")
+    chosen = parser.parse_args(arguments)
+    console = screen(json=chosen.json)
+    config = write(configuration())
+    stack = Stack(project="phm-proof", interval_s=3.0, ground_port=0, extra={"PHM_CONFIG": str(config)})
+    began = time.monotonic()
+    try:
+        with console.status("starting the agent"):
+            stack.up()
+        rows = run(stack, console, config, plays(chosen.only, chosen.mode))
+    finally:
+        stack.down(keep_logs=chosen.keep_logs)
+    if chosen.json:
+        print(as_json(rows))
+    else:
+        console.print(rich_table(rows))
+    if chosen.markdown:
+        write_markdown(rows, ROOT / "docs" / "recovery.md")
+    if chosen.keep_logs:
+        console.print(f"logs: {stack.logs}")
+    bad = sum(not row.good for row in rows)
+    console.print(f"{len(rows) - bad} of {len(rows)} rows hold, in {time.monotonic() - began:.0f} s")
+    return 0 if not bad else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

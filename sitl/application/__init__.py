@@ -1,0 +1,1 @@
+"""The demonstration's application: ROS 2 nodes and their graph."""

@@ -1,0 +1,1 @@
+"""Benches: what PHM costs and how fast it is."""

@@ -1,0 +1,121 @@
+"""What an agent's record says, put into a trial, and how all its units are meanwhile. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from sitl.campaign.trial import Act, Alarm, Start, Trial, Warned
+from sitl.demo.log_follower import Event
+
+SHARED = "host/"
+"""Units about the machine that all agents of a swarm share: how they are says nothing about one agent."""
+MEMORY = ("companion", "WARN")
+"""PHM says for a while that it had ended or stood still; by then it is well again."""
+
+
+def note(trial: Trial, agent: int, event: Event) -> None:
+    """Put one event of an agent's record into the trial. The end of what opened before the trial is not part of it."""
+    take = _TAKES.get(event["event"])
+    if take is not None:
+        take(trial, agent, event)
+
+
+def _opened(trial: Trial, agent: int, event: Event) -> None:
+    trial.alarms.append(
+        Alarm(
+            agent, event["unit"], event["slot"], event["fault"], event["mono"], [event["condition"]], event["summary"]
+        )
+    )
+
+
+def _closed(trial: Trial, agent: int, event: Event) -> None:
+    for alarm in _alarms(trial, agent, event):
+        alarm.closed, alarm.outcome, alarm.by = event["mono"], event["outcome"], event["by"]
+
+
+def _changed(trial: Trial, agent: int, event: Event) -> None:
+    unit, condition = event["unit"], event["condition"]
+    lasting = [each for each in trial.warned if (each.agent, each.unit, each.ended) == (agent, unit, None)]
+    if event["level"] == "ERROR":
+        known = [alarm.conditions for alarm in _alarms(trial, agent, event)]
+    elif event["level"] == "WARN":
+        known = [each.conditions for each in lasting]
+        if event["old"] != "WARN":
+            trial.warned.append(Warned(agent, unit, event["slot"], event["mono"], [condition], event["summary"]))
+    else:
+        known = []
+        for each in lasting if event["level"] == "OK" else ():
+            each.ended = event["mono"]
+    for conditions in known:
+        if condition not in conditions:
+            conditions.append(condition)
+
+
+def _acted(trial: Trial, agent: int, event: Event) -> None:
+    trial.acts.append(Act(agent, event["unit"], event["action"], event["phase"], event["mono"], event["detail"]))
+
+
+def _started(trial: Trial, agent: int, event: Event) -> None:
+    trial.starts.append(Start(agent, event["mono"]))
+
+
+def _reported(trial: Trial, agent: int, event: Event) -> None:
+    for start in trial.starts:
+        if start.agent == agent and start.report is None:
+            start.report = event["mono"]
+
+
+_TAKES: dict[str, Callable[[Trial, int, Event], None]] = {
+    "fault_opened": _opened, "fault_closed": _closed, "transition": _changed, "action": _acted, "start": _started,
+    "report": _reported,
+}  # fmt: skip
+
+
+def _alarms(trial: Trial, agent: int, event: Event) -> list[Alarm]:
+    return [alarm for alarm in trial.alarms if event["fault"] and (alarm.agent, alarm.fault) == (agent, event["fault"])]
+
+
+class Levels:
+    """How every unit of one agent is, by its record. A new life of PHM knows nothing until its first report."""
+
+    def __init__(self) -> None:
+        self.units: dict[str, str] = {}
+        self.open: dict[str, str] = {}
+        """Unit by id of the open fault."""
+        self.reported = False
+        self.since = 0.0
+        """When this life of PHM began, in seconds of the monotonic clock."""
+
+    def take(self, event: Event) -> None:
+        kind = event["event"]
+        if kind == "start":
+            self.units.clear()
+            self.reported, self.since = False, event["mono"]
+        elif kind in ("transition", "unit"):
+            self.units[event["unit"]] = event["level"]
+        elif kind == "fault_opened":
+            self.open[event["fault"]] = event["unit"]
+        elif kind == "fault_closed":
+            self.open.pop(event["fault"], None)
+        elif kind == "report":
+            self.reported = True
+
+    def bad(self, unit: str) -> bool:
+        """Whether the unit is told already: then nothing more would be told of it."""
+        return unit in self.open.values()
+
+    def unwell(self, usual: Mapping[str, str]) -> list[str]:
+        """What is worse than `usual`, a unit's level by its name, in words; empty when all is well."""
+        if not self.reported:
+            return ["no report yet"]
+        found = [f"{unit} is faulty" for unit in self.open.values() if not unit.startswith(SHARED)]
+        found += [
+            f"{unit} is {level}"
+            for unit, level in self.units.items()
+            if level not in ("OK", usual.get(unit, "OK")) and not unit.startswith(SHARED) and (unit, level) != MEMORY
+        ]
+        return found + [f"{unit} is not judged" for unit in usual if unit not in self.units]
+
+    def as_usual(self) -> dict[str, str]:
+        """Levels as they are now, for `unwell` later: with nothing injected, some units may not be known for good."""
+        return {unit: level for unit, level in self.units.items() if not unit.startswith(SHARED)}

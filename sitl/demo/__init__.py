@@ -1,0 +1,1 @@
+"""The demonstration on Docker Compose, and what follows its containers and logs."""

@@ -1,0 +1,38 @@
+"""Configurations made from the shipped one: what is measured is what users run, but for the lines that are named."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from sitl.demo.compose_stack import ROOT
+
+SHIPPED = ROOT / "config" / "phm.yaml"
+
+
+def derived(changes: Mapping[str, str]) -> str:
+    """The shipped configuration with each key of `changes` replaced by its value.
+
+    Raises ValueError when a key is not there exactly once: then the shipped file was changed and the caller was not.
+    """
+    text = SHIPPED.read_text("utf-8")
+    for old, new in changes.items():
+        if text.count(old) != 1:
+            raise ValueError(f"config/phm.yaml has {old.strip()!r} {text.count(old)} times, expected once")
+        text = text.replace(old, new)
+    return text
+
+
+def write(text: str, file: Path | None = None) -> Path:
+    """Put a configuration where PHM's container, an ordinary user, can read it; a new file when none is given.
+
+    An existing file keeps its inode, because a container that has it mounted sees that inode alone.
+    """
+    if file is None:
+        folder = Path(tempfile.mkdtemp(prefix="phm-config-"))
+        folder.chmod(0o755)
+        file = folder / "phm.yaml"
+    file.write_text(text, "utf-8")
+    file.chmod(0o644)
+    return file

@@ -1,0 +1,41 @@
+"""What a record and an engine say about a fault: the questions that `sitl.acceptance.main` asks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sitl.demo.log_follower import Event
+from sitl.faults.base import Agent
+
+
+def world(agent: Agent) -> Mapping[str, Any]:
+    """What PHM could have changed about the application container."""
+    attrs = agent.app.attrs
+    networks = attrs["NetworkSettings"]["Networks"]
+    return {
+        "id": attrs["Id"][:12],
+        "started": attrs["State"]["StartedAt"],
+        "status": attrs["State"]["Status"],
+        "networks": {name: network["NetworkID"][:12] for name, network in networks.items()},
+    }
+
+
+def relapses(units: Sequence[str], events: Sequence[Event]) -> list[str]:
+    """What was not well after its repair had been verified, in words: then the proof of the repair was none."""
+    found = []
+    for unit in units:
+        healed = next((number for number, event in enumerate(events) if phase("verified", unit, event)), len(events))
+        for event in events[healed:]:
+            if event["event"] == "transition" and event["unit"] == unit and event["level"] != "OK":
+                after_s = event["mono"] - events[healed]["mono"]
+                found.append(f"{unit} was {event['level']} {after_s:.1f} s after it was verified: {event['summary']}")
+    return found
+
+
+def closed(unit: str, event: Event) -> bool:
+    return bool(event["event"] == "fault_closed" and event["unit"] == unit)
+
+
+def phase(wanted: str, unit: str, event: Event) -> bool:
+    return bool(event["event"] == "action" and event["phase"] == wanted and event["unit"] == unit)

@@ -1,0 +1,75 @@
+"""A container is killed in whose network namespace another one lives."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+
+from docker.errors import NotFound
+
+from sitl.faults.base import Agent, Fault, died
+
+NODE = "node_4"
+
+
+class Injection(Fault):
+    """`docker kill` of the application while a container beside it has `network_mode: container:...`.
+
+    Started again, the application has a new namespace, and its dependant one without an interface: PHM must restart it, too,
+    and what breaks in it meanwhile is no alarm of its own. A ROS node in the dependant shows that.
+    """
+
+    name, title = "owner_killed", "container killed, another shares its network"
+    unit = "container/ros_app"
+    condition = "exited"
+    layer = "container"
+    cause = "a container died in whose network namespace another one lives"
+    needs = frozenset({"configuration"})
+
+    def configuration(self, agent: Agent) -> Mapping[str, str]:
+        graph, topics = "\n# The ROS graph of this agent.\n", "\n  # Topics that must flow, a list."
+        return {
+            graph: f"\n  - name: {self._dependant(agent)}\n    alias: dependant\n    recover: true\n{graph}",
+            topics: f"\n    - name: /{agent.name}/{NODE}\n      container: dependant{topics}",
+        }
+
+    def prepare(self, agent: Agent) -> None:
+        self.dismantle(agent)
+        app = agent.app
+        agent.docker.containers.run(
+            app.attrs["Image"],
+            [
+                "python",
+                "-m",
+                "sitl.application.node",
+                "--name",
+                NODE,
+                "--namespace",
+                f"/{agent.name}",
+                "--publish",
+                "topic_4:10",
+            ],
+            name=self._dependant(agent),
+            detach=True,
+            environment=app.attrs["Config"]["Env"],
+            # A container of the project, as far as its end goes: `docker compose down --remove-orphans` takes it, too.
+            labels={**app.labels, "com.docker.compose.service": "dependant"},
+            network_mode=f"container:{app.id}",
+        )
+
+    def dismantle(self, agent: Agent) -> None:
+        with contextlib.suppress(NotFound):
+            agent.docker.containers.get(self._dependant(agent)).remove(force=True)
+
+    def inject(self, agent: Agent) -> float:
+        app = agent.app
+        before = app.attrs["State"]["FinishedAt"]
+        app.kill()
+        return died(app, before)
+
+    def clear(self, agent: Agent) -> None:
+        agent.app.start()
+
+    @staticmethod
+    def _dependant(agent: Agent) -> str:
+        return f"{agent.project}-dependant-1"

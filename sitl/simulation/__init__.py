@@ -1,0 +1,1 @@
+"""Simulated autopilots, radios, routers and ground stations."""

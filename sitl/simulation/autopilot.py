@@ -1,0 +1,129 @@
+"""A simulated autopilot between companion computer and ground, as far as PHM can tell the difference.
+
+``python -m sitl.simulation.autopilot --id 1 --companion udpin:0.0.0.0:14550 --ground tcpin:0.0.0.0:5760 [--armed]``
+
+What it sends and obeys is in `sitl.simulation.autopilot_model`. It passes frames between its links unchanged by ArduPilot's rules, measured on a
+real one: a link gets passed-on frames only after it has itself sent a packet; frames that claim to be
+from the autopilot itself vanish; what is addressed to the autopilot stays with it, and so does a radio's RADIO_STATUS.
+"""
+
+from __future__ import annotations
+
+import argparse
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Hashable
+from typing import Any
+
+from sitl.simulation.autopilot_model import AUTOPILOT, BOOT_S, Pilot
+from sitl.simulation.link import Port
+
+
+class Autopilot:
+    """Runs in one thread: `run` until `stop`. `armed` may be set from outside, and `hung`: its ports stay open, and nothing
+    comes or is passed on. Raises OSError when a port is taken."""
+
+    def __init__(self, system_id: int, companion: str, ground: str, *, armed: bool = False) -> None:
+        self.system_id = system_id
+        self.companion, self.ground = Port(companion), Port(ground)
+        self._pilot = Pilot(system_id, time.monotonic(), armed=armed)
+        self._routes: dict[tuple[int, int], Port] = {}
+        self._stopping = threading.Event()
+
+    @property
+    def armed(self) -> bool:
+        return self._pilot.armed
+
+    @armed.setter
+    def armed(self, armed: bool) -> None:
+        self._pilot.armed = armed
+
+    @property
+    def hung(self) -> bool:
+        return self._pilot.hung
+
+    @hung.setter
+    def hung(self, hung: bool) -> None:
+        self._pilot.hung = hung
+
+    def reboot(self, boot_s: float = BOOT_S) -> None:
+        """Its ports stay; it is silent for so long, has forgotten routes and arming, and its time since boot begins anew."""
+        self._pilot.reboot(time.monotonic(), boot_s)
+
+    def stop(self) -> None:
+        self._stopping.set()
+
+    def run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self._turn()
+        finally:
+            self.companion.close()
+            self.ground.close()
+
+    def _turn(self) -> None:
+        if self._pilot.booted(time.monotonic()):
+            self._routes.clear()
+        ports = {sock: port for port in (self.companion, self.ground) for sock in port.sockets()}
+        readable, _, _ = select.select(list(ports), [], [], 0.05)
+        for sock in readable:
+            port = ports[sock]
+            for peer, message in port.receive(sock):
+                if not self._pilot.dumb:
+                    self._take(port, peer, message)
+        self._send(self._pilot.due(time.monotonic()))
+
+    def _take(self, port: Port, peer: Hashable, message: Any) -> None:
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if source == (self.system_id, AUTOPILOT) or message.get_type() == "RADIO_STATUS":
+            return
+        if len(self._routes) < 20:  # as many as ArduPilot keeps
+            self._routes[source] = port
+        system = getattr(message, "target_system", 0)
+        component = getattr(message, "target_component", 0)
+        if system == self.system_id and component in (0, AUTOPILOT):
+            self._obey(port, message)
+            if component == AUTOPILOT:
+                return
+        frame = bytes(message.get_msgbuf())
+        route = self._routes.get((system, component)) if system and component else None
+        for other in (self.companion, self.ground):
+            if route is None or other is route:
+                other.send(frame, spoken_only=True, but=peer if other is port else None)
+
+    def _obey(self, port: Port, message: Any) -> None:
+        answers = self._pilot.obey(time.monotonic(), message)
+        for frame in answers[:1]:
+            port.send(frame)
+        self._send(answers[1:])
+
+    def _send(self, frames: list[bytes]) -> None:
+        for frame in frames:
+            self.companion.send(frame)
+            self.ground.send(frame)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    words = argparse.ArgumentParser(prog="python -m sitl.simulation.autopilot", description=__doc__.partition("\n")[0])
+    words.add_argument("--id", type=int, default=1, help="MAVLink system id (1)")
+    words.add_argument("--companion", default="udpin:0.0.0.0:14550", metavar="URL", help="where PHM connects")
+    words.add_argument("--ground", default="tcpin:0.0.0.0:5760", metavar="URL", help="where ground stations connect")
+    words.add_argument("--armed", action="store_true", help="begin armed")
+    chosen = words.parse_args(arguments)
+    try:
+        pilot = Autopilot(chosen.id, chosen.companion, chosen.ground, armed=chosen.armed)
+    except OSError as error:
+        print(f"sitl.simulation.autopilot: {error}", file=sys.stderr)
+        return 1
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: pilot.stop())
+    print(f"autopilot {chosen.id}: companion {chosen.companion}, ground {chosen.ground}", flush=True)
+    pilot.run()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,170 @@
+"""Many agents on one clock: each with the real probe, reporters and outbox, joined by links that lose what they are told to."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from phm.core.model import Layer, Level, Report, Result, Slot, Transition, UnitState
+from phm.facts import LinkFact
+from phm.probes.swarm import Swarm as Probe
+from phm.reporters.base import ReporterContext
+from phm.reporters.mavlink import Mavlink
+from phm.reporters.swarm import Swarm as Speaker
+from phm.testing import FakeClock, settings
+from phm.transport.mavlink_codec import Codec
+from phm.transport.priority import Class
+from phm.transport.send_queue import Outbox
+
+STEP_S = 0.25
+
+
+class Port:
+    """A hub with one link: what is sent waits in a real outbox, and leaves when the fleet lets it."""
+
+    def __init__(self, agent: int, clock: FakeClock, budget: float | None) -> None:
+        self.outbox = Outbox(clock, budget)
+        self.codec = Codec(agent, 193, lambda _: True)
+        self.bytes_out = 0
+        self.bytes_by: Counter[str] = Counter()
+        """Bytes that left, by the type of message."""
+        self.told: Counter[str] = Counter()
+        """How often something was told, by its key: `refresh`, a unit, or what the swarm's reporter says."""
+        self.agents = 1
+        self._listeners: list[tuple[Callable[[Any, str], None], frozenset[int]]] = []
+
+    def share(self, agents: int, *, speaks: bool = False) -> None:
+        self.agents = agents
+        self.outbox.share(agents, speaks=speaks)
+
+    def send(
+        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+    ) -> None:
+        self.told[key] += 1
+        self.outbox.put(message, self.codec.size(message), kind, key, urgency)
+
+    def links(self) -> tuple[LinkFact, ...]:
+        return ()
+
+    def listen(self, callback: Callable[[Any, str], None], ids: Iterable[int]) -> None:
+        self._listeners.append((callback, frozenset(ids)))
+
+    def watch(self, callback: Callable[[], None]) -> None:
+        """Looked at by the fleet itself."""
+
+    def leave(self) -> list[bytes]:
+        frames = []
+        for item in iter(self.outbox.take, None):
+            frames.append(self.codec.pack(item.message))
+            self.bytes_by[item.message.get_type()] += len(frames[-1])
+            self.bytes_out += len(frames[-1])
+        return frames
+
+    def hear(self, messages: Iterable[Any]) -> None:
+        for message in messages:
+            for callback, ids in self._listeners:
+                if message.get_msgId() in ids:
+                    callback(message, "mesh")
+
+
+class Agent:
+    """One agent: how it is, is set from outside."""
+
+    def __init__(
+        self, number: int, clock: FakeClock, fleet: list[int], budget: float | None, units: Sequence[UnitState] = ()
+    ) -> None:
+        self.number, self.clock = number, clock
+        self.port = Port(number, clock, budget)
+        self.settings = settings(agent={"id": number}, swarm={"agents": fleet})
+        self.gcs_heard: float | None = None
+        self.radio = False
+        self.units = {state.unit: state for state in units} or {
+            name: UnitState(name, name, slot, Layer.ROS, Level.OK, Result(Level.OK, ""), clock.stamp())
+            for slot, name in ((Slot.CONTAINER, "container/app"), (Slot.NODES, "nodes/a"))
+        }
+        self.probe = Probe(self.port, self.settings, clock, self._gcs_age, lambda: None)  # type: ignore[arg-type]
+        self.context = context = ReporterContext(
+            self.settings, clock, "boot", lambda: tuple(self.units.values()), lambda: True, dict, self.port,
+            swarm=self.probe, pilot=lambda: True, radio=lambda: self.radio,
+        )  # fmt: skip
+        told, speaker = Mavlink.build(context), Speaker.build(context)
+        assert told is not None
+        assert speaker is not None
+        self.reporters = (told, speaker)
+        told.handle(Report(clock.stamp(), 1, clock.stamp(), tuple(self.units.values())))
+
+    def become(self, unit: str, level: Level, brief: str = "") -> None:
+        old = self.units[unit]
+        self.units[unit] = UnitState(
+            unit, unit, old.slot, old.layer, level, Result(level, "", brief), self.clock.stamp()
+        )
+
+    def turn(self, units: Sequence[UnitState]) -> None:
+        """It is so from now on; what changed is told, as the tracker tells it."""
+        before, self.units = self.units, {state.unit: state for state in units}
+        for state in units:
+            old = before[state.unit].level if state.unit in before else Level.STALE
+            if old is not state.level:
+                self.reporters[0].handle(Transition(self.clock.stamp(), old, state))
+
+    def _gcs_age(self) -> float | None:
+        return None if self.gcs_heard is None else self.clock.mono() - self.gcs_heard
+
+
+class Fleet:
+    """`count` agents from number 1 on, without 51. `deaf`: do not hear the ground, nor are heard by it. `cut`: (sender, hearer) pairs.
+
+    units: what each agent's checks say, or a few of their own. step_s: of the clock; a coarse one is quicker to compute.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        *,
+        loss: float = 0.0,
+        seed: int = 1,
+        budget: float | None = 158.0,
+        units: Sequence[UnitState] = (),
+        step_s: float = STEP_S,
+    ) -> None:
+        self.clock, self._step_s = FakeClock(), step_s
+        numbers = [number for number in range(1, 251) if number != 51][:count]
+        self.agents = {number: Agent(number, self.clock, numbers, budget, units) for number in numbers}
+        self.down: set[int] = set()
+        self.deaf: set[int] = set()
+        self.cut: set[tuple[int, int]] = set()
+        self.ground: list[tuple[int, int, str]] = []
+        """What the ground station read: agent, severity, text."""
+        self._loss, self._random = loss, random.Random(seed)
+        self._parser = Codec(255, 190, lambda _: True).parser()
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / self._step_s)):
+            self.clock.advance(self._step_s)
+            up = [agent for number, agent in self.agents.items() if number not in self.down]
+            for agent in up:
+                if agent.number not in self.deaf:
+                    agent.gcs_heard = self.clock.mono()
+                for reporter in agent.reporters:
+                    reporter.tick()
+                agent.probe.wake_if_changed()
+            for agent in up:
+                self._deliver(agent.number, agent.port.leave(), up)
+
+    def lines(self, least: int = 7) -> list[str]:
+        """Lines of at most this severity number that the ground read since the last call."""
+        found = [text for _, severity, text in self.ground if severity <= least]
+        self.ground.clear()
+        return found
+
+    def _deliver(self, sender: int, frames: list[bytes], up: list[Agent]) -> None:
+        messages = self._parser.feed(b"".join(frames))
+        for agent in up:
+            if agent.number != sender and (sender, agent.number) not in self.cut:
+                agent.port.hear(message for message in messages if self._random.random() >= self._loss)
+        if sender not in self.deaf:
+            self.ground += [
+                (sender, message.severity, message.text) for message in messages if message.get_type() == "STATUSTEXT"
+            ]
