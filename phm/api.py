@@ -136,7 +136,7 @@ __all__ = [
     "topic_id",
     "warn",
     "worst",
-]  # fmt: skip
+]
 
 
 @dataclass(frozen=True, slots=True)

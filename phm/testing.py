@@ -53,9 +53,20 @@ from phm.facts import (
 )
 
 __all__ = [
-    "FakeClock", "FakeDevices", "FakeDocker", "FakeFiles", "FakeHost", "FakeLinks", "FakePressure", "FakeRos",
-    "FakeSelf", "FakeSwarm", "container", "settings", "world",
-]  # fmt: skip
+    "FakeClock",
+    "FakeDevices",
+    "FakeDocker",
+    "FakeFiles",
+    "FakeHost",
+    "FakeLinks",
+    "FakePressure",
+    "FakeRos",
+    "FakeSelf",
+    "FakeSwarm",
+    "container",
+    "settings",
+    "world",
+]
 
 # An event may be set by any thread without telling the clock, so sleepers look at it this often (real seconds).
 _LOOK_S = 0.002

@@ -247,5 +247,12 @@ def listed(case: Case) -> Verdict:
 
 
 RULES: tuple[Callable[[Case], Verdict], ...] = (
-    container, process, silent_beacon, late_beacon, sign_of_life, left_the_graph, bare_name, listed,
-)  # fmt: skip
+    container,
+    process,
+    silent_beacon,
+    late_beacon,
+    sign_of_life,
+    left_the_graph,
+    bare_name,
+    listed,
+)

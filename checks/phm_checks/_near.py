@@ -82,8 +82,12 @@ def _sure(wanted: str, name: str) -> bool:
 def sentence(wanted: str, stray: Stray) -> str:
     """`/agent_1/node_2 subscribes to /agent_1/topc_1, one character off: did you mean /agent_1/topic_1?`."""
     publishers, subscribers = stray.uses.publishers, stray.uses.subscribers
-    users = [f"{listed(nodes, 3)} {verb}" for nodes, verb in (
-        (publishers, "publishes" if len(publishers) == 1 else "publish"),
-        (subscribers, "subscribes to" if len(subscribers) == 1 else "subscribe to"),
-    ) if nodes]  # fmt: skip
+    users = [
+        f"{listed(nodes, 3)} {verb}"
+        for nodes, verb in (
+            (publishers, "publishes" if len(publishers) == 1 else "publish"),
+            (subscribers, "subscribes to" if len(subscribers) == 1 else "subscribe to"),
+        )
+        if nodes
+    ]
     return f"{' and '.join(users)} {clean(stray.name, 100)}, {stray.why}: did you mean {wanted}?"

@@ -128,9 +128,7 @@ def _sides(ears: Mapping[str, list[str]], opinions: Iterable[Opinion]) -> tuple[
     deaf = {(observer, opinion.node) for opinion in opinions for observer in opinion.unheard_by}
 
     def apart(one: str, other: str) -> bool:
-        return all(
-            any((here, node) in deaf for node in ears[there]) for here, there in ((one, other), (other, one))
-        )  # fmt: skip
+        return all(any((here, node) in deaf for node in ears[there]) for here, there in ((one, other), (other, one)))
 
     left, sides = list(ears), []
     while left:

@@ -103,9 +103,13 @@ class Diagnostics(api.Check):
         if item.node:
             needs = (*needs, f"nodes/{api.topic_id(item.node)}")
         return api.Unit(
-            item.unit, needs=needs, target=item.container, settle_s=SETTLE_S, grace_s=self._grace_s,
+            item.unit,
+            needs=needs,
+            target=item.container,
+            settle_s=SETTLE_S,
+            grace_s=self._grace_s,
             memory_s=item.entry.timeout,
-        )  # fmt: skip
+        )
 
     def _judge(self, world: api.World, item: Watched, fact: api.RosFact) -> api.Result:
         matching = {name: said for name, said in fact.diagnostics.items() if self._patterns[item.unit].fullmatch(name)}

@@ -58,9 +58,13 @@ class _Node:
         self.copies = fit if lasts else 0
         starting = now - began_at < grace_s
         past = Past(
-            self.state is State.ALIVE, self.seen, starting, self.copies > 0 or self.signs.twice(now),
-            contained=bool(self.wanted.container), unlisted=unlisted,
-        )  # fmt: skip
+            self.state is State.ALIVE,
+            self.seen,
+            starting,
+            self.copies > 0 or self.signs.twice(now),
+            contained=bool(self.wanted.container),
+            unlisted=unlisted,
+        )
         judgement = fuse(evidence, past)
         self.state = judgement.state
         return judgement

@@ -25,9 +25,14 @@ RECENT = 20
 )
 @click.pass_context
 def command(
-    ctx: click.Context, fault: str | None, config: str | None, log_dir: str | None, run_dir: str, as_json: bool,
+    ctx: click.Context,
+    fault: str | None,
+    config: str | None,
+    log_dir: str | None,
+    run_dir: str,
+    as_json: bool,
     everything: bool,
-) -> None:  # fmt: skip
+) -> None:
     """List open and recent faults, or one with its timeline.
 
     Works without the daemon, from the log alone. Exit code 0; 1 when the named fault is not known or there is no log.

@@ -101,10 +101,20 @@ def _address(ctx: click.Context, param: click.Parameter, value: str | None) -> t
 )
 @click.pass_context
 def command(
-    ctx: click.Context, urls: tuple[str, ...], baud: int, system: int, silent: bool, key: str | None, unsigned: str,
-    expect: tuple[int, ...], record: str | None, serve: tuple[str, int] | None, as_json: bool, once: bool,
+    ctx: click.Context,
+    urls: tuple[str, ...],
+    baud: int,
+    system: int,
+    silent: bool,
+    key: str | None,
+    unsigned: str,
+    expect: tuple[int, ...],
+    record: str | None,
+    serve: tuple[str, int] | None,
+    as_json: bool,
+    once: bool,
     seconds: float | None,
-) -> None:  # fmt: skip
+) -> None:
     """Show how all agents are, as a ground station hears them.
 
     Connects to the MAVLink network and finds the agents by what they send. URL is as in the configuration's

@@ -48,9 +48,12 @@ class Control:
     """Serves `run_dir/control.sock` until closed. `approve` answers in words or raises an exception with its reason."""
 
     def __init__(
-        self, run_dir: str, approve: Callable[[str], str], note: Callable[[str, str], None],
+        self,
+        run_dir: str,
+        approve: Callable[[str], str],
+        note: Callable[[str, str], None],
         holds: HoldDesk | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._run_dir, self._approve, self._note, self._holds = run_dir, approve, note, holds
         self._selector = selectors.DefaultSelector()
         self._connections: dict[socket.socket, tuple[bytearray, float]] = {}

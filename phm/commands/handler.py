@@ -37,7 +37,7 @@ from phm.wire.command import (
     Send,
     Tell,
     Wish,
-)  # fmt: skip
+)
 
 __all__ = ["Desk", "Port", "Powers"]
 
@@ -91,9 +91,15 @@ class Desk:
         if sender == ours or not addressed(message.target_system, message.target_component, *ours):
             return
         asked = Asked(
-            message.command, (message.param1, message.param2), getattr(message, "confirmation", 0), *sender, link,
-            bool(message.get_signed()), whole=message.target_component == 0, age_s=getattr(message, "_age_s", 0.0),
-        )  # fmt: skip
+            message.command,
+            (message.param1, message.param2),
+            getattr(message, "confirmation", 0),
+            *sender,
+            link,
+            bool(message.get_signed()),
+            whole=message.target_component == 0,
+            age_s=getattr(message, "_age_s", 0.0),
+        )
         limit_s = self._settings.mavlink.signing.command_age
         verdict = judge(asked, self._allowed, signing=self._port.signs, command_age_s=limit_s)
         if isinstance(verdict, Ignore):
@@ -228,9 +234,13 @@ class Desk:
                 return Result.TEMPORARILY_REJECTED, f"a heartbeat was asked for less than {HEARTBEAT_EVERY_S:g} s ago"
             self._beat = now
         built = responses.status(
-            message, self._settings.agent.id, self._powers.states(), complete=self._powers.complete(), mono=now,
+            message,
+            self._settings.agent.id,
+            self._powers.states(),
+            complete=self._powers.complete(),
+            mono=now,
             utc=self._clock.utc(),
-        )  # fmt: skip
+        )
         self._port.send(built, Class.REQUEST, key=f"asked {message}", urgency=1, link=link)
         return Result.ACCEPTED, f"message {message} is sent"
 

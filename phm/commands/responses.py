@@ -60,10 +60,15 @@ def computer(states: Sequence[UnitState], *, mono: float, utc: float) -> Any:
         fan_speed=_four(fans, _I16),
         ram_usage=_U32 if memory is None or total is None else round(total * memory / 100 / _MIB),
         ram_total=_U32 if total is None else round(total / _MIB),
-        storage_type=[_U32] * 4, storage_usage=_four(used, _U32), storage_total=_four(whole, _U32),
-        link_type=[_U32] * 6, link_tx_rate=[_U32] * 6, link_rx_rate=[_U32] * 6,
-        link_tx_max=[_U32] * 6, link_rx_max=[_U32] * 6,
-    )  # fmt: skip
+        storage_type=[_U32] * 4,
+        storage_usage=_four(used, _U32),
+        storage_total=_four(whole, _U32),
+        link_type=[_U32] * 6,
+        link_tx_rate=[_U32] * 6,
+        link_rx_rate=[_U32] * 6,
+        link_tx_max=[_U32] * 6,
+        link_rx_max=[_U32] * 6,
+    )
 
 
 def _disks(values: Mapping[str, Value]) -> tuple[list[int], list[int]]:
@@ -101,11 +106,14 @@ def details(fault: Fault, asked: Asked, others: Sequence[str] = ()) -> list[Any]
     payloads = [tunnel.encode(part) for part in tunnel.details(fault.id, "; ".join(pieces))]
     return [
         mavlink.MAVLink_tunnel_message(
-            asked.system, asked.component, tunnel.PAYLOAD_TYPE, len(payload),
+            asked.system,
+            asked.component,
+            tunnel.PAYLOAD_TYPE,
+            len(payload),
             list(payload.ljust(tunnel.MAX_BYTES, b"\0")),
         )
         for payload in payloads
-    ]  # fmt: skip
+    ]
 
 
 def _number(value: Value | None) -> float | None:

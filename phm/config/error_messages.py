@@ -25,11 +25,17 @@ PATTERNS = {
     r"^(unix:///.+|tcp://.+)$": "unix:///path or tcp://host:port",
 }
 _WANTED = {
-    "int_type": "a whole number", "float_type": "a number", "bool_type": "true or false", "string_type": "text",
-    "list_type": "a list", "dict_type": "a mapping", "model_type": "a section with keys of its own",
-    "string_unicode": "text that is valid Unicode", "int_from_float": "a whole number",
+    "int_type": "a whole number",
+    "float_type": "a number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "list_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a section with keys of its own",
+    "string_unicode": "text that is valid Unicode",
+    "int_from_float": "a whole number",
     "int_parsing_size": "a smaller number",
-}  # fmt: skip
+}
 _RANGES = {"greater_than_equal", "greater_than", "less_than_equal", "less_than", "finite_number"}
 
 

@@ -12,8 +12,12 @@ from phm.config.problems import Path
 from phm.core.settings import Bytes, Celsius, Hertz, Percent, Seconds, Settings
 
 _KINDS: tuple[tuple[Any, str], ...] = (
-    (Seconds, "seconds"), (Bytes, "bytes"), (Hertz, "Hz"), (Percent, "percent"), (Celsius, "°C"),
-)  # fmt: skip
+    (Seconds, "seconds"),
+    (Bytes, "bytes"),
+    (Hertz, "Hz"),
+    (Percent, "percent"),
+    (Celsius, "°C"),
+)
 
 
 def model_of(annotation: Any) -> type[BaseModel] | None:

@@ -375,10 +375,24 @@ def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
 
 
 RULES: tuple[Callable[[View], None], ...] = (
-    containers_have_one_identity, containers_are_told_apart, container_parts_stand_once, containers_start_in_order,
-    absent_files_have_no_copy, repairs_are_opted_in, flight_critical_is_known_to_be, ros_names_stand_once,
-    named_containers_exist, relaunch_has_a_container,
-    topic_nodes_exist, diagnostics_are_known, own_topics_have_no_rate, endpoints_are_told_apart,
-    link_ids_are_told_apart, limits_are_in_order, disks_stand_once,
-    fleet_rules.fleet_can_be_told, fleet_rules.fleet_modes_fit, fleet_rules.fleet_certificates_are_of_use,
-)  # fmt: skip
+    containers_have_one_identity,
+    containers_are_told_apart,
+    container_parts_stand_once,
+    containers_start_in_order,
+    absent_files_have_no_copy,
+    repairs_are_opted_in,
+    flight_critical_is_known_to_be,
+    ros_names_stand_once,
+    named_containers_exist,
+    relaunch_has_a_container,
+    topic_nodes_exist,
+    diagnostics_are_known,
+    own_topics_have_no_rate,
+    endpoints_are_told_apart,
+    link_ids_are_told_apart,
+    limits_are_in_order,
+    disks_stand_once,
+    fleet_rules.fleet_can_be_told,
+    fleet_rules.fleet_modes_fit,
+    fleet_rules.fleet_certificates_are_of_use,
+)

@@ -82,9 +82,15 @@ def read(message: Any) -> Frame | None:
     number, system, component = message.get_msgId(), message.get_srcSystem(), message.get_srcComponent()
     if number == HEARTBEAT:
         return Beat(
-            system, component, message.type, message.autopilot, message.base_mode, message.custom_mode,
-            message.system_status, bool(message.get_signed()),
-        )  # fmt: skip
+            system,
+            component,
+            message.type,
+            message.autopilot,
+            message.base_mode,
+            message.custom_mode,
+            message.system_status,
+            bool(message.get_signed()),
+        )
     if number == STATUSTEXT:
         return Said(
             system, component, message.severity, one_line(_text(message.text))[:MAX_TEXT], bool(message.get_signed())

@@ -43,17 +43,24 @@ def hop(found: Hop | None) -> dict[str, Any] | None:
 
 def pilot(found: Pilot, now: float) -> dict[str, Any]:
     return {
-        "presence": found.seen(now).value, "armed": found.armed, "mode": found.mode, "state": state_name(found.state),
+        "presence": found.seen(now).value,
+        "armed": found.armed,
+        "mode": found.mode,
+        "state": state_name(found.state),
         "age_s": seconds(found.presence.silent_s(now)),
-    }  # fmt: skip
+    }
 
 
 def text(said: Said, line: Line | None) -> dict[str, Any]:
     """line: what PHM says with it; None: it is somebody else's."""
     body: dict[str, Any] = {
-        "system": said.system, "component": said.component, "severity": said.severity,
-        "severity_name": severity_name(said.severity), "text": said.text, "phm": line is not None,
-    }  # fmt: skip
+        "system": said.system,
+        "component": said.component,
+        "severity": said.severity,
+        "severity_name": severity_name(said.severity),
+        "text": said.text,
+        "phm": line is not None,
+    }
     if line is not None:
         about = {"agent": line.agent or None, "kind": line.kind.value, "word": line.word or None}
         body = {**body, **about, "slot": line.slot or None, "brief": line.text}
@@ -112,20 +119,32 @@ def _agent(fleet: Fleet, look: Look, agent: Agent, now: float) -> dict[str, Any]
     aboard = fleet.pilots.get(agent.system)
     learned = agent.presence.heard_s is not None
     return {
-        **who(agent), "component": agent.component, "link": agent.link or None,
-        "how": how(agent, state), "presence": state.value, "age_s": seconds(agent.presence.silent_s(now)),
+        **who(agent),
+        "component": agent.component,
+        "link": agent.link or None,
+        "how": how(agent, state),
+        "presence": state.value,
+        "age_s": seconds(agent.presence.silent_s(now)),
         "period_s": seconds(agent.presence.period_s(fleet.guess_s)) if learned else None,
-        "word": agent.word, "state": state_name(agent.state) or None,
-        "slots": slots(agent) if state.there else {}, "last_slots": slots(agent),
-        "hop": hop(look.hop(agent)), "line": _line(agent, now), "bad": _bad(agent, now) if state.there else [],
-        "view": _view(agent, now), "heard_by": heard_by, "unheard_by": unheard_by,
+        "word": agent.word,
+        "state": state_name(agent.state) or None,
+        "slots": slots(agent) if state.there else {},
+        "last_slots": slots(agent),
+        "hop": hop(look.hop(agent)),
+        "line": _line(agent, now),
+        "bad": _bad(agent, now) if state.there else [],
+        "view": _view(agent, now),
+        "heard_by": heard_by,
+        "unheard_by": unheard_by,
         "hears_ground": None if agent.deaf is None else not agent.deaf,
         "swarm_says": level.name if level not in (None, Level.STALE) else None,
         "pilot": pilot(aboard, now) if aboard is not None else None,
-        "on_hold": agent.on_hold, "restarts": agent.restarts, "problem": agent.problem or None,
+        "on_hold": agent.on_hold,
+        "restarts": agent.restarts,
+        "problem": agent.problem or None,
         "first_utc": iso(agent.first.utc) if agent.first else None,
         "last_utc": iso(agent.last.utc) if agent.last else None,
-    }  # fmt: skip
+    }
 
 
 def _line(agent: Agent, now: float) -> dict[str, Any] | None:

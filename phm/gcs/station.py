@@ -126,9 +126,12 @@ class Station:
         with self._lock:
             at = self._clock.stamp()
             body = {
-                "system": self.ids[0], "component": self.ids[1], **self._store.snapshot(self._judged_at(at)),
-                "problems": list(self._problems), "frames_refused": self._meter.refused + self._overrun,
-            }  # fmt: skip
+                "system": self.ids[0],
+                "component": self.ids[1],
+                **self._store.snapshot(self._judged_at(at)),
+                "problems": list(self._problems),
+                "frames_refused": self._meter.refused + self._overrun,
+            }
             return self._number, News(at, "snapshot", body)
 
     def line(self, number: int, news: News) -> bytes:

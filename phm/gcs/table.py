@@ -23,9 +23,16 @@ LEGEND = "+ ok  W warn  E error  - not known or unused  ? not heard"
 _CELLS = {"OK": ("+", "green"), "WARN": ("W", "bold yellow"), "ERROR": ("E", "bold white on red")}
 _NOT_KNOWN, _NOT_HEARD = ("-", "dim"), ("?", "magenta")
 _STYLES = {
-    "OK": "green", "WARN": "yellow", "ERROR": "bold red", "STALE": "magenta", "HOLD": "cyan", "BOOT": "cyan", "LOST": "bold red",
-    "LEFT": "dim", "UNKNOWN": "magenta",
-}  # fmt: skip
+    "OK": "green",
+    "WARN": "yellow",
+    "ERROR": "bold red",
+    "STALE": "magenta",
+    "HOLD": "cyan",
+    "BOOT": "cyan",
+    "LOST": "bold red",
+    "LEFT": "dim",
+    "UNKNOWN": "magenta",
+}
 _GRAVITY = ("ERROR", "LOST", "WARN", "UNKNOWN", "STALE", "HOLD", "BOOT", "LEFT", "OK")
 _OTHERS = 8
 """Lines beside the rows of agents: header, legend, swarm, links, problems."""
@@ -78,9 +85,14 @@ def _agents(agents: Sequence[Json]) -> Table:
     for agent in agents:
         how = str(agent["how"])
         table.add_row(
-            _plain(agent["name"], "bold"), cells(agent), Text(how, _STYLES.get(how, "")), _age(agent), _pilot(agent),
-            _hop(agent), _line(agent),
-        )  # fmt: skip
+            _plain(agent["name"], "bold"),
+            cells(agent),
+            Text(how, _STYLES.get(how, "")),
+            _age(agent),
+            _pilot(agent),
+            _hop(agent),
+            _line(agent),
+        )
     return table
 
 

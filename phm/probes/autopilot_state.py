@@ -113,14 +113,25 @@ class Pilot:
         armed = any(said for at, said in self._said.values() if heard - at <= self._timeout_s)
         ages = {said: now - at for said, at in self._said_armed.items()}
         return AutopilotFact(
-            now - heard, armed, message.custom_mode, message.system_status, link,
-            self.boot_s(now), self.reboots, now - self._seen[-1] if rebooted else None, rebooted and self._rebooted_armed,
-            self._cadence.due_s(), self._overdue(read_at(link)), now - self._spoke,
-            ages.get(True), ages.get(False), None if self._stalled is None else now - self._stalled,
+            now - heard,
+            armed,
+            message.custom_mode,
+            message.system_status,
+            link,
+            self.boot_s(now),
+            self.reboots,
+            now - self._seen[-1] if rebooted else None,
+            rebooted and self._rebooted_armed,
+            self._cadence.due_s(),
+            self._overdue(read_at(link)),
+            now - self._spoke,
+            ages.get(True),
+            ages.get(False),
+            None if self._stalled is None else now - self._stalled,
             None if self._boot is None else now - self._boot[0],
             None if self._disarmed_from is None else now - self._disarmed_from,
             max(min(unread_s, self._timeout_s), self._late_s(heard, self._timeout_s)),
-        )  # fmt: skip
+        )
 
     def _overdue(self, read_at: float | None) -> bool:
         speaks = read_at is not None and read_at - self._spoke < ALIVE_S

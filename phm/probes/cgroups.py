@@ -93,16 +93,26 @@ def _read_v2(group: Group, at: float) -> PressureFact:
     period_s = int(period or 0) / 1e6 or PERIOD_S
     used, limit = _number(f"{base}/memory.current"), _number(f"{base}/memory.max")
     return PressureFact(
-        at, "cgroup v2", _life(base), _not_seen(base, cpu, used),
+        at,
+        "cgroup v2",
+        _life(base),
+        _not_seen(base, cpu, used),
         cpu_limit=int(quota) / (period_s * 1e6) if quota.isdecimal() else None,
-        cpu_used_s=_seconds(cpu, "usage_usec", 1e6), cpu_period_s=period_s,
-        throttled_periods=cpu.get("nr_throttled"), throttled_s=_seconds(cpu, "throttled_usec", 1e6),
-        cpu=_stall(base, "cpu"), memory=_stall(base, "memory"), io=_stall(base, "io"),
-        memory_bytes=used, memory_limit=limit, reread_pages=_reread(f"{base}/memory.stat", used, limit),
+        cpu_used_s=_seconds(cpu, "usage_usec", 1e6),
+        cpu_period_s=period_s,
+        throttled_periods=cpu.get("nr_throttled"),
+        throttled_s=_seconds(cpu, "throttled_usec", 1e6),
+        cpu=_stall(base, "cpu"),
+        memory=_stall(base, "memory"),
+        io=_stall(base, "io"),
+        memory_bytes=used,
+        memory_limit=limit,
+        reread_pages=_reread(f"{base}/memory.stat", used, limit),
         oom_kills=_table(f"{base}/memory.events").get("oom_kill"),
-        pids=_number(f"{base}/pids.current"), pids_limit=_number(f"{base}/pids.max"),
+        pids=_number(f"{base}/pids.current"),
+        pids_limit=_number(f"{base}/pids.max"),
         pids_refused=_table(f"{base}/pids.events").get("max"),
-    )  # fmt: skip
+    )
 
 
 def _read_v1(group: Group, at: float) -> PressureFact:
@@ -114,16 +124,26 @@ def _read_v1(group: Group, at: float) -> PressureFact:
     limit = None if limit is None or limit >= _NO_LIMIT else limit
     base = group.unified
     return PressureFact(
-        at, "cgroup v1", _life(group.cpu), _not_seen(base, cpu, used),
+        at,
+        "cgroup v1",
+        _life(group.cpu),
+        _not_seen(base, cpu, used),
         cpu_limit=quota_us / (period_s * 1e6) if quota_us is not None and quota_us > 0 else None,
-        cpu_used_s=None if used_ns is None else used_ns / 1e9, cpu_period_s=period_s,
-        throttled_periods=cpu.get("nr_throttled"), throttled_s=_seconds(cpu, "throttled_time", 1e9),
-        cpu=_stall(base, "cpu"), memory=_stall(base, "memory"), io=_stall(base, "io"),
-        memory_bytes=used, memory_limit=limit, reread_pages=_reread(f"{group.memory}/memory.stat", used, limit),
+        cpu_used_s=None if used_ns is None else used_ns / 1e9,
+        cpu_period_s=period_s,
+        throttled_periods=cpu.get("nr_throttled"),
+        throttled_s=_seconds(cpu, "throttled_time", 1e9),
+        cpu=_stall(base, "cpu"),
+        memory=_stall(base, "memory"),
+        io=_stall(base, "io"),
+        memory_bytes=used,
+        memory_limit=limit,
+        reread_pages=_reread(f"{group.memory}/memory.stat", used, limit),
         oom_kills=_table(f"{group.memory}/memory.oom_control").get("oom_kill"),
-        pids=_number(f"{group.pids}/pids.current"), pids_limit=_number(f"{group.pids}/pids.max"),
+        pids=_number(f"{group.pids}/pids.current"),
+        pids_limit=_number(f"{group.pids}/pids.max"),
         pids_refused=_table(f"{group.pids}/pids.events").get("max"),
-    )  # fmt: skip
+    )
 
 
 def used_by_all(root: Path) -> dict[str, float]:

@@ -49,8 +49,19 @@ _MAX_IDS = 1000
 REPLACES = "com.docker.compose.replace"
 """Label by which Compose marks a container that it makes to take the place of another (seen with Compose 2.26)."""
 CONTAINER_ACTIONS = (
-    "create", "start", "kill", "die", "stop", "restart", "pause", "unpause", "oom", "health_status", "destroy", "rename",
-)  # fmt: skip
+    "create",
+    "start",
+    "kill",
+    "die",
+    "stop",
+    "restart",
+    "pause",
+    "unpause",
+    "oom",
+    "health_status",
+    "destroy",
+    "rename",
+)
 NETWORK_ACTIONS = ("create", "connect", "disconnect", "destroy")
 # The engine matches actions by their beginning once `health_status` is among them: exec events stay out.
 ENDINGS = ("kill", "die", "stop", "destroy")

@@ -23,14 +23,21 @@ def pressure_fact(answer: Mapping[str, Any], container: ContainerFact, at: float
     used, limit = _number(memory.get("usage")), _number(memory.get("limit"))
     throttled_ns = _number(throttling.get("throttled_time"))
     return PressureFact(
-        at, SOURCE, container.life, NOT_SEEN,
-        cpu_limit=container.cpu_limit, cpu_used_s=used_ns / 1e9, cpu_period_s=container.cpu_period_s,
+        at,
+        SOURCE,
+        container.life,
+        NOT_SEEN,
+        cpu_limit=container.cpu_limit,
+        cpu_used_s=used_ns / 1e9,
+        cpu_period_s=container.cpu_period_s,
         throttled_periods=_number(throttling.get("throttled_periods")),
         throttled_s=None if throttled_ns is None else throttled_ns / 1e9,
-        memory_bytes=used, memory_limit=limit if limit is not None and 0 < limit < _NO_LIMIT else None,
+        memory_bytes=used,
+        memory_limit=limit if limit is not None and 0 < limit < _NO_LIMIT else None,
         reread_pages=_reread(details, used, limit),
-        pids=_number(pids.get("current")), pids_limit=_pids_limit(pids),
-    )  # fmt: skip
+        pids=_number(pids.get("current")),
+        pids_limit=_pids_limit(pids),
+    )
 
 
 def _reread(details: Mapping[str, Any], used: int | None, limit: int | None) -> int | None:

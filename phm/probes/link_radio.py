@@ -64,11 +64,20 @@ class Radio:
         newest, rates, without = self._newest, self._rates(), _partnerless(self._newest)
         far = (None, None) if without else (_known(newest.remrssi), _known(newest.remnoise))
         return RadioFact(
-            self._link, now - self._times[-1], self._due_s(),
-            _known(newest.rssi), far[0], _known(newest.noise), far[1], newest.txbuf,
-            fmean(self._margins) if self._margins else None, fmean(self._remmargins) if self._remmargins else None, *rates,
-            without and self._partnered, not_counted_s,
-        )  # fmt: skip
+            self._link,
+            now - self._times[-1],
+            self._due_s(),
+            _known(newest.rssi),
+            far[0],
+            _known(newest.noise),
+            far[1],
+            newest.txbuf,
+            fmean(self._margins) if self._margins else None,
+            fmean(self._remmargins) if self._remmargins else None,
+            *rates,
+            without and self._partnered,
+            not_counted_s,
+        )
 
     def _due_s(self) -> float:
         pauses = [after - before for before, after in pairwise(self._times)]

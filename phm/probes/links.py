@@ -34,9 +34,11 @@ USERS_S = 1.0
 """Deadline of a look at who has a port open."""
 STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
 BOOTED = (
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
     mavlink.MAVLINK_MSG_ID_TIMESYNC,
-)  # fmt: skip
+)
 """Messages of an autopilot that carry its time since boot."""
 LONGEST_MS = 2**32
 """A TIMESYNC with more than `time_boot_ms` could hold is of a clock that does not begin at boot."""

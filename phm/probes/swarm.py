@@ -93,9 +93,19 @@ class Swarm:
             }
             peers = {agent: self._peer(agent, agreed, now) for agent in agreed.verdicts}
         return SwarmFact(
-            self._own, agreed.members, len(agreed.living), peers, agreed.split, without_ground(agreed, gcs), clashing,
-            speaker, gcs, now - self._began, links, strangers,
-        )  # fmt: skip
+            self._own,
+            agreed.members,
+            len(agreed.living),
+            peers,
+            agreed.split,
+            without_ground(agreed, gcs),
+            clashing,
+            speaker,
+            gcs,
+            now - self._began,
+            links,
+            strangers,
+        )
 
     def wake_if_changed(self) -> None:
         """Look. The number of agents sets the links' budgets."""
@@ -105,8 +115,11 @@ class Swarm:
     def _compare(self, fact: SwarmFact) -> None:
         picture = (
             {agent: (peer.state, peer.heard_by, peer.gcs) for agent, peer in fact.peers.items()},
-            fact.split, fact.deaf, fact.clashing, fact.speaker,
-        )  # fmt: skip
+            fact.split,
+            fact.deaf,
+            fact.clashing,
+            fact.speaker,
+        )
         with self._lock:
             changed, self._shown = picture != self._shown, picture
         if changed:
@@ -173,6 +186,11 @@ class Swarm:
         verdict, peer = agreed.verdicts[agent], self._peers.peer(agent)
         age_s = None if peer is None or peer.heard_s is None else now - peer.heard_s
         return PeerFact(
-            verdict.state.value, age_s, verdict.heard_by, verdict.unheard_by, verdict.gcs, verdict.word,
+            verdict.state.value,
+            age_s,
+            verdict.heard_by,
+            verdict.unheard_by,
+            verdict.gcs,
+            verdict.word,
             now - self._since[agent][1],
-        )  # fmt: skip
+        )

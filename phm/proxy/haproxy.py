@@ -86,9 +86,8 @@ def rules(settings: Settings, engine: str) -> str:
         frontend += _start_exec(key)
     learned = "".join(f"    {line}\n" for line in _learned(made))
     head = _HEAD.format(
-        agent=settings.agent.name, silence=_SILENCE_S,
-        socket=settings.docker.socket.removeprefix("unix://"),
-    )  # fmt: skip
+        agent=settings.agent.name, silence=_SILENCE_S, socket=settings.docker.socket.removeprefix("unix://")
+    )
     tail = _TAIL.format(refusal=quoted(_REFUSAL), learned=learned, engine=engine)
     return head + "".join(f"    {line}\n" for line in frontend) + tail
 

@@ -149,10 +149,16 @@ class Executor:
         made = {target: tried for target, tried in attempts.items() if tried}
         lives, holds = self._shop.lives, self._shop.holds
         return RecoveryState(
-            made, cases, under_way, lives.kept(), unfinished=lives.unfinished_now(),
+            made,
+            cases,
+            under_way,
+            lives.kept(),
+            unfinished=lives.unfinished_now(),
             lowered=self._shop.context.relief.kept() if self._shop.context.relief is not None else (),
-            holds=holds.kept(self._shop.clock.mono()), stops=holds.stops(), windows=holds.done(),
-        )  # fmt: skip
+            holds=holds.kept(self._shop.clock.mono()),
+            stops=holds.stops(),
+            windows=holds.done(),
+        )
 
     # ------------------------------------------------------------ the operator's hand
 

@@ -13,15 +13,31 @@ from typing import Any, cast
 from phm.recovery.critical import FlightCritical, Reach, Safeguard
 from phm.transport.docker import Engine, EngineNotConnected, EngineTimeout, EngineUnreachable
 
-READS = frozenset({
-    "ping", "version", "list", "inspect", "inspect_network", "top", "stat_path", "read_file", "copy_file", "fetch_file", "events",
-})  # fmt: skip
+READS = frozenset(
+    {
+        "ping",
+        "version",
+        "list",
+        "inspect",
+        "inspect_network",
+        "top",
+        "stat_path",
+        "read_file",
+        "copy_file",
+        "fetch_file",
+        "events",
+    }
+)
 """Calls that change nothing; every other one is asked about."""
 REACH = {
-    "start": Reach.NOTHING, "unpause": Reach.NOTHING, "exec_detached": Reach.NOTHING, "put_file": Reach.NOTHING,
+    "start": Reach.NOTHING,
+    "unpause": Reach.NOTHING,
+    "exec_detached": Reach.NOTHING,
+    "put_file": Reach.NOTHING,
     "set_cpu_shares": Reach.NOTHING,
-    "connect": Reach.NETWORK, "disconnect": Reach.NETWORK,
-}  # fmt: skip
+    "connect": Reach.NETWORK,
+    "disconnect": Reach.NETWORK,
+}
 """What a call takes down; those that are not here: the container."""
 BRINGS_BACK = frozenset({"start", "unpause", "connect"})
 """Not refused for what the same action took down: half done is worse than done."""

@@ -71,9 +71,14 @@ class HoldService:
     """Thread-safe; `start` applies what was restored and begins to watch the time."""
 
     def __init__(
-        self, settings: Settings, holds: Holds, pipeline: Pipeline, publish: Callable[[Event], None], clock: Clock,
+        self,
+        settings: Settings,
+        holds: Holds,
+        pipeline: Pipeline,
+        publish: Callable[[Event], None],
+        clock: Clock,
         world: HoldWorld,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._settings, self._rules, self._holds, self._pipeline = settings, settings.recovery, holds, pipeline
         self._publish, self._clock, self._world = publish, clock, world
         self._keys = tuple(entry.key for entry in settings.containers)
@@ -375,9 +380,13 @@ class HoldService:
         now = self._clock.stamp()
         left_s = max(0.0, hold.until - now.mono)
         return {
-            "container": hold.target or None, "source": hold.source, "by": hold.by, "reason": hold.reason,
-            "until": iso(now.utc + left_s), "left_s": round(left_s, 1),
-        }  # fmt: skip
+            "container": hold.target or None,
+            "source": hold.source,
+            "by": hold.by,
+            "reason": hold.reason,
+            "until": iso(now.utc + left_s),
+            "left_s": round(left_s, 1),
+        }
 
 
 def _name(hold: Hold) -> str:

@@ -66,9 +66,17 @@ class ManualStops:
         self._of: dict[str, _Ending] = {}
 
     def event(
-        self, key: str, action: str, detail: str, now: float, *, own: bool, late: bool = False, missed: bool = False,
+        self,
+        key: str,
+        action: str,
+        detail: str,
+        now: float,
+        *,
+        own: bool,
+        late: bool = False,
+        missed: bool = False,
         container_id: str = "",
-    ) -> None:  # fmt: skip
+    ) -> None:
         """One event of the container `key`. own: the event is PHM's doing. late: PHM's call has given up, and the engine has not.
         missed: a `kill` before it may have been missed.
 

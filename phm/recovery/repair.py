@@ -60,9 +60,15 @@ class Repair:
     """`begin`, then `run`, then `release`. Each repair is an owner of its own (`phm.recovery.hands`)."""
 
     def __init__(
-        self, shop: Shop, target: ContainerSettings, fault: Fault, kind: type[Action], *, last: bool,
+        self,
+        shop: Shop,
+        target: ContainerSettings,
+        fault: Fault,
+        kind: type[Action],
+        *,
+        last: bool,
         approved_at: State | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """last: no rung of the ladder follows. approved_at: as of `Acting`."""
         self._shop, self._target, self._fault, self._kind, self._last = shop, target.key, fault, kind, last
         # What disturbs the target in nothing keeps nothing of it back either.

@@ -239,9 +239,14 @@ def _last_known(last: LastKnown, now: Stamp) -> dict[str, Any]:
 def _hold(kept: KeptHold) -> dict[str, Any]:
     hold = kept.hold
     return {
-        "target": hold.target, "source": hold.source, "until_mono": hold.until, "left_s": kept.left_s, "by": hold.by,
-        "reason": hold.reason, "occurrence": hold.occurrence,
-    }  # fmt: skip
+        "target": hold.target,
+        "source": hold.source,
+        "until_mono": hold.until,
+        "left_s": kept.left_s,
+        "by": hold.by,
+        "reason": hold.reason,
+        "occurrence": hold.occurrence,
+    }
 
 
 def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> KeptHold:
@@ -301,14 +306,19 @@ def _fault(fault: Fault) -> dict[str, Any]:
 
 def _read_fault(body: Any, opened: Stamp) -> Fault:
     return Fault(
-        str(body["id"])[:MAX_TEXT], str(body["unit"]), Slot(body["slot"]), Layer(body["layer"]),
-        _read_result(body["result"]), opened, by=str(body["by"]),
+        str(body["id"])[:MAX_TEXT],
+        str(body["unit"]),
+        Slot(body["slot"]),
+        Layer(body["layer"]),
+        _read_result(body["result"]),
+        opened,
+        by=str(body["by"]),
         blocks=tuple(str(unit) for unit in body["blocks"]),
         consequences=tuple(str(name) for name in body["consequences"]),
         well_s=float(body.get("well_s", 0.0)),
         well_in_life_s=float(body.get("well_in_life_s", 0.0)),
         life_seen=bool(body.get("life_seen", False)),
-    )  # fmt: skip
+    )
 
 
 def _read_result(body: Any) -> Result:

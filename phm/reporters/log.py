@@ -140,9 +140,13 @@ def _unit(state: UnitState) -> dict[str, Any]:
 
 def _hold(event: HoldChanged) -> dict[str, Any]:
     return {
-        "target": event.target or None, "began": event.began, "by": event.by, "reason": event.reason,
-        "left_s": round(event.left_s, 1), "text": event.text,
-    }  # fmt: skip
+        "target": event.target or None,
+        "began": event.began,
+        "by": event.by,
+        "reason": event.reason,
+        "left_s": round(event.left_s, 1),
+        "text": event.text,
+    }
 
 
 def _report(report: Report) -> dict[str, Any]:

@@ -34,9 +34,13 @@ class Installed:
             if reporter is not None:
                 self._reporters.append(reporter)
                 self._bus.subscribe(
-                    reporter.name, reporter.handle, kinds=reporter.kinds, size=reporter.queue_size,
-                    tick=reporter.tick, period_s=reporter.period_s,
-                )  # fmt: skip
+                    reporter.name,
+                    reporter.handle,
+                    kinds=reporter.kinds,
+                    size=reporter.queue_size,
+                    tick=reporter.tick,
+                    period_s=reporter.period_s,
+                )
 
     def problems(self) -> list[str]:
         return [problem for reporter in self._reporters if (problem := reporter.problem())]

@@ -92,10 +92,14 @@ class Daemon:
         tracker = Tracker(self.plan.tracked, self._started, fault_prefix=f"{self.boot_id[:4]}-")
         self.pipeline = Pipeline(tracker, self.bus, self.clock, self.plan.pass_limit_s)
         self.parts: Parts = assemble(
-            settings, self.clock, wake=self._wake, docker_event=self._docker_event,
-            note=lambda text: self.pipeline.note("PHM", text), self_look=self._look_at_self,
+            settings,
+            self.clock,
+            wake=self._wake,
+            docker_event=self._docker_event,
+            note=lambda text: self.pipeline.note("PHM", text),
+            self_look=self._look_at_self,
             hub=before.parts.mavlink if before is not None else None,
-        )  # fmt: skip
+        )
         self.engine = Engine(self.plan.scheduled, self.parts.world, self.clock, self._observe)
         self.pipeline.attach(self.engine.wake_units, self.beat_soon)
         self.reporters = Installed(self.bus)
@@ -280,26 +284,49 @@ class Daemon:
         now = self.clock.mono()
         still = self._stood_still
         return SelfFact(
-            now - self._since.mono, self.engine.overdue(), self.bus.dropped(), (*problems, *self.bus.problems()),
-            ended_badly=self._ended_badly, stood_still_s=still[1] if still else None,
-            stood_still_ago_s=now - still[0] if still else None, was_stopped=still is not None and still[2],
-        )  # fmt: skip
+            now - self._since.mono,
+            self.engine.overdue(),
+            self.bus.dropped(),
+            (*problems, *self.bus.problems()),
+            ended_badly=self._ended_badly,
+            stood_still_s=still[1] if still else None,
+            stood_still_ago_s=now - still[0] if still else None,
+            was_stopped=still is not None and still[2],
+        )
 
     def _reporter_context(self) -> ReporterContext:
         return ReporterContext(
-            self.settings, self.clock, self.boot_id, self.pipeline.states, self.alive, self.health, self.parts.mavlink,
-            restored=self.pipeline.open_faults(), ros=self.parts.ros, swarm=self.parts.world.swarm, pilot=self._pilot_heard,
-            radio=self._radio_heard, open_faults=self.pipeline.open_faults, given_up=self.pipeline.given_up,
+            self.settings,
+            self.clock,
+            self.boot_id,
+            self.pipeline.states,
+            self.alive,
+            self.health,
+            self.parts.mavlink,
+            restored=self.pipeline.open_faults(),
+            ros=self.parts.ros,
+            swarm=self.parts.world.swarm,
+            pilot=self._pilot_heard,
+            radio=self._radio_heard,
+            open_faults=self.pipeline.open_faults,
+            given_up=self.pipeline.given_up,
             holds=self.holds.snapshot,
-        )  # fmt: skip
+        )
 
     def _start_recovery(self) -> None:
         actions = registry.usable(registry.find(registry.ACTIONS, Action))
         graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
         shop = Shop(
-            self.pipeline, self._publish_action, self.clock, actions, self._action_context(),
-            self.armed.now, lambda unit: graces.get(unit, 0.0), self.plan.below, self._held,
-        )  # fmt: skip
+            self.pipeline,
+            self._publish_action,
+            self.clock,
+            actions,
+            self._action_context(),
+            self.armed.now,
+            lambda unit: graces.get(unit, 0.0),
+            self.plan.below,
+            self._held,
+        )
         self.executor = Executor(shop)
         self.memory.resume(self.executor)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
@@ -320,11 +347,19 @@ class Daemon:
             return
         pipeline = self.pipeline
         powers = Powers(
-            pipeline.states, pipeline.open_faults, pipeline.recent_faults, lambda: pipeline.complete, self.alive,
+            pipeline.states,
+            pipeline.open_faults,
+            pipeline.recent_faults,
+            lambda: pipeline.complete,
+            self.alive,
             look=lambda: pipeline.look_again(*(state.unit for state in pipeline.states())),
-            approve=executor.approve, restart=executor.restart, note=pipeline.note, later=NotNow,
-            remember=self.parts.mavlink.remember, clock_problem=self.parts.mavlink.clock_problem,
-        )  # fmt: skip
+            approve=executor.approve,
+            restart=executor.restart,
+            note=pipeline.note,
+            later=NotNow,
+            remember=self.parts.mavlink.remember,
+            clock_problem=self.parts.mavlink.clock_problem,
+        )
         self.desk = Desk(self.parts.mavlink, powers, self.settings, self.clock)
         self.desk.start()
 
@@ -335,10 +370,16 @@ class Daemon:
     def _docker_context(self) -> ActionContext:
         docker = self.parts.world.docker
         return ActionContext(
-            self.parts.engine, self.settings, docker.container, docker.myself, self.parts.remembered,
-            listed_nodes=lambda: self.parts.world.ros.look().nodes, reopen=self.parts.reopen,
-            on_hold=self._hold_words, relief=self.relief,
-        )  # fmt: skip
+            self.parts.engine,
+            self.settings,
+            docker.container,
+            docker.myself,
+            self.parts.remembered,
+            listed_nodes=lambda: self.parts.world.ros.look().nodes,
+            reopen=self.parts.reopen,
+            on_hold=self._hold_words,
+            relief=self.relief,
+        )
 
     def _publish_action(self, event: Event) -> None:
         self.bus.publish(event)
@@ -381,8 +422,10 @@ class Daemon:
 
     def _tell_what_could_not_load(self) -> None:
         groups: tuple[tuple[str, type], ...] = (
-            (registry.CHECKS, Check), (registry.REPORTERS, Reporter), (registry.ACTIONS, Action)
-        )  # fmt: skip
+            (registry.CHECKS, Check),
+            (registry.REPORTERS, Reporter),
+            (registry.ACTIONS, Action),
+        )
         for group, base in groups:
             for found in registry.find(group, base):
                 if found.loaded is None:

@@ -20,10 +20,19 @@ from phm.wire.status_line import MAX_CHARS, Severity, agent_name, severity
 from phm.wire.tunnel import Digest
 
 _LAYERS: Mapping[Slot, str] = {
-    Slot.COMPANION: "LINK", Slot.CONTAINER: "DOCKER", Slot.FILES: "FILES", Slot.NETWORK: "NET", Slot.DEVICES: "DEVICE",
-    Slot.NODES: "ROS", Slot.TOPICS: "ROS", Slot.RATES: "ROS", Slot.HOST: "HOST", Slot.AUTOPILOT: "PILOT",
-    Slot.RADIO: "RADIO", Slot.PEERS: "PEERS",
-}  # fmt: skip
+    Slot.COMPANION: "LINK",
+    Slot.CONTAINER: "DOCKER",
+    Slot.FILES: "FILES",
+    Slot.NETWORK: "NET",
+    Slot.DEVICES: "DEVICE",
+    Slot.NODES: "ROS",
+    Slot.TOPICS: "ROS",
+    Slot.RATES: "ROS",
+    Slot.HOST: "HOST",
+    Slot.AUTOPILOT: "PILOT",
+    Slot.RADIO: "RADIO",
+    Slot.PEERS: "PEERS",
+}
 _GRAVITY = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 _WORD = {Level.OK: "OK", Level.STALE: "OK", Level.WARN: "WARN", Level.ERROR: "FAIL"}
 

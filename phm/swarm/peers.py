@@ -158,8 +158,11 @@ class Peers:
         old = peer.view
         peer.view, peer.view_s = view, now
         return old is None or (old.gcs, old.autopilot, old.radio, old.peers) != (
-            view.gcs, view.autopilot, view.radio, view.peers
-        )  # fmt: skip
+            view.gcs,
+            view.autopilot,
+            view.radio,
+            view.peers,
+        )
 
     def watch(self, now: float, period_s: float, *, hears: bool = True) -> None:
         """Notice who is lost sooner than after LOST_PERIODS: alone, or together with others. To be called a few times in each period.

@@ -197,8 +197,16 @@ def settled(look: Look) -> Verdict:
 
 
 RULES: tuple[Callable[[Look], Verdict | None], ...] = (
-    well, repair_at_work, on_hold, consequence, starved, not_known, being_stopped, grace, settled,
-)  # fmt: skip
+    well,
+    repair_at_work,
+    on_hold,
+    consequence,
+    starved,
+    not_known,
+    being_stopped,
+    grace,
+    settled,
+)
 
 
 def not_known_yet(result: Result) -> Result:

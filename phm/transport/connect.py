@@ -60,9 +60,13 @@ class Opener:
     def open(self) -> Channel:
         """A new channel. Raises OSError with a sentence for the log."""
         makers: dict[str, Callable[[], Channel]] = {
-            "serial": self._serial, "tcp": self._tcp, "tcpin": self._tcpin,
-            "udpin": self._udpin, "udpout": self._udpout, "udpbcast": self._udpbcast,
-        }  # fmt: skip
+            "serial": self._serial,
+            "tcp": self._tcp,
+            "tcpin": self._tcpin,
+            "udpin": self._udpin,
+            "udpout": self._udpout,
+            "udpbcast": self._udpbcast,
+        }
         return makers[self._scheme]()
 
     def _address(self) -> Address:

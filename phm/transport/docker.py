@@ -37,9 +37,18 @@ from phm.transport.docker_session import FAILURES, Answer, Session, mapping
 from phm.transport.docker_tar import FileCopy, pack, unpack
 
 __all__ = [
-    "Engine", "EngineBroken", "EngineConflict", "EngineError", "EngineMissing", "EngineNotConnected",
-    "EngineRefused", "EngineTimeout", "EngineUnreachable", "EventStream", "FileCopy",
-]  # fmt: skip
+    "Engine",
+    "EngineBroken",
+    "EngineConflict",
+    "EngineError",
+    "EngineMissing",
+    "EngineNotConnected",
+    "EngineRefused",
+    "EngineTimeout",
+    "EngineUnreachable",
+    "EventStream",
+    "FileCopy",
+]
 
 ACT_MARGIN_S = 10.0
 """Allowed to calls that change something, beyond the time-out: the engine waits this long for a kill to take."""

@@ -32,9 +32,20 @@ API_WANTED = (1, 44)
 API_FALLBACK = "1.41"
 """Where a socket proxy hides /version: Docker 20.10 and later understand this."""
 FAILURES = (
-    requests.RequestException, HTTPError, DockerException, HTTPException, OSError, tarfile.TarError, EOFError,
-    ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError,
-)  # fmt: skip
+    requests.RequestException,
+    HTTPError,
+    DockerException,
+    HTTPException,
+    OSError,
+    tarfile.TarError,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    IndexError,
+    RecursionError,
+)
 
 
 class Session:

@@ -32,9 +32,13 @@ class MavlinkHub:
     """All endpoints of one agent. Making it opens nothing; `start` does."""
 
     def __init__(
-        self, settings: MavlinkSettings, system_id: int, clock: Clock, state_dir: str | None = None,
+        self,
+        settings: MavlinkSettings,
+        system_id: int,
+        clock: Clock,
+        state_dir: str | None = None,
         synchronized: Callable[[], bool | None] = lambda: None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """state_dir: where the time of signing is kept; None: nowhere. synchronized: whether the machine's clock is; None: it is not
         known. Raises KeyProblem."""
         self._synchronized, self._command_age_s = synchronized, settings.signing.command_age
@@ -47,11 +51,14 @@ class MavlinkHub:
         self._agents = 1
         self._endpoints = tuple(
             Endpoint(
-                entry, Codec(system_id, settings.component_id, self._wanted, self._signer(settings, place)), clock,
-                self._deliver, self._changed,
+                entry,
+                Codec(system_id, settings.component_id, self._wanted, self._signer(settings, place)),
+                clock,
+                self._deliver,
+                self._changed,
             )
             for place, entry in enumerate(settings.endpoints)
-        )  # fmt: skip
+        )
 
     @property
     def signs(self) -> bool:
@@ -176,12 +183,18 @@ class MavlinkHub:
         for endpoint in self._endpoints:
             fact, (counts, slowed), counters = endpoint.fact(), endpoint.budget(), endpoint.codec.counters
             by_class = {kind.name.lower(): asdict(count) for kind, count in counts.items() if count != Count()}
-            found.append({
-                "name": endpoint.name, "open": bool(fact and fact.open), "error": fact.error if fact else "",
-                "slowed": round(slowed, 2), "sent": by_class,
-                "bytes_out": counters.bytes_out, "bytes_in": counters.bytes_in,
-                **({"refused": endpoint.codec.refused()} if self.signs else {}),
-            })  # fmt: skip
+            found.append(
+                {
+                    "name": endpoint.name,
+                    "open": bool(fact and fact.open),
+                    "error": fact.error if fact else "",
+                    "slowed": round(slowed, 2),
+                    "sent": by_class,
+                    "bytes_out": counters.bytes_out,
+                    "bytes_in": counters.bytes_in,
+                    **({"refused": endpoint.codec.refused()} if self.signs else {}),
+                }
+            )
         return found
 
     def echo(self, frame: bytes) -> bool:

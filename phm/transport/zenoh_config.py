@@ -37,10 +37,12 @@ def options(settings: FleetSettings) -> dict[str, Any]:
         "transport/link/tx/lease": int(settings.lease * 1000),
     }
     files = {
-        "root_ca_certificate": tls.ca, "connect_certificate": tls.certificate, "connect_private_key": tls.key,
+        "root_ca_certificate": tls.ca,
+        "connect_certificate": tls.certificate,
+        "connect_private_key": tls.key,
         "listen_certificate": tls.certificate if settings.listen else None,
         "listen_private_key": tls.key if settings.listen else None,
-    }  # fmt: skip
+    }
     chosen |= {f"transport/link/tls/{name}": path for name, path in files.items() if path is not None}
     chosen["transport/link/tls/verify_name_on_connect"] = tls.verify_name
     chosen["transport/link/tls/enable_mtls"] = tls.certificate is not None

@@ -101,9 +101,15 @@ class ZenohLink:
         steady_s = 1.5 * self._settings.lease
         namesakes = tuple(name for name, since in list(self._namesakes.items()) if now - since > steady_s)
         return FleetFact(
-            self._connected and not error, now - self._since, error, self._published, self._answered, self._bytes_out,
-            self._connects, namesakes,
-        )  # fmt: skip
+            self._connected and not error,
+            now - self._since,
+            error,
+            self._published,
+            self._answered,
+            self._bytes_out,
+            self._connects,
+            namesakes,
+        )
 
     def close(self, last: bytes = b"") -> None:
         """Publish `last` where there is a connection, take the token back, and close; waits at most FAREWELL_S."""
@@ -238,9 +244,11 @@ class Declared:
         self._kept = (
             session.declare_queryable(keys.status, asked, complete=True),
             session.liveliness().declare_subscriber(
-                keys.namesakes, lambda sample: seen(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT), history=True
+                keys.namesakes,
+                lambda sample: seen(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT),
+                history=True,
             ),
-        )  # fmt: skip
+        )
         self._json = zenoh.Encoding.APPLICATION_JSON
 
     def present(self, yes: bool) -> None:
@@ -258,9 +266,12 @@ class Declared:
         import zenoh
 
         self._session.put(
-            self._keys.status, payload, encoding=self._json,
-            congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.REAL_TIME,
-        )  # fmt: skip
+            self._keys.status,
+            payload,
+            encoding=self._json,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.REAL_TIME,
+        )
 
     def answer(self, query: Any, payload: bytes) -> None:
         """One reply, or none for an empty payload."""

@@ -142,9 +142,7 @@ def word(wish: Wish) -> Word:
     """What must be allowed for it."""
     if isinstance(wish, (Send, Repeat)):
         return Word.DETAILS if wish.message == TUNNEL else Word.STATUS
-    words: dict[type, Word] = {
-        Tell: Word.DETAILS, Look: Word.CHECK, Approve: Word.APPROVE, Restart: Word.RESTART
-    }  # fmt: skip
+    words: dict[type, Word] = {Tell: Word.DETAILS, Look: Word.CHECK, Approve: Word.APPROVE, Restart: Word.RESTART}
     return words[type(wish)]
 
 

@@ -15,9 +15,24 @@ MAX_EPISODES = 5000
 MAX_STEPS = 200
 MAX_BLOCKS = 50
 _TEXTS = (
-    "event", "fault", "unit", "layer", "condition", "summary", "brief", "target", "opened", "closed", "utc", "outcome", "by",
-    "action", "phase", "detail", "blocked_by",
-)  # fmt: skip
+    "event",
+    "fault",
+    "unit",
+    "layer",
+    "condition",
+    "summary",
+    "brief",
+    "target",
+    "opened",
+    "closed",
+    "utc",
+    "outcome",
+    "by",
+    "action",
+    "phase",
+    "detail",
+    "blocked_by",
+)
 SHAPES: dict[str, Any] = {
     **dict.fromkeys(_TEXTS, (str, type(None))),
     "slot": int,

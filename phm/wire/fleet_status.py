@@ -25,8 +25,13 @@ MAX_FAULTS = 16
 MAX_TEXT = 200
 _CUT = 100
 """Characters of each text of a fault: with all of them at their longest the whole stays below MAX_BYTES."""
-STATES = {status_word.BOOT: "BOOT", status_word.ACTIVE: "ACTIVE", status_word.CRITICAL: "CRITICAL",
-          status_word.EMERGENCY: "EMERGENCY", 8: "POWEROFF"}  # fmt: skip
+STATES = {
+    status_word.BOOT: "BOOT",
+    status_word.ACTIVE: "ACTIVE",
+    status_word.CRITICAL: "CRITICAL",
+    status_word.EMERGENCY: "EMERGENCY",
+    8: "POWEROFF",
+}
 """As HEARTBEAT's `system_status` of MAVLink."""
 POWEROFF = "POWEROFF"
 PATH_UNIT = "path"

@@ -12,21 +12,29 @@ _NUMBER = (float, type(None))
 _FAULT = {"fault!": str, "unit!": str, "opened!": str, "summary!": str, "blocks!": [str]}
 _CLOSED = {**_FAULT, "outcome!": str, "by!": str, "duration_s!": _NUMBER, "brief!": str}
 _CHECK = {"slot!": int, "id!": str, "level!": str, "blocked_by!": str, "summary!": str}
-_LINK = {
-    "name!": str, "open!": bool, "error!": str, "slowed": float, "bytes_out": int, "sent": Table(Table(int)),
-}  # fmt: skip
+_LINK = {"name!": str, "open!": bool, "error!": str, "slowed": float, "bytes_out": int, "sent": Table(Table(int))}
 _FLEET = {"fleet!": str, "connected!": bool, "error!": str, "published!": int, "bytes_out!": int}
 _CRITICAL = {"containers!": [str], "armed!": str, "why!": str}
 _HEALTH = {
-    "uptime_s": _NUMBER, "late_percent": float, "process": Table((int, type(None))), "links": [_LINK], "reporters": {"fleet": _FLEET}, "dropped": Table(int),
-    "overdue": [str], "problems": [str], "flight_critical": _CRITICAL,
-}  # fmt: skip
+    "uptime_s": _NUMBER,
+    "late_percent": float,
+    "process": Table((int, type(None))),
+    "links": [_LINK],
+    "reporters": {"fleet": _FLEET},
+    "dropped": Table(int),
+    "overdue": [str],
+    "problems": [str],
+    "flight_critical": _CRITICAL,
+}
 _HOLD = {"container!": (str, type(None)), "until!": str, "left_s!": float, "by!": str, "reason!": str}
 SHAPE = {
     "holds": [_HOLD],
-    "checks": [_CHECK], "status_array": [(int, type(None))], "status_word": int,
-    "faults": {"open": [_FAULT], "given_up": [_FAULT], "closed": [_CLOSED]}, "health": _HEALTH,
-}  # fmt: skip
+    "checks": [_CHECK],
+    "status_array": [(int, type(None))],
+    "status_word": int,
+    "faults": {"open": [_FAULT], "given_up": [_FAULT], "closed": [_CLOSED]},
+    "health": _HEALTH,
+}
 
 
 def read(run_dir: str) -> dict[str, Any]:

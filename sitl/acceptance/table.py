@@ -57,9 +57,15 @@ class Row:
         named = ", ".join(sorted(set(self.alarms))) or "-"
         acts = grouped(self.actions) or (f"advised: {grouped(self.advised)}" if self.advised else "none")
         return (
-            self.mode, self.title, str(len(self.alarms)), named, seconds(self.detected_s), acts,
-            seconds(self.healed_s), f"{self.outcome}; beside it {', '.join(self.beside)}" if self.beside else self.outcome,
-        )  # fmt: skip
+            self.mode,
+            self.title,
+            str(len(self.alarms)),
+            named,
+            seconds(self.detected_s),
+            acts,
+            seconds(self.healed_s),
+            f"{self.outcome}; beside it {', '.join(self.beside)}" if self.beside else self.outcome,
+        )
 
 
 def judged_words(row: Row, *, healable: bool) -> None:

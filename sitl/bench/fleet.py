@@ -200,9 +200,14 @@ def measure(agents: int, seconds: float, console: Console) -> list[Figure]:
     figures: list[Figure] = []
     with bench(agents) as made:
         steps = (
-            made.alone(seconds), made.start(), made.late(), made.idle(seconds), made.changes(), made.router_again(),
+            made.alone(seconds),
+            made.start(),
+            made.late(),
+            made.idle(seconds),
+            made.changes(),
+            made.router_again(),
             made.killed(),
-        )  # fmt: skip
+        )
         for step in steps:
             for figure in step:
                 figures.append(figure)

@@ -90,20 +90,30 @@ class Swarm:
         agents = len(self.fleet.agents)
         known = self._weights["well"].diagnostics is not None
         return Row(
-            agents, len(self.failing), *periods(agents), sum(left.values()), left.get("HEARTBEAT", 0.0),
-            left.get("STATUSTEXT", 0.0), left.get("TUNNEL", 0.0), count / seconds, weight["json"] / seconds,
-            weight["deflated"] / seconds, weight["diagnostics"] / seconds if known else None,
-        )  # fmt: skip
+            agents,
+            len(self.failing),
+            *periods(agents),
+            sum(left.values()),
+            left.get("HEARTBEAT", 0.0),
+            left.get("STATUSTEXT", 0.0),
+            left.get("TUNNEL", 0.0),
+            count / seconds,
+            weight["json"] / seconds,
+            weight["deflated"] / seconds,
+            weight["diagnostics"] / seconds if known else None,
+        )
 
     def _out(self) -> Counter[str]:
         return sum((agent.port.bytes_by for agent in self.fleet.agents.values()), Counter())
 
     def _told(self) -> Counter[int]:
         """How often each agent told its own state: refreshes, and changes of its units."""
-        return Counter({
-            number: sum(times for key, times in agent.port.told.items() if key == "refresh" or key in agent.units)
-            for number, agent in self.fleet.agents.items()
-        })  # fmt: skip
+        return Counter(
+            {
+                number: sum(times for key, times in agent.port.told.items() if key == "refresh" or key in agent.units)
+                for number, agent in self.fleet.agents.items()
+            }
+        )
 
 
 def run(
@@ -127,17 +137,25 @@ def table(rows: Sequence[Row]) -> Table:
         title="Bytes a second of the whole swarm on one link",
         caption=f"MAVLink is beats (HEARTBEAT), text (STATUSTEXT) and tunnel (TUNNEL); radio: its part of the {RADIO_BYTES_S:g} "
         "bytes/s that a 64 kbit/s radio carries; CDR: DiagnosticArray",
-        box=box.SIMPLE, pad_edge=False, collapse_padding=True,
-    )  # fmt: skip
+        box=box.SIMPLE,
+        pad_edge=False,
+        collapse_padding=True,
+    )
     for name in ("agents", "failing", "beats", "text", "tunnel", "MAVLink", "radio", "JSON", "deflated", "CDR"):
         made.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         others = (row.json, row.deflated, row.diagnostics)
         made.add_row(
-            str(row.agents), str(row.failing), f"{row.heartbeats:.1f}", f"{row.texts:.1f}", f"{row.tunnels:.1f}",
-            f"{row.mavlink:.1f}", f"{100 * row.mavlink / RADIO_BYTES_S:.1f} %",
-            *("no ROS" if value is None else f"{value:.0f}" for value in others), end_section=bool(row.failing),
-        )  # fmt: skip
+            str(row.agents),
+            str(row.failing),
+            f"{row.heartbeats:.1f}",
+            f"{row.texts:.1f}",
+            f"{row.tunnels:.1f}",
+            f"{row.mavlink:.1f}",
+            f"{100 * row.mavlink / RADIO_BYTES_S:.1f} %",
+            *("no ROS" if value is None else f"{value:.0f}" for value in others),
+            end_section=bool(row.failing),
+        )
     return made
 
 
@@ -170,9 +188,10 @@ def verdict(rows: Sequence[Row]) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
-        prog="scripts/bench mavlink", description=__doc__,
+        prog="scripts/bench mavlink",
+        description=__doc__,
         epilog="Example: phm status --json > mine.json; scripts/bench mavlink --well mine.json --agents 8",
-    )  # fmt: skip
+    )
     parser.add_argument("--agents", type=int, nargs="+", default=list(COUNTS), metavar="N", help="swarms (1 8 30 100)")
     parser.add_argument(
         "--seconds", type=float, default=240.0, metavar="S", help="of the swarm's clock that are weighed (240)"

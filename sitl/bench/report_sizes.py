@@ -64,13 +64,26 @@ def _unit(entry: Mapping[str, object]) -> UnitState:
     if not isinstance(values, dict):
         raise ValueError(f"'values' of {text['id']} is no object")
     result = Result(
-        Level[str(entry["level"])], text["summary"], text["brief"], text["condition"], text["target"], values,
+        Level[str(entry["level"])],
+        text["summary"],
+        text["brief"],
+        text["condition"],
+        text["target"],
+        values,
         bool(entry["bypass"]),
-    )  # fmt: skip
+    )
     return UnitState(
-        text["id"], text["check"], Slot(int(str(entry["slot"]))), Layer(str(entry["layer"])), result.level, result,
-        Stamp(since, 0.0), text["blocked_by"], text["fault"], float(str(entry["duration_ms"])) / 1000,
-    )  # fmt: skip
+        text["id"],
+        text["check"],
+        Slot(int(str(entry["slot"]))),
+        Layer(str(entry["layer"])),
+        result.level,
+        result,
+        Stamp(since, 0.0),
+        text["blocked_by"],
+        text["fault"],
+        float(str(entry["duration_ms"])) / 1000,
+    )
 
 
 class _Pipe:
@@ -98,9 +111,14 @@ def _diagnostics(units: Sequence[UnitState]) -> dict[str, object]:
 def _cdr(statuses: str) -> int | None:
     """Bytes that ROS serializes them to, asked of a process that has ROS."""
     done = subprocess.run(
-        (sys.executable, "-m", "sitl.bench.cdr_size"), input=statuses, capture_output=True, text=True, timeout=CHILD_S, check=False,
+        (sys.executable, "-m", "sitl.bench.cdr_size"),
+        input=statuses,
+        capture_output=True,
+        text=True,
+        timeout=CHILD_S,
+        check=False,
         cwd=Path(__file__).resolve().parents[2],
-    )  # fmt: skip
+    )
     if done.returncode:
         raise RuntimeError(f"the DiagnosticArray could not be weighed: {done.stderr.strip()[-500:]}")
     return int(done.stdout) if done.stdout.strip() else None

@@ -162,9 +162,13 @@ def peer(role: str, board: Path, load: Load, environ: dict[str, str]) -> subproc
 def measure(load: Load, seconds: float, console: Console) -> Iterator[Cost]:
     """All ways on one load, one after the other, while it is published."""
     environ = {
-        "MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_DOMAIN_ID": str(20 + os.getpid() % 30), **os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-    }  # fmt: skip
+        "MALLOC_ARENA_MAX": "2",
+        "OPENBLAS_NUM_THREADS": "1",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": str(20 + os.getpid() % 30),
+        **os.environ,
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    }
     with tempfile.TemporaryDirectory() as folder:
         truth = Board(Path(folder, "source"), load.topics, make=True)
         with ended(peer("source", Path(folder, "source"), load, environ)):
@@ -195,10 +199,15 @@ def watch(load: Load, way: Way, name: str, truth: Board, seconds: float) -> Cost
         raise RuntimeError(f"{load.name}: the process of '{name}' ended with code {way.process.returncode}")
     used = cpu(process)
     return Cost(
-        load.name, name, round(sum(true), 1), round(100 * (used[0] - cpu_s) / took_s, 2),
-        round(100 * (used[1] - python_s) / took_s, 2), round(process.memory_info().rss / 1e6, 1),
-        round(sum(off) / len(off), 3), round(max(off), 3),
-    )  # fmt: skip
+        load.name,
+        name,
+        round(sum(true), 1),
+        round(100 * (used[0] - cpu_s) / took_s, 2),
+        round(100 * (used[1] - python_s) / took_s, 2),
+        round(process.memory_info().rss / 1e6, 1),
+        round(sum(off) / len(off), 3),
+        round(max(off), 3),
+    )
 
 
 def cpu(process: psutil.Process) -> tuple[float, float]:

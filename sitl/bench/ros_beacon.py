@@ -51,9 +51,13 @@ class Group:
 
     def __init__(self, nodes: int, domain: int, stack: ExitStack, *, beacons: bool) -> None:
         environ = {
-            "MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            **os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "ROS_DOMAIN_ID": str(domain),
-        }  # fmt: skip
+            "MALLOC_ARENA_MAX": "2",
+            "OPENBLAS_NUM_THREADS": "1",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            **os.environ,
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+            "ROS_DOMAIN_ID": str(domain),
+        }
         self._nodes = [
             subprocess.Popen(node_argv(number, nodes, beacon=beacons), env=environ, stdout=subprocess.DEVNULL)
             for number in range(1, nodes + 1)

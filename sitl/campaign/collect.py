@@ -66,9 +66,13 @@ def _reported(trial: Trial, agent: int, event: Event) -> None:
 
 
 _TAKES: dict[str, Callable[[Trial, int, Event], None]] = {
-    "fault_opened": _opened, "fault_closed": _closed, "transition": _changed, "action": _acted, "start": _started,
+    "fault_opened": _opened,
+    "fault_closed": _closed,
+    "transition": _changed,
+    "action": _acted,
+    "start": _started,
     "report": _reported,
-}  # fmt: skip
+}
 
 
 def _alarms(trial: Trial, agent: int, event: Event) -> list[Alarm]:

@@ -22,8 +22,10 @@ OFF = {"\n  mode: act": '\n  mode: "off"'}
 """In quotes, since the swarm's configuration goes through a reader for which a bare off is a falsehood."""
 _GROUPS = {
     **dict.fromkeys(("container", "health", "network", "devices", "nodes", "topics", "rates", "consensus"), "app"),
-    "files": "files", "host": "host", "companion": "phm",
-}  # fmt: skip
+    "files": "files",
+    "host": "host",
+    "companion": "phm",
+}
 """By check. What restarts the application hides and heals all else about it; a file on a volume stays as it is."""
 _BESIDE = ("app", "files", "host")
 """Groups of which one each may come together on an agent. A fault of PHM or of its links would change the others' times."""

@@ -94,10 +94,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _setting(asked: argparse.Namespace, faults: dict[str, Fault]) -> dict[str, Any]:
     names = ",".join(sorted(faults))
     return {
-        "seed": asked.seed, "agents": asked.agents, "autopilot": asked.autopilot, "interval_s": asked.interval,
-        "faults": hashlib.sha256(names.encode()).hexdigest()[:12], "machine": machine(),
+        "seed": asked.seed,
+        "agents": asked.agents,
+        "autopilot": asked.autopilot,
+        "interval_s": asked.interval,
+        "faults": hashlib.sha256(names.encode()).hexdigest()[:12],
+        "machine": machine(),
         "day": datetime.now(timezone.utc).date().isoformat(),
-    }  # fmt: skip
+    }
 
 
 def _same(done: Sequence[Trial], setting: dict[str, Any], file: Path) -> None:
@@ -121,9 +125,16 @@ def _swarm(asked: argparse.Namespace, console: Console) -> tuple[Swarm, bool]:
         swarm = Swarm.load(asked.name)
     except LookupError:
         options = Options(
-            agents=asked.agents, name=asked.name, interval_s=asked.interval, autopilot=asked.autopilot,
-            autopilot_path=asked.autopilot_path, autopilot_image=asked.autopilot_image, seed=asked.seed, changes=CHANGES, build=not asked.no_build,
-        )  # fmt: skip
+            agents=asked.agents,
+            name=asked.name,
+            interval_s=asked.interval,
+            autopilot=asked.autopilot,
+            autopilot_path=asked.autopilot_path,
+            autopilot_image=asked.autopilot_image,
+            seed=asked.seed,
+            changes=CHANGES,
+            build=not asked.no_build,
+        )
         swarm = Swarm(options)
         console.print(f"starting {asked.agents} agents")
         swarm.up(lambda words: console.print(words, highlight=False))
@@ -143,9 +154,13 @@ def _swarm(asked: argparse.Namespace, console: Console) -> tuple[Swarm, bool]:
 
 
 def _play(
-    asked: argparse.Namespace, faults: dict[str, Fault], trials: Sequence[TrialPlan], file: Path, setting: dict[str, Any],
+    asked: argparse.Namespace,
+    faults: dict[str, Fault],
+    trials: Sequence[TrialPlan],
+    file: Path,
+    setting: dict[str, Any],
     console: Console,
-) -> bool:  # fmt: skip
+) -> bool:
     """Make what is not made yet; whether everything is."""
     began, ours = time.monotonic(), False
     swarm = None

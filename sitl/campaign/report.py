@@ -106,15 +106,23 @@ def as_html(trials: Sequence[Trial], setting: Setting) -> str:
     ]
     parts = [
         f"<h1>PHM fault campaign</h1><p>{escape(setting.words)}. {escape(_done(found, setting))}</p>",
-        "<h2>Beside the paper's Table 2</h2>", _table(table.TABLE2, table.table2(found, setting.interval_s)),
-        "<h2>Further figures</h2>", _table(("figure", "value"), table.beyond(found)),
-        "<h2>How soon</h2>", plots.steps("Share of the faults within a time", curves, PAPER_LINES),
-        "<h2>Detection, one dot a fault</h2>", plots.strips("Seconds from injection to the log", per_class("detected_s"), PAPER_LINES[:1]),
-        "<h2>Healing, one dot a fault</h2>", plots.strips("Seconds from injection to proven healing", per_class("healed_s")),
-        "<h2>Classes of faults</h2>", _table(table.CLASSES, table.classes(found)),
-        "<h2>What is not as it should be</h2>", _list([*aims_short(found), *table.short(found.judged)]),
-        "<h2>Every injected fault</h2>", _table(table.TRIALS, table.trials(found.judged)),
-    ]  # fmt: skip
+        "<h2>Beside the paper's Table 2</h2>",
+        _table(table.TABLE2, table.table2(found, setting.interval_s)),
+        "<h2>Further figures</h2>",
+        _table(("figure", "value"), table.beyond(found)),
+        "<h2>How soon</h2>",
+        plots.steps("Share of the faults within a time", curves, PAPER_LINES),
+        "<h2>Detection, one dot a fault</h2>",
+        plots.strips("Seconds from injection to the log", per_class("detected_s"), PAPER_LINES[:1]),
+        "<h2>Healing, one dot a fault</h2>",
+        plots.strips("Seconds from injection to proven healing", per_class("healed_s")),
+        "<h2>Classes of faults</h2>",
+        _table(table.CLASSES, table.classes(found)),
+        "<h2>What is not as it should be</h2>",
+        _list([*aims_short(found), *table.short(found.judged)]),
+        "<h2>Every injected fault</h2>",
+        _table(table.TRIALS, table.trials(found.judged)),
+    ]
     body = "\n".join(parts)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>PHM fault campaign</title>'

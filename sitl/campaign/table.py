@@ -10,9 +10,22 @@ from sitl.campaign.targets import judged
 
 TABLE2 = ("metric", "paper, Table 2", "here", "aim", "")
 CLASSES = (
-    "fault", "layer", "injected", "detected: mean", "p50", "p95", "max", "told at the ground: mean", "p95",
-    "healed: mean", "p95", "self-resolved", "missed", "wrong cause", "alarms per fault",
-)  # fmt: skip
+    "fault",
+    "layer",
+    "injected",
+    "detected: mean",
+    "p50",
+    "p95",
+    "max",
+    "told at the ground: mean",
+    "p95",
+    "healed: mean",
+    "p95",
+    "self-resolved",
+    "missed",
+    "wrong cause",
+    "alarms per fault",
+)
 TRIALS = ("trial", "agent", "fault", "detected", "told", "healed", "by", "alarms", "remarks")
 MET = {True: "met", False: "NOT met", None: ""}
 
@@ -49,14 +62,24 @@ def beyond(found: Figures) -> list[tuple[str, str]]:
 def classes(found: Figures) -> list[tuple[str, ...]]:
     return [
         (
-            each.title, each.layer, str(each.injected),
-            *(number(value) for value in (each.detection.mean, each.detection.p50, each.detection.p95, each.detection.max)),
-            number(each.response.mean), number(each.response.p95), number(each.healing.mean), number(each.healing.p95),
+            each.title,
+            each.layer,
+            str(each.injected),
+            *(
+                number(value)
+                for value in (each.detection.mean, each.detection.p50, each.detection.p95, each.detection.max)
+            ),
+            number(each.response.mean),
+            number(each.response.p95),
+            number(each.healing.mean),
+            number(each.healing.p95),
             f"{each.resolved} of {each.injected}" + ("" if each.healable else " (not healable)"),
-            str(each.missed), str(each.wrong), number(each.alarms),
+            str(each.missed),
+            str(each.wrong),
+            number(each.alarms),
         )
         for each in sorted(found.classes, key=lambda one: (one.layer, one.title))
-    ]  # fmt: skip
+    ]
 
 
 def trials(judged_trials: Sequence[Judged]) -> list[tuple[str, ...]]:
@@ -69,8 +92,14 @@ def _trial(each: Judged, verdict: Verdict) -> tuple[str, ...]:
     name = f"{each.trial.number}" if each.trial.kind == "trial" else each.trial.kind
     times = (number(value) for value in (verdict.detected_s, verdict.response_s, verdict.healed_s))
     return (
-        name, f"A{fault.agent:02d}", fault.title, *times, verdict.by, str(verdict.count), "; ".join(remarks(each, verdict))
-    )  # fmt: skip
+        name,
+        f"A{fault.agent:02d}",
+        fault.title,
+        *times,
+        verdict.by,
+        str(verdict.count),
+        "; ".join(remarks(each, verdict)),
+    )
 
 
 def remarks(each: Judged, verdict: Verdict) -> list[str]:

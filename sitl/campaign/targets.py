@@ -57,13 +57,20 @@ AIMS = (
     Aim("Self-resolved, of the healable", "-", "100 %", lambda f: f.resolved_healable, lambda v: v >= 1.0, _percent),
     Aim("Self-resolved, of all", "16.6 %", ">= 75 %", lambda f: f.resolved, lambda v: v >= 0.75, _percent),
     Aim("PHM uptime", "96.77 %", ">= 99.9 %", lambda f: f.uptime, lambda v: v >= 0.999, _fine),
-    Aim("Alarms per fault", "chains", "1.00", lambda f: f.alarms_per_fault, lambda v: round(v, 2) == 1.0, "{:.2f}".format),
+    Aim(
+        "Alarms per fault",
+        "chains",
+        "1.00",
+        lambda f: f.alarms_per_fault,
+        lambda v: round(v, 2) == 1.0,
+        "{:.2f}".format,
+    ),
     Aim("Missed", "-", "0", lambda f: f.missed, lambda v: v == 0, _whole),
     Aim("False alarms", "-", "0", lambda f: f.false, lambda v: v == 0, _whole),
     Aim("Cause told rightly", "-", ">= 98 %", lambda f: f.right, lambda v: v >= 0.98, _percent),
     Aim("Sidecar, CPU of one core", "-", "<= 3 %", lambda f: f.cpu_nominal, lambda v: v <= 3.0, "{:.2f} %".format),
     Aim("Changed with recovery off", "-", "0", lambda f: f.off_changes, lambda v: v == 0, _whole),
-)  # fmt: skip
+)
 
 
 def judged(found: Figures) -> list[Row]:

@@ -158,8 +158,14 @@ class Trial:
 
 
 _PARTS = {
-    "injections": Injection, "alarms": Alarm, "warned": Warned, "acts": Act, "starts": Start, "lines": Line, "cost": Cost,
-}  # fmt: skip
+    "injections": Injection,
+    "alarms": Alarm,
+    "warned": Warned,
+    "acts": Act,
+    "starts": Start,
+    "lines": Line,
+    "cost": Cost,
+}
 
 
 def to_json(trial: Trial) -> str:

@@ -23,12 +23,16 @@ def without(span: Span, holes: Sequence[Span]) -> list[Span]:
     """What remains of a span when the holes are cut out of it; in order."""
     left = [span] if span[1] > span[0] else []
     for begin, end in holes:
-        left = [
-            piece
-            for start, stop in left
-            for piece in ((start, min(stop, begin)), (max(start, end), stop))
-            if piece[1] > piece[0]
-        ] if end > begin else left  # fmt: skip
+        left = (
+            [
+                piece
+                for start, stop in left
+                for piece in ((start, min(stop, begin)), (max(start, end), stop))
+                if piece[1] > piece[0]
+            ]
+            if end > begin
+            else left
+        )
     return left
 
 

@@ -86,9 +86,17 @@ class Agent:
         }
         self.probe = Probe(self.port, self.settings, clock, self._gcs_age, lambda: None)  # type: ignore[arg-type]
         self.context = context = ReporterContext(
-            self.settings, clock, "boot", lambda: tuple(self.units.values()), lambda: True, dict, self.port,
-            swarm=self.probe, pilot=lambda: True, radio=lambda: self.radio,
-        )  # fmt: skip
+            self.settings,
+            clock,
+            "boot",
+            lambda: tuple(self.units.values()),
+            lambda: True,
+            dict,
+            self.port,
+            swarm=self.probe,
+            pilot=lambda: True,
+            radio=lambda: self.radio,
+        )
         told, speaker = Mavlink.build(context), Speaker.build(context)
         assert told is not None
         assert speaker is not None

@@ -39,11 +39,19 @@ from phm.reporters.fleet import TICK_S, Fleet
 
 NODE = "nodes/agent/node_1"
 UNITS = (
-    ("companion", Slot.COMPANION), ("container/ros_app", Slot.CONTAINER), ("files/ros_app", Slot.FILES),
-    ("network/ros_app", Slot.NETWORK), ("devices/ros_app", Slot.DEVICES), (NODE, Slot.NODES),
-    ("topics/agent/topic_1", Slot.TOPICS), ("rates/agent/topic_1", Slot.RATES), ("host/memory", Slot.HOST),
-    ("autopilot", Slot.AUTOPILOT), ("radio/ground", Slot.RADIO), ("peers/swarm", Slot.PEERS),
-)  # fmt: skip
+    ("companion", Slot.COMPANION),
+    ("container/ros_app", Slot.CONTAINER),
+    ("files/ros_app", Slot.FILES),
+    ("network/ros_app", Slot.NETWORK),
+    ("devices/ros_app", Slot.DEVICES),
+    (NODE, Slot.NODES),
+    ("topics/agent/topic_1", Slot.TOPICS),
+    ("rates/agent/topic_1", Slot.RATES),
+    ("host/memory", Slot.HOST),
+    ("autopilot", Slot.AUTOPILOT),
+    ("radio/ground", Slot.RADIO),
+    ("peers/swarm", Slot.PEERS),
+)
 LIMIT_S = 60.0
 
 

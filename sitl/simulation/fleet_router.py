@@ -32,9 +32,11 @@ def config(mode: str, **options: Any) -> Any:
     """A `zenoh.Config`. Options by their path in Zenoh's configuration, with `__` for `/`."""
     made = zenoh.Config()
     common = {
-        "mode": mode, "scouting__multicast__enabled": False, "scouting__gossip__enabled": False,
+        "mode": mode,
+        "scouting__multicast__enabled": False,
+        "scouting__gossip__enabled": False,
         "transport__shared_memory__enabled": False,
-    }  # fmt: skip
+    }
     for path, value in {**common, **options}.items():
         made.insert_json5(path.replace("__", "/"), json.dumps(value))
     return made

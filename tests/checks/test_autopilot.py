@@ -42,8 +42,10 @@ def test_an_autopilot_never_heard_is_not_judged_unless_it_is_expected() -> None:
     assert run(check(), None).bypass
     result = run(check(autopilot=True), None)
     assert (result.level, result.condition, result.brief) == (
-        api.Level.ERROR, "autopilot_silent", "autopilot: no heartbeat",
-    )  # fmt: skip
+        api.Level.ERROR,
+        "autopilot_silent",
+        "autopilot: no heartbeat",
+    )
 
 
 def test_an_autopilot_may_start_after_phm() -> None:
@@ -58,8 +60,10 @@ def test_a_silent_autopilot_is_an_error() -> None:
     """With the age of its last heartbeat, and whether it was armed then."""
     result = run(check(), changed(age_s=6.0, armed=True))
     assert (result.level, result.condition, result.brief) == (
-        api.Level.ERROR, "autopilot_silent", "autopilot: no heartbeat 6 s",
-    )  # fmt: skip
+        api.Level.ERROR,
+        "autopilot_silent",
+        "autopilot: no heartbeat 6 s",
+    )
     assert "It was armed" in result.summary
 
 
@@ -85,8 +89,10 @@ def test_a_reboot_is_told_for_a_while() -> None:
     """As a warning, with the words that the operator reads; then it is over."""
     result = run(check(), changed(rebooted_s=2.0, reboots=1, boot_s=2.0))
     assert (result.level, result.condition, result.brief) == (
-        api.Level.WARN, "autopilot_rebooted", "autopilot rebooted",
-    )  # fmt: skip
+        api.Level.WARN,
+        "autopilot_rebooted",
+        "autopilot rebooted",
+    )
     assert run(check(), changed(rebooted_s=31.0, reboots=1)).level is api.Level.OK
 
 

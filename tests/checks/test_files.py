@@ -74,9 +74,11 @@ def test_all_problems_stand_in_one_summary() -> None:
 def test_a_file_that_can_be_put_back_is_named_first() -> None:
     """The condition of the first decides what recovery does, and `path` tells it which file is meant."""
     result = judge(
-        {"path": "/a", "executable": True}, {"path": "/b", "restore": "image"}, {"path": "/c"},
+        {"path": "/a", "executable": True},
+        {"path": "/b", "restore": "image"},
+        {"path": "/c"},
         files=testing.FakeFiles(),
-    )  # fmt: skip
+    )
     assert (result.condition, result.values["path"]) == ("file_missing", "/b")
     assert "/a in" in result.summary and "/c in" in result.summary
 

@@ -53,8 +53,11 @@ def test_a_closed_endpoint_is_an_error_that_recovery_leaves_alone() -> None:
     """It is opened again as soon as it can be, by itself."""
     result = run(check(), CLOSED)
     assert (result.level, result.condition, result.brief, result.target) == (
-        api.Level.ERROR, "link_closed", "link: refused", "",
-    )  # fmt: skip
+        api.Level.ERROR,
+        "link_closed",
+        "link: refused",
+        "",
+    )
     assert TCP in result.summary
 
 

@@ -85,9 +85,12 @@ def test_what_starts_a_node_is_not_the_node() -> None:
     """An init, a shell and `ros2 run` carry the node's words, too: the innermost is meant, the others are remembered."""
     words = "run pkg driver --ros-args -r __node:=node_1"
     processes = ps(
-        f"/sbin/docker-init -- sh -c ros2 {words}", f"sh -c ros2 {words}", f"python3 /opt/bin/ros2 {words}",
-        "/lib/pkg/driver --ros-args -r __node:=node_1", parents={2: 1, 3: 2, 4: 3},
-    )  # fmt: skip
+        f"/sbin/docker-init -- sh -c ros2 {words}",
+        f"sh -c ros2 {words}",
+        f"python3 /opt/bin/ros2 {words}",
+        "/lib/pkg/driver --ros-args -r __node:=node_1",
+        parents={2: 1, 3: 2, 4: 3},
+    )
     matches, _ = match([NODE], processes, {})
     assert matches[NODE.name].process.pid == 4
     assert matches[NODE.name].wrappers == {1, 2, 3}

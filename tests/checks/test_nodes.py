@@ -446,8 +446,10 @@ def test_a_node_is_not_hung_without_figures_of_its_process(figures: str) -> None
 
     result = bench.after(60.0, hang)
     assert (result.level, result.condition, result.brief) == (
-        api.Level.ERROR, "node_unanswering", "node_1 does not answer"
-    )  # fmt: skip
+        api.Level.ERROR,
+        "node_unanswering",
+        "node_1 does not answer",
+    )
     assert set(seen) == {"", "node_unanswering"}
     assert "node_unanswering" not in LADDERS
 

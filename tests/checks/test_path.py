@@ -32,9 +32,12 @@ def flying(**more: Any) -> PathWorld:
 def test_the_first_broken_hop_counts() -> None:
     """Hops that are weak, unknown or unused do not stop a command; of several that do, the first is named."""
     hops = [
-        Hop("GCS", State.UNKNOWN), Hop("radio", State.WEAK), Hop("port", State.UNUSED), Hop("router", State.BROKEN, "silent"),
+        Hop("GCS", State.UNKNOWN),
+        Hop("radio", State.WEAK),
+        Hop("port", State.UNUSED),
+        Hop("router", State.BROKEN, "silent"),
         Hop("autopilot", State.BROKEN),
-    ]  # fmt: skip
+    ]
     assert first_broken(hops) == hops[3]
     assert first_broken(hops[:3]) is None
     assert in_words(hops) == "GCS not known -> radio weak -> router BROKEN (silent) -> autopilot BROKEN"
@@ -43,9 +46,10 @@ def test_the_first_broken_hop_counts() -> None:
 def test_what_is_behind_a_broken_hop_is_not_known() -> None:
     """None of its evidence gets here; a hop that is heard all the same stays as it is."""
     hops = [
-        Hop("GCS", State.BROKEN, "no heartbeat", ("router", "radio")), Hop("radio", State.OK, "", ("router",)),
+        Hop("GCS", State.BROKEN, "no heartbeat", ("router", "radio")),
+        Hop("radio", State.OK, "", ("router",)),
         Hop("router", State.BROKEN, "silent"),
-    ]  # fmt: skip
+    ]
     assert in_words(seen_from_here(hops)) == "GCS not known (behind router) -> radio ok -> router BROKEN (silent)"
 
 

@@ -13,10 +13,24 @@ from phm_checks.pressure import KILLED_TOLD_S, Pressure
 
 MIB = 2**20
 FACT = api.PressureFact(
-    0.0, "cgroup v2", "life", cpu_limit=0.03, cpu_used_s=0.0, throttled_periods=0, throttled_s=0.0,
-    cpu=api.StallFact(0.0, 0.0), memory=api.StallFact(0.0, 0.0), io=api.StallFact(0.0, 0.0),
-    memory_bytes=30 * MIB, memory_limit=64 * MIB, reread_pages=0, oom_kills=0, pids=5, pids_limit=20, pids_refused=0,
-)  # fmt: skip
+    0.0,
+    "cgroup v2",
+    "life",
+    cpu_limit=0.03,
+    cpu_used_s=0.0,
+    throttled_periods=0,
+    throttled_s=0.0,
+    cpu=api.StallFact(0.0, 0.0),
+    memory=api.StallFact(0.0, 0.0),
+    io=api.StallFact(0.0, 0.0),
+    memory_bytes=30 * MIB,
+    memory_limit=64 * MIB,
+    reread_pages=0,
+    oom_kills=0,
+    pids=5,
+    pids_limit=20,
+    pids_refused=0,
+)
 STARVED = {"cpu_used_s": 0.03, "throttled_periods": 10, "throttled_s": 0.97, "cpu": 0.97}
 """What a second adds to the counters of a container that wants more than its limit of 0.03 CPUs."""
 

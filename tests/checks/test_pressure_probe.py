@@ -118,11 +118,27 @@ def test_version_2_is_read(tmp_path: Path) -> None:
     assert fact is not None and bench.engine.asked == []
     assert fact.life.startswith(str(folder))
     assert dataclasses.replace(fact, life="") == dataclasses.replace(
-        fact, life="", at=1000.0, source="cgroup v2", not_seen=(), cpu_limit=pytest.approx(0.03), cpu_used_s=0.180194,
-        cpu_period_s=0.1, throttled_periods=42, throttled_s=3.877288, cpu=StallFact(2.722284, 2.720498),
-        memory=StallFact(0.0, 0.0), io=StallFact(0.007101, 0.0071), memory_bytes=66060288, memory_limit=67108864,
-        reread_pages=605, oom_kills=1, pids=7, pids_limit=20, pids_refused=3,
-    )  # fmt: skip
+        fact,
+        life="",
+        at=1000.0,
+        source="cgroup v2",
+        not_seen=(),
+        cpu_limit=pytest.approx(0.03),
+        cpu_used_s=0.180194,
+        cpu_period_s=0.1,
+        throttled_periods=42,
+        throttled_s=3.877288,
+        cpu=StallFact(2.722284, 2.720498),
+        memory=StallFact(0.0, 0.0),
+        io=StallFact(0.007101, 0.0071),
+        memory_bytes=66060288,
+        memory_limit=67108864,
+        reread_pages=605,
+        oom_kills=1,
+        pids=7,
+        pids_limit=20,
+        pids_refused=3,
+    )
 
 
 def test_version_1_is_read_with_the_pressure_of_a_hybrid(tmp_path: Path) -> None:

@@ -33,10 +33,11 @@ def changed(**fields: Any) -> api.RadioFact:
 def test_where_a_radio_is_looked_for() -> None:
     """On links to the ground, unless it is off; on any link that requires one."""
     entries = [
-        {"url": "tcp:10.0.0.1:1", "name": "a"}, {"url": "tcp:10.0.0.1:2", "name": "b", "radio": "off"},
+        {"url": "tcp:10.0.0.1:1", "name": "a"},
+        {"url": "tcp:10.0.0.1:2", "name": "b", "radio": "off"},
         {"url": "tcp:10.0.0.1:3", "name": "c", "leads_to": "autopilot"},
         {"url": "tcp:10.0.0.1:4", "name": "d", "leads_to": "autopilot", "radio": "required"},
-    ]  # fmt: skip
+    ]
     units = [one.units[0].id for one in Radio.build(testing.settings(mavlink={"endpoints": entries}))]
     assert units == ["radio/a", "radio/d"]
 

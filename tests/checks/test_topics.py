@@ -235,8 +235,11 @@ def test_ends_are_looked_through_again_when_they_changed() -> None:
     check = build()
     bad, good = (api.TopicFact((end(**qos),), (end(TWO, **STRICT),)) for qos in (LAX, STRICT))
     assert [judge(check, fact).level for fact in (bad, bad, good, bad)] == [
-        api.Level.WARN, api.Level.WARN, api.Level.OK, api.Level.WARN,
-    ]  # fmt: skip
+        api.Level.WARN,
+        api.Level.WARN,
+        api.Level.OK,
+        api.Level.WARN,
+    ]
 
 
 def uses(publishers: Any = (), subscribers: Any = ()) -> api.NameFact:

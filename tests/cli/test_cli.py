@@ -141,9 +141,13 @@ def test_an_unforeseen_error_is_one_sentence() -> None:
     assert plain.returncode == os.EX_SOFTWARE
     assert plain.stderr == ("phm: internal error: ZeroDivisionError: division by zero (PHM_TRACEBACK=1 shows where)\n")
     full = subprocess.run(
-        [sys.executable, "-c", script], env={**os.environ, "PHM_TRACEBACK": "1"}, capture_output=True, text=True,
-        cwd=ROOT, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", script],
+        env={**os.environ, "PHM_TRACEBACK": "1"},
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+    )
     assert "Traceback" in full.stderr
 
 
@@ -363,8 +367,11 @@ def test_watch_shows_the_status_until_interrupted(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
         [sys.executable, "-m", "phm.cli", "status", "--watch", "--run-dir", str(tmp_path)],
-        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
         assert process.stdout is not None
         seen = 0
         for line in process.stdout:

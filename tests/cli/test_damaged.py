@@ -18,9 +18,19 @@ from tests.cli.test_cli import DEAD, running
 from tests.cli.test_faults import HEALED, OPEN, record
 
 STRANGE = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.sampled_from([10**30, -1, 2**63, 1e308, -0.0]), st.text(max_size=5),
-    st.just("\ud800"), st.just([]), st.just([None]), st.just([[]]), st.just({}), st.just({"fault": 3}), st.just([{}]),
-).map(copy.deepcopy)  # fmt: skip
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.sampled_from([10**30, -1, 2**63, 1e308, -0.0]),
+    st.text(max_size=5),
+    st.just("\ud800"),
+    st.just([]),
+    st.just([None]),
+    st.just([[]]),
+    st.just({}),
+    st.just({"fault": 3}),
+    st.just([{}]),
+).map(copy.deepcopy)
 
 
 def places(value: Any) -> list[tuple[Any, Any]]:

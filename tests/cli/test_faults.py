@@ -150,9 +150,13 @@ def test_an_unknown_fault_is_a_sentence(tmp_path: Path) -> None:
 def test_lines_of_others_do_no_harm() -> None:
     """Events with parts missing or of another type, and an endless timeline: nothing is raised, everything is capped."""
     strange: list[dict[str, Any]] = [
-        {}, {"event": "action"}, {"event": "action", "fault": "x"}, {"event": "fault_closed", "fault": "y", "blocks": 3},
-        {"event": "transition", "blocked_by": 7, "unit": None}, {"event": "fault_opened", "fault": ["z"]},
-    ]  # fmt: skip
+        {},
+        {"event": "action"},
+        {"event": "action", "fault": "x"},
+        {"event": "fault_closed", "fault": "y", "blocks": 3},
+        {"event": "transition", "blocked_by": 7, "unit": None},
+        {"event": "fault_opened", "fault": ["z"]},
+    ]
     found = gather([*strange, *[{"event": "action", "fault": "x"}] * 1000], None)
     assert [episode["fault"] for episode in found] == ["x", "y"]
     assert len(found[0]["timeline"]) == MAX_STEPS

@@ -122,9 +122,13 @@ def test_a_request_that_is_none_changes_nothing(desk: Desk, tmp_path: Path, requ
 def test_status_shows_what_is_on_hold(tmp_path: Path) -> None:
     """Until when, how long that is, by whom and why; `--json` has it as data."""
     hold = {
-        "container": "app", "source": "operator", "by": "operator (uid 0)", "reason": "new firmware",
-        "until": "2026-11-22T12:34:05.123Z", "left_s": 543.0,
-    }  # fmt: skip
+        "container": "app",
+        "source": "operator",
+        "by": "operator (uid 0)",
+        "reason": "new firmware",
+        "until": "2026-11-22T12:34:05.123Z",
+        "left_s": 543.0,
+    }
     settings = Settings.model_validate({"run_dir": str(tmp_path)})
     context = ReporterContext(settings, SystemClock(), "b", tuple, lambda: True, dict, holds=lambda: [hold])
     Status.build(context).tick()

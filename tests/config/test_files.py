@@ -78,9 +78,11 @@ DOCUMENTED = {entry.path: entry.prose for entry in reversed(entries((CONFIG / "p
 def is_section(field: FieldInfo) -> bool:
     """A section whose keys have the defaults, unlike a Limit, whose keys are required."""
     annotation = field.annotation
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel) and not any(
-        inner.is_required() for inner in annotation.model_fields.values()
-    )  # fmt: skip
+    return (
+        isinstance(annotation, type)
+        and issubclass(annotation, BaseModel)
+        and not any(inner.is_required() for inner in annotation.model_fields.values())
+    )
 
 
 def annotated(kind: Any, extras: list[Any]) -> Any:
@@ -126,8 +128,11 @@ def test_a_number_is_documented_with_its_true_range(path: tuple[str, ...]) -> No
     """The prose states the lowest and the highest value that the model allows."""
     field, allowed = FIELDS[path], DOCUMENTED[path].partition("Allowed: ")[2].partition("Default")[0]
     limits = [limit for limit in (bound(field, "ge", "gt"), bound(field, "le", "lt")) if limit is not None]
-    stated = [TypeAdapter(_kind(field)).validate_python(parse(f"x: {text}", "", Expander({})).data["x"])
-              for text in QUOTED.findall(allowed) if text.removeprefix("-")[0].isdigit()]  # fmt: skip
+    stated = [
+        TypeAdapter(_kind(field)).validate_python(parse(f"x: {text}", "", Expander({})).data["x"])
+        for text in QUOTED.findall(allowed)
+        if text.removeprefix("-")[0].isdigit()
+    ]
     assert stated == limits
     assert bool(re.search(r"(?<!not )above `", allowed)) == (bound(field, "gt") is not None)
 
@@ -154,9 +159,7 @@ def test_a_choice_is_documented_with_all_it_allows(path: tuple[str, ...]) -> Non
 
 def _words(annotation: Any) -> list[str]:
     """The words of a Literal, also of one in a list."""
-    return [
-        word for part in get_args(annotation) for word in ([part] if isinstance(part, str) else _words(part))
-    ]  # fmt: skip
+    return [word for part in get_args(annotation) for word in ([part] if isinstance(part, str) else _words(part))]
 
 
 def test_every_commented_key_may_be_uncommented() -> None:
@@ -185,10 +188,15 @@ def test_a_shipped_file_fits_the_schema_before_variables_are_expanded(path: Path
 @pytest.mark.parametrize(
     "data",
     [
-        {"intervall": 5}, {"interval": "5 Hz"}, {"agent": {"id": "seven"}}, {"containers": {}},
-        {"recovery": {"mode": "acct"}}, {"agent": {"name": "a b"}}, {"checks": {"a": {"perod": 1}}},
+        {"intervall": 5},
+        {"interval": "5 Hz"},
+        {"agent": {"id": "seven"}},
+        {"containers": {}},
+        {"recovery": {"mode": "acct"}},
+        {"agent": {"name": "a b"}},
+        {"checks": {"a": {"perod": 1}}},
     ],
-)  # fmt: skip
+)
 def test_the_schema_refuses_what_the_models_refuse(data: dict[str, Any]) -> None:
     """An editor that uses the schema shows these mistakes."""
     validator = jsonschema.Draft202012Validator(schema.schema())
@@ -219,8 +227,15 @@ def test_the_schema_file_is_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 def test_one_file_serves_a_whole_swarm() -> None:
     """The variables of phm.yaml reach names, numbers, nodes, topics and the endpoint."""
-    environ = {"PHM_AGENT": "scout_7", "PHM_AGENT_ID": "7", "PHM_APP": "swarm-app-1", "PHM_NETWORK": "swarm",
-               "PHM_DEVICE": "/dev/ttyACM0", "PHM_MAVLINK": "tcp:gcs:5760", "PHM_AUTOPILOT": "true"}  # fmt: skip
+    environ = {
+        "PHM_AGENT": "scout_7",
+        "PHM_AGENT_ID": "7",
+        "PHM_APP": "swarm-app-1",
+        "PHM_NETWORK": "swarm",
+        "PHM_DEVICE": "/dev/ttyACM0",
+        "PHM_MAVLINK": "tcp:gcs:5760",
+        "PHM_AUTOPILOT": "true",
+    }
     read = load(CONFIG / "phm.yaml", environ=environ)
     assert (read.agent.name, read.agent.id) == ("scout_7", 7)
     assert read.containers[0].name == "swarm-app-1"

@@ -104,9 +104,13 @@ def played(
 
     monkeypatch.setattr(guard_module, "state_in", look)
     watch(
-        far, os.getpid(), lambda pid, number: done.append((len(seen), signal.Signals(number).name)), 0.0,
-        tell=lambda: done.append((len(seen), "told")), left_alone=left_alone,
-    )  # fmt: skip
+        far,
+        os.getpid(),
+        lambda pid, number: done.append((len(seen), signal.Signals(number).name)),
+        0.0,
+        tell=lambda: done.append((len(seen), "told")),
+        left_alone=left_alone,
+    )
     os.close(far)
     return done
 

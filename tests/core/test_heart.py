@@ -37,9 +37,13 @@ class Told(Guard):
 def daemon(tmp_path: Path) -> Iterator[tuple[Daemon, Told]]:
     guard = Told()
     made = settings(
-        state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"), log={"directory": str(tmp_path / "log")},
-        checks={"host": {"enabled": False}}, containers=[], ros={"nodes": [], "topics": []},
-    )  # fmt: skip
+        state_dir=str(tmp_path / "state"),
+        run_dir=str(tmp_path / "run"),
+        log={"directory": str(tmp_path / "log")},
+        checks={"host": {"enabled": False}},
+        containers=[],
+        ros={"nodes": [], "topics": []},
+    )
     daemon = Daemon(made, guard=guard)
     daemon.start()
     yield daemon, guard

@@ -58,10 +58,17 @@ def test_two_occurrences_have_different_names() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "", "2-4", "sun", "02:00-02:00", "25:00-26:00", "son 02:00-04:00", "02:00-04:00 x", "2026-13-01 02:00-03:00",
+        "",
+        "2-4",
+        "sun",
+        "02:00-02:00",
+        "25:00-26:00",
+        "son 02:00-04:00",
+        "02:00-04:00 x",
+        "2026-13-01 02:00-03:00",
         "sun- 02:00-04:00",
     ],
-)  # fmt: skip
+)
 def test_what_is_no_window_is_refused(text: str) -> None:
     """With what is allowed."""
     with pytest.raises(ValueError, match="HH:MM-HH:MM"):

@@ -226,8 +226,11 @@ def test_easing_marks_the_units_and_excusing_the_time_of_the_outage() -> None:
     history = History([Attempt(at, unit, "x", "restart", worked=False) for at in (10.0, 20.0) for unit in ("a", "b")])
     assert history.ease({"a"}, 15.0) == {"a"}
     assert [(each.unit, each.eased, each.excused) for each in history.attempts] == [
-        ("a", True, False), ("b", False, False), ("a", True, True), ("b", False, False),
-    ]  # fmt: skip
+        ("a", True, False),
+        ("b", False, False),
+        ("a", True, True),
+        ("b", False, False),
+    ]
     assert history.ease({"a"}, 25.0) == frozenset()
     assert [each.excused for each in history.attempts] == [False, False, True, False]
 
@@ -322,9 +325,11 @@ def test_what_is_forbidden_in_the_air_is_advice_only() -> None:
 def test_phms_own_steps_need_neither_opt_in_nor_mode(mode: str) -> None:
     """Joining a network moves nothing but PHM itself, and without it PHM sees nothing."""
     decision = say(
-        fault=fault("sidecar_apart"), container=ContainerSettings(name="app"), free_actions=frozenset({"join"}),
+        fault=fault("sidecar_apart"),
+        container=ContainerSettings(name="app"),
+        free_actions=frozenset({"join"}),
         settings=RecoverySettings(mode=mode),  # type: ignore[arg-type]
-    )  # fmt: skip
+    )
     assert decision == Act("join", 1)
 
 

@@ -32,9 +32,11 @@ class Agent:
         self.ground.setblocking(False)
         self.write()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "phm.cli", "run", "-c", str(self.file)], text=True, stderr=subprocess.PIPE,
+            [sys.executable, "-m", "phm.cli", "run", "-c", str(self.file)],
+            text=True,
+            stderr=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_GUARD": "off"},
-        )  # fmt: skip
+        )
         until(lambda: self.faults() == 1, "the fault of the disk")
 
     @property
@@ -44,10 +46,14 @@ class Agent:
     def write(self, **more: Any) -> None:
         folder = self.folder
         base = {
-            "agent": {"id": 3}, "interval": "2s", "state_dir": str(folder / "state"), "run_dir": str(folder / "run"),
-            "log": {"directory": str(folder / "log")}, "host": {"disk": {"warn": 0, "error": 0}},
+            "agent": {"id": 3},
+            "interval": "2s",
+            "state_dir": str(folder / "state"),
+            "run_dir": str(folder / "run"),
+            "log": {"directory": str(folder / "log")},
+            "host": {"disk": {"warn": 0, "error": 0}},
             "mavlink": {"endpoints": [{"url": f"udpout:127.0.0.1:{self.port}", "leads_to": "ground"}]},
-        }  # fmt: skip
+        }
         self.file.write_text(json.dumps({**base, **more}))
 
     def status(self) -> dict[str, Any]:
@@ -61,9 +67,13 @@ class Agent:
 
     def reload(self, *more: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-m", "phm.cli", "reload", "--run-dir", str(self.folder / "run"), *more], text=True,
-            env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, timeout=LIMIT_S, check=False,
-        )  # fmt: skip
+            [sys.executable, "-m", "phm.cli", "reload", "--run-dir", str(self.folder / "run"), *more],
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            timeout=LIMIT_S,
+            check=False,
+        )
 
     def heard(self) -> list[int]:
         """The system states of the heartbeats that came since the last call."""
@@ -166,9 +176,10 @@ def test_what_has_not_changed_is_not_touched(agent: Agent) -> None:
 
 def test_checks_that_go_in_a_circle_are_rejected(agent: Agent) -> None:
     """What shows only when the new daemon is built changes nothing either."""
-    agent.write(checks={"files": {"needs": ["devices"]}, "devices": {"needs": ["files"]}}, containers=[
-        {"name": "app", "files": [{"path": "/x"}], "devices": [{"path": "/dev/null"}]},
-    ])  # fmt: skip
+    agent.write(
+        checks={"files": {"needs": ["devices"]}, "devices": {"needs": ["files"]}},
+        containers=[{"name": "app", "files": [{"path": "/x"}], "devices": [{"path": "/dev/null"}]}],
+    )
     done = agent.reload()
     assert done.returncode in (1, 78), done
     assert "circle" in done.stderr
@@ -178,8 +189,12 @@ def test_checks_that_go_in_a_circle_are_rejected(agent: Agent) -> None:
 def test_without_a_daemon_reload_says_so(tmp_path: Path) -> None:
     """One sentence, exit code 1."""
     done = subprocess.run(
-        [sys.executable, "-m", "phm.cli", "reload", "--run-dir", str(tmp_path)], text=True, capture_output=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=LIMIT_S, check=False,
-    )  # fmt: skip
+        [sys.executable, "-m", "phm.cli", "reload", "--run-dir", str(tmp_path)],
+        text=True,
+        capture_output=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=LIMIT_S,
+        check=False,
+    )
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert "PHM is not running" in done.stderr

@@ -70,8 +70,10 @@ class Running:
         return subprocess.Popen(
             [sys.executable, *(before or ("-m", "phm.cli")), "run", "-c", str(self.folder / "phm.yaml")],
             env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_GUARD": "off"},
-            text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )  # fmt: skip
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
 
     @property
     def marker(self) -> Path:
@@ -198,8 +200,11 @@ def test_a_sigterm_at_the_worst_moment_ends_the_ground_station(tmp_path: Path) -
         port = free.getsockname()[1]
     done = subprocess.run(
         [sys.executable, str(script), "gcs", f"udpin:127.0.0.1:{port}", "--once", "--for", "600"],
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=LIMIT_S, capture_output=True, check=False,
-    )  # fmt: skip
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=LIMIT_S,
+        capture_output=True,
+        check=False,
+    )
     assert done.returncode in (1, 130)
 
 
@@ -228,10 +233,14 @@ def test_a_hung_engine_does_not_hold_up_the_end(start: Callable[..., Running], h
 
 def test_an_end_that_was_asked_for_is_marked_before_anything_can_hang(tmp_path: Path) -> None:
     """A disk that hangs in the middle of it is named, costs its own share, and is no crash at the next start."""
-    daemon = Daemon(settings(
-        state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"), log={"directory": str(tmp_path / "log")},
-        checks={"host": {"enabled": False}},
-    ))  # fmt: skip
+    daemon = Daemon(
+        settings(
+            state_dir=str(tmp_path / "state"),
+            run_dir=str(tmp_path / "run"),
+            log={"directory": str(tmp_path / "log")},
+            checks={"host": {"enabled": False}},
+        )
+    )
     daemon.start()
     released, marked = threading.Event(), list[bool]()
 

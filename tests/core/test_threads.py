@@ -175,9 +175,12 @@ def test_a_guard_that_could_not_be_started_is_started_again() -> None:
 
 def quiet(tmp_path: Path, **more: Any) -> Any:
     return settings(
-        state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"), log={"directory": str(tmp_path / "log")},
-        checks={"host": {"enabled": False}}, **more,
-    )  # fmt: skip
+        state_dir=str(tmp_path / "state"),
+        run_dir=str(tmp_path / "run"),
+        log={"directory": str(tmp_path / "log")},
+        checks={"host": {"enabled": False}},
+        **more,
+    )
 
 
 def test_a_daemon_that_starts_at_the_limit_becomes_complete(limit: Full, tmp_path: Path) -> None:

@@ -82,9 +82,14 @@ def test_an_unknown_key_is_told(ask: Engine) -> None:
 def test_an_answer_with_little_in_it_is_still_a_fact() -> None:
     """Engines of other versions and makers leave fields out or put null there."""
     fact = container_fact(
-        {"Id": "a", "State": {"Status": "running", "Health": None}, "NetworkSettings": {"Networks": {"n": None}},
-         "Mounts": None, "HostConfig": {"Devices": None, "RestartPolicy": None, "Tmpfs": {"/run": ""}}}
-    )  # fmt: skip
+        {
+            "Id": "a",
+            "State": {"Status": "running", "Health": None},
+            "NetworkSettings": {"Networks": {"n": None}},
+            "Mounts": None,
+            "HostConfig": {"Devices": None, "RestartPolicy": None, "Tmpfs": {"/run": ""}},
+        }
+    )
     assert (fact.health, fact.restart_policy, fact.networks[0].name) == ("none", "no", "n")
     assert [(mount.kind, mount.destination) for mount in fact.mounts] == [("tmpfs", "/run")]
 
@@ -123,14 +128,18 @@ SECOND = 10**9
         ({"Test": ["CMD-SHELL", "x"], "Interval": 0, "Retries": 0}, HealthcheckFact(30.0, 30.0, 0.0, 5.0, 3)),
         (
             {
-                "Test": ["CMD", "x"], "Interval": 60 * SECOND, "Timeout": 2 * SECOND, "StartPeriod": 90 * SECOND,
-                "StartInterval": SECOND, "Retries": 5,
+                "Test": ["CMD", "x"],
+                "Interval": 60 * SECOND,
+                "Timeout": 2 * SECOND,
+                "StartPeriod": 90 * SECOND,
+                "StartInterval": SECOND,
+                "Retries": 5,
             },
             HealthcheckFact(60.0, 2.0, 90.0, 1.0, 5),
         ),
         ({"Test": ["CMD", "x"], "Interval": "often"}, HealthcheckFact()),
     ],
-)  # fmt: skip
+)
 def test_a_healthcheck_has_the_engines_defaults_where_nothing_is_set(
     given: dict[str, Any] | None, read: HealthcheckFact | None
 ) -> None:

@@ -171,9 +171,13 @@ def test_a_disconnect_that_the_engine_tells_twice_is_told_once(
         fake.emit("network", action, "n1", name="swarm", container=ids[name])
 
     for action, name in (
-        ("disconnect", "app"), ("disconnect", "two"), ("disconnect", "app"), ("connect", "app"), ("disconnect", "app"),
         ("disconnect", "app"),
-    ):  # fmt: skip
+        ("disconnect", "two"),
+        ("disconnect", "app"),
+        ("connect", "app"),
+        ("disconnect", "app"),
+        ("disconnect", "app"),
+    ):
         emit(action, name)
     fake.set("app", status="paused")
     until(lambda: heard and heard[-1].action == "pause", "the last event")
@@ -440,9 +444,13 @@ def test_events_are_replayed_also_when_none_had_come_before_the_stream_broke(
 
 @pytest.mark.parametrize(("missed_s", "complete"), [(60.0, True), (0.0, False)])
 def test_the_stream_says_since_when_nothing_was_missed(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until, monkeypatch: pytest.MonkeyPatch,
-    missed_s: float, complete: bool,
-) -> None:  # fmt: skip
+    fake: FakeEngine,
+    watch: Callable[..., tuple[Watch, Heard]],
+    until: Until,
+    monkeypatch: pytest.MonkeyPatch,
+    missed_s: float,
+    complete: bool,
+) -> None:
     """A short interruption is replayed; after a long one, and at the start, something may be missing."""
     monkeypatch.setattr("phm.probes.docker_events.MISSED_S", missed_s)
     fake.containers["app"] = container("app")

@@ -92,10 +92,15 @@ def test_a_stream_that_is_closed_is_not_waited_for(fake: FakeEngine, late: tuple
 def daemon(fake: FakeEngine, tmp_path: Path) -> Iterator[Daemon]:
     fake.containers["app"] = container("app")
     made = settings(
-        state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"), log={"directory": str(tmp_path / "log")},
-        checks={"host": {"enabled": False}}, containers=[{"name": "app", "healthcheck": "ignore"}],
-        docker={"socket": fake.url}, ros={"nodes": [], "topics": []}, recovery={"mode": "off"},
-    )  # fmt: skip
+        state_dir=str(tmp_path / "state"),
+        run_dir=str(tmp_path / "run"),
+        log={"directory": str(tmp_path / "log")},
+        checks={"host": {"enabled": False}},
+        containers=[{"name": "app", "healthcheck": "ignore"}],
+        docker={"socket": fake.url},
+        ros={"nodes": [], "topics": []},
+        recovery={"mode": "off"},
+    )
     daemon = Daemon(made)
     daemon.start()
     yield daemon

@@ -12,9 +12,17 @@ NODE = "nodes/agent_3/node_1"
 
 def injection(**more: Any) -> Injection:
     given = {
-        "fault": "node_killed", "title": "node killed", "layer": "ros", "agent": 3, "unit": NODE, "condition": "node_missing",
-        "healable": True, "group": "app", "moment": T0, "cleared": T0 + 20,
-    }  # fmt: skip
+        "fault": "node_killed",
+        "title": "node killed",
+        "layer": "ros",
+        "agent": 3,
+        "unit": NODE,
+        "condition": "node_missing",
+        "healable": True,
+        "group": "app",
+        "moment": T0,
+        "cleared": T0 + 20,
+    }
     return Injection(**{**given, **more})
 
 

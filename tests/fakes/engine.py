@@ -114,8 +114,13 @@ def container(
         "Name": f"/{name}",
         "RestartCount": 0,
         "State": {
-            "Status": status, "ExitCode": exit_code, "OOMKilled": False, "Error": "", "Pid": 4242,
-            "StartedAt": "2026-01-01T00:00:00.000000000Z", **state,
+            "Status": status,
+            "ExitCode": exit_code,
+            "OOMKilled": False,
+            "Error": "",
+            "Pid": 4242,
+            "StartedAt": "2026-01-01T00:00:00.000000000Z",
+            **state,
         },
         "Config": {"Labels": dict(labels or {}), "Hostname": name},
         "HostConfig": {"NetworkMode": "default", "RestartPolicy": {"Name": "no"}, "Devices": []},
@@ -129,7 +134,7 @@ def container(
         "Image": f"image-of-{name}",
         "_files": dict(files or {}),
         "_modes": {},
-    }  # fmt: skip
+    }
     if health:
         inspect["State"]["Health"] = {"Status": health, "FailingStreak": 0, "Log": []}
     return inspect
@@ -207,9 +212,12 @@ class FakeEngine:
         """Send an event to all streams, e.g. ``emit("container", "die", id, name="ros_app", exitCode="1")``."""
         now = time.time_ns() + int(self.clock_ahead_s * 1e9)
         event = {
-            "Type": kind, "Action": action, "Actor": {"ID": actor, "Attributes": attributes},
-            "time": now // 10**9, "timeNano": now,
-        }  # fmt: skip
+            "Type": kind,
+            "Action": action,
+            "Actor": {"ID": actor, "Attributes": attributes},
+            "time": now // 10**9,
+            "timeNano": now,
+        }
         with self.changed:
             self.events.append(event)
             self._sent += 1
@@ -538,9 +546,11 @@ class _Handler(BaseHTTPRequestHandler):
             given = self.body.get("EndpointConfig") or {}
             fixed = (given.get("IPAMConfig") or {}).get("IPv4Address")
             networks[name] = {
-                "NetworkID": network_id, "IPAddress": fixed or "10.9.0.99", "Aliases": given.get("Aliases"),
+                "NetworkID": network_id,
+                "IPAddress": fixed or "10.9.0.99",
+                "Aliases": given.get("Aliases"),
                 "IPAMConfig": {"IPv4Address": fixed} if fixed else None,
-            }  # fmt: skip
+            }
         self.fake.emit("network", verb, network_id, name=name, container=entry["Id"], type="bridge")
         self._send(200, b"")
 

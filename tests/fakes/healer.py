@@ -95,9 +95,15 @@ class Healer:
     """
 
     def __init__(
-        self, sim: Sim, *, helps: float = 1.0, in_part: float = 0.0, armed: Callable[[float], bool] = lambda now: False,
-        critical: bool = False, **recovery: Any,
-    ) -> None:  # fmt: skip
+        self,
+        sim: Sim,
+        *,
+        helps: float = 1.0,
+        in_part: float = 0.0,
+        armed: Callable[[float], bool] = lambda now: False,
+        critical: bool = False,
+        **recovery: Any,
+    ) -> None:
         self.sim, self.helps, self.in_part, self.armed, self.critical = sim, helps, in_part, armed, critical
         self.rules = sim.settings.recovery.model_copy(update=recovery)
         entry = sim.settings.containers[0].model_copy(update={"flight_critical": critical})
@@ -119,7 +125,7 @@ class Healer:
         kinds = {name: self._action(kind) for name, kind in KINDS.items()}
         shop = Shop(
             pipeline, self._publish, self._clock, kinds, context, self._armed, graces.__getitem__, sim.plan.below
-        )  # fmt: skip
+        )
         self._executor = Executor(shop)
         sim.listeners.append(self._queue.append)
         sim.watch.append(self._turn)

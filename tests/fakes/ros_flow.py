@@ -54,9 +54,17 @@ def trace(name: str) -> Trace:
 
 
 def even(
-    hz: float, start_s: float, seconds: float, *, first: int = 1, writer: bytes | None = None, offset_s: float = 0.0,
-    numbered: bool = True, size: int = 100, delay_s: float = 0.0,
-) -> list[Publication]:  # fmt: skip
+    hz: float,
+    start_s: float,
+    seconds: float,
+    *,
+    first: int = 1,
+    writer: bytes | None = None,
+    offset_s: float = 0.0,
+    numbered: bool = True,
+    size: int = 100,
+    delay_s: float = 0.0,
+) -> list[Publication]:
     """One publisher without jitter. offset_s: its clock against ours. The first is published a period after `start_s`."""
     return [
         Publication(
@@ -84,9 +92,15 @@ def looks(
 
 
 def feed(
-    meter: Meter, publications: Iterable[Publication], start_s: float, end_s: float, *, depth: int = 1,
-    listening: Listening = ALONE, tick_s: float = TICK_S,
-) -> RateFact:  # fmt: skip
+    meter: Meter,
+    publications: Iterable[Publication],
+    start_s: float,
+    end_s: float,
+    *,
+    depth: int = 1,
+    listening: Listening = ALONE,
+    tick_s: float = TICK_S,
+) -> RateFact:
     """The meter after all looks."""
     facts = [
         meter.look(now_s, samples, replace(listening, complete=len(samples) < depth))

@@ -23,8 +23,15 @@ def main(name: str) -> int:
     texts = [
         json.dumps({"witness": "forged", "period_s": 10.0, "nodes": {name: forged}}),
         json.dumps({"witness": "forged", "period_s": 0.2, "nodes": {"no full name": forged}}),
-        "", "{", "[]", "null", "{}", "[" * 5000, "x" * 300_000, '{"witness":1e999}',
-    ]  # fmt: skip
+        "",
+        "{",
+        "[]",
+        "null",
+        "{}",
+        "[" * 5000,
+        "x" * 300_000,
+        '{"witness":1e999}',
+    ]
     hello = node.create_publisher(Log, HELLO, 10)
     nobody = {"witness": "nobody", "period_s": 1.0, "nodes": {"/nan": float("nan"), "/no name": 0, "/late": 1e300}}
     while rclpy.ok():

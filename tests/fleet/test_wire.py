@@ -24,13 +24,31 @@ def made(*states: UnitState, faults: tuple[Any, ...] = ()) -> bytes:
 def test_what_is_published() -> None:
     """Exactly these keys, in this form."""
     assert json.loads(made(WELL, DEAD, faults=(fault(DEAD),))) == {
-        "v": 1, "agent": "agent_3", "agent_id": 3, "boot_id": "0123456789ab", "seq": 7,
-        "utc": "2026-03-01T12:00:00.123Z", "utc_s": 1772366400.123, "mono": 100.0, "state": "EMERGENCY",
+        "v": 1,
+        "agent": "agent_3",
+        "agent_id": 3,
+        "boot_id": "0123456789ab",
+        "seq": 7,
+        "utc": "2026-03-01T12:00:00.123Z",
+        "utc_s": 1772366400.123,
+        "mono": 100.0,
+        "state": "EMERGENCY",
         "status_word": status_word.encode({Slot.CONTAINER: Level.OK, Slot.NODES: Level.ERROR}),
-        "slots": {"2": "OK", "6": "ERROR"}, "line": "A03 FAIL -1---0-- 6 one dead", "broken_hop": None, "open_faults": 1,
-        "faults": [{"fault": "ab12-1", "unit": "nodes/a/one", "slot": 6, "condition": "gone", "brief": "one dead",
-                    "opened": "2026-03-01T12:00:00.123Z"}],
-    }  # fmt: skip
+        "slots": {"2": "OK", "6": "ERROR"},
+        "line": "A03 FAIL -1---0-- 6 one dead",
+        "broken_hop": None,
+        "open_faults": 1,
+        "faults": [
+            {
+                "fault": "ab12-1",
+                "unit": "nodes/a/one",
+                "slot": 6,
+                "condition": "gone",
+                "brief": "one dead",
+                "opened": "2026-03-01T12:00:00.123Z",
+            }
+        ],
+    }
 
 
 def test_a_reader_gets_what_was_written() -> None:
@@ -77,11 +95,25 @@ GOOD = json.loads(made(WELL, DEAD, faults=(fault(DEAD),)))
 @pytest.mark.parametrize(
     "change",
     [
-        {"v": 2}, {"agent": 5}, {"agent": "a" * 201}, {"agent_id": True}, {"agent_id": -1}, {"seq": 1.5}, {"mono": "1"},
-        {"mono": float("nan")}, {"utc_s": 10**400}, {"slots": []}, {"slots": {"16": "OK"}}, {"slots": {"2": "WELL"}},
-        {"slots": {"2": None}}, {"faults": {}}, {"broken_hop": 1}, {"line": None}, {"status_word": None},
+        {"v": 2},
+        {"agent": 5},
+        {"agent": "a" * 201},
+        {"agent_id": True},
+        {"agent_id": -1},
+        {"seq": 1.5},
+        {"mono": "1"},
+        {"mono": float("nan")},
+        {"utc_s": 10**400},
+        {"slots": []},
+        {"slots": {"16": "OK"}},
+        {"slots": {"2": "WELL"}},
+        {"slots": {"2": None}},
+        {"faults": {}},
+        {"broken_hop": 1},
+        {"line": None},
+        {"status_word": None},
     ],
-)  # fmt: skip
+)
 def test_what_is_not_of_this_contract_is_refused(change: dict[str, Any]) -> None:
     """Each key is judged: it comes from outside."""
     with pytest.raises(ValueError, match="status"):

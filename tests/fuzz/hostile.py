@@ -28,10 +28,8 @@ def nested(depth: int) -> Any:
 
 
 JSON = st.recursive(
-    SCALARS,
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(TEXTS, inner, max_size=4),
-    max_leaves=12,
-) | st.sampled_from([100, 400, 900]).map(nested)  # fmt: skip
+    SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(TEXTS, inner, max_size=4), max_leaves=12
+) | st.sampled_from([100, 400, 900]).map(nested)
 
 
 DEEP = [b"[" * 50_000, *(b'{"Id": ' + b"[" * depth + b"]" * depth + b"}" for depth in range(880, 1000, 4))]

@@ -36,9 +36,13 @@ class Target:
             self.check(**made)
 
         chosen = settings(
-            max_examples=cases, deadline=None, database=None, suppress_health_check=_QUIET, print_blob=False,
+            max_examples=cases,
+            deadline=None,
+            database=None,
+            suppress_health_check=_QUIET,
+            print_blob=False,
             phases=(Phase.generate, Phase.shrink),
-        )  # fmt: skip
+        )
         counted.__name__ = self.check.__name__
         seed(number)(chosen(given(**self.strategies)(counted)))()
 

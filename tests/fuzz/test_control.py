@@ -22,11 +22,15 @@ from tests.recovery.test_holds import Scene
 LIMIT_S = 30.0
 MAX_HOLD_S = 4 * 3600.0
 REQUESTS = [
-    {"do": "ping"}, {"do": "approve", "fault": "ab12-1"}, {"do": "note", "kind": "INJECT", "text": "words"},
-    {"do": "reload"}, {"do": "hold", "container": "app", "for_s": 60.0, "reason": "new firmware"},
-    {"do": "hold", "container": "", "for_s": None, "reason": ""}, {"do": "release", "container": "app"},
+    {"do": "ping"},
+    {"do": "approve", "fault": "ab12-1"},
+    {"do": "note", "kind": "INJECT", "text": "words"},
+    {"do": "reload"},
+    {"do": "hold", "container": "app", "for_s": 60.0, "reason": "new firmware"},
+    {"do": "hold", "container": "", "for_s": None, "reason": ""},
+    {"do": "release", "container": "app"},
     {"do": "release", "container": ""},
-]  # fmt: skip
+]
 LINES = (
     st.sampled_from(REQUESTS).flatmap(messages)
     | st.sampled_from([json.dumps(request).encode("ascii") for request in REQUESTS])

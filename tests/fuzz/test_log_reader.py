@@ -16,18 +16,44 @@ from tests.fuzz.hostile import messages
 from tests.fuzz.targets import fuzzed
 
 OPENED = {
-    "v": 1, "event": "fault_opened", "utc": "2026-11-21T10:00:00.000Z", "fault": "ab12-1", "unit": "container/app", "slot": 2,
-    "layer": "docker", "condition": "exited", "summary": "app exited", "brief": "app exited", "target": "app",
-    "opened": "2026-11-21T10:00:00.000Z", "consequences": ["ab12-2"], "suspects": ["memory"],
-}  # fmt: skip
+    "v": 1,
+    "event": "fault_opened",
+    "utc": "2026-11-21T10:00:00.000Z",
+    "fault": "ab12-1",
+    "unit": "container/app",
+    "slot": 2,
+    "layer": "docker",
+    "condition": "exited",
+    "summary": "app exited",
+    "brief": "app exited",
+    "target": "app",
+    "opened": "2026-11-21T10:00:00.000Z",
+    "consequences": ["ab12-2"],
+    "suspects": ["memory"],
+}
 EVENTS: list[dict[str, Any]] = [
     OPENED,
-    {**OPENED, "event": "fault_closed", "outcome": "resolved", "by": "start", "closed": OPENED["utc"], "duration_s": 1.5,
-     "blocks": ["nodes/a"]},
-    {"v": 1, "event": "action", "utc": OPENED["utc"], "fault": "ab12-1", "action": "start", "phase": "started", "target": "app",
-     "detail": "words"},
+    {
+        **OPENED,
+        "event": "fault_closed",
+        "outcome": "resolved",
+        "by": "start",
+        "closed": OPENED["utc"],
+        "duration_s": 1.5,
+        "blocks": ["nodes/a"],
+    },
+    {
+        "v": 1,
+        "event": "action",
+        "utc": OPENED["utc"],
+        "fault": "ab12-1",
+        "action": "start",
+        "phase": "started",
+        "target": "app",
+        "detail": "words",
+    },
     {"v": 1, "event": "transition", "utc": OPENED["utc"], "unit": "nodes/a", "blocked_by": "container/app"},
-]  # fmt: skip
+]
 LINES = st.sampled_from(EVENTS).flatmap(messages) | st.sampled_from(EVENTS).map(
     lambda event: json.dumps(event).encode()
 )

@@ -16,13 +16,18 @@ from tests.fuzz.targets import fuzzed
 BEACON = BeaconFact(0.0, 0.2, 0.0, "w.1", 5, {"/b": NeighbourFact(True, 0.4, 0.0)}, 3, "w")
 STATUS = DiagnosticFact(0.0, 1, "words", "board", {"a": "b"})
 SENT = [
-    *map(pipe.encode, (
-        pipe.Picture(1.0, {"/a": 1}, problems=("one",)), pipe.Tick(1.0, {"/t": 0.5, "/u": None}, 3),
-        pipe.Heard({"/a": BEACON}, {"s": STATUS}, {"/b": 0.1}, 2), pipe.Remark("words"),
-    )),
+    *map(
+        pipe.encode,
+        (
+            pipe.Picture(1.0, {"/a": 1}, problems=("one",)),
+            pipe.Tick(1.0, {"/t": 0.5, "/u": None}, 3),
+            pipe.Heard({"/a": BEACON}, {"s": STATUS}, {"/b": 0.1}, 2),
+            pipe.Remark("words"),
+        ),
+    ),
     pipe.encode_order(pipe.Publish(1.0, {"s": STATUS})),
     pipe.encode_wanted(pipe.Wanted("agent_1", 3, (pipe.WantedTopic("/t", 10.0),))),
-]  # fmt: skip
+]
 STREAMS = st.sampled_from(SENT).flatmap(lambda line: messages(json.loads(line)))
 
 

@@ -19,10 +19,13 @@ from tests.gcs.test_serve import Source
 
 LIMIT_S = 30.0
 ASKED = [
-    b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", b"GET /snapshot HTTP/1.1\r\nHost: 127.0.0.1:80\r\n\r\n",
-    b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 3\r\n\r\nabc", b"GET /snapshot?x=1 HTTP/1.0\n\n",
-    b"GET /snapshot HTTP/1.1\r\nHost: " + b"x" * MAX_REQUEST + b"\r\n\r\n", b"GET /x HTTP/1.1\r\nHost: [::1]:80\r\n\r\n",
-]  # fmt: skip
+    b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    b"GET /snapshot HTTP/1.1\r\nHost: 127.0.0.1:80\r\n\r\n",
+    b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 3\r\n\r\nabc",
+    b"GET /snapshot?x=1 HTTP/1.0\n\n",
+    b"GET /snapshot HTTP/1.1\r\nHost: " + b"x" * MAX_REQUEST + b"\r\n\r\n",
+    b"GET /x HTTP/1.1\r\nHost: [::1]:80\r\n\r\n",
+]
 STATUSES = (b"200", b"403", b"404", b"405", b"408", b"431", b"503")
 
 

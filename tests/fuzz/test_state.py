@@ -19,17 +19,26 @@ from tests.fuzz.targets import fuzzed
 
 NOW = Stamp(1_800_000_000.0, 1000.0)
 FAULT = Fault(
-    "ab12-1", "container/app", Slot.CONTAINER, Layer.DOCKER, Result(Level.ERROR, "words", "brief", "exited", "app"),
-    Stamp(NOW.utc - 5, 995.0), blocks=("nodes/a",), consequences=("F2",),
-)  # fmt: skip
+    "ab12-1",
+    "container/app",
+    Slot.CONTAINER,
+    Layer.DOCKER,
+    Result(Level.ERROR, "words", "brief", "exited", "app"),
+    Stamp(NOW.utc - 5, 995.0),
+    blocks=("nodes/a",),
+    consequences=("F2",),
+)
 ATTEMPT = Attempt(990.0, "container/app", "exited", "start", False, False, False)
 STATE = State(
-    (FAULT,), (FAULT,),
+    (FAULT,),
+    (FAULT,),
     RecoveryState(
-        {"app": (ATTEMPT,)}, {"ab12-1": Case(True, ("told",))}, {"app": UnderWay("ab12-1", ATTEMPT)},
+        {"app": (ATTEMPT,)},
+        {"ab12-1": Case(True, ("told",))},
+        {"app": UnderWay("ab12-1", ATTEMPT)},
         {"app": Life("id", "2026", 990.0, None)},
     ),
-)  # fmt: skip
+)
 DOCUMENT = encode(STATE, "boot", NOW)
 
 

@@ -48,21 +48,31 @@ def agent(folder: Path, number: int, url: str, *, key: Path | None = None, engin
     """A PHM. engine: it has a container, and an engine that is not there."""
     docker = {"docker": {"socket": f"unix://{folder}/none.sock"}, "containers": [{"name": "app"}]} if engine else {}
     made = settings(
-        agent={"id": number}, interval=1, state_dir=str(folder / f"state{number}"), run_dir=str(folder / f"run{number}"),
-        log={"directory": str(folder / f"log{number}")}, checks={"host": {"enabled": False}},
+        agent={"id": number},
+        interval=1,
+        state_dir=str(folder / f"state{number}"),
+        run_dir=str(folder / f"run{number}"),
+        log={"directory": str(folder / f"log{number}")},
+        checks={"host": {"enabled": False}},
         mavlink={
-            "endpoints": [{"url": url, "leads_to": "router", "budget": 0}], "heartbeat": 0.5, "refresh": 1, "signing": {"key": str(key) if key else None},
+            "endpoints": [{"url": url, "leads_to": "router", "budget": 0}],
+            "heartbeat": 0.5,
+            "refresh": 1,
+            "signing": {"key": str(key) if key else None},
         },
         **docker,
-    )  # fmt: skip
+    )
     return Daemon(made, SlowClock())
 
 
 def endpoints(*urls: str, key: Path | None = None) -> MavlinkSettings:
-    return MavlinkSettings.model_validate({
-        "endpoints": [{"url": url, "budget": 0} for url in urls], "component_id": COMPONENT,
-        "signing": {"key": str(key) if key else None},
-    })  # fmt: skip
+    return MavlinkSettings.model_validate(
+        {
+            "endpoints": [{"url": url, "budget": 0} for url in urls],
+            "component_id": COMPONENT,
+            "signing": {"key": str(key) if key else None},
+        }
+    )
 
 
 class Router:
@@ -333,9 +343,12 @@ _STARTED: list[subprocess.Popen[str]] = []
 def run(*arguments: str) -> subprocess.Popen[str]:
     places = os.pathsep.join((str(ROOT), str(ROOT / "checks")))
     started = subprocess.Popen(
-        [sys.executable, "-m", "phm.cli", "gcs", *arguments], env={**os.environ, "PYTHONPATH": places}, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
+        [sys.executable, "-m", "phm.cli", "gcs", *arguments],
+        env={**os.environ, "PYTHONPATH": places},
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
     _STARTED.append(started)
     return started
 
@@ -408,9 +421,12 @@ def test_a_terminal_gets_a_live_table(voices: tuple[int, Callable[[], None]]) ->
     # The terminal of the pty alone counts, not what the one of these tests says about itself.
     asked = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES", "NO_COLOR")}
     done = subprocess.Popen(
-        [sys.executable, "-m", "phm.cli", "gcs", f"udpin:127.0.0.1:{port}"], stdin=theirs, stdout=theirs, stderr=theirs,
+        [sys.executable, "-m", "phm.cli", "gcs", f"udpin:127.0.0.1:{port}"],
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
         env={**asked, "TERM": "xterm-256color", "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks")))},
-    )  # fmt: skip
+    )
     os.close(theirs)
     os.set_blocking(ours, False)
     shown = bytearray()

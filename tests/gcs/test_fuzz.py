@@ -23,9 +23,12 @@ NUMBERS = st.integers(0, 2**32 - 1)
 BYTE = st.integers(0, 255)
 BEATS = st.builds(
     lambda kind, pilot, mode, word, state: mavlink.MAVLink_heartbeat_message(kind, pilot, mode, word, state, 3),
-    st.sampled_from([18, 6, 2, 255]), st.sampled_from([8, 3, 255]), BYTE,
-    NUMBERS | st.sampled_from([0, 1 << 30, 0x40025D55, 0x7FFFFFFF]), BYTE,
-)  # fmt: skip
+    st.sampled_from([18, 6, 2, 255]),
+    st.sampled_from([8, 3, 255]),
+    BYTE,
+    NUMBERS | st.sampled_from([0, 1 << 30, 0x40025D55, 0x7FFFFFFF]),
+    BYTE,
+)
 LINES = st.from_regex(
     r"(A[0-9]{2,3}|SWARM) (FAIL|OK|WARN|1/2|no GCS radio, heard by A01:) [0-9]{1,9}.{0,20}", fullmatch=True
 )
@@ -36,8 +39,9 @@ TEXTS = st.builds(
 )
 TUNNELS = st.builds(
     lambda data: mavlink.MAVLink_tunnel_message(0, 0, tunnel.PAYLOAD_TYPE, len(data), list(data.ljust(128, b"\0"))),
-    st.binary(max_size=128) | st.builds(lambda kind, rest: bytes((0x10 | kind,)) + rest, st.integers(1, 5), st.binary(max_size=40)),
-)  # fmt: skip
+    st.binary(max_size=128)
+    | st.builds(lambda kind, rest: bytes((0x10 | kind,)) + rest, st.integers(1, 5), st.binary(max_size=40)),
+)
 RADIOS = st.builds(lambda *levels: mavlink.MAVLink_radio_status_message(*levels, 1, 1), BYTE, BYTE, BYTE, BYTE, BYTE)
 SENDERS = st.tuples(st.sampled_from([0, 7, 8, 51, 250, 251, 255]), st.sampled_from([0, 1, 190, 193, 255]))
 

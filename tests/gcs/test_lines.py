@@ -77,11 +77,24 @@ def test_a_swarm_line_names_who_is_not_well() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "", "PreArm: GPS 1 failing", "A07", "A07 FAIL", "A07 FAIL 16 x", "A07 FAIL 0 x", "A07 OK 1111", "A7 OK 11111111",
-        "A000 OK 11111111", "A251 FAIL 6 x", "A999 WARN 1 x", "SWARM of bees", "SWARM 1/2 BAD", "xA07 FAIL 6 node",
-        "A07 FAIL 6 node\nA08 FAIL 6 node", "A\u0660\u0667 FAIL 6 x",
+        "",
+        "PreArm: GPS 1 failing",
+        "A07",
+        "A07 FAIL",
+        "A07 FAIL 16 x",
+        "A07 FAIL 0 x",
+        "A07 OK 1111",
+        "A7 OK 11111111",
+        "A000 OK 11111111",
+        "A251 FAIL 6 x",
+        "A999 WARN 1 x",
+        "SWARM of bees",
+        "SWARM 1/2 BAD",
+        "xA07 FAIL 6 node",
+        "A07 FAIL 6 node\nA08 FAIL 6 node",
+        "A\u0660\u0667 FAIL 6 x",
     ],
-)  # fmt: skip
+)
 def test_lines_of_others_are_not_phms(text: str) -> None:
     """Nor what only looks alike, with numbers that no agent and no slot has."""
     assert statustext_parser.read(text) is None

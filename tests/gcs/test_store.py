@@ -49,11 +49,16 @@ def test_what_an_agent_did_not_say_is_unknown() -> None:
 @pytest.mark.parametrize(
     "frame",
     [
-        Beat(9, 191, 18, 8, 0, 0, 4), Beat(9, 191, 18, 8, 0, 7, 4), Beat(9, 1, 2, 3, 0, 1 << 30, 4), Beat(0, 193, 18, 8, 0, 1 << 30, 4),
-        Beat(251, 193, 18, 8, 0, 1 << 30, 4), Beat(9, 193, 6, 8, 0, 1 << 30, 4), Beat(254, 190, 18, 8, 0, 1 << 30, 4),
+        Beat(9, 191, 18, 8, 0, 0, 4),
+        Beat(9, 191, 18, 8, 0, 7, 4),
+        Beat(9, 1, 2, 3, 0, 1 << 30, 4),
+        Beat(0, 193, 18, 8, 0, 1 << 30, 4),
+        Beat(251, 193, 18, 8, 0, 1 << 30, 4),
+        Beat(9, 193, 6, 8, 0, 1 << 30, 4),
+        Beat(254, 190, 18, 8, 0, 1 << 30, 4),
     ],
     ids=["no word", "a mode", "an autopilot", "id 0", "id 251", "a ground station", "ourselves"],
-)  # fmt: skip
+)
 def test_heartbeats_of_others_make_no_agent(ground: Ground, frame: Beat) -> None:
     """Whatever their custom_mode holds."""
     ground.hear(frame)
@@ -335,12 +340,16 @@ def test_words_of_others_are_passed_on(ground: Ground) -> None:
         ({Slot.COMPANION: Level.ERROR}, "A07 FAIL 1 GCS: no heartbeat 10 s", ("GCS", "no heartbeat 10 s", True)),
         ({Slot.COMPANION: Level.ERROR}, "A07 FAIL 1 rates overdue", ("companion", "rates overdue", False)),
         ({Slot.NODES: Level.ERROR}, "A07 FAIL 6 node_1 dead", ("application", "node_1 dead", False)),
-        ({Slot.AUTOPILOT: Level.ERROR}, "A07 FAIL 10 autopilot: no heartbeat 4 s", ("autopilot", "no heartbeat 4 s", True)),
+        (
+            {Slot.AUTOPILOT: Level.ERROR},
+            "A07 FAIL 10 autopilot: no heartbeat 4 s",
+            ("autopilot", "no heartbeat 4 s", True),
+        ),
         ({Slot.AUTOPILOT: Level.ERROR}, "", ("autopilot", "ERROR in slot 10, not told why", True)),
         ({Slot.RADIO: Level.WARN}, "A07 WARN 11 radio: weak, margin 8", None),
         ({Slot.FILES: Level.ERROR}, "A07 FAIL 3 map.bin missing", None),
     ],
-)  # fmt: skip
+)
 def test_the_hop_is_the_first_that_the_agent_names(
     ground: Ground, slots: dict[Slot, Level], text: str, hop: tuple[str, str, bool] | None
 ) -> None:
@@ -457,8 +466,11 @@ def test_tunnels_of_strangers_and_of_other_kinds_are_ignored(ground: Ground) -> 
     payload = tunnel.encode(View(1, False, False, False, {3: Seen.LOST}))
     ground.hear(beat(7))
     for frame in (
-        Payload(8, 193, tunnel.PAYLOAD_TYPE, payload), Payload(7, 193, 5, payload), Payload(7, 193, tunnel.PAYLOAD_TYPE, b""),
-        Payload(7, 193, tunnel.PAYLOAD_TYPE, b"\xff" * 128), Payload(7, 193, tunnel.PAYLOAD_TYPE, b"\x12\x01\x05"),
-    ):  # fmt: skip
+        Payload(8, 193, tunnel.PAYLOAD_TYPE, payload),
+        Payload(7, 193, 5, payload),
+        Payload(7, 193, tunnel.PAYLOAD_TYPE, b""),
+        Payload(7, 193, tunnel.PAYLOAD_TYPE, b"\xff" * 128),
+        Payload(7, 193, tunnel.PAYLOAD_TYPE, b"\x12\x01\x05"),
+    ):
         assert ground.hear(frame) == []
     assert ground.agent(7)["view"] is None

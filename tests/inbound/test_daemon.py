@@ -31,14 +31,20 @@ class Agent:
         key.write_text(KEY.hex())
         key.chmod(0o600)
         made = settings(
-            agent={"id": 7}, interval=5, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
-            log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}, "peers": {"enabled": False}},
-            docker={"socket": f"unix://{folder}/none.sock"}, containers=[{"name": "app"}],
+            agent={"id": 7},
+            interval=5,
+            state_dir=str(folder / "state"),
+            run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")},
+            checks={"host": {"enabled": False}, "peers": {"enabled": False}},
+            docker={"socket": f"unix://{folder}/none.sock"},
+            containers=[{"name": "app"}],
             mavlink={
-                "endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0}], "signing": {"key": str(key)},
+                "endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0}],
+                "signing": {"key": str(key)},
                 "commands": ["status", "details", "check", "approve", "restart"],
             },
-        )  # fmt: skip
+        )
         self.folder, self.events = folder, list[Event]()
         self.daemon = Daemon(made)
         self.daemon.bus.subscribe("test", self.events.append)

@@ -55,12 +55,18 @@ class Scene:
             Stamp(0, 0),
         )
         powers = Powers(
-            lambda: (host,), lambda: self.faults, lambda: (), lambda: True, lambda: self.lives,
-            look=lambda: self.did.append("look"), approve=lambda name: self._do(f"approve {name}"),
+            lambda: (host,),
+            lambda: self.faults,
+            lambda: (),
+            lambda: True,
+            lambda: self.lives,
+            look=lambda: self.did.append("look"),
+            approve=lambda name: self._do(f"approve {name}"),
             restart=lambda key, by: self._do(f"restart {key} for {by}"),
-            note=lambda kind, text: self.notes.append(f"{kind}: {text}"), later=Later,
+            note=lambda kind, text: self.notes.append(f"{kind}: {text}"),
+            later=Later,
             remember=lambda: self.did.append("remember"),
-        )  # fmt: skip
+        )
         chosen = settings(
             agent={"id": 7}, containers=[{"name": "app"}, {"name": "db"}], mavlink={"commands": list(allowed)}
         )
@@ -220,8 +226,9 @@ def test_the_details_of_a_fault_come_in_parts_to_the_asker() -> None:
     scene = Scene("details")
     scene.faults = (fault(3, 5.0), fault(17, 9.0, "x" * 5000))
     assert told(scene.ask(long(512, 385, 3))) == (
-        "ab12-3", "nodes/node_1: node_1 is dead; open since 01:46:40 UTC; blocks topics; other open faults: 17"
-    )  # fmt: skip
+        "ab12-3",
+        "nodes/node_1: node_1 is dead; open since 01:46:40 UTC; blocks topics; other open faults: 17",
+    )
     sent = scene.ask(long(512, 385))
     name, text = told(sent)
     assert name == "ab12-17"

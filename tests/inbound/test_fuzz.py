@@ -32,10 +32,17 @@ class Scene:
         self.codec = Codec(7, 193, IDS.__contains__, signer)
         self.parser = self.codec.parser()
         powers = Powers(
-            tuple, tuple, tuple, lambda: True, lambda: True, look=lambda: self.did.append("look"),
-            approve=lambda name: self._do(name), restart=lambda key, by: self._do(key), note=lambda kind, words: None,
+            tuple,
+            tuple,
+            tuple,
+            lambda: True,
+            lambda: True,
+            look=lambda: self.did.append("look"),
+            approve=lambda name: self._do(name),
+            restart=lambda key, by: self._do(key),
+            note=lambda kind, words: None,
             later=TimeoutError,
-        )  # fmt: skip
+        )
         chosen = settings(agent={"id": 7}, containers=[{"name": "app"}], mavlink={"commands": ALL})
         self.desk = Desk(self, powers, chosen, self.clock)
 
@@ -129,9 +136,17 @@ def test_a_command_with_a_right_checksum_and_a_wrong_signature_is_not_obeyed(dat
     for _ in range(data.draw(st.integers(1, 10))):
         params = [data.draw(st.floats(width=32)) for _ in range(2)]
         message = mavlink.MAVLink_command_long_message(
-            data.draw(st.sampled_from([7, 0, 8])), data.draw(st.sampled_from([193, 0, 1])),
-            data.draw(st.sampled_from([31010, 511, 512, 400, 0, 65535])), data.draw(numbers), *params, 0, 0, 0, 0, 0,
-        )  # fmt: skip
+            data.draw(st.sampled_from([7, 0, 8])),
+            data.draw(st.sampled_from([193, 0, 1])),
+            data.draw(st.sampled_from([31010, 511, 512, 400, 0, 65535])),
+            data.draw(numbers),
+            *params,
+            0,
+            0,
+            0,
+            0,
+            0,
+        )
         frame = Sender(data.draw(numbers), data.draw(numbers)).frame(message)
         if data.draw(st.booleans()):
             frame = sign(frame, data.draw(st.integers(0, 2**48 - 1)), key=OTHER, link=data.draw(numbers))

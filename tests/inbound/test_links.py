@@ -27,21 +27,30 @@ class Aboard:
 
     def __init__(self, port: int, key: Path | None = None) -> None:
         chosen = settings(
-            agent={"id": 7}, containers=[{"name": "app"}],
+            agent={"id": 7},
+            containers=[{"name": "app"}],
             mavlink={
                 "endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0, "link_id": 4}],
-                "commands": ["status", "restart"], "signing": {"key": str(key) if key else None},
+                "commands": ["status", "restart"],
+                "signing": {"key": str(key) if key else None},
             },
-        )  # fmt: skip
+        )
         assert isinstance(chosen.mavlink, MavlinkSettings)
         self.did: list[str] = []
         self.notes: list[str] = []
         self.hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
         powers = Powers(
-            tuple, tuple, tuple, lambda: True, lambda: True, look=lambda: self.did.append("look"),
-            approve=str, restart=lambda key, by: self.did.append(key) or key, note=lambda kind, text: self.notes.append(text),
+            tuple,
+            tuple,
+            tuple,
+            lambda: True,
+            lambda: True,
+            look=lambda: self.did.append("look"),
+            approve=str,
+            restart=lambda key, by: self.did.append(key) or key,
+            note=lambda kind, text: self.notes.append(text),
             later=TimeoutError,
-        )  # fmt: skip
+        )
         self.desk = Desk(self.hub, powers, chosen, SystemClock())
         self.hub.start()
         self.desk.start()

@@ -42,12 +42,14 @@ class Aboard:
     def __init__(self, key: Path, state: Path | None, clock: SetClock, *, synchronized: bool | None = None) -> None:
         self.port = free_port()
         chosen = settings(
-            agent={"id": 7}, containers=[{"name": "app"}],
+            agent={"id": 7},
+            containers=[{"name": "app"}],
             mavlink={
                 "endpoints": [{"url": f"udpin:127.0.0.1:{self.port}", "budget": 0}],
-                "commands": ["status", "restart"], "signing": {"key": str(key)},
+                "commands": ["status", "restart"],
+                "signing": {"key": str(key)},
             },
-        )  # fmt: skip
+        )
         assert isinstance(chosen.mavlink, MavlinkSettings)
         self.did: list[str] = []
         self.notes: list[str] = []
@@ -57,10 +59,19 @@ class Aboard:
         self.heard: list[Any] = []
         self.hub.listen(lambda message, link: self.heard.append(message), (0,))
         powers = Powers(
-            tuple, tuple, tuple, lambda: True, lambda: True, look=lambda: None, approve=str, restart=self._restart,
-            note=lambda kind, text: self.notes.append(text), later=TimeoutError, remember=self.hub.remember,
+            tuple,
+            tuple,
+            tuple,
+            lambda: True,
+            lambda: True,
+            look=lambda: None,
+            approve=str,
+            restart=self._restart,
+            note=lambda kind, text: self.notes.append(text),
+            later=TimeoutError,
+            remember=self.hub.remember,
             clock_problem=self.hub.clock_problem,
-        )  # fmt: skip
+        )
         self.desk = Desk(self.hub, powers, chosen, clock)
         self.hub.start()
         self.desk.start()

@@ -28,12 +28,19 @@ class Agent:
     def __init__(self, folder: Path, names: dict[str, str], mode: str = "act") -> None:
         port = free_port()
         made = settings(
-            agent={"id": 7}, interval=2, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
-            log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}, "peers": {"enabled": False}},
+            agent={"id": 7},
+            interval=2,
+            state_dir=str(folder / "state"),
+            run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")},
+            checks={"host": {"enabled": False}, "peers": {"enabled": False}},
             containers=[{"name": name, "alias": key, "recover": key == "app"} for key, name in names.items()],
             recovery={"mode": mode, "verify": "3s", "stop_timeout": "2s", "ladders": {"exited": ["start"]}},
-            mavlink={"endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0}], "commands": ["restart", "approve"]},
-        )  # fmt: skip
+            mavlink={
+                "endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0}],
+                "commands": ["restart", "approve"],
+            },
+        )
         self.events: list[Event] = []
         self.lines: list[tuple[int, str]] = []
         self.daemon = Daemon(made)

@@ -303,11 +303,23 @@ def test_restarts_one_after_the_other_do_not_run_ahead_of_a_good_clock(tmp_path:
 @pytest.mark.parametrize(
     "damage",
     [
-        b"", b"{", b"[]", b"null", b'{"v": 1}', b'{"time": -1, "streams": []}', b'{"time": 1e3, "streams": []}',
-        b'{"time": true, "streams": []}', b'{"time": 5, "streams": [[1, 2, 3]]}', b'{"time": 5, "streams": [[1, 2, 999, 4]]}',
-        b'{"time": 5, "streams": 7}', b"[" * 60_000, b"x" * 100_000, b"\xff\xfe", json.dumps({"time": 2**48, "streams": []}).encode(),
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b'{"v": 1}',
+        b'{"time": -1, "streams": []}',
+        b'{"time": 1e3, "streams": []}',
+        b'{"time": true, "streams": []}',
+        b'{"time": 5, "streams": [[1, 2, 3]]}',
+        b'{"time": 5, "streams": [[1, 2, 999, 4]]}',
+        b'{"time": 5, "streams": 7}',
+        b"[" * 60_000,
+        b"x" * 100_000,
+        b"\xff\xfe",
+        json.dumps({"time": 2**48, "streams": []}).encode(),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_file_is_told_and_the_clock_counts(tmp_path: Path, damage: bytes) -> None:
     """And is replaced by the next save."""
     (tmp_path / NAME).write_bytes(damage)

@@ -28,9 +28,12 @@ def tell(kind: str, **more: Any) -> None:
 
 def message(heard: MavlinkMessage, _: Any) -> None:
     tell(
-        "message", name=heard.message_name, system=heard.system_id, component=heard.component_id,
+        "message",
+        name=heard.message_name,
+        system=heard.system_id,
+        component=heard.component_id,
         fields=json.loads(heard.fields_json),
-    )  # fmt: skip
+    )
 
 
 def main(urls: list[str]) -> None:
@@ -51,10 +54,15 @@ def main(urls: list[str]) -> None:
 
     def look() -> None:
         tell(
-            "system", count=sdk.system_count(), id=system.get_system_id(), components=sorted(system.component_ids()),
-            autopilot=system.has_autopilot(), kind_of=system.autopilot_type().name, vehicle=system.vehicle_type().name,
+            "system",
+            count=sdk.system_count(),
+            id=system.get_system_id(),
+            components=sorted(system.component_ids()),
+            autopilot=system.has_autopilot(),
+            kind_of=system.autopilot_type().name,
+            vehicle=system.vehicle_type().name,
             connected=system.is_connected(),
-        )  # fmt: skip
+        )
 
     tell("ready", version=sdk.version())
     look()
@@ -64,9 +72,18 @@ def main(urls: list[str]) -> None:
             continue
         component, command, first, second = (int(word) for word in line.split())
         fields = {
-            "target_system": system.get_system_id(), "target_component": component, "command": command, "confirmation": 0,
-            "param1": first, "param2": second, "param3": 0, "param4": 0, "param5": 0, "param6": 0, "param7": 0,
-        }  # fmt: skip
+            "target_system": system.get_system_id(),
+            "target_component": component,
+            "command": command,
+            "confirmation": 0,
+            "param1": first,
+            "param2": second,
+            "param3": 0,
+            "param4": 0,
+            "param5": 0,
+            "param6": 0,
+            "param7": 0,
+        }
         direct.send_message(MavlinkMessage("COMMAND_LONG", 0, 0, system.get_system_id(), component, json.dumps(fields)))
 
 

@@ -38,10 +38,16 @@ class Program:
         assert python.exists(), f"there is no {python}: run scripts/venv interop"
         self.lines: deque[str] = deque(maxlen=KEPT)
         self._process = subprocess.Popen(
-            [str(python), "-u", *words], cwd=folder, start_new_session=True, text=True, errors="replace",
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            [str(python), "-u", *words],
+            cwd=folder,
+            start_new_session=True,
+            text=True,
+            errors="replace",
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
             env={"PATH": os.environ["PATH"], "HOME": str(folder), "TERM": "dumb"},
-        )  # fmt: skip
+        )
         self._reader = threading.Thread(target=self._read, name="program", daemon=True)
         self._reader.start()
 
@@ -107,9 +113,10 @@ class Watcher(Program):
         """Those of a kind whose keys have these values."""
         records = [json.loads(line) for line in list(self.lines) if line.startswith("{")]
         return [
-            record for record in records
+            record
+            for record in records
             if record["kind"] == kind and all(record[key] == value for key, value in more.items())
-        ]  # fmt: skip
+        ]
 
     def wait_news(self, kind: str, **more: Any) -> dict[str, Any]:
         found: list[dict[str, Any]] = until(lambda: self.news(kind, **more), f"{kind} {more}", self.told)

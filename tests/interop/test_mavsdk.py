@@ -132,8 +132,10 @@ def test_commands_to_phm_are_acknowledged(vehicle: Vehicle, watcher: Watcher) ->
     watcher.say(f"{COMPONENT} 31010 1 0")
     answers = until(
         lambda: [
-            record["fields"] for record in watcher.news("message", name="COMMAND_ACK", component=COMPONENT)
+            record["fields"]
+            for record in watcher.news("message", name="COMMAND_ACK", component=COMPONENT)
             if record["fields"]["command"] == 31010
-        ], "the refusal",
-    )  # fmt: skip
+        ],
+        "the refusal",
+    )
     assert answers[0]["result"] == 2

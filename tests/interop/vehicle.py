@@ -46,18 +46,31 @@ class Vehicle:
         self.engine.containers["ros_app"] = container("ros_app")
         self.engine.__enter__()
         made = settings(
-            agent={"id": SYSTEM}, interval=1, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
-            log={"directory": str(folder / "log")}, checks={"peers": {"enabled": False}},
-            docker={"socket": self.engine.url}, containers=[{"name": "ros_app"}], recovery={"mode": "off"},
-            host={"memory": {"warn": 0, "error": 0}, "disk": {"warn": 0, "error": 100}, "cpu": {"warn": 100, "error": 100}},
+            agent={"id": SYSTEM},
+            interval=1,
+            state_dir=str(folder / "state"),
+            run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")},
+            checks={"peers": {"enabled": False}},
+            docker={"socket": self.engine.url},
+            containers=[{"name": "ros_app"}],
+            recovery={"mode": "off"},
+            host={
+                "memory": {"warn": 0, "error": 0},
+                "disk": {"warn": 0, "error": 100},
+                "cpu": {"warn": 100, "error": 100},
+            },
             mavlink={
                 "endpoints": [
                     {"url": f"tcp:127.0.0.1:{self.companion}", "name": "fc", "budget": 0, "leads_to": "both"},
                     {"url": f"tcpin:127.0.0.1:{self.direct}", "name": "direct", "budget": 0, "leads_to": "ground"},
                 ],
-                "heartbeat": 0.5, "refresh": 2, "autopilot_timeout": 2, **_signed(folder, passphrase),
+                "heartbeat": 0.5,
+                "refresh": 2,
+                "autopilot_timeout": 2,
+                **_signed(folder, passphrase),
             },
-        )  # fmt: skip
+        )
         self.daemon = Daemon(made)
         self.daemon.start()
 

@@ -43,9 +43,10 @@ def test_a_link_needs_the_container_at_its_other_end() -> None:
         containers=[{"name": "mavlink-router", "alias": "router"}],
         mavlink={
             "endpoints": [
-                {"url": "tcp:router:5760", "name": "one", "container": "router"}, {"url": "tcp:pilot:5760", "name": "two"},
+                {"url": "tcp:router:5760", "name": "one", "container": "router"},
+                {"url": "tcp:pilot:5760", "name": "two"},
             ]
         },
-    )  # fmt: skip
+    )
     needs = [check.units[0].needs for check in Link.build(made)]
     assert needs == [("container/router",), ()]

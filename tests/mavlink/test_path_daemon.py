@@ -35,12 +35,20 @@ class Flight:
             {"url": f"tcp:127.0.0.1:{self.companion}", "name": "fc", "leads_to": "autopilot"},
         ]
         made = settings(
-            agent={"id": 7}, interval=2, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
-            log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}, "peers": {"enabled": False}},
+            agent={"id": 7},
+            interval=2,
+            state_dir=str(folder / "state"),
+            run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")},
+            checks={"host": {"enabled": False}, "peers": {"enabled": False}},
             mavlink={
-                "endpoints": endpoints, "heartbeat": 0.5, "gcs_timeout": 2, "autopilot_timeout": 2, "radio_timeout": 4,
+                "endpoints": endpoints,
+                "heartbeat": 0.5,
+                "gcs_timeout": 2,
+                "autopilot_timeout": 2,
+                "radio_timeout": 4,
             },
-        )  # fmt: skip
+        )
         self.events: list[Event] = []
         self.daemon = Daemon(made)
         self.daemon.bus.subscribe("test", self.events.append)

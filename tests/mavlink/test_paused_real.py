@@ -71,16 +71,22 @@ class Agent:
         endpoint = {"url": f"udpin:127.0.0.1:{port}", "name": "air", "leads_to": "both"}
         limits = {"autopilot_timeout": TIMEOUT_S, "gcs_timeout": TIMEOUT_S, "heartbeat": 1.5}
         document = {
-            "agent": {"id": 1}, "interval": 2, "swarm": {"agents": [1, 2]}, "checks": {"host": {"enabled": False}},
-            "mavlink": {"endpoints": [endpoint], **limits}, "log": {"directory": str(folder / "log")},
-            "state_dir": str(folder / "state"), "run_dir": str(folder / "run"),
-        }  # fmt: skip
+            "agent": {"id": 1},
+            "interval": 2,
+            "swarm": {"agents": [1, 2]},
+            "checks": {"host": {"enabled": False}},
+            "mavlink": {"endpoints": [endpoint], **limits},
+            "log": {"directory": str(folder / "log")},
+            "state_dir": str(folder / "state"),
+            "run_dir": str(folder / "run"),
+        }
         (folder / "phm.yaml").write_text(json.dumps(document))
         self.process = subprocess.Popen(
             [sys.executable, "-m", "phm.cli", "run", "-c", str(folder / "phm.yaml")],
             env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_GUARD": "off"},
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
 
     def levels(self) -> dict[str, str]:
         try:

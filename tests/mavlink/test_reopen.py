@@ -156,13 +156,19 @@ class Aboard:
     def __init__(self, folder: Path, port: int, **recovery: object) -> None:
         self.events: list[Event] = []
         made = settings(
-            agent={"id": 7}, interval=2, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
-            log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}, "peers": {"enabled": False}},
+            agent={"id": 7},
+            interval=2,
+            state_dir=str(folder / "state"),
+            run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")},
+            checks={"host": {"enabled": False}, "peers": {"enabled": False}},
             mavlink={
-                "endpoints": [{"url": f"tcp:127.0.0.1:{port}", "name": "fc"}], "autopilot": True, "autopilot_timeout": 2,
+                "endpoints": [{"url": f"tcp:127.0.0.1:{port}", "name": "fc"}],
+                "autopilot": True,
+                "autopilot_timeout": 2,
             },
             recovery=recovery,
-        )  # fmt: skip
+        )
         self.daemon = Daemon(made)
         self.daemon.bus.subscribe("test", self.events.append)
         self.daemon.start()

@@ -358,8 +358,9 @@ def test_what_flaps_is_told_as_such_and_then_when_it_rests() -> None:
         scene.pass_time(2.0)
     told = [words for severity, words in scene.port.lines() if severity < 6]
     assert told == ["A01 FAIL 6 a dead", "A01 OK 6 cleared itself: a dead"] * 2 + [
-        "A01 FAIL 6 a dead", "A01 WARN 6 flapping: a dead"
-    ]  # fmt: skip
+        "A01 FAIL 6 a dead",
+        "A01 WARN 6 flapping: a dead",
+    ]
     scene.pass_time(31.0)
     assert scene.port.lines() == [(5, "A01 OK 6 cleared itself: a dead")]
     scene.become("nodes/a", Level.ERROR, "a dead")

@@ -34,20 +34,31 @@ class Aboard:
 
     def __init__(self, url: str, key: str | None = None) -> None:
         chosen = settings(
-            agent={"id": 7}, containers=[{"name": "app"}],
+            agent={"id": 7},
+            containers=[{"name": "app"}],
             mavlink={
-                "endpoints": [{"url": url, "budget": 0}], "commands": ["status", "restart"], "signing": {"key": key}
+                "endpoints": [{"url": url, "budget": 0}],
+                "commands": ["status", "restart"],
+                "signing": {"key": key},
             },
-        )  # fmt: skip
+        )
         assert isinstance(chosen.mavlink, MavlinkSettings)
         self.did: list[str] = []
         self.heard: list[tuple[int, str]] = []
         self.hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
         self.hub.listen(lambda message, link: self.heard.append((message.get_srcSystem(), message.get_type())), (0,))
         powers = Powers(
-            tuple, tuple, tuple, lambda: True, lambda: True, look=lambda: None, approve=str,
-            restart=self._restart, note=lambda kind, text: None, later=TimeoutError,
-        )  # fmt: skip
+            tuple,
+            tuple,
+            tuple,
+            lambda: True,
+            lambda: True,
+            look=lambda: None,
+            approve=str,
+            restart=self._restart,
+            note=lambda kind, text: None,
+            later=TimeoutError,
+        )
         self.desk = Desk(self.hub, powers, chosen, SystemClock())
         self.hub.start()
         self.desk.start()

@@ -44,9 +44,19 @@ def build(source: Path, target: Path) -> Path:
     )
     shutil.copytree(source, copy, ignore=ignored)
     run(
-        sys.executable, "-m", "pip", "wheel", "--quiet", "--no-index", "--no-deps", "--no-build-isolation",
-        "--wheel-dir", target, copy, cwd=target,
-    )  # fmt: skip
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--no-index",
+        "--no-deps",
+        "--no-build-isolation",
+        "--wheel-dir",
+        target,
+        copy,
+        cwd=target,
+    )
     (wheel,) = target.glob("*.whl")
     return wheel
 

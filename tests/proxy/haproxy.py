@@ -52,8 +52,14 @@ class Proxy:
         self.process.wait(LIMIT_S)
 
     def ask(
-        self, method: str, path: str, body: bytes = b"", *, more: Mapping[str, str] | None = None, length: int | None = None
-    ) -> Answer:  # fmt: skip
+        self,
+        method: str,
+        path: str,
+        body: bytes = b"",
+        *,
+        more: Mapping[str, str] | None = None,
+        length: int | None = None,
+    ) -> Answer:
         """Status and body of one request, sent word by word as it is given here."""
         headers = {"Host": "engine", "Connection": "close", "Content-Type": "application/json", **(more or {})}
         if (body or method in ("POST", "PUT")) and "Transfer-Encoding" not in headers:

@@ -20,13 +20,28 @@ ENGINE = "/var/run/docker.sock"
 SOCKET = "unix:///run/phm-engine/docker.sock"
 DOCKER = {"socket": SOCKET, "container": "phm"}
 NEEDED = {
-    "call", "calling", "close", "version", "inspect", "inspect_network", "stats", "top", "stat_path", "read_file",
-    "copy_file", "events", "start", "restart", "unpause", "disconnect", "connect", "exec_detached", "put_file",
+    "call",
+    "calling",
+    "close",
+    "version",
+    "inspect",
+    "inspect_network",
+    "stats",
+    "top",
+    "stat_path",
+    "read_file",
+    "copy_file",
+    "events",
+    "start",
+    "restart",
+    "unpause",
+    "disconnect",
+    "connect",
+    "exec_detached",
+    "put_file",
     "set_cpu_shares",
-}  # fmt: skip
-REFUSED = {
-    "ping", "list", "stop", "pause", "kill", "fetch_file", "create_from_image", "remove",
-}  # fmt: skip
+}
+REFUSED = {"ping", "list", "stop", "pause", "kill", "fetch_file", "create_from_image", "remove"}
 """Used by tests and the simulation, for labels, or by `restore: image`."""
 
 

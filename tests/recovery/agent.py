@@ -88,11 +88,18 @@ class Agent:
     """
 
     def __init__(
-        self, units: Mapping[str, Of], containers: Containers, clock: testing.FakeClock, *,
-        folder: Path | None = None, opted_in: tuple[str, ...] = ("app",),
-        critical: tuple[str, ...] = (), monitor: ArmedMonitor | None = None,
-        actions: tuple[str, ...] = ("restart",), **recovery: Any,
-    ) -> None:  # fmt: skip
+        self,
+        units: Mapping[str, Of],
+        containers: Containers,
+        clock: testing.FakeClock,
+        *,
+        folder: Path | None = None,
+        opted_in: tuple[str, ...] = ("app",),
+        critical: tuple[str, ...] = (),
+        monitor: ArmedMonitor | None = None,
+        actions: tuple[str, ...] = ("restart",),
+        **recovery: Any,
+    ) -> None:
         self.clock, self.containers = clock, containers
         self.events: list[Event] = []
         self.bad: dict[str, str] = {}
@@ -118,10 +125,14 @@ class Agent:
         tracked = tuple(
             Tracked(
                 Unit(name, of.needs, target=of.target, grace_s=of.grace_s, settle_s=of.settle_s),
-                name, Slot.CONTAINER, Layer.DOCKER, 1, of.needs,
+                name,
+                Slot.CONTAINER,
+                Layer.DOCKER,
+                1,
+                of.needs,
             )
             for name, of in units.items()
-        )  # fmt: skip
+        )
         self.units = tuple(units)
         self.bus = Bus(clock)
         self.pipeline = Pipeline(Tracker(tracked, clock.stamp()), self.bus, clock)
@@ -136,9 +147,15 @@ class Agent:
         plan = Plan((), tracked, Needs({entry.unit.id: entry.needs for entry in tracked}))
         graces = {name: of.grace_s for name, of in units.items()}
         shop = Shop(
-            self.pipeline, self._publish, clock, {name: self._action(name) for name in actions}, context, self._armed,
-            lambda unit: graces[unit], plan.below,
-        )  # fmt: skip
+            self.pipeline,
+            self._publish,
+            clock,
+            {name: self._action(name) for name in actions},
+            context,
+            self._armed,
+            lambda unit: graces[unit],
+            plan.below,
+        )
         self.executor, self.hands = Executor(shop), shop.hands
         if self.memory is not None:
             self.memory.resume(self.executor)

@@ -53,9 +53,14 @@ class Bench:
     def context(self) -> ActionContext:
         safeguard = Safeguard(self.settings, self.fact, lambda: None, self._armed)
         return ActionContext(
-            guarded(self.engine, safeguard, safeguard.forbids), self.settings, self.fact, lambda: None, lambda key, network: None,
-            listed_nodes=lambda: self.nodes, holding=self._holding,
-        )  # fmt: skip
+            guarded(self.engine, safeguard, safeguard.forbids),
+            self.settings,
+            self.fact,
+            lambda: None,
+            lambda key, network: None,
+            listed_nodes=lambda: self.nodes,
+            holding=self._holding,
+        )
 
     def run(self, action: type[Action], key: str, of: Fault) -> str:
         return action().run(self.target(key), of, self.context())

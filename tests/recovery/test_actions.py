@@ -398,8 +398,10 @@ def test_each_new_call_has_a_deadline(
     ask.timeout_s = 0.5
     fake.fault = Hang()
     calls: dict[str, Callable[[], object]] = {
-        "exec": lambda: ask.exec_detached("app", ["x"]), "put": lambda: ask.put_file("app", "/a", b"", 0o644),
-        "create": lambda: ask.create_from_image("i", {}), "remove": lambda: ask.remove("app"),
-    }  # fmt: skip
+        "exec": lambda: ask.exec_detached("app", ["x"]),
+        "put": lambda: ask.put_file("app", "/a", b"", 0o644),
+        "create": lambda: ask.create_from_image("i", {}),
+        "remove": lambda: ask.remove("app"),
+    }
     with pytest.raises(EngineTimeout, match=r"within 0\.5 s"):
         calls[call]()

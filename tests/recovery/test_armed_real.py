@@ -81,11 +81,17 @@ class Vehicle:
         ]
         folder = self.folder
         made = settings(
-            agent={"id": 7}, interval=2, docker=self._door.section, containers=containers, mavlink={"endpoints": endpoints},
+            agent={"id": 7},
+            interval=2,
+            docker=self._door.section,
+            containers=containers,
+            mavlink={"endpoints": endpoints},
             recovery={"ladders": {"file_missing": ["restart"]}, "stop_timeout": "2s", "verify": "10s"},
-            state_dir=str(folder / "state"), run_dir=str(folder / "run"), log={"directory": str(folder / "log")},
+            state_dir=str(folder / "state"),
+            run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")},
             checks={"host": {"enabled": False}},
-        )  # fmt: skip
+        )
         self.events = []
         if not self._opened:
             self._door.open(made)

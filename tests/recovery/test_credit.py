@@ -131,9 +131,16 @@ class Cable:
         result = Result(Level.ERROR, "silent", "silent", condition, "link:fc")
         fault = Fault("F1", "autopilot", Slot.AUTOPILOT, Layer.LINK, result, Stamp(0.0, 0.0))
         context = ActionContext(
-            cast(Any, None), settings(), lambda key: None, lambda: None, lambda key, net: None, reopen=self.reopen,
-            link=self.link, autopilot=self.autopilot, clock=self.clock,
-        )  # fmt: skip
+            cast(Any, None),
+            settings(),
+            lambda key: None,
+            lambda: None,
+            lambda key, net: None,
+            reopen=self.reopen,
+            link=self.link,
+            autopilot=self.autopilot,
+            clock=self.clock,
+        )
         target, action = as_container("link:fc"), Reopen()
         assert target is not None
         return action.run(target, fault, context), action.not_its_doing(target, fault, context)

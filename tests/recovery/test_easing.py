@@ -145,9 +145,13 @@ def test_what_was_given_up_and_is_well_again_eases_others_too(agents: list[Agent
 def test_what_is_below_a_unit_in_other_containers() -> None:
     """Transitively, by container; its own container's units and those of none are left out."""
     units = {
-        "a/one": ("one", ()), "b/one": ("one", ("a/one",)), "c/two": ("two", ("b/one",)), "d/two": ("two", ()),
-        "e": ("", ("a/one",)), "f/three": ("three", ("e",)),
-    }  # fmt: skip
+        "a/one": ("one", ()),
+        "b/one": ("one", ("a/one",)),
+        "c/two": ("two", ("b/one",)),
+        "d/two": ("two", ()),
+        "e": ("", ("a/one",)),
+        "f/three": ("three", ("e",)),
+    }
     tracked = tuple(
         Tracked(Unit(name, needs, target=target), name, Slot.CONTAINER, Layer.DOCKER, 1, needs)
         for name, (target, needs) in units.items()

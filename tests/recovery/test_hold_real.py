@@ -32,10 +32,14 @@ class Phm:
     def __init__(self, folder: Path, container: str, **recovery: Any) -> None:
         self.events: list[Event] = []
         made = settings(
-            interval=2, containers=[{"name": container, "recover": True}], recovery={"verify": "3s", **recovery},
-            state_dir=str(folder / "state"), run_dir=str(folder / "run"), log={"directory": str(folder / "log")},
+            interval=2,
+            containers=[{"name": container, "recover": True}],
+            recovery={"verify": "3s", **recovery},
+            state_dir=str(folder / "state"),
+            run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")},
             checks={"host": {"enabled": False}},
-        )  # fmt: skip
+        )
         self.unit = f"container/{container}"
         self.daemon = Daemon(made)
         self.daemon.bus.subscribe("test", self.events.append)
@@ -76,9 +80,11 @@ class Project:
     def __init__(self, folder: Path) -> None:
         self.container = f"phm-test-{uuid.uuid4().hex[:8]}"
         service = {
-            "image": "phm-base:dev", "container_name": self.container, "entrypoint": ["sh", "-c", RUN],
+            "image": "phm-base:dev",
+            "container_name": self.container,
+            "entrypoint": ["sh", "-c", RUN],
             "stop_grace_period": "5s",
-        }  # fmt: skip
+        }
         self._file = folder / "compose.yaml"
         self._file.write_text(yaml.safe_dump({"services": {"app": service}}))
 

@@ -34,15 +34,24 @@ class Scene:
     """PHM with two containers, of which `app` is flight-critical. `armed` is what is known of the vehicle."""
 
     def __init__(
-        self, folder: Path | None = None, clock: FakeClock | None = None, containers: Containers | None = None,
-        bad: dict[str, str] | None = None, **recovery: Any,
-    ) -> None:  # fmt: skip
+        self,
+        folder: Path | None = None,
+        clock: FakeClock | None = None,
+        containers: Containers | None = None,
+        bad: dict[str, str] | None = None,
+        **recovery: Any,
+    ) -> None:
         self.clock, self.containers = clock or FakeClock(), containers or Containers("app", "cam")
         self.armed = ArmedState.DISARMED
         self.agent = Agent(
-            UNITS, self.containers, self.clock, folder=folder, opted_in=("app", "cam"), critical=("app",),
+            UNITS,
+            self.containers,
+            self.clock,
+            folder=folder,
+            opted_in=("app", "cam"),
+            critical=("app",),
             **{"ladders": LADDERS, **recovery},
-        )  # fmt: skip
+        )
         self.holds: Holds = self.agent.executor._shop.holds
         acting_on = self.agent.executor.acting_on
         self.stream = COMPLETE
@@ -614,7 +623,9 @@ def test_a_label_is_a_window_and_a_wrong_one_is_named_once(scene: Scene) -> None
     assert len([text for text in scene.agent.notes() if "'whenever' is not a maintenance window" in text]) == 1
 
 
-@pytest.mark.parametrize(("armed", "opens"), [(ArmedState.DISARMED, ["app", "cam"]), (ArmedState.UNKNOWN, ["cam"]), (ArmedState.ARMED, [])])  # fmt: skip
+@pytest.mark.parametrize(
+    ("armed", "opens"), [(ArmedState.DISARMED, ["app", "cam"]), (ArmedState.UNKNOWN, ["cam"]), (ArmedState.ARMED, [])]
+)
 def test_no_window_opens_in_the_air(scenes: Any, armed: ArmedState, opens: list[str]) -> None:
     """For what is flight-critical only where the vehicle is known to be disarmed."""
     windows = [{"when": "00:00-23:59", "container": key} for key in ("app", "cam")]
@@ -761,7 +772,15 @@ def test_what_is_left_is_written_every_half_minute() -> None:
 @pytest.mark.parametrize("body", [{"left_s": "x"}, {"left_s": 1e300}, {"until_mono": None}, {"target": 5}])
 def test_a_damaged_hold_extends_nothing(body: dict[str, Any]) -> None:
     """It makes the file invalid, or lasts a day at most."""
-    good = {"target": "app", "source": "operator", "until_mono": 600.0, "left_s": 60.0, "by": "", "reason": "", "occurrence": ""}  # fmt: skip
+    good = {
+        "target": "app",
+        "source": "operator",
+        "until_mono": 600.0,
+        "left_s": 60.0,
+        "by": "",
+        "reason": "",
+        "occurrence": "",
+    }
     document = encode(State(), "boot", Stamp(1000.0, 500.0))
     document["holds"] = [{**good, **body}]
     with contextlib.suppress(Unbelievable):

@@ -20,7 +20,7 @@ from phm.recovery.lives import (
     by_phm,
     counts_anew,
     follow,
-)  # fmt: skip
+)
 
 LASTING_S = 30.0
 FIRST = testing.container("app", id="one", started_at="t1")

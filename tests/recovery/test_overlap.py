@@ -22,9 +22,7 @@ class Owners(Agent):
 
     def __init__(self, **recovery: Any) -> None:
         containers = Containers("a", "b", "side")
-        super().__init__(
-            UNITS, containers, testing.FakeClock(), opted_in=("a", "b", "side"), **{**RULES, **recovery}
-        )  # fmt: skip
+        super().__init__(UNITS, containers, testing.FakeClock(), opted_in=("a", "b", "side"), **{**RULES, **recovery})
         self.within: list[str] = []
         self.seen: list[str] = []
         self.refused: list[str] = []

@@ -69,9 +69,14 @@ def test_it_is_decided_in_any_mode_and_while_armed(condition: str, mode: str) ->
     """It touches PHM's own endpoint alone, so that neither opt-in nor arming binds it; budget and back-off do."""
     chosen = settings(recovery={"mode": mode}).recovery
     decision = decide(
-        fault(condition), History(), 10.0, container=as_container("link:ground"), forbids=lambda action: "it is armed", settings=chosen,
+        fault(condition),
+        History(),
+        10.0,
+        container=as_container("link:ground"),
+        forbids=lambda action: "it is armed",
+        settings=chosen,
         free_actions=frozenset({"reopen"}),
-    )  # fmt: skip
+    )
     assert decision == Act("reopen", 1)
 
 
@@ -79,7 +84,12 @@ def test_a_link_has_opted_in_to_nothing_else() -> None:
     """A user's ladder with a container's action does nothing to a link."""
     chosen = settings(recovery={"ladders": {"radio_silent": ["restart"]}}).recovery
     decision = decide(
-        fault(), History(), 10.0, container=as_container("link:ground"), forbids=lambda action: "", settings=chosen,
+        fault(),
+        History(),
+        10.0,
+        container=as_container("link:ground"),
+        forbids=lambda action: "",
+        settings=chosen,
         free_actions=frozenset({"reopen"}),
-    )  # fmt: skip
+    )
     assert isinstance(decision, Leave)

@@ -21,24 +21,40 @@ LIMIT_S = 60.0
 NEEDED = "/needed"
 RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
 RULES: dict[str, Any] = {
-    "ladders": {"file_missing": ["restart"], "exited": ["start"]}, "same_failure": 2, "verify": "3s", "backoff": "100ms",
-    "stop_timeout": "2s", "budget": 20,
-}  # fmt: skip
+    "ladders": {"file_missing": ["restart"], "exited": ["start"]},
+    "same_failure": 2,
+    "verify": "3s",
+    "backoff": "100ms",
+    "stop_timeout": "2s",
+    "budget": 20,
+}
 
 
 class Phm:
     """A daemon, and what it said."""
 
     def __init__(
-        self, folder: Path, door: Door, containers: list[dict[str, Any]], *, docker: dict[str, Any] | None = None,
-        limit_s: float = LIMIT_S, **recovery: Any,
-    ) -> None:  # fmt: skip
+        self,
+        folder: Path,
+        door: Door,
+        containers: list[dict[str, Any]],
+        *,
+        docker: dict[str, Any] | None = None,
+        limit_s: float = LIMIT_S,
+        **recovery: Any,
+    ) -> None:
         self.events: list[Event] = []
         self._limit_s = limit_s
         made = settings(
-            interval=2, docker={**door.section, **(docker or {})}, containers=containers, recovery={**RULES, **recovery}, state_dir=str(folder / "state"),
-            run_dir=str(folder / "run"), log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}},
-        )  # fmt: skip
+            interval=2,
+            docker={**door.section, **(docker or {})},
+            containers=containers,
+            recovery={**RULES, **recovery},
+            state_dir=str(folder / "state"),
+            run_dir=str(folder / "run"),
+            log={"directory": str(folder / "log")},
+            checks={"host": {"enabled": False}},
+        )
         door.open(made)
         self.daemon = Daemon(made)
         self.daemon.bus.subscribe("test", self.events.append)

@@ -18,9 +18,16 @@ from tests.fakes.records import at, closed, context, fault, opened, transition, 
 
 DOCUMENT = Path(phm.__file__).parents[1] / "docs" / "ros.md"
 DEAD = unit(
-    "nodes/agent_1/node_1", Slot.NODES, Level.ERROR, "Node is dead", brief="node_1 dead", condition="node_missing",
-    target="ros_app", values={"listed": 0}, fault="ab12-1",
-)  # fmt: skip
+    "nodes/agent_1/node_1",
+    Slot.NODES,
+    Level.ERROR,
+    "Node is dead",
+    brief="node_1 dead",
+    condition="node_missing",
+    target="ros_app",
+    values={"listed": 0},
+    fault="ab12-1",
+)
 BLOCKED = unit("topics/agent_1/topic_1", Slot.TOPICS, Level.STALE, "blocked by it", blocked_by=DEAD.unit)
 WELL = unit("container/ros_app", Slot.CONTAINER, summary="ros_app is running")
 NODE, TOPIC, CONTAINER = (f"phm/agent_1/ros: {state.unit}" for state in (DEAD, BLOCKED, WELL))
@@ -72,10 +79,17 @@ def test_the_values_of_a_unit() -> None:
     reporter.handle(ActionEvent(at(), "ab12-1", DEAD.unit, "restart", "ros_app", Phase.STARTED))
     reporter.tick()
     assert dict(port.sent[-1][NODE].values) == {
-        "unit": DEAD.unit, "check": "nodes", "slot": "6", "since": "2026-03-01T12:00:00.123Z",
-        "condition": "node_missing", "blocked_by": "", "fault": "ab12-1", "action": "restart started",
-        "target": "ros_app", "listed": "0",
-    }  # fmt: skip
+        "unit": DEAD.unit,
+        "check": "nodes",
+        "slot": "6",
+        "since": "2026-03-01T12:00:00.123Z",
+        "condition": "node_missing",
+        "blocked_by": "",
+        "fault": "ab12-1",
+        "action": "restart started",
+        "target": "ros_app",
+        "listed": "0",
+    }
     reporter.handle(closed(DEAD, Outcome.RESOLVED, "restart", 2.0))
     reporter.tick()
     assert port.sent[-1][NODE].values["action"] == ""

@@ -58,8 +58,15 @@ def test_every_line_says_who_where_and_when(tmp_path: Path) -> None:
         log.handle(event)
     lines = list(json_log.read(tmp_path))
     assert [line["event"] for line in lines] == [
-        "start", "report_started", "transition", "fault_opened", "unit", "unit", "report", "note",
-    ]  # fmt: skip
+        "start",
+        "report_started",
+        "transition",
+        "fault_opened",
+        "unit",
+        "unit",
+        "report",
+        "note",
+    ]
     assert [line["seq"] for line in lines] == list(range(1, 9))
     assert all(set(line) >= HEAD for line in lines)
     first = lines[1]

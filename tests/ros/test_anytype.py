@@ -26,9 +26,10 @@ TOPICS = {
 WANTED = [{"name": name, "rate": HZ} for name in TOPICS]
 PYTHONS = {"jazzy": ROOT / ".venv" / "bin" / "python", "kilted": ROOT / ".venv-kilted" / "bin" / "python"}
 UNKNOWN_MIDDLEWARE = (
-    sys.executable, "-c",
+    sys.executable,
+    "-c",
     "from phm.probes.ros import anytype, child; anytype.KNOWN.clear(); raise SystemExit(child.main())",
-)  # fmt: skip
+)
 
 
 class Application:
@@ -145,9 +146,10 @@ def test_without_any_way_the_graph_alone_is_told(bench: Bench, application: Appl
     application.start()
     probe = bench.probe(WANTED, command=UNKNOWN_MIDDLEWARE)
     fact = seen(
-        probe, lambda fact: all(fact.topics[name].publishers and fact.topics[name].rate for name in TOPICS) and fact,
+        probe,
+        lambda fact: all(fact.topics[name].publishers and fact.topics[name].rate for name in TOPICS) and fact,
         "three publishers",
-    )  # fmt: skip
+    )
     for name, kind in TOPICS.items():
         rate = fact.topics[name].rate
         assert rate is not None

@@ -21,8 +21,15 @@ from tests.fakes.ros_bench import Bench, gone, seen, until
 def test_nodes_form_a_ring() -> None:
     """Node i publishes topic_i and listens to the one before it, the first to the last."""
     assert node_argv("agent_1", ring(3, 10.0)[0])[3:] == [
-        "--namespace", "/agent_1", "--name", "node_1", "--publish", "topic_1:10", "--subscribe", "topic_3",
-    ]  # fmt: skip
+        "--namespace",
+        "/agent_1",
+        "--name",
+        "node_1",
+        "--publish",
+        "topic_1:10",
+        "--subscribe",
+        "topic_3",
+    ]
     assert node_argv("a", ring(1, 0.5)[0])[-3:] == ["topic_1:0.5", "--subscribe", "topic_1"]
 
 

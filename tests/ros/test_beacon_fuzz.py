@@ -21,9 +21,11 @@ pytestmark = pytest.mark.ros
 
 NODE = {"birth": "w.1", "beats": 5, "turns": 3, "late_s": 0.0}
 SAID = {
-    "witness": "w", "period_s": 0.2, "nodes": {"/agent_1/a": NODE, "/agent_1/b": NODE},
+    "witness": "w",
+    "period_s": 0.2,
+    "nodes": {"/agent_1/a": NODE, "/agent_1/b": NODE},
     "views": {"/agent_1/b": {"alive": True, "age_s": 0.4, "late_s": 0.0}},
-}  # fmt: skip
+}
 
 
 def cdr(name: str, text: str, order: str = "<") -> bytes:

@@ -215,9 +215,13 @@ def test_what_is_no_order_is_ignored() -> None:
         "print([order.utc_s for order in got])"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], input=b'[1,{}]\nnonsense\n{"a":1}\n' + b"x" * 2_000_000 + b"\n[2,{}]\n[3,{}",
-        capture_output=True, timeout=60, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+        [sys.executable, "-c", code],
+        input=b'[1,{}]\nnonsense\n{"a":1}\n' + b"x" * 2_000_000 + b"\n[2,{}]\n[3,{}",
+        capture_output=True,
+        timeout=60,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
     assert done.stdout.strip() == b"[1.0, 2.0]"
 
 

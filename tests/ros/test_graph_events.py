@@ -39,7 +39,10 @@ rclpy.shutdown(context=context)
 def test_a_node_that_comes_and_one_that_goes_are_events(bench: Bench) -> None:
     """And the thread that waits for them ends when it is told to."""
     environ = {
-        **os.environ, "PYTHONPATH": str(ROOT), "ROS_DOMAIN_ID": str(bench.domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }  # fmt: skip
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "ROS_DOMAIN_ID": str(bench.domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
     done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, timeout=90, check=False, env=environ)
     assert done.stdout.split(b"\n")[:3] == [b"came True", b"went True", b"ended True"], done.stderr.decode()[-800:]

@@ -86,7 +86,7 @@ def test_without_any_way_each_is_told(by_name_unknown: None, monkeypatch: pytest
         (["/a/libfastrtps.so.2.14.5", "/b/libfastdds.so.3.2.3"], {}, "not known (fastdds 3.2, fastrtps 2.14)"),
         (["/usr/lib/libfastrtps.so.2.14.5"], {"ROS_DISTRO": "rolling"}, "the distribution is rolling"),
     ],
-)  # fmt: skip
+)
 def test_a_middleware_that_is_not_known_is_left_alone(
     monkeypatch: pytest.MonkeyPatch, lines: list[str], variables: dict[str, str], reason: str
 ) -> None:
@@ -216,7 +216,7 @@ def test_each_package_of_an_install_is_loaded_with_what_it_needs(installs: dict[
         ("merged", "sensor_msgs/msg/NoSuchType", "has sensor_msgs, but without this type"),
         ("poor", "sensor_msgs/msg/Imu", "needs libsensor_msgs__rosidl_generator_c.so, which PHM's ROS lacks"),
     ],
-)  # fmt: skip
+)
 def test_a_mounted_install_that_does_not_fit_is_told(
     installs: dict[str, Path], name: str, kind: str, reason: str
 ) -> None:

@@ -42,18 +42,18 @@ def test_half_the_rate_is_seen_after_four_looks(hz: float, within_s: float, phas
 
 def test_twice_the_rate_is_a_change_too() -> None:
     """Either way, and back again."""
-    publications = [
-        *even(5.0, 100.0, 30.0), *even(10.0, 130.0, 30.0, first=151), *even(5.0, 160.0, 30.0, first=451)
-    ]  # fmt: skip
+    publications = [*even(5.0, 100.0, 30.0), *even(10.0, 130.0, 30.0, first=151), *even(5.0, 160.0, 30.0, first=451)]
     assert [round(hz) for _, hz in changes(Meter(5.0, 3.0), publications, 100.0, 190.0)] == [10, 5]
 
 
 def test_a_change_soon_after_another_is_seen() -> None:
     """How even the publisher is, is not yet known anew: what was known before holds."""
     publications = [
-        *even(5.0, 100.0, 30.0), *even(2.5, 130.0, 2.0, first=151), *even(5.0, 132.0, 2.0, first=156),
+        *even(5.0, 100.0, 30.0),
+        *even(2.5, 130.0, 2.0, first=151),
+        *even(5.0, 132.0, 2.0, first=156),
         *even(2.5, 134.0, 4.0, first=166),
-    ]  # fmt: skip
+    ]
     assert [round(hz, 1) for _, hz in changes(Meter(5.0, 3.0), publications, 100.0, 138.0)] == [2.5, 2.5]
 
 

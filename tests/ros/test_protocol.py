@@ -58,13 +58,28 @@ def test_the_configuration_comes_through() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        b"", b"[INFO] hello", b"\xff\xfe", b"[]", b"{}", b"7", b'["other",[]]', b'["picture"]', b'["picture",[]]', b'[["picture"],[]]',
-        b'["tick",["x",{}]]', b'["tick",[1,[1]]]', b'["tick",[NaN,{}]]', b'["tick",[true,{}]]', b'["tick",[1,{}],3]',
-        b'["picture",[1,{"/a":1.5},{}]]', b'["picture",[1,{"/a":1},{"/t',
-        b'["picture",[1,{},{"/t":[[["/n"]],[],null]}]]', b'["tick",[1' + b"0" * 400 + b',{}]]',
+        b"",
+        b"[INFO] hello",
+        b"\xff\xfe",
+        b"[]",
+        b"{}",
+        b"7",
+        b'["other",[]]',
+        b'["picture"]',
+        b'["picture",[]]',
+        b'[["picture"],[]]',
+        b'["tick",["x",{}]]',
+        b'["tick",[1,[1]]]',
+        b'["tick",[NaN,{}]]',
+        b'["tick",[true,{}]]',
+        b'["tick",[1,{}],3]',
+        b'["picture",[1,{"/a":1.5},{}]]',
+        b'["picture",[1,{"/a":1},{"/t',
+        b'["picture",[1,{},{"/t":[[["/n"]],[],null]}]]',
+        b'["tick",[1' + b"0" * 400 + b",{}]]",
         b"[" * 100_000,
     ],
-)  # fmt: skip
+)
 def test_anything_else_is_refused(line: bytes) -> None:
     """Stray output and cut lines raise ProtocolError and nothing else."""
     with pytest.raises(ProtocolError):

@@ -33,10 +33,13 @@ def targets(tmp_path: Path) -> Iterator[dict[str, object]]:
     port = socket.create_server(("127.0.0.1", 0))
     other = subprocess.Popen(["sleep", "600"])
     yield {
-        "socket": str(tmp_path / "docker.sock"), "port": port.getsockname()[1],
-        "key": str(tmp_path / "mavlink.key"), "folder": str(tmp_path / "state"), "install": str(tmp_path / "install"),
+        "socket": str(tmp_path / "docker.sock"),
+        "port": port.getsockname()[1],
+        "key": str(tmp_path / "mavlink.key"),
+        "folder": str(tmp_path / "state"),
+        "install": str(tmp_path / "install"),
         "pid": other.pid,
-    }  # fmt: skip
+    }
     other.kill()
     other.wait()
     local.close()
@@ -59,9 +62,11 @@ def test_code_in_the_child_reaches_nothing_that_it_does_not_need(bench: Bench, t
 def test_without_restriction_the_same_code_reaches_all_of_it(targets: dict[str, object]) -> None:
     """What the test above finds refused is refused by the sandbox, and not because the attempts are wrong."""
     environ = {
-        **os.environ, "PYTHONPATH": str(ROOT / "tests" / "fakes" / "intruder"), "PHM_ROS_TARGETS": json.dumps(targets),
+        **os.environ,
+        "PYTHONPATH": str(ROOT / "tests" / "fakes" / "intruder"),
+        "PHM_ROS_TARGETS": json.dumps(targets),
         "PHM_SIGNING_SECRET": "secret",
-    }  # fmt: skip
+    }
     script = "try: import rclpy\nexcept ImportError as error: print(error)"
     done = subprocess.run([sys.executable, "-c", script], env=environ, capture_output=True, text=True, check=True)
     reached = set(json.loads(done.stdout))

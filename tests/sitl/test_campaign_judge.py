@@ -130,9 +130,11 @@ def test_compound_faults_each_keep_their_own_alarms() -> None:
     file = injection(fault="file_deleted", unit="files/ros_app", condition="file_missing", group="files")
     other = injection(agent=5, unit="container/ros_app", condition="exited", group="app")
     alarms = [
-        alarm(0.4), alarm(1.0, "files/ros_app", conditions=["file_missing"]),
-        alarm(0.2, "container/ros_app", 5, conditions=["exited"]), alarm(3.0, "health/ros_app", 5),
-    ]  # fmt: skip
+        alarm(0.4),
+        alarm(1.0, "files/ros_app", conditions=["file_missing"]),
+        alarm(0.2, "container/ros_app", 5, conditions=["exited"]),
+        alarm(3.0, "health/ros_app", 5),
+    ]
     verdicts = judge(trial(injections=[injection(), file, other], alarms=alarms)).verdicts
     assert [(each.kind, each.count, each.right) for each in verdicts] == [
         ("compound", count, True) for count in (1, 1, 2)

@@ -22,9 +22,14 @@ SETTING = Setting(7, "x86_64, 2 cores", "2026-01-01", planned=20)
 def full() -> Trial:
     """A trial that uses every part of the record."""
     return trial(
-        warned=[Warned(1, "rates/a", 8, 5.0, ["rate_low"], "slow")], starts=[Start(2, 3.0)], blind=[(3, 1.0, 2.0)],
-        received={1: 100}, cost=[Cost(1, 2.0, 0.1, 70.0)], changed=["x"], setting={"seed": 7},
-    )  # fmt: skip
+        warned=[Warned(1, "rates/a", 8, 5.0, ["rate_low"], "slow")],
+        starts=[Start(2, 3.0)],
+        blind=[(3, 1.0, 2.0)],
+        received={1: 100},
+        cost=[Cost(1, 2.0, 0.1, 70.0)],
+        changed=["x"],
+        setting={"seed": 7},
+    )
 
 
 def test_a_trial_survives_its_line() -> None:

@@ -71,10 +71,17 @@ def test_only_faults_that_need_a_configuration_are_played_apart() -> None:
 LINKS = "played with real sockets by tests/mavlink/test_reopen.py: no container is touched"
 ENDS = "played by the campaign, docs/sitl_faults.md has the figures"
 UNPROVEN = {
-    "disk_full": ENDS, "publisher_lost": ENDS, "subscriber_lost": ENDS, "qos_mismatch": ENDS, "node_twice": ENDS, "transport_blocked": ENDS,
+    "disk_full": ENDS,
+    "publisher_lost": ENDS,
+    "subscriber_lost": ENDS,
+    "qos_mismatch": ENDS,
+    "node_twice": ENDS,
+    "transport_blocked": ENDS,
     "cpu_starved": "needs recovery.relieve; played with the real engine's calls by tests/recovery/test_relief.py",
-    "link_silent": LINKS, "radio_silent": LINKS, "autopilot_silent": LINKS,
-}  # fmt: skip
+    "link_silent": LINKS,
+    "radio_silent": LINKS,
+    "autopilot_silent": LINKS,
+}
 
 
 def test_every_ladder_is_proven() -> None:

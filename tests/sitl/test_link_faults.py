@@ -18,9 +18,14 @@ from sitl.swarm.ports import Ports
 LINKED = sorted(name for name, fault in all_faults().items() if "air" in fault.needs and name != "router_killed")
 """The router is a container of its own, which no air process has."""
 TOUCHED = {
-    "autopilot_silent": ("autopilot",), "gcs_radio_cut": ("ground",), "radio_lossy": ("ground",), "peer_lost": ("peers",),
-    "radio_saturated": ("ground",), "autopilot_reboot": (), "peer_split": (),
-}  # fmt: skip
+    "autopilot_silent": ("autopilot",),
+    "gcs_radio_cut": ("ground",),
+    "radio_lossy": ("ground",),
+    "peer_lost": ("peers",),
+    "radio_saturated": ("ground",),
+    "autopilot_reboot": (),
+    "peer_split": (),
+}
 """What of the agent's links is other than before; a reboot passes, and a split is not the agent's own."""
 AGENTS = 5
 

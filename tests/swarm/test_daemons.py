@@ -35,14 +35,20 @@ class Fleet:
     def start(self, name: str, number: int, off: tuple[str, ...] = OFF) -> None:
         place = self.folder / name
         made = settings(
-            agent={"id": number}, interval=5, state_dir=str(place / "state"), run_dir=str(place / "run"),
-            log={"directory": str(place / "log")}, swarm={"agents": list(IDS)},
+            agent={"id": number},
+            interval=5,
+            state_dir=str(place / "state"),
+            run_dir=str(place / "run"),
+            log={"directory": str(place / "log")},
+            swarm={"agents": list(IDS)},
             checks={check: {"enabled": False} for check in off},
             mavlink={
                 "endpoints": [{"url": self.mesh.url(name), "name": "mesh", "budget": BUDGET}],
-                "heartbeat": 0.5, "refresh": 3, "gcs_timeout": 2,
+                "heartbeat": 0.5,
+                "refresh": 3,
+                "gcs_timeout": 2,
             },
-        )  # fmt: skip
+        )
         self.daemons[name] = Daemon(made)
         self.daemons[name].start()
 

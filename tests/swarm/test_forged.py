@@ -34,12 +34,13 @@ class Aboard:
     def __init__(self, agents: list[int], key: Path | None) -> None:
         self.port, self.clock = free_port(socket.SOCK_DGRAM), SystemClock()
         chosen = settings(
-            agent={"id": 1}, swarm={"agents": agents},
+            agent={"id": 1},
+            swarm={"agents": agents},
             mavlink={
                 "endpoints": [{"url": f"udpin:127.0.0.1:{self.port}", "budget": 0}],
                 "signing": {"key": str(key) if key else None},
             },
-        )  # fmt: skip
+        )
         assert isinstance(chosen.mavlink, MavlinkSettings)
         self.hub = MavlinkHub(chosen.mavlink, 1, self.clock)
         self.swarm = Swarm(self.hub, chosen, self.clock, lambda: None, lambda: None)

@@ -81,13 +81,19 @@ class Pair:
 def _settings(folder: Path, number: int, path: str) -> Settings:
     place = folder / str(number)
     return settings(
-        agent={"id": number}, interval=5, state_dir=str(place / "state"), run_dir=str(place / "run"),
-        log={"directory": str(place / "log")}, swarm={"agents": [1, 2]},
+        agent={"id": number},
+        interval=5,
+        state_dir=str(place / "state"),
+        run_dir=str(place / "run"),
+        log={"directory": str(place / "log")},
+        swarm={"agents": [1, 2]},
         checks={check: {"enabled": False} for check in ("host", "engine")},
         mavlink={
-            "endpoints": [{"url": path, "name": "xbee", "leads_to": "peers", "baud": 9600}], "heartbeat": 0.5, "refresh": 3,
+            "endpoints": [{"url": path, "name": "xbee", "leads_to": "peers", "baud": 9600}],
+            "heartbeat": 0.5,
+            "refresh": 3,
         },
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture

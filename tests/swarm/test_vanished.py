@@ -61,12 +61,10 @@ class Air:
         self.hears = lambda agent, now: self.random.random() >= share
 
 
-@pytest.mark.parametrize(("peers", "cut", "even", "average_s", "most_s"), [
-    (7, 7, True, 2.8, 3.0),
-    (7, 7, False, 3.0, 3.8),
-    (4, 4, True, 3.2, 3.6),
-    (7, 4, True, 3.2, 3.6),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("peers", "cut", "even", "average_s", "most_s"),
+    [(7, 7, True, 2.8, 3.0), (7, 7, False, 3.0, 3.8), (4, 4, True, 3.2, 3.6), (7, 4, True, 3.2, 3.6)],
+)
 def test_a_cut_is_known_long_before_a_single_loss(
     peers: int, cut: int, even: bool, average_s: float, most_s: float
 ) -> None:

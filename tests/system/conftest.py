@@ -55,9 +55,14 @@ class Aboard:
         self.domain = 10 + uuid.uuid4().int % 80
         self.network = client.networks.create(self.name, labels={"phm.test": "1"})
         self.container: Container = client.containers.run(
-            APP_IMAGE, name=self.name, detach=True, network=self.name, labels={"phm.test": "1"},
-            environment={"ROS_DOMAIN_ID": str(self.domain)}, mem_limit="500m",
-        )  # fmt: skip
+            APP_IMAGE,
+            name=self.name,
+            detach=True,
+            network=self.name,
+            labels={"phm.test": "1"},
+            environment={"ROS_DOMAIN_ID": str(self.domain)},
+            mem_limit="500m",
+        )
 
     def run(self, *argv: str) -> str:
         code, output = self.container.exec_run(list(argv))
@@ -99,8 +104,11 @@ class Phm:
         with (self.folder / "output").open("ab") as output:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "phm.cli", "run", "-c", str(self.config)],
-                cwd=ROOT, env=self.environ, stdout=output, stderr=output,
-            )  # fmt: skip
+                cwd=ROOT,
+                env=self.environ,
+                stdout=output,
+                stderr=output,
+            )
 
     def cli(self, *words: str, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
         argv = [sys.executable, "-m", "phm.cli", *words]
@@ -131,8 +139,10 @@ class Phm:
     def wait_all_well(self, since: int = 0) -> None:
         self.wait(
             lambda event: event["event"] == "report" and all(digit == 1 for digit in event["status_array"]),
-            "a report with everything well", START_LIMIT_S, since,
-        )  # fmt: skip
+            "a report with everything well",
+            START_LIMIT_S,
+            since,
+        )
 
     def mark(self) -> int:
         self.record.update()
@@ -178,7 +188,7 @@ def config_for(app: Aboard, **more: Any) -> dict[str, Any]:
         # The load of the machine that runs the tests is not what they are about.
         "checks": {"host": {"enabled": False}},
         **more,
-    }  # fmt: skip
+    }
 
 
 @pytest.fixture

@@ -47,7 +47,9 @@ class Pair:
         python = self._client.containers.run(APP_IMAGE, ["python", "-c", which], remove=True).decode().strip()
         install = app_messages.install("jazzy", python)
         self._run(
-            "app", APP_IMAGE, ["python", "/ws/source.py", str(HZ), "/ws/out/sent"],
+            "app",
+            APP_IMAGE,
+            ["python", "/ws/source.py", str(HZ), "/ws/out/sent"],
             {
                 "PYTHONPATH": f"/ws/install/lib/python{python}/site-packages",
                 "LD_LIBRARY_PATH": "/ws/install/lib",
@@ -57,7 +59,7 @@ class Pair:
                 str(ROOT / "tests" / "fakes" / "ros_typed_source.py"): "/ws/source.py:ro",
                 str(self._folder): "/ws/out:rw",
             },
-        )  # fmt: skip
+        )
         topics = [{"name": name, "type": kind, "rate": HZ} for name, kind in TOPICS.items()]
         config = self._folder / "phm.yaml"
         # The load of the machine that runs the tests is not what this is about.
@@ -66,10 +68,16 @@ class Pair:
         # With the privileges of docker/compose.yaml: reading by name looks into this process's own memory.
         own = "uid=10001,gid=10001"
         self.sidecar = self._run(
-            "phm", SIDECAR_IMAGE, ["run"], {}, {str(config): "/etc/phm/phm.yaml:ro"}, read_only=True, cap_drop=["ALL"],
+            "phm",
+            SIDECAR_IMAGE,
+            ["run"],
+            {},
+            {str(config): "/etc/phm/phm.yaml:ro"},
+            read_only=True,
+            cap_drop=["ALL"],
             security_opt=["no-new-privileges:true"],
             tmpfs={"/run/phm": own, "/var/log/phm": own, "/var/lib/phm": own, "/tmp": "mode=1777"},
-        )  # fmt: skip
+        )
 
     def _run(
         self,
@@ -81,10 +89,17 @@ class Pair:
         **more: Any,
     ) -> Container:
         container = self._client.containers.run(
-            image, command, name=f"{self._name}-{role}", detach=True, network=self._name, labels={"phm.test": "1"},
-            environment={"ROS_DOMAIN_ID": self._domain, **environment}, mem_limit="400m",
-            volumes=[f"{path}:{target}" for path, target in mounts.items()], **more,
-        )  # fmt: skip
+            image,
+            command,
+            name=f"{self._name}-{role}",
+            detach=True,
+            network=self._name,
+            labels={"phm.test": "1"},
+            environment={"ROS_DOMAIN_ID": self._domain, **environment},
+            mem_limit="400m",
+            volumes=[f"{path}:{target}" for path, target in mounts.items()],
+            **more,
+        )
         self._made.insert(0, container)
         return container
 

@@ -25,16 +25,27 @@ class Stack:
         self.words = ["--project-name", f"{app.name}-proxy", *(word for name in FILES for word in ("--file", name))]
         gid = str(SOCKET.stat().st_gid)
         self.environment = {
-            **os.environ, "PHM_APP": app.name, "PHM_NETWORK": app.name, "PHM_CONTAINER": self.me, "DOCKER_GID": gid,
-            "PHM_DEVICE": "/dev/null", "PHM_INTERVAL": "3s", "ROS_DOMAIN_ID": str(app.domain),
+            **os.environ,
+            "PHM_APP": app.name,
+            "PHM_NETWORK": app.name,
+            "PHM_CONTAINER": self.me,
+            "DOCKER_GID": gid,
+            "PHM_DEVICE": "/dev/null",
+            "PHM_INTERVAL": "3s",
+            "ROS_DOMAIN_ID": str(app.domain),
             "PHM_APP_VOLUME": self.me,
-        }  # fmt: skip
+        }
 
     def compose(self, *words: str) -> str:
         done = subprocess.run(
             ["docker", "compose", *self.words, *words],
-            cwd=ROOT, env=self.environment, capture_output=True, text=True, timeout=LIMIT_S, check=False,
-        )  # fmt: skip
+            cwd=ROOT,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
+        )
         assert done.returncode == 0, f"{words}: {done.stderr}"
         return done.stdout
 

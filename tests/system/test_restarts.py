@@ -97,9 +97,15 @@ def test_a_crash_loop_is_one_fault_and_over_when_the_application_stays(
 def short_lived(docker_client: DockerClient) -> Iterator[Container]:
     """A container whose process ends after two seconds, until it is mended, and that Docker restarts."""
     made = docker_client.containers.run(
-        APP_IMAGE, ["sh", "-c", LIVES_2_S], name=f"phm-test-{uuid.uuid4().hex[:8]}", detach=True, network="none",
-        restart_policy={"Name": "always"}, labels={"phm.test": "1"}, stop_signal="SIGKILL",
-    )  # fmt: skip
+        APP_IMAGE,
+        ["sh", "-c", LIVES_2_S],
+        name=f"phm-test-{uuid.uuid4().hex[:8]}",
+        detach=True,
+        network="none",
+        restart_policy={"Name": "always"},
+        labels={"phm.test": "1"},
+        stop_signal="SIGKILL",
+    )
     try:
         yield made
     finally:

@@ -82,9 +82,17 @@ class View:
         listened_s = picture.up_s + age_s
         up_s = min(listened_s, now_s - self.break_s)
         return RosFact(
-            age_s, up_s, picture.nodes, topics, *hearsay, self.others, self.hearsay.refused,
-            picture.names_known, None if self.hearsay.lost_at is None else now_s - self.hearsay.lost_at, listened_s,
-        )  # fmt: skip
+            age_s,
+            up_s,
+            picture.nodes,
+            topics,
+            *hearsay,
+            self.others,
+            self.hearsay.refused,
+            picture.names_known,
+            None if self.hearsay.lost_at is None else now_s - self.hearsay.lost_at,
+            listened_s,
+        )
 
     def _aged(self, name: str, topic: TopicFact, age_s: float, late: Callable[[float], float]) -> TopicFact:
         rate = topic.rate

@@ -37,10 +37,14 @@ def kept_ends(sides: tuple[Ends, Ends], configured: Collection[str]) -> tuple[tu
     if sum(len(ends) for side in sides for ends in side.values()) <= FEW_ENDS:
         return sides, False
     ranked = sorted(
-        ((rank, number, topic, at, end) for number, side in enumerate(sides) for topic, ends in side.items()
-         for at, (rank, end) in enumerate(_ranked(ends, configured))),
+        (
+            (rank, number, topic, at, end)
+            for number, side in enumerate(sides)
+            for topic, ends in side.items()
+            for at, (rank, end) in enumerate(_ranked(ends, configured))
+        ),
         key=lambda item: item[:4],
-    )  # fmt: skip
+    )
     kept: tuple[dict[str, list[EndpointFact]], ...] = tuple({topic: [] for topic in side} for side in sides)
     left = ENDS_BYTES
     for _, number, topic, _, end in ranked:

@@ -142,9 +142,14 @@ class Publish:
 Message = Picture | Tick | Heard | Others | Remark | Missing | Sandbox
 
 _KINDS: Mapping[str, type[Message]] = {
-    "picture": Picture, "tick": Tick, "heard": Heard, "others": Others, "remark": Remark, "missing": Missing,
+    "picture": Picture,
+    "tick": Tick,
+    "heard": Heard,
+    "others": Others,
+    "remark": Remark,
+    "missing": Missing,
     "sandbox": Sandbox,
-}  # fmt: skip
+}
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 
 

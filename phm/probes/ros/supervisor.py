@@ -72,9 +72,23 @@ _ENVIRONMENT = {
 
 _VARIABLES = frozenset({"PATH", "HOME", "LANG", "LANGUAGE", "TZ", "CYCLONEDDS_URI", "OMP_NUM_THREADS"})
 _PREFIXES = (
-    "LC_", "LD_", "PYTHON", "ROS_", "RMW_", "RCL_", "RCUTILS_", "AMENT_", "COLCON_", "FASTDDS_", "FASTRTPS_", "ZENOH_",
-    "MALLOC_", "OPENBLAS_", "PHM_ROS_", "PHM_DEBUG_ROS_",
-)  # fmt: skip
+    "LC_",
+    "LD_",
+    "PYTHON",
+    "ROS_",
+    "RMW_",
+    "RCL_",
+    "RCUTILS_",
+    "AMENT_",
+    "COLCON_",
+    "FASTDDS_",
+    "FASTRTPS_",
+    "ZENOH_",
+    "MALLOC_",
+    "OPENBLAS_",
+    "PHM_ROS_",
+    "PHM_DEBUG_ROS_",
+)
 """What the interpreter, ROS and the middleware read; nothing else of the daemon's environment reaches the child."""
 
 
