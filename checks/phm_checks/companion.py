@@ -79,5 +79,5 @@ class Companion(api.Check):
             yield api.warn(
                 f"PHM as a whole stood still for {span(lasted_s)} and goes on; nobody watched this agent meanwhile: {why}",
                 brief=brief("PHM", f"stood still {lasted_s:.{0 if lasted_s >= 1 else 1}f} s"),
-                condition="phm_stood_still",
+                condition="phm_suspended",
             )

@@ -11,7 +11,7 @@ from phm_checks._deaf import Deaf
 from phm_checks._per_container import PerContainer
 from phm_checks._words import brief, clean, joined, listed
 
-_NO_ORDER = ("network_missing", "no_network", "disconnected", "sidecar_apart", "address_silent")
+_NO_ORDER = ("network_missing", "no_network", "disconnected", "sidecar_disconnected", "address_silent")
 """Causes before consequences: the first of these that was found is the condition of the unit."""
 GRACE_S = 3.0
 """After its start PHM joins the networks by itself; until then it is apart from them, and that is no fault."""
@@ -69,7 +69,7 @@ class Network(PerContainer):
                 f"{self.key} is connected and answers, but {absent}: look at ROS_DOMAIN_ID, firewalls and discovery between PHM and "
                 "it; nothing is restarted for it",
                 "nodes unheard",
-                "nodes_unheard",
+                "nodes_unreachable",
             )
         if not why and self._deaf.waiting(world, fact.life):
             return api.stale(
@@ -141,7 +141,7 @@ class Network(PerContainer):
             return self._bad(
                 f"PHM itself is not on {name}, so it cannot reach {self.key} there: connect PHM's container to {name}",
                 f"PHM off {name}",
-                "sidecar_apart",
+                "sidecar_disconnected",
                 subject="",
             )
         if not self.entry.address:

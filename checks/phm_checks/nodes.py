@@ -212,14 +212,14 @@ class Nodes(api.Check):
                 "once: two nodes of one name publish twice and disturb each other; stop the one that should not be there, or give "
                 "each its own namespace"
             )
-            return Level.ERROR, words, "runs twice", "node_twice"
+            return Level.ERROR, words, "runs twice", "node_duplicate"
         if state is State.DUPLICATE:
             lasted = "and two processes beat under its name" if node.signs.rivals else f"for more than {TWICE_S:.0f} s"
             words = (
                 f"node {name} is listed {node.signs.count} times {lasted}, expected once: two nodes of one name disturb each "
                 "other; stop one, or give each its own namespace"
             )
-            return Level.WARN, words, "runs twice", "node_twice"
+            return Level.WARN, words, "runs twice", "node_duplicate"
         if state is State.UNKNOWN:
             looked = f"PHM has looked at the graph for {span(fact.up_s)} only" if fact is not None else why
             words = f"it is not known yet whether node {name} is alive: {evidence or looked}"
@@ -279,7 +279,7 @@ def _unreached(node: _Node, judgement: Judgement, values: dict[str, api.Value]) 
         f"They were expected in the graph: look at the network between PHM and {where}, ROS_DOMAIN_ID, firewalls, discovery; "
         "nothing is restarted for it"
     )
-    return api.Result(Level.ERROR, words, brief(last(name), "unheard"), "node_unheard", "", values)
+    return api.Result(Level.ERROR, words, brief(last(name), "unheard"), "node_unreachable", "", values)
 
 
 def _picture(world: api.World) -> tuple[api.RosFact | None, str]:

@@ -31,7 +31,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "unhealthy": ("restart",),
     "disconnected": ("reconnect", "restart"),
     "address_silent": ("reconnect", "restart"),
-    "sidecar_apart": ("join",),
+    "sidecar_disconnected": ("join",),
     "node_missing": ("relaunch", "restart"),
     "node_hung": ("restart",),
     "silent": ("relaunch", "restart"),
@@ -39,7 +39,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "publisher_lost": ("restart",),
     "subscriber_lost": ("restart",),
     "qos_mismatch": ("restart",),
-    "node_twice": ("restart",),
+    "node_duplicate": ("restart",),
     "transport_blocked": ("restart",),
     "file_missing": ("restore",),
     "file_not_executable": ("restore",),
@@ -54,7 +54,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
 """Built-in ladders by condition. Conditions that are not here are told and left alone: `restarting` because the engine's
 own restart policy is at work and is not fought, `dead` because the engine refuses to restart what it could not remove,
 `not_received` because a transport that was never open outlives every restart."""
-PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_twice"})
+PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_duplicate"})
 """Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs, and a node may make
 its ends anew by itself, or be relieved by a copy that starts before it ends."""
 DOWN = frozenset({"exited", "oom", "created"})
@@ -68,7 +68,7 @@ OUTSIDE = frozenset({"network_missing"})
 AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
 """Conditions that only the first step of the ladder can end: a restart connects nothing. The next step is for what needs the unit
 and has not come back after the unit itself did."""
-ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_twice"})
+ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_duplicate"})
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
 namespace, a publisher that was made anew, a second node started by hand. Where it was well in this life, a restart brings
 back what the start had, and is tried once; where it never was, nothing is done. A ladder of the user's own holds as it is."""

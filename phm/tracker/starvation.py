@@ -59,7 +59,7 @@ EXPLAINED: Mapping[str, Explained] = {
     "publisher_lost": _LEASE,
     "subscriber_lost": _LEASE,
     "node_missing": Explained(f"by the graph or the beacon alone: {_LEASE.evidence}; not where its process is gone"),
-    "node_unheard": _LEASE,
+    "node_unreachable": _LEASE,
     "node_hung": Explained(f"{_LATE.evidence}; not where its process or container is stopped"),
     "node_unanswering": _LATE,
     "node_busy": _LATE,

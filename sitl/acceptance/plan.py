@@ -13,11 +13,11 @@ MODES = ("act", "off", "advise")
 ORDER = (
     "container_stopped", "network_disconnected", "container_killed", "unhealthy", "container_paused", "node_killed",
     "container_oom", "file_deleted", "node_stopped", "file_not_executable", "topic_silent", "device_gone",
-    "topic_slow", "sidecar_apart", "two_at_once", "address_silent", "device_back", "container_created", "file_altered",
+    "topic_slow", "sidecar_disconnected", "two_at_once", "address_silent", "device_replugged", "container_created", "file_altered",
     "crash_loop",
 )  # fmt: skip
 """Neighbours break different units, so that no fault is taken for the return of the one before it."""
-APART = ("owner_killed",)
+APART = ("netns_owner_killed",)
 """Each needs a configuration of its own: played after the others, alone."""
 CAMPAIGN = (
     "autopilot_reboot", "autopilot_silent", "cpu_hog", "disk_full", "engine_restarted", "gcs_radio_cut", "memory_full",

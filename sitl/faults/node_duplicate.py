@@ -13,7 +13,7 @@ class Injection(Fault):
     """Starts node_1 a second time inside the application container, as somebody does by hand who forgot the first."""
 
     name, title, unit = "node_duplicate", "node runs twice", "nodes/{agent}/node_1"
-    condition = "node_twice"
+    condition = "node_duplicate"
     layer = "ros"
     cause = "somebody started a node by hand, or two launch files have it"
 

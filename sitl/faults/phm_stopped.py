@@ -15,7 +15,7 @@ class Injection(Fault):
     """SIGSTOP to PHM's daemon: it is there and does nothing. Its guard notices, and lets it go on."""
 
     name, title, unit = "phm_stopped", "PHM hung (SIGSTOP)", "companion"
-    condition = "phm_stood_still"
+    condition = "phm_suspended"
     level = "WARN"
     layer = "companion"
     healable = False

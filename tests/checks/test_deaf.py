@@ -235,7 +235,7 @@ def test_nodes_that_are_neither_listed_nor_heard_are_one_fault(aboard: Aboard) -
     aboard.later(20.0, 4.5, 4.6)
     aboard.ros.change(nodes={})
     result = aboard.look()
-    assert (result.level, result.condition) == (api.Level.ERROR, "nodes_unheard")
+    assert (result.level, result.condition) == (api.Level.ERROR, "nodes_unreachable")
     assert "none of its 2 nodes is listed" in result.summary
 
 

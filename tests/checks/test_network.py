@@ -72,7 +72,7 @@ def test_phm_off_the_network_is_told_and_nothing_is_pinged() -> None:
     """From another network a ping proves nothing."""
     engine = docker(me=testing.container("phm", networks=on(network_id="other")))
     engine.silent.add("172.20.0.3")
-    assert judge(engine).condition == "sidecar_apart"
+    assert judge(engine).condition == "sidecar_disconnected"
 
 
 @pytest.mark.parametrize("me", [None, testing.container("phm", network_mode="host")])

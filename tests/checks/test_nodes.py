@@ -233,7 +233,7 @@ def test_a_node_listed_twice_is_told_only_after_the_lease() -> None:
     bench.ros.change(nodes={NAME: 1})
     levels.append(bench.result().level)
     assert levels == [api.Level.OK, api.Level.WARN, api.Level.OK]
-    assert (twice.condition, twice.brief) == ("node_twice", "node_1 runs twice")
+    assert (twice.condition, twice.brief) == ("node_duplicate", "node_1 runs twice")
 
 
 def test_a_node_with_two_processes_runs_twice_whatever_its_lease() -> None:
@@ -244,10 +244,10 @@ def test_a_node_with_two_processes_runs_twice_whatever_its_lease() -> None:
     bench.processes(MAIN, ONE, replace(ONE, pid=99))
     assert bench.result().level is api.Level.OK
     twice = bench.after(4.0)
-    assert (twice.level, twice.condition, twice.target) == (api.Level.ERROR, "node_twice", "ros_app")
+    assert (twice.level, twice.condition, twice.target) == (api.Level.ERROR, "node_duplicate", "ros_app")
     assert "2 processes" in twice.summary
     bench.ros.change(nodes={NAME: 1})
-    assert bench.after(5.0).condition == "node_twice", "a graph that is made anew may not list both yet"
+    assert bench.after(5.0).condition == "node_duplicate", "a graph that is made anew may not list both yet"
     bench.processes(MAIN, ONE)
     assert bench.after(1.0).level is api.Level.OK
 
@@ -262,7 +262,7 @@ def test_two_processes_that_both_beat_are_two_nodes_at_once() -> None:
     assert bench.after(1.0).level is api.Level.OK
     bench.ros.change(beacons={NAME: replace(beating()[NAME], rivals=1)})
     result = bench.after(0.25)
-    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_twice", "ros_app")
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_duplicate", "ros_app")
 
 
 def test_a_second_beacon_elsewhere_is_told_without_waiting_for_a_lease() -> None:
@@ -270,7 +270,7 @@ def test_a_second_beacon_elsewhere_is_told_without_waiting_for_a_lease() -> None
     bench = Bench()
     bench.ros.change(nodes={NAME: 2}, beacons={NAME: replace(beating()[NAME], rivals=1)})
     result = bench.after(0.25)
-    assert (result.level, result.condition, result.target) == (api.Level.WARN, "node_twice", "")
+    assert (result.level, result.condition, result.target) == (api.Level.WARN, "node_duplicate", "")
     assert "two processes beat under its name" in result.summary
 
 
@@ -281,7 +281,7 @@ def test_a_name_that_stays_behind_alone_is_no_second_node() -> None:
     assert bench.after(2 * TWICE_S).level is api.Level.OK
     ends = (api.EndpointFact(NAME, "std_msgs/msg/String"),) * 2
     bench.ros.change(topics={TOPIC: replace(flowing()[TOPIC], publishers=ends)})
-    assert bench.after(TWICE_S + 0.5).condition == "node_twice"
+    assert bench.after(TWICE_S + 0.5).condition == "node_duplicate"
 
 
 @pytest.mark.parametrize(("listed", "pids"), [(2, (71,)), (1, (71, 99))])
@@ -827,7 +827,7 @@ def test_when_no_node_of_a_container_is_heard_though_all_run_nothing_is_restarte
     bench.after(3.0)
     bench.ros.change(nodes={})
     result = bench.after(LOST_S + 1.0)
-    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_unheard", "")
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_unreachable", "")
     assert "no other node of ros_app is" in result.summary and "its process 71 runs" in result.summary
     bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1})
     assert bench.after(1.0).level is api.Level.OK
@@ -839,7 +839,7 @@ def test_a_transport_that_hides_names_restarts_no_node() -> None:
     nameless = api.TopicFact((api.EndpointFact("", "std_msgs/msg/String"),), (), api.RateFact(None, None))
     bench.ros.change(nodes={}, topics={TOPIC: nameless})
     result = bench.after(GRACE_S + LOST_S + 1.0)
-    assert (result.condition, result.target) == ("node_unheard", "")
+    assert (result.condition, result.target) == ("node_unreachable", "")
 
 
 def test_a_node_whose_name_alone_was_lost_is_not_missing() -> None:

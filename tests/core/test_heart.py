@@ -68,7 +68,7 @@ def test_that_it_was_let_go_on_is_told_however_short_it_stood_still(daemon: tupl
     until(lambda: companion(made).level is Level.OK, "a companion that is well")
     guard.let_go.set()
     until(lambda: companion(made).level is Level.WARN, "the word that it was stopped")
-    assert companion(made).result.condition == "phm_stood_still"
+    assert companion(made).result.condition == "phm_suspended"
     assert "SIGSTOP" in companion(made).result.summary
 
 

@@ -71,7 +71,7 @@ def test_a_topic_that_pauses_is_given_time(condition: str) -> None:
     assert say(fault=fault("node_missing"), now=1000.0) == Act("relaunch", 1)
 
 
-ONCE = ("transport_blocked", "qos_mismatch", "node_twice")
+ONCE = ("transport_blocked", "qos_mismatch", "node_duplicate")
 
 
 def was_well(condition: str, seconds: float) -> Fault:
@@ -98,7 +98,7 @@ def test_what_was_never_well_in_this_life_is_left_alone(condition: str) -> None:
 @pytest.mark.parametrize(("seconds", "expected"), [(4.0, Leave), (6.0, Act)])
 def test_a_container_that_ran_before_phm_has_come_up_already(seconds: float, expected: type) -> None:
     """A PHM that was started again need not wait for the grace of a start that was long ago."""
-    assert isinstance(say(fault=replace(was_well("node_twice", seconds), life_seen=False)), expected)
+    assert isinstance(say(fault=replace(was_well("node_duplicate", seconds), life_seen=False)), expected)
 
 
 @pytest.mark.parametrize(("never", "seconds", "expected"), [(True, 60.0, Leave), (False, 0.0, Act)])
@@ -117,7 +117,7 @@ def test_a_ladder_of_the_users_own_does_not_ask_whether_it_was_well() -> None:
     )
 
 
-@pytest.mark.parametrize("condition", ["qos_mismatch", "node_twice"])
+@pytest.mark.parametrize("condition", ["qos_mismatch", "node_duplicate"])
 def test_ends_and_copies_that_may_go_by_themselves_are_given_time(condition: str) -> None:
     """A node that is relieved by another overlaps with it for a moment."""
     new = replace(fault(condition), well_in_life_s=60.0)
@@ -325,7 +325,7 @@ def test_what_is_forbidden_in_the_air_is_advice_only() -> None:
 def test_phms_own_steps_need_neither_opt_in_nor_mode(mode: str) -> None:
     """Joining a network moves nothing but PHM itself, and without it PHM sees nothing."""
     decision = say(
-        fault=fault("sidecar_apart"),
+        fault=fault("sidecar_disconnected"),
         container=ContainerSettings(name="app"),
         free_actions=frozenset({"join"}),
         settings=RecoverySettings(mode=mode),  # type: ignore[arg-type]

@@ -52,7 +52,7 @@ CAUSES = {
     "paused": ("container/ros_app", "paused"),
     "unhealthy": ("health/ros_app", "unhealthy"),
     "network": ("network/ros_app", "disconnected"),
-    "apart": ("network/ros_app", "sidecar_apart"),
+    "apart": ("network/ros_app", "sidecar_disconnected"),
     "file": ("files/ros_app", "file_missing"),
     "device": ("devices/ros_app", "device_missing"),
     "disk": ("host/disk", "disk_full"),

@@ -39,7 +39,7 @@ def test_a_fault_that_no_longer_concerns_the_container_is_forgotten() -> None:
     """A hung node that turns out to be unreachable has no target: nothing is restarted for it."""
     cases = Cases("app")
     cases.opened(fault("a"))
-    assert cases.current(lambda: [fault("a", "node_unheard", target="")]) == []
+    assert cases.current(lambda: [fault("a", "node_unreachable", target="")]) == []
 
 
 def test_a_fault_that_opens_while_others_are_looked_through_is_kept() -> None:

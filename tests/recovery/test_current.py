@@ -15,8 +15,8 @@ from tests.recovery.agent import Agent, Containers, Of
 
 UNITS = {"container/app": Of("app"), "network/app": Of("app", ("container/app",)), "nodes/one": Of("app")}
 HUNG = error("hung", brief="hung", condition="node_hung", target="app")
-UNHEARD = error("unheard", brief="unheard", condition="node_unheard")
-APART = error("PHM is not on the network", brief="apart", condition="sidecar_apart", target="app")
+UNHEARD = error("unheard", brief="unheard", condition="node_unreachable")
+APART = error("PHM is not on the network", brief="apart", condition="sidecar_disconnected", target="app")
 OFF = error("app is not on the network", brief="off", condition="disconnected", target="app")
 Start = Callable[..., Agent]
 
@@ -43,7 +43,7 @@ def visible(agent: Agent) -> bool:
 
 
 def test_a_hung_node_that_turns_out_to_be_unreachable_is_not_restarted_after_landing(start: Start) -> None:
-    """`node_hung` is only advised in the air; it becomes `node_unheard`, for which nothing is restarted, also on the ground."""
+    """`node_hung` is only advised in the air; it becomes `node_unreachable`, for which nothing is restarted, also on the ground."""
     agent = start(critical=("app",))
     agent.armed = True
     agent.found["nodes/one"] = HUNG
@@ -73,7 +73,7 @@ def test_the_application_is_reconnected_once_phm_is_back_on_the_network(start: S
 
     def behave(key: str, context: ActionContext, fault: Fault) -> None:
         agent.found.clear()
-        if fault.result.condition == "sidecar_apart":
+        if fault.result.condition == "sidecar_disconnected":
             agent.found["network/app"] = OFF
 
     agent.behave = behave

@@ -148,7 +148,7 @@ def test_phm_and_the_application_lose_the_network_together(real: Any, phm: Start
     daemon.until(lambda: not daemon.daemon.pipeline.open_faults(), "the end of the fault")
     assert started_at(app) == before
     conditions = [event.fault.result.condition for event in daemon.events if isinstance(event, FaultOpened)]
-    assert conditions == ["sidecar_apart"]
+    assert conditions == ["sidecar_disconnected"]
     started = [
         event.action for event in daemon.events if isinstance(event, ActionEvent) and event.phase is Phase.STARTED
     ]

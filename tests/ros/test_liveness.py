@@ -239,7 +239,7 @@ def test_a_node_that_runs_twice(agent: Agent) -> None:
     agent.well()
     agent.start()
     fault = agent.told()
-    assert (fault.unit, fault.result.condition) == (NODE, "node_twice")
+    assert (fault.unit, fault.result.condition) == (NODE, "node_duplicate")
     agent.rests(2.0)
     assert len(agent.faults) == 1
 

@@ -187,9 +187,9 @@ def test_a_warning_is_a_detection_where_a_warning_is_due() -> None:
 def test_a_stopped_phm_is_healed_when_it_can_say_so() -> None:
     """What it tells is that it had stood still: by then its guard has let it go on."""
     stopped = injection(
-        unit="companion", condition="phm_stood_still", layer="companion", group="phm", phm=True, level="WARN"
+        unit="companion", condition="phm_suspended", layer="companion", group="phm", phm=True, level="WARN"
     )
-    warned = [Warned(3, "companion", 1, T0 + 3.0, ["phm_stood_still"], "it had stood still for 3 s")]
+    warned = [Warned(3, "companion", 1, T0 + 3.0, ["phm_suspended"], "it had stood still for 3 s")]
     verdict = only(trial(injections=[stopped], warned=warned, alarms=[], acts=[]))
     assert (verdict.healed_s, verdict.by) == (3.0, "its own guard")
 

@@ -75,7 +75,7 @@ UNPROVEN = {
     "publisher_lost": ENDS,
     "subscriber_lost": ENDS,
     "qos_mismatch": ENDS,
-    "node_twice": ENDS,
+    "node_duplicate": ENDS,
     "transport_blocked": ENDS,
     "cpu_starved": "needs recovery.relieve; played with the real engine's calls by tests/recovery/test_relief.py",
     "link_silent": LINKS,

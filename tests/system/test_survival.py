@@ -61,7 +61,7 @@ def test_stopped_as_a_whole_it_is_let_go_on_and_says_so(app: Aboard, start_phm: 
     mark = phm.mark()
     assert phm.process is not None
     phm.process.send_signal(signal.SIGSTOP)
-    phm.wait(partial(told, "phm_stood_still"), "the word that it stood still", since=mark)
+    phm.wait(partial(told, "phm_suspended"), "the word that it stood still", since=mark)
     assert phm.process.poll() is None
     phm.wait_all_well(phm.mark())
     assert phm.opened(mark) == []

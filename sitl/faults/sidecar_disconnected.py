@@ -10,8 +10,8 @@ from sitl.faults.base import Agent, Fault
 class Injection(Fault):
     """Disconnects PHM from the application's first network through the engine; the application stays on it."""
 
-    name, title, unit = "sidecar_apart", "PHM off the application's network", "network/ros_app"
-    condition = "sidecar_apart"
+    name, title, unit = "sidecar_disconnected", "PHM off the application's network", "network/ros_app"
+    condition = "sidecar_disconnected"
     layer = "container"
     cause = "PHM's own container was taken off the application's network"
 
