@@ -14,7 +14,7 @@ NULL_NUMBERS = os.stat(NULL).st_rdev
 class Injection(Fault):
     """Replaces the device's node on the host; the container was started with the old numbers and cannot open the new one."""
 
-    name, title, unit = "device_back", f"device replugged, gone for {GONE_S:g} s", "devices/ros_app"
+    name, title, unit = "device_replugged", f"device replugged, gone for {GONE_S:g} s", "devices/ros_app"
     condition = "device_replugged"
     layer = "container"
     cause = "a cable had a loose contact: the device comes back with other numbers than the container was given"

@@ -19,7 +19,7 @@ class Injection(Fault):
     and what breaks in it meanwhile is no alarm of its own. A ROS node in the dependant shows that.
     """
 
-    name, title = "owner_killed", "container killed, another shares its network"
+    name, title = "netns_owner_killed", "container killed, another shares its network"
     unit = "container/ros_app"
     condition = "exited"
     layer = "container"

@@ -104,7 +104,7 @@ def test_the_programme_can_be_narrowed() -> None:
     assert [play.mode for play in whole if not play.first] == ["act", "act", "off", "advise"]
     assert list(plan.plays(["container_stopped"], ["advise"])) == [plan.Play("advise", ("container_stopped",))]
     assert [play.faults for play in plan.plays(["node_killed"], ["act"])] == [("node_killed",), ("node_killed",)]
-    assert [play.apart for play in plan.plays(["owner_killed"])] == [True]
+    assert [play.apart for play in plan.plays(["netns_owner_killed"])] == [True]
 
 
 @pytest.mark.parametrize("mode", plan.MODES)
