@@ -6,7 +6,7 @@
 
 It needs rclpy alone, from Humble on. All nodes of a process share one thread and one hidden ROS node. Five times a
 second they beat on `/phm/beacon`, which PHM hears; less often they greet each other on `/phm/hello`, and the beat tells
-what came of it. The messages are `rcl_interfaces/msg/Log`, which comes with rclpy itself; docs/ros.md has their text.
+what came of it. The messages are `rcl_interfaces/msg/Log`, which comes with rclpy itself; docs/reference/ros.md has their text.
 
 The thread is not the executor's: a process whose executor hangs still beats, and says for how long it has hung,
 while one that is dead or stopped is silent. Nothing here blocks the application, and nothing is raised into it but

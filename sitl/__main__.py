@@ -1,4 +1,4 @@
-"""``python -m sitl``: a simulated swarm on this machine. See docs/sitl.md."""
+"""``python -m sitl``: a simulated swarm on this machine. See docs/development/sitl.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slot 6: every configured ROS node is alive, by all evidence that there is (docs/ros.md)."""
+"""Slot 6: every configured ROS node is alive, by all evidence that there is (docs/reference/ros.md)."""
 
 from __future__ import annotations
 

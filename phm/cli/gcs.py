@@ -257,7 +257,7 @@ def _tried(station: Station) -> None:
     if taken:
         raise click.ClickException(
             f"{taken}: another program listens there, or the address is not this machine's. Choose another port, and have "
-            "the router or MAVProxy send the frames to it too (docs/gcs.md)"
+            "the router or MAVProxy send the frames to it too (docs/reference/gcs.md)"
         )
 
 

@@ -347,7 +347,7 @@ class MavlinkSettings(Section):
     loss: Percent = 20.0
     """WARN when more of the frames are lost that the neighbour on a serial port sends, by gaps in its sequence numbers."""
     commands: list[Literal["status", "details", "check", "approve", "restart"]] = Field(default=["status", "details"])
-    """What the ground may ask for by MAVLink commands; the first two only read. `docs/mavlink.md` says how."""
+    """What the ground may ask for by MAVLink commands; the first two only read. `docs/reference/mavlink.md` says how."""
     signing: SigningSettings = SigningSettings()
     """Signed messages."""
 

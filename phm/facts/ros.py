@@ -30,7 +30,7 @@ class EndpointFact:
 
 @dataclass(frozen=True, slots=True)
 class RateFact:
-    """What the sampler measured on one topic over its last window. See docs/ros.md for how."""
+    """What the sampler measured on one topic over its last window. See docs/reference/ros.md for how."""
 
     hz: float | None
     """Of all publishers together. 0.0: silent. None until two samples far enough apart have been seen."""

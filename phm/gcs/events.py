@@ -1,6 +1,6 @@
 """News: what the ground has learned at one moment, as a line of JSON for machines and a line of words for people. Pure.
 
-The keys of the JSON lines are a contract: `docs/gcs.md`.
+The keys of the JSON lines are a contract: `docs/reference/gcs.md`.
 """
 
 from __future__ import annotations

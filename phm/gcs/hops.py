@@ -1,6 +1,6 @@
 """Where the way from the ground to an agent's autopilot is broken, as far as it shows on the ground. Pure.
 
-An agent knows its own way best and tells the first broken hop in its lines (`docs/mavlink.md`, The path). The ground adds what no
+An agent knows its own way best and tells the first broken hop in its lines (`docs/reference/mavlink.md`, The path). The ground adds what no
 agent can say: that it is not heard at all, and whether its autopilot or other agents still are.
 """
 

@@ -1,4 +1,4 @@
-"""What the store knows, as JSON: the bodies of news and the whole at one moment. Pure. The keys are a contract: `docs/gcs.md`.
+"""What the store knows, as JSON: the bodies of news and the whole at one moment. Pure. The keys are a contract: `docs/reference/gcs.md`.
 
 What is not known is null or left out, never a guess; what an agent said before it was lost stands under `last_slots` alone.
 """

@@ -2,7 +2,7 @@
 
 The daemon has no ROS: what is to be published goes through a pipe to the ROS child. A dead man's switch as the MAVLink
 heartbeat: when the engine stalls nothing is published, and whoever listens sees it grow stale.
-`docs/ros.md` states names, hardware id and key-values as a contract.
+`docs/reference/ros.md` states names, hardware id and key-values as a contract.
 """
 
 from __future__ import annotations

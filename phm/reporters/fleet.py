@@ -1,6 +1,6 @@
 """To a fleet on IP: the status as a small JSON over Zenoh, on each change and from time to time, and a token of presence.
 
-`docs/fleet.md` states keys and payload as a contract. A dead man's switch as the MAVLink heartbeat: when the engine stalls the
+`docs/reference/fleet.md` states keys and payload as a contract. A dead man's switch as the MAVLink heartbeat: when the engine stalls the
 token is taken back, nothing is published, and no query is answered.
 """
 

@@ -1,6 +1,6 @@
 """The log on board: `phm.log` for people and `phm.jsonl`, the record for everything computed after flight.
 
-What the lines look like is `phm.reporters.text_log_format` (text) and `docs/logs.md` (JSON keys, a contract); how
+What the lines look like is `phm.reporters.text_log_format` (text) and `docs/reference/logs.md` (JSON keys, a contract); how
 they get to the disk is `phm.reporters.rotating_file`.
 """
 

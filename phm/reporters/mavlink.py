@@ -1,6 +1,6 @@
 """To the ground: a HEARTBEAT that carries the status word, and a line of text for each change.
 
-`docs/mavlink.md` states what is sent as a contract. The heartbeat is a dead man's switch: it stops when
+`docs/reference/mavlink.md` states what is sent as a contract. The heartbeat is a dead man's switch: it stops when
 the engine does, so that silence means that nobody is looking after this agent.
 """
 

@@ -1,7 +1,7 @@
 """The status file, from which `phm status` and the container's HEALTHCHECK read how the running daemon does.
 
 Written atomically to ``run_dir/status.json`` every two seconds and on change; removed at the end. When to believe
-it is `phm.wire.status_file`; its keys are in `docs/cli.md`.
+it is `phm.wire.status_file`; its keys are in `docs/reference/cli.md`.
 """
 
 from __future__ import annotations

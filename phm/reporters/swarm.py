@@ -1,6 +1,6 @@
 """To the other agents: this one's view of them. To the ground, by the elected speaker: the swarm in one line.
 
-`docs/swarm.md` states what is sent as a contract; all of it is bound by the links' budgets, after changes of the agent itself.
+`docs/reference/swarm.md` states what is sent as a contract; all of it is bound by the links' budgets, after changes of the agent itself.
 """
 
 from __future__ import annotations

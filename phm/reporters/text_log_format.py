@@ -1,6 +1,6 @@
 """The words of the text log, in the manner of the PHM paper's Fig. 5: events in, lines out.
 
-``2026-03-01 12:00:00.123 ---- KIND: (slot) message``. Knows nothing of files. `docs/logs.md` is the contract.
+``2026-03-01 12:00:00.123 ---- KIND: (slot) message``. Knows nothing of files. `docs/reference/logs.md` is the contract.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ EXPLAINED: Mapping[str, Explained] = {
     ),
     "io_pressure": Explained("all containers wait for the same disk", frozenset({"io_pressure"}), settle_s=RISING_S),
 }
-"""What starvation explains, by condition; nothing else. docs/recovery.md has it as a table, and a test compares them."""
+"""What starvation explains, by condition; nothing else. docs/reference/recovery.md has it as a table, and a test compares them."""
 
 
 def explained(result: Result) -> Explained | None:

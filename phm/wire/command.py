@@ -1,6 +1,6 @@
 """Commands from the ground as data: which COMMAND_LONG and COMMAND_INT mean something here, and what. Pure.
 
-The contract, for whoever writes a ground station (`docs/mavlink.md`, Commands)::
+The contract, for whoever writes a ground station (`docs/reference/mavlink.md`, Commands)::
 
     MAV_CMD_REQUEST_MESSAGE (512)        param1 the message's number
         0    HEARTBEAT, with the status word

@@ -1,4 +1,4 @@
-"""The status of an agent as it goes over Zenoh: one small JSON object. Pure; `docs/fleet.md` states the keys as a contract.
+"""The status of an agent as it goes over Zenoh: one small JSON object. Pure; `docs/reference/fleet.md` states the keys as a contract.
 
 Keys of Zenoh::
 

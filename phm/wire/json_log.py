@@ -1,7 +1,7 @@
 """Reading the JSON log back: rotated files in order, torn and foreign lines skipped.
 
 Needs nothing but the standard library, so that a ground computer can read logs with this one file. The
-keys of the lines are a contract: `docs/logs.md`.
+keys of the lines are a contract: `docs/reference/logs.md`.
 """
 
 from __future__ import annotations

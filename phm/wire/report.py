@@ -1,6 +1,6 @@
 """A report as JSON: the one shape that `phm once`, the status file and the log share.
 
-Pure functions from the model's records to what `json.dumps` takes. `docs/logs.md` and `docs/cli.md`
+Pure functions from the model's records to what `json.dumps` takes. `docs/reference/logs.md` and `docs/reference/cli.md`
 state these keys as a contract.
 """
 

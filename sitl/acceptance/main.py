@@ -1,7 +1,7 @@
 """Every fault class for real: one alarm at its cause, healed and verified; `off` and `advise` touch nothing.
 
 ``scripts/proof`` starts one agent with the shipped images and injects the faults one after the other. Exit 0 only
-when every row holds. ``--markdown`` writes the table of docs/recovery.md.
+when every row holds. ``--markdown`` writes the table of docs/reference/recovery.md.
 """
 
 from __future__ import annotations
@@ -240,7 +240,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", default=(), choices=faults, metavar="FAULT", help="these faults alone")
     parser.add_argument("--mode", nargs="+", default=MODES, choices=MODES, metavar="MODE", help=f"of {modes}")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
-    parser.add_argument("--markdown", action="store_true", help="write the table of docs/recovery.md")
+    parser.add_argument("--markdown", action="store_true", help="write the table of docs/reference/recovery.md")
     parser.add_argument("--keep-logs", action="store_true", help="do not remove the log folder")
     chosen = parser.parse_args(arguments)
     console = screen(json=chosen.json)
@@ -258,7 +258,7 @@ def main(arguments: list[str] | None = None) -> int:
     else:
         console.print(rich_table(rows))
     if chosen.markdown:
-        write_markdown(rows, ROOT / "docs" / "recovery.md")
+        write_markdown(rows, ROOT / "docs" / "reference" / "recovery.md")
     if chosen.keep_logs:
         console.print(f"logs: {stack.logs}")
     bad = sum(not row.good for row in rows)

@@ -1,4 +1,4 @@
-"""The rows of `scripts/proof` and how they are shown: on the terminal, as JSON, in docs/recovery.md."""
+"""The rows of `scripts/proof` and how they are shown: on the terminal, as JSON, in docs/reference/recovery.md."""
 
 from __future__ import annotations
 

@@ -174,7 +174,7 @@ def one_report(units: tuple[Sequence[UnitState], Sequence[UnitState]]) -> str:
 
 def verdict(rows: Sequence[Row]) -> list[str]:
     """The aims that are missed, in words: up to 30 agents all of it stays within the swarm's share, in larger swarms all but
-    the heartbeats (docs/mavlink.md, The budget). SAVED more may leave while agents use what they had saved up.
+    the heartbeats (docs/reference/mavlink.md, The budget). SAVED more may leave while agents use what they had saved up.
     """
     missed = []
     for row in rows:

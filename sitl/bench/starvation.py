@@ -2,7 +2,7 @@
 
 ``python -m sitl.bench.starvation`` expects the images (`scripts/image`; PHM_IMAGE and PHM_APP_IMAGE name others) and starts a new agent for each
 fault, with the shipped configuration. About 12 minutes, at most 30. Exit 0 only when every row holds. ``--markdown FILE...`` writes the table of
-docs/recovery.md from what earlier runs with ``--json`` have printed.
+docs/reference/recovery.md from what earlier runs with ``--json`` have printed.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     chosen = parser.parse_args(arguments)
     if chosen.markdown:
-        write_page(chosen.markdown, ROOT / "docs" / "recovery.md")
+        write_page(chosen.markdown, ROOT / "docs" / "reference" / "recovery.md")
         return 0
     signal.signal(signal.SIGTERM, end_on_signal)
     console, began = screen(json=chosen.json), time.monotonic()

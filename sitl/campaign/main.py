@@ -1,4 +1,4 @@
-"""`python -m sitl campaign`: see docs/campaign.md."""
+"""`python -m sitl campaign`: see docs/development/campaign.md."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def parser() -> argparse.ArgumentParser:
     )
     words.add_argument("--json", type=Path, metavar="FILE", help="write the report with everything in it")
     words.add_argument("--html", type=Path, metavar="FILE", help="write the report as a page")
-    words.add_argument("--markdown", action="store_true", help="write the result into docs/results.md")
+    words.add_argument("--markdown", action="store_true", help="write the result into docs/development/results.md")
     words.add_argument("--report-only", action="store_true", help="only make the reports from the record")
     words.add_argument(
         "--stop-after", type=float, metavar="S", help="begin no trial after so many seconds; call again to go on"
@@ -239,7 +239,7 @@ def _report(asked: argparse.Namespace, trials: Sequence[Trial], planned: int, co
             path.write_text(make(trials, setting), "utf-8")
             console.print(f"written: {path}", highlight=False)
     if asked.markdown:
-        page = ROOT / "docs" / "results.md"
+        page = ROOT / "docs" / "development" / "results.md"
         page.write_text(between_marks(page.read_text("utf-8"), as_markdown(trials, setting)), "utf-8")
     if not whole or found.trials < planned:
         console.print(f"{found.trials} of {planned} trials are made; call again to go on", highlight=False)

@@ -1,4 +1,4 @@
-"""All figures of a campaign, computed from its trials alone. Each is defined in docs/campaign.md. Pure."""
+"""All figures of a campaign, computed from its trials alone. Each is defined in docs/development/campaign.md. Pure."""
 
 from __future__ import annotations
 

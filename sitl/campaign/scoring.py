@@ -1,4 +1,4 @@
-"""What a trial's record says about each injected fault. Pure: the rules are those of docs/campaign.md."""
+"""What a trial's record says about each injected fault. Pure: the rules are those of docs/development/campaign.md."""
 
 from __future__ import annotations
 

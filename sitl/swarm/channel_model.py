@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 Item = TypeVar("Item")
 
 SIK_SHARE = 3170 / 8000
-"""Of its air data rate a SiK pair carries so much each way: 64 kbit/s are 3170 bytes a second (docs/mavlink.md)."""
+"""Of its air data rate a SiK pair carries so much each way: 64 kbit/s are 3170 bytes a second (docs/reference/mavlink.md)."""
 BUFFER_BYTES = 2048
 """Transmit buffer of a SiK radio."""
 FOREIGN_BYTES = 64

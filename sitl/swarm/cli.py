@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m sitl", description="A simulated swarm on this machine: docs/sitl.md."
+        prog="python -m sitl", description="A simulated swarm on this machine: docs/development/sitl.md."
     )
     verbs = parser.add_subparsers(required=True, metavar="COMMAND")
     up = _verb(verbs, "up", _up, "start a swarm and wait until all is well")
@@ -53,7 +53,9 @@ def _parser() -> argparse.ArgumentParser:
     up.add_argument("--autopilot", choices=("sim", "ardupilot", "px4"), default="sim", help="which autopilot (sim)")
     up.add_argument("--autopilot-path", default="", metavar="FILE", help="a SITL binary of this machine")
     up.add_argument("--autopilot-image", default="", metavar="IMAGE", help="a Docker image that has one")
-    up.add_argument("--autopilot-command", default="", metavar="WORDS", help="how it is started: docs/sitl.md")
+    up.add_argument(
+        "--autopilot-command", default="", metavar="WORDS", help="how it is started: docs/development/sitl.md"
+    )
     up.add_argument("--seed", type=int, default=0, help="of losses that are drawn at random (0)")
     up.add_argument("--no-build", action="store_true", help="take the images as they are")
     down = _verb(verbs, "down", _down, "remove everything that belongs to a swarm")
@@ -72,7 +74,9 @@ def _parser() -> argparse.ArgumentParser:
     inject.add_argument("--agent", type=int, default=1, metavar="K", help="into this agent (1)")
     clear = _verb(verbs, "clear", _clear, "undo what was injected")
     clear.add_argument("--agent", type=int, default=None, metavar="K", help="only in this agent")
-    verbs.add_parser("campaign", help="inject many faults and judge what PHM makes of them: docs/campaign.md")
+    verbs.add_parser(
+        "campaign", help="inject many faults and judge what PHM makes of them: docs/development/campaign.md"
+    )
     return parser
 
 

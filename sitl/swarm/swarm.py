@@ -1,4 +1,4 @@
-"""A swarm: brought up, asked, and taken down. See docs/sitl.md."""
+"""A swarm: brought up, asked, and taken down. See docs/development/sitl.md."""
 
 from __future__ import annotations
 

@@ -469,8 +469,8 @@ def test_needs_in_a_circle_end_like_a_bad_configuration(verb: str, monkeypatch: 
 
 
 def test_the_page_names_every_verb_option_and_key(tmp_path: Path) -> None:
-    """`docs/cli.md` has a section for each verb, and names each option and each key of the status file."""
-    page = (ROOT / "docs" / "cli.md").read_text()
+    """`docs/reference/cli.md` has a section for each verb, and names each option and each key of the status file."""
+    page = (ROOT / "docs" / "reference" / "cli.md").read_text()
     for verb in VERBS:
         assert f"\n## phm {verb}\n" in page
         for parameter in import_module(f"phm.cli.{verb.replace('-', '_')}").command.params:

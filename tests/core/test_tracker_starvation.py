@@ -370,7 +370,7 @@ def test_starvation_changes_nothing_about_what_is_well() -> None:
 
 def test_the_documented_table_is_that_of_the_code() -> None:
     """Each condition with the evidence that starvation can produce it."""
-    page = (Path(__file__).resolve().parents[2] / "docs" / "architecture.md").read_text()
+    page = (Path(__file__).resolve().parents[2] / "docs" / "development" / "architecture.md").read_text()
     table = page.partition("<!-- explained: begin")[2].partition("<!-- explained: end")[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[3:]]
     documented = {condition: row[1] for row in rows for condition in re.findall(r"`(\w+)`", row[0])}

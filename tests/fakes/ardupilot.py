@@ -1,4 +1,4 @@
-"""An ArduPilot SITL as far as its sockets go, playing a session: it behaves as a real one was measured to (docs/sitl.md).
+"""An ArduPilot SITL as far as its sockets go, playing a session: it behaves as a real one was measured to (docs/development/sitl.md).
 
 It begins when somebody connects to serial port 0, opens serial port 1 only then, sends the session's frames to both as they are,
 and keeps what it is sent. A session is a telemetry log (`.tlog`), as MAVProxy and ground stations record them: for each

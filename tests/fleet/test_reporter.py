@@ -183,9 +183,9 @@ def test_phm_status_shows_the_connection(capsys: Any) -> None:
 
 
 def test_the_document_names_every_key() -> None:
-    """docs/fleet.md is a contract: each key of the payload is in its table."""
+    """docs/reference/fleet.md is a contract: each key of the payload is in its table."""
     bench = Bench((WELL, DEAD), restored=(fault(DEAD),))
     bench.fleet.tick()
-    text = Path(__file__).parents[2].joinpath("docs", "fleet.md").read_text()
+    text = Path(__file__).parents[2].joinpath("docs", "reference", "fleet.md").read_text()
     missing = [key for key in (*bench.last, *bench.last["faults"][0]) if f"`{key}`" not in text]
     assert not missing

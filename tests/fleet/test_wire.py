@@ -1,4 +1,4 @@
-"""The payload of a status: the contract of docs/fleet.md, and what a reader refuses."""
+"""The payload of a status: the contract of docs/reference/fleet.md, and what a reader refuses."""
 
 from __future__ import annotations
 

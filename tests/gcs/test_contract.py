@@ -1,4 +1,4 @@
-"""The keys of the JSON lines are a contract: `docs/gcs.md` names each of them."""
+"""The keys of the JSON lines are a contract: `docs/reference/gcs.md` names each of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from phm.wire import tunnel
 from phm.wire.tunnel import Digest, Seen, View, Words
 from tests.gcs.bench import Ground, beat, pilot, said, told
 
-PAGE = (Path(phm.__file__).parents[1] / "docs" / "gcs.md").read_text()
+PAGE = (Path(phm.__file__).parents[1] / "docs" / "reference" / "gcs.md").read_text()
 
 
 def flight() -> Ground:

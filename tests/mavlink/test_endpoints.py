@@ -111,7 +111,7 @@ def exchange(hub: MavlinkHub, peer: Any) -> list[Any]:
 
 
 def judge(hub: MavlinkHub, messages: list[Any]) -> None:
-    """The contract of docs/mavlink.md on the wire."""
+    """The contract of docs/reference/mavlink.md on the wire."""
     beat, line = messages
     for message in messages:
         assert (message.get_srcSystem(), message.get_srcComponent(), message.get_msgbuf()[0]) == (7, 193, 0xFD)

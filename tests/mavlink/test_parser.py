@@ -116,7 +116,7 @@ def test_every_codec_has_its_own_sequence_and_changes_no_message() -> None:
 
 @pytest.mark.parametrize(("message", "size"), [(heartbeat(0x40025D55), 21), (heartbeat(0), 21), (text("x" * 50), 63)])
 def test_bytes_on_the_wire(message: object, size: int) -> None:
-    """The sizes that docs/mavlink.md states, whatever the status word is."""
+    """The sizes that docs/reference/mavlink.md states, whatever the status word is."""
     frame = Codec(1, 193, lambda _: True).pack(message)
     assert (len(frame), frame[0]) == (size, 0xFD)
     assert float(mavlink.WIRE_PROTOCOL_VERSION) == 2.0

@@ -1,4 +1,4 @@
-"""`docs/logs.md` is a contract: the keys it names are those that are written."""
+"""`docs/reference/logs.md` is a contract: the keys it names are those that are written."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from phm.testing import FakeClock
 from phm.wire import json_log
 from tests.fakes.records import at, closed, context, opened, transition, unit
 
-DOCUMENT = Path(phm.__file__).parents[1] / "docs" / "logs.md"
+DOCUMENT = Path(phm.__file__).parents[1] / "docs" / "reference" / "logs.md"
 UNIT = unit("nodes/a", Slot.NODES, Level.ERROR)
 
 

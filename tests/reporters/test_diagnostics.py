@@ -1,4 +1,4 @@
-"""PHM's own state as ROS diagnostics: the contract of docs/ros.md."""
+"""PHM's own state as ROS diagnostics: the contract of docs/reference/ros.md."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from phm.reporters.diagnostics import ALONG_S, MAX_MESSAGE, MAX_UNITS, MAX_VALUE
 from phm.testing import FakeClock
 from tests.fakes.records import at, closed, context, fault, opened, transition, unit
 
-DOCUMENT = Path(phm.__file__).parents[1] / "docs" / "ros.md"
+DOCUMENT = Path(phm.__file__).parents[1] / "docs" / "reference" / "ros.md"
 DEAD = unit(
     "nodes/agent_1/node_1",
     Slot.NODES,
@@ -106,7 +106,7 @@ def test_the_values_of_the_summary() -> None:
 
 
 def test_the_contract_is_documented() -> None:
-    """docs/ros.md names exactly the keys that are published."""
+    """docs/reference/ros.md names exactly the keys that are published."""
     reporter, port = make((WELL,))
     reporter.tick()
     text = DOCUMENT.read_text().partition("### Published by PHM")[2].partition("\n### ")[0]

@@ -75,7 +75,7 @@ def test_every_line_says_who_where_and_when(tmp_path: Path) -> None:
 
 
 def test_a_transition_carries_all_that_is_known(tmp_path: Path) -> None:
-    """The keys of `docs/logs.md`, with their values."""
+    """The keys of `docs/reference/logs.md`, with their values."""
     (line,) = written(tmp_path, transition(DEAD))
     assert {key: line[key] for key in set(line) - HEAD} == {
         "unit": "nodes/agent_1/node_1",

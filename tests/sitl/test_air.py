@@ -50,7 +50,7 @@ def test_frames_share_the_rate() -> None:
 
 
 def test_a_sik_pair_carries_what_was_measured() -> None:
-    """64 kbit/s in the air are 3170 bytes a second each way (docs/mavlink.md)."""
+    """64 kbit/s in the air are 3170 bytes a second each way (docs/reference/mavlink.md)."""
     link: Pipe[int] = Pipe(Conditions(delay_s=0.0), random.Random(1))
     arrived = 0
     for step in range(1000):

@@ -60,8 +60,8 @@ def test_the_changes_fit_the_shipped_configuration() -> None:
 
 
 def test_the_page_of_results_has_room() -> None:
-    """docs/results.md has the marks, in their order, once."""
-    page = (ROOT / "docs" / "results.md").read_text("utf-8")
+    """docs/development/results.md has the marks, in their order, once."""
+    page = (ROOT / "docs" / "development" / "results.md").read_text("utf-8")
     assert page.count(BEGIN) == page.count(END) == 1
     assert page.index(BEGIN) < page.index(END)
 

@@ -1,4 +1,4 @@
-"""How a trial's record is judged: each rule of docs/campaign.md by name."""
+"""How a trial's record is judged: each rule of docs/development/campaign.md by name."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def test_only_faults_that_need_a_configuration_are_played_apart() -> None:
 
 
 LINKS = "played with real sockets by tests/mavlink/test_reopen.py: no container is touched"
-ENDS = "played by the campaign, docs/sitl_faults.md has the figures"
+ENDS = "played by the campaign, docs/development/sitl_faults.md has the figures"
 UNPROVEN = {
     "disk_full": ENDS,
     "publisher_lost": ENDS,
@@ -85,7 +85,7 @@ UNPROVEN = {
 
 
 def test_every_ladder_is_proven() -> None:
-    """Each condition for which PHM has a ladder has a fault, or a reason why not (docs/recovery.md gives it, too)."""
+    """Each condition for which PHM has a ladder has a fault, or a reason why not (docs/reference/recovery.md gives it, too)."""
     known = faults.all_faults()
     proven = {known[name].condition for name in (*plan.ORDER, *plan.APART)}
     assert set(LADDERS) - proven == set(UNPROVEN)
@@ -148,8 +148,8 @@ def test_the_critical_file_is_the_one_of_the_image() -> None:
 
 
 def test_the_document_has_every_fault_with_its_unit_and_condition() -> None:
-    """docs/sitl_faults.md names each fault once, in the table of its layer, and what it must be told as."""
-    text = (ROOT / "docs" / "sitl_faults.md").read_text("utf-8")
+    """docs/development/sitl_faults.md names each fault once, in the table of its layer, and what it must be told as."""
+    text = (ROOT / "docs" / "development" / "sitl_faults.md").read_text("utf-8")
     tables = {part.partition("\n")[0].lower(): part for part in text.split("\n## ")[1:5]}
     for name, fault in faults.all_faults().items():
         (row,) = [line for line in tables[fault.layer].splitlines() if line.startswith(f"| `{name}`")]

@@ -95,8 +95,8 @@ def test_the_table_replaces_the_one_before() -> None:
 
 
 def test_the_page_has_room_for_the_table() -> None:
-    """docs/recovery.md has the marks, in their order, once."""
-    page = (ROOT / "docs" / "recovery.md").read_text("utf-8")
+    """docs/reference/recovery.md has the marks, in their order, once."""
+    page = (ROOT / "docs" / "reference" / "recovery.md").read_text("utf-8")
     assert page.count(BEGIN) == page.count(END) == 1
     assert "a row" in between_marks(page, "a row")
 

@@ -114,8 +114,8 @@ def test_the_table_has_a_line_for_each_measurement(tmp_path: Path) -> None:
 
 
 def test_the_page_has_room_for_the_table() -> None:
-    """docs/recovery.md has the marks, in their order, once."""
-    page = (ROOT / "docs" / "recovery.md").read_text("utf-8")
+    """docs/reference/recovery.md has the marks, in their order, once."""
+    page = (ROOT / "docs" / "reference" / "recovery.md").read_text("utf-8")
     assert page.count(BEGIN) == page.count(END) == 1
     assert page.index(BEGIN) < page.index(END)
 

@@ -212,5 +212,5 @@ def test_a_hundred_agents_agree_and_stay_within_budget() -> None:
     assert "SWARM 96/100 FAIL A05:lost A50:lost A95:lost +1" in lines
     assert any(line.startswith("A07 no GCS radio, heard by A01 A02") for line in lines)
     rate = (sum(agent.port.bytes_out for agent in fleet.agents.values()) - before) / 80
-    # Heartbeats alone are 6.6 % of a 64 kbit/s radio, and a fifth of the share each is left to the rest and to the speaker; see docs/mavlink.md.
+    # Heartbeats alone are 6.6 % of a 64 kbit/s radio, and a fifth of the share each is left to the rest and to the speaker; see docs/reference/mavlink.md.
     assert rate <= 100 * 21 / 10 + 0.4 * SWARM_BYTES_S + 100 * BURST_MIN / 80

@@ -1,7 +1,7 @@
 """ROS diagnostics in the child: what the application publishes is read, what PHM has to say is published.
 
 Names and texts come from outside and are data: counted, cut and passed on, never believed to be of any length.
-`docs/ros.md` states what is published as a contract.
+`docs/reference/ros.md` states what is published as a contract.
 """
 
 from __future__ import annotations
