@@ -13,8 +13,8 @@ from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_signing import Signer, Signing, unsigned_of
 from phm.transport.priority import Class
-from tests.fakes.mavlink import Sender, heartbeat
 from tests.commands.test_signing import KEY, NOW, OTHER, sign, ticks
+from tests.fakes.mavlink import Sender, heartbeat
 
 ALL = ["status", "details", "check", "approve", "restart"]
 IDS = frozenset((0, 75, 76, 109, 385))
