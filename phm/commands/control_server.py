@@ -36,7 +36,7 @@ _POLL_S = 0.5
 _CREDENTIALS = struct.Struct("3i")
 
 
-class HoldDesk(Protocol):
+class HoldController(Protocol):
     """Begins and ends holds (`phm.recovery.hold_service.HoldService`): in words and as data, or an exception with its reason."""
 
     def hold(self, container: str, for_s: float | None, reason: str, by: str) -> tuple[str, dict[str, Any]]: ...
@@ -44,7 +44,7 @@ class HoldDesk(Protocol):
     def release(self, container: str, by: str) -> tuple[str, dict[str, Any]]: ...
 
 
-class Control:
+class ControlServer:
     """Serves `run_dir/control.sock` until closed. `approve` answers in words or raises an exception with its reason."""
 
     def __init__(
@@ -52,7 +52,7 @@ class Control:
         run_dir: str,
         approve: Callable[[str], str],
         note: Callable[[str, str], None],
-        holds: HoldDesk | None = None,
+        holds: HoldController | None = None,
     ) -> None:
         self._run_dir, self._approve, self._note, self._holds = run_dir, approve, note, holds
         self._selector = selectors.DefaultSelector()
@@ -67,7 +67,9 @@ class Control:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="phm-control", daemon=True)
 
-    def serve(self, approve: Callable[[str], str], note: Callable[[str, str], None], holds: HoldDesk | None) -> None:
+    def serve(
+        self, approve: Callable[[str], str], note: Callable[[str, str], None], holds: HoldController | None
+    ) -> None:
         """From now on these answer: the configuration was reloaded."""
         self._approve, self._note, self._holds = approve, note, holds
 
@@ -231,7 +233,7 @@ class Control:
             peer.close()
 
 
-def _hold(holds: HoldDesk, request: dict[str, Any], by: str) -> tuple[str, dict[str, Any]]:
+def _hold(holds: HoldController, request: dict[str, Any], by: str) -> tuple[str, dict[str, Any]]:
     container, reason, for_s = request.get("container"), request.get("reason"), request.get("for_s")
     if request.keys() == {"do", "container"} and request["do"] == "release" and isinstance(container, str):
         return holds.release(container, by)

@@ -9,8 +9,8 @@ from typing import Any
 
 from phm.core.model import Fault, UnitState, Value, worst_by_slot
 from phm.transport.dialect import mavlink
-from phm.wire import command, status_line, status_word, tunnel
-from phm.wire.command import HEARTBEAT, STATUSTEXT, Asked, Result
+from phm.wire import status_line, status_word, tunnel
+from phm.wire.command import HEARTBEAT, STATUSTEXT, Command, CommandResult, fault_number
 from phm.wire.status_line import Severity
 
 _U8, _I8, _I16, _U32 = 0xFF, 0x7F, 0x7FFF, 0xFFFFFFFF
@@ -20,9 +20,9 @@ MOST_OTHERS = 20
 _TOTAL = "disk_total_bytes "
 
 
-def ack(asked: Asked, result: Result) -> Any:
+def ack(command: Command, result: CommandResult) -> Any:
     """To the asker alone."""
-    return mavlink.MAVLink_command_ack_message(asked.command, int(result), 0, 0, asked.system, asked.component)
+    return mavlink.MAVLink_command_ack_message(command.command, int(result), 0, 0, command.system, command.component)
 
 
 def status(message: int, agent: int, states: Sequence[UnitState], *, complete: bool, mono: float, utc: float) -> Any:
@@ -92,7 +92,7 @@ def _four(known: Sequence[int], unknown: int) -> list[int]:
     return [*(min(value, unknown) for value in known[:4]), *[unknown] * (4 - len(known[:4]))]
 
 
-def details(fault: Fault, asked: Asked, others: Sequence[str] = ()) -> list[Any]:
+def details(fault: Fault, command: Command, others: Sequence[str] = ()) -> list[Any]:
     """TUNNEL messages with the text about a fault, to the asker alone. others: ids of open faults, which may be asked for next."""
     since = time.strftime("%H:%M:%S", time.gmtime(max(0.0, min(fault.opened.utc, 1e11))))
     pieces = [f"{fault.unit}: {fault.result.summary}", f"{fault.outcome.value} since {since} UTC"]
@@ -100,14 +100,14 @@ def details(fault: Fault, asked: Asked, others: Sequence[str] = ()) -> list[Any]
         pieces.append(f"blocks {', '.join(fault.consequences)}")
     if fault.suspects:
         pieces.append(f"also bad: {', '.join(fault.suspects)}")
-    numbers = [number for other in others if (number := command.number(other)) is not None]
+    numbers = [number for other in others if (number := fault_number(other)) is not None]
     if numbers:
         pieces.append(f"other open faults: {', '.join(map(str, numbers[:MOST_OTHERS]))}")
     payloads = [tunnel.encode(part) for part in tunnel.details(fault.id, "; ".join(pieces))]
     return [
         mavlink.MAVLink_tunnel_message(
-            asked.system,
-            asked.component,
+            command.system,
+            command.component,
             tunnel.PAYLOAD_TYPE,
             len(payload),
             list(payload.ljust(tunnel.MAX_BYTES, b"\0")),

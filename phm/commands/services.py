@@ -10,7 +10,7 @@ from phm.core.model import Fault, UnitState
 from phm.transport.priority import Class
 
 
-class Port(Protocol):
+class MavlinkPort(Protocol):
     """The MAVLink endpoints (`phm.transport.mavlink.MavlinkHub`)."""
 
     system_id: int
@@ -28,12 +28,12 @@ class Port(Protocol):
 
 
 @dataclass(frozen=True)
-class Powers:
+class CommandServices:
     """What commands may reach; each answers at once, in words or with an exception that says why not.
 
     complete: whether a first report is done. alive: whether the engine lives.
     approve:  the fault's id. restart: the container's key, and who asks.
-    later:    what `approve` and `restart` raise when the same may be asked again later.
+    later:    what `approve` and `restart` raise when the same may be command again later.
     remember: called before a signed command that changes something is obeyed, so that it is not obeyed again after a restart
               of PHM; raises OSError when that cannot be made sure.
     clock_problem: why it is not known how old signed commands are, else empty.

@@ -4,47 +4,47 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from phm.config.node import View
+from phm.config.node import ConfigNode
 
 _ENCRYPTED = ("tls/", "quic/")
 
 
-def fleet_can_be_told(root: View) -> None:
+def fleet_has_endpoints(root: ConfigNode) -> None:
     """Where it is on: what it needs is installed, and it leads somewhere."""
     fleet = root.get("fleet")
     enabled = fleet.get("enabled")
     if enabled.value is not True:
         return
     if find_spec("zenoh") is None:
-        enabled.complain(
+        enabled.add_problem(
             "is true, but eclipse-zenoh is not installed: pip install 'phm-sidecar[fleet]', or build the image with EXTRAS=fleet"
         )
     if not fleet.get("connect").texts and not fleet.get("listen").texts:
-        enabled.complain(
+        enabled.add_problem(
             "is true, but neither 'connect' nor 'listen' is given: name a router, e.g. connect: [tcp/HOST:7447]"
         )
 
 
-def fleet_modes_fit(root: View) -> None:
+def fleet_modes_match(root: ConfigNode) -> None:
     fleet = root.get("fleet")
     if fleet.get("listen").texts and fleet.get("mode").text in ("", "client"):
-        fleet.get("listen").complain("a client takes no connections: set 'mode: peer', or leave it out")
+        fleet.get("listen").add_problem("a client takes no connections: set 'mode: peer', or leave it out")
     for key in ("connect", "listen"):
         for endpoint in fleet.get(key).texts:
             port = endpoint.text.rpartition(":")[2]
             if port.isdecimal() and not 1 <= int(port) <= 65535:
-                endpoint.complain(f"{endpoint.text!r} has no port of 1 to 65535")
+                endpoint.add_problem(f"{endpoint.text!r} has no port of 1 to 65535")
 
 
-def fleet_certificates_are_of_use(root: View) -> None:
+def fleet_certificates_are_used(root: ConfigNode) -> None:
     """Half a pair, or certificates for connections in clear, would look like a protection that is not there."""
     fleet = root.get("fleet")
     tls = fleet.get("tls")
     pair = (tls.get("certificate"), tls.get("key"))
     for one, other in (pair, pair[::-1]):
         if one.given and not other.given:
-            one.complain(f"needs {other.path[-1]!r} beside it")
+            one.add_problem(f"needs {other.path[-1]!r} beside it")
     endpoints = [endpoint.text for key in ("connect", "listen") for endpoint in fleet.get(key).texts]
     files = [tls.get(key) for key in ("ca", "certificate", "key") if tls.get(key).given]
     if files and endpoints and not any(endpoint.startswith(_ENCRYPTED) for endpoint in endpoints):
-        files[0].complain("is given, but every endpoint is in clear: write tls/HOST:PORT, or leave the files out")
+        files[0].add_problem("is given, but every endpoint is in clear: write tls/HOST:PORT, or leave the files out")

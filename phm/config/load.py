@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from phm.config import semantic_rules
 from phm.config.env_expansion import Expander
 from phm.config.error_messages import sentence
-from phm.config.node import View
+from phm.config.node import ConfigNode
 from phm.config.problems import ConfigError, Problem, dotted
 from phm.config.yaml_tree import MAX_BYTES, Tree, parse
 from phm.core.settings import Settings
@@ -90,8 +90,8 @@ def loads(
         raise ConfigError(problems)
     settings, wrong = _validate(tree, file)
     problems += wrong
-    root = View(tree, file, problems, value=tree.data)
-    semantic_rules.judge(root)
+    root = ConfigNode(tree, file, problems, value=tree.data)
+    semantic_rules.check_all(root)
     if known_checks is not None:
         semantic_rules.names_of_checks(root, known_checks, known_units)
     semantic_rules.names_of_recovery(root, known_actions, known_conditions)

@@ -16,7 +16,7 @@ from phm.config.yaml_tree import Tree
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class ConfigNode:
     """One place of the tree. `problems` is shared by all views of a tree."""
 
     tree: Tree
@@ -25,23 +25,23 @@ class View:
     path: Path = ()
     value: Any = None
 
-    def get(self, *keys: str) -> View:
+    def get(self, *keys: str) -> ConfigNode:
         """The place under `keys`, whether or not anything is there."""
         value: Any = self.value
         for key in keys:
             value = value.get(key) if isinstance(value, dict) else None
-        return View(self.tree, self.file, self.problems, (*self.path, *keys), value)
+        return ConfigNode(self.tree, self.file, self.problems, (*self.path, *keys), value)
 
-    def entries(self) -> Iterator[View]:
+    def entries(self) -> Iterator[ConfigNode]:
         """The entries of a list."""
         for index, entry in enumerate(self.value if isinstance(self.value, list) else ()):
-            yield View(self.tree, self.file, self.problems, (*self.path, index), entry)
+            yield ConfigNode(self.tree, self.file, self.problems, (*self.path, index), entry)
 
-    def records(self) -> Iterator[View]:
+    def records(self) -> Iterator[ConfigNode]:
         """The entries of a list that are mappings."""
         return (entry for entry in self.entries() if isinstance(entry.value, dict))
 
-    def items(self) -> Iterator[tuple[str, View]]:
+    def items(self) -> Iterator[tuple[str, ConfigNode]]:
         """Keys of a mapping and their places."""
         for key in self.value if isinstance(self.value, dict) else ():
             yield key, self.get(key)
@@ -52,7 +52,7 @@ class View:
         return self.value.strip() if isinstance(self.value, str) else ""
 
     @property
-    def texts(self) -> list[View]:
+    def texts(self) -> list[ConfigNode]:
         """The entries of a list that are text."""
         return [entry for entry in self.entries() if entry.text]
 
@@ -73,5 +73,5 @@ class View:
     def line(self) -> int:
         return self.tree.line(self.path)
 
-    def complain(self, message: str) -> None:
+    def add_problem(self, message: str) -> None:
         self.problems.append(Problem(self.file, self.line, dotted(self.path), message))

@@ -1,6 +1,6 @@
 """Rules between keys: names that must exist, names that must not stand twice, pairs in order.
 
-One function per rule; each looks at the raw tree through `View`, so it works beside other mistakes.
+One function per rule; each looks at the raw tree through `ConfigNode`, so it works beside other mistakes.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import posixpath
 from collections.abc import Callable, Iterable, Mapping
 
 from phm.config import fleet_rules
-from phm.config.node import View
+from phm.config.node import ConfigNode
 from phm.config.problems import shown, unknown
 from phm.core.settings import (
     Celsius,
@@ -25,7 +25,7 @@ from phm.core.settings import (
 PRESSURE_SHARES = ("throttled", "waiting", "memory", "io", "pids", "host_memory", "host_io")
 
 
-def judge(root: View) -> None:
+def check_all(root: ConfigNode) -> None:
     """Apply every rule of this module."""
     for rule in RULES:
         rule(root)
@@ -41,90 +41,90 @@ def same_path(path: str) -> str:
     return posixpath.normpath(path).replace("//", "/")
 
 
-def container_key(container: View) -> str:
+def container_key(container: ConfigNode) -> str:
     """As `ContainerSettings.key`, of an entry that may be wrong elsewhere."""
     name, label, alias = (container.get(part).text or None for part in ("name", "label", "alias"))
     return ContainerSettings.model_construct(name=name, label=label, alias=alias).key
 
 
-def no_twins(what: str, places: Iterable[tuple[str, View]]) -> None:
+def report_duplicates(what: str, places: Iterable[tuple[str, ConfigNode]]) -> None:
     """Complain about each name that stood before, with the line of the first."""
-    first: dict[str, View] = {}
+    first: dict[str, ConfigNode] = {}
     for name, place in places:
         if name in first:
-            place.complain(f"{what} {shown(name)} stands twice, first in line {first[name].line}: keep one")
+            place.add_problem(f"{what} {shown(name)} stands twice, first in line {first[name].line}: keep one")
         elif name:
             first[name] = place
 
 
-def containers_have_one_identity(root: View) -> None:
+def containers_have_one_identity(root: ConfigNode) -> None:
     for container in root.get("containers").records():
         name, label = container.get("name"), container.get("label")
         if name.given and label.given:
-            label.complain("stands beside 'name': give one of both, not both")
+            label.add_problem("stands beside 'name': give one of both, not both")
         elif not name.given and not label.given and not {name.path, label.path} & root.tree.bad:
-            container.complain("has neither 'name' nor 'label', one of both is needed to find the container")
+            container.add_problem("has neither 'name' nor 'label', one of both is needed to find the container")
         elif label.text and not container_key(container):
-            label.complain("has an empty value: add 'alias', the name to use for this container")
+            label.add_problem("has an empty value: add 'alias', the name to use for this container")
 
 
-def containers_are_told_apart(root: View) -> None:
+def containers_are_unique(root: ConfigNode) -> None:
     containers = list(root.get("containers").records())
-    no_twins("container", ((container_key(container), container) for container in containers))
+    report_duplicates("container", ((container_key(container), container) for container in containers))
     # What remains to be told: one container under two aliases.
     by_key = {container_key(container): container for container in reversed(containers)}
     names = (container.get("name") for container in reversed(by_key.values()))
-    no_twins("container", ((place.text, place) for place in names))
+    report_duplicates("container", ((place.text, place) for place in names))
 
 
-def container_parts_stand_once(root: View) -> None:
+def container_parts_are_unique(root: ConfigNode) -> None:
     for container in root.get("containers").records():
         for key, what in (("files", "file"), ("devices", "device")):
             places = ((entry.get("path").text, entry.get("path")) for entry in container.get(key).records())
-            no_twins(what, ((same_path(path), place) for path, place in places if path))
-        no_twins("network", ((entry.text, entry) for entry in container.get("networks").texts))
+            report_duplicates(what, ((same_path(path), place) for path, place in places if path))
+        report_duplicates("network", ((entry.text, entry) for entry in container.get("networks").texts))
 
 
-def containers_start_in_order(root: View) -> None:
+def containers_start_in_order(root: ConfigNode) -> None:
     """`after` names other configured containers, and does not run in a circle."""
     containers = [entry for entry in root.get("containers").records() if container_key(entry)]
     known = {container_key(entry): entry for entry in containers}
     graph: dict[str, set[str]] = {}
     for key, entry in known.items():
-        no_twins("container", ((place.text, place) for place in entry.get("after").texts))
+        report_duplicates("container", ((place.text, place) for place in entry.get("after").texts))
         for place in entry.get("after").texts:
             if place.text == key:
-                place.complain(f"container {shown(key)} cannot start after itself: remove it")
+                place.add_problem(f"container {shown(key)} cannot start after itself: remove it")
             elif _configured(place, known):
                 way = _way(graph, place.text, key)
                 if way is not None:
                     circle = " after ".join([key, *way])
-                    place.complain(f"containers wait for each other in a circle: {circle} (remove one of these)")
+                    place.add_problem(f"containers wait for each other in a circle: {circle} (remove one of these)")
                 else:
                     graph.setdefault(key, set()).add(place.text)
 
 
-def absent_files_have_no_copy(root: View) -> None:
+def absent_files_have_no_copy(root: ConfigNode) -> None:
     for container in root.get("containers").records():
         for file in container.get("files").records():
             if file.get("present").value is False and file.get("restore").given:
-                file.get("restore").complain(
+                file.get("restore").add_problem(
                     "stands beside 'present: false': a file that must not be there is never restored"
                 )
 
 
-def relaunch_has_a_container(root: View) -> None:
+def relaunch_has_a_container(root: ConfigNode) -> None:
     """Where the command is to run, or the process to be looked for, must be known: the node's container, or the only one."""
     if len(list(root.get("containers").entries())) == 1:
         return
     for node in root.get("ros", "nodes").records():
         if node.get("relaunch").value and not node.get("container").given:
-            node.get("relaunch").complain("has no container to run in: add 'container' to this node")
+            node.get("relaunch").add_problem("has no container to run in: add 'container' to this node")
         if node.get("process").value and not node.get("container").given:
-            node.get("process").complain("has no container to be looked for in: add 'container' to this node")
+            node.get("process").add_problem("has no container to be looked for in: add 'container' to this node")
 
 
-def repairs_are_opted_in(root: View) -> None:
+def recovery_keys_need_opt_in(root: ConfigNode) -> None:
     """What only recovery uses is refused where recovery may do nothing: it would never be used, without a word."""
     containers = {container_key(container): container for container in root.get("containers").records()}
     closed = {key for key, container in containers.items() if container.get("recover").value in (None, False)}
@@ -132,28 +132,28 @@ def repairs_are_opted_in(root: View) -> None:
     for key in closed:
         for file in containers[key].get("files").records():
             if file.get("restore").given:
-                file.get("restore").complain(advice.format(shown(key)))
+                file.get("restore").add_problem(advice.format(shown(key)))
     for node in root.get("ros", "nodes").records():
         key = node.get("container").text or (next(iter(containers)) if len(containers) == 1 else "")
         if node.get("relaunch").value and key in closed:
-            node.get("relaunch").complain(advice.format(shown(key)))
+            node.get("relaunch").add_problem(advice.format(shown(key)))
 
 
-def _configured(place: View, known: Mapping[str, View]) -> bool:
+def _configured(place: ConfigNode, known: Mapping[str, ConfigNode]) -> bool:
     """Whether the text is the key of a container in `known`; complains when not."""
     real = {entry.get("name").text: key for key, entry in known.items()}
     if place.text in known:
         return True
     if place.text in real:
-        place.complain(f"container {shown(place.text)} has the alias {shown(real[place.text])}: write that")
+        place.add_problem(f"container {shown(place.text)} has the alias {shown(real[place.text])}: write that")
     elif known:
-        place.complain(unknown("container", place.text, known))
+        place.add_problem(unknown("container", place.text, known))
     else:
-        place.complain(f"unknown container {shown(place.text)}, none is configured: add it to 'containers'")
+        place.add_problem(f"unknown container {shown(place.text)}, none is configured: add it to 'containers'")
     return False
 
 
-def flight_critical_is_known_to_be(root: View) -> None:
+def flight_critical_needs_autopilot(root: ConfigNode) -> None:
     """Without a link to the autopilot nothing ever says that the vehicle is disarmed, and PHM would never act; and of several
     links those that lead elsewhere must say so, since a disarmed heartbeat counts on the others."""
     places = (container.get("flight_critical") for container in root.get("containers").records())
@@ -161,28 +161,28 @@ def flight_critical_is_known_to_be(root: View) -> None:
     endpoints = list(root.get("mavlink", "endpoints").records())
     if all(entry.get("leads_to").value in ("ground", "peers") for entry in endpoints):
         for place in critical:
-            place.complain(
+            place.add_problem(
                 "is true, but no MAVLink endpoint leads to the autopilot, so nothing could report whether it is armed: add one to "
                 "'mavlink.endpoints' with 'leads_to' autopilot, router or both, or remove this"
             )
     for entry in endpoints if critical and len(endpoints) > 1 else ():
         if not entry.get("leads_to").given:
-            entry.complain(
+            entry.add_problem(
                 "has no 'leads_to', so any sender there could report the vehicle as disarmed, which matters because of "
                 f"flight_critical (line {critical[0].line}): write what is at its other end, e.g. 'leads_to: ground'"
             )
 
 
-def ros_names_stand_once(root: View) -> None:
+def ros_names_are_unique(root: ConfigNode) -> None:
     for key, what in (("nodes", "node"), ("topics", "topic")):
         entries = (entry.get("name") for entry in root.get("ros", key).records())
-        no_twins(what, ((bare(place.text), place) for place in entries))
+        report_duplicates(what, ((bare(place.text), place) for place in entries))
     for topic in root.get("ros", "topics").records():
         for key in ("publishers", "subscribers"):
-            no_twins("node", ((bare(place.text), place) for place in topic.get(key).texts))
+            report_duplicates("node", ((bare(place.text), place) for place in topic.get(key).texts))
 
 
-def named_containers_exist(root: View) -> None:
+def named_containers_exist(root: ConfigNode) -> None:
     known = {container_key(container): container for container in root.get("containers").records()}
     known.pop("", None)
     for key in ("nodes", "topics"):
@@ -193,13 +193,13 @@ def named_containers_exist(root: View) -> None:
     for window in root.get("recovery", "maintenance").records():
         if window.get("container").text:
             _configured(window.get("container"), known)
-    no_twins("container", ((place.text, place) for place in root.get("recovery", "relieve").texts))
+    report_duplicates("container", ((place.text, place) for place in root.get("recovery", "relieve").texts))
     for place in root.get("recovery", "relieve").texts:
         if _configured(place, known) and known[place.text].get("flight_critical").value is True:
-            place.complain("is flight-critical (its `flight_critical` is true): only other containers may give way")
+            place.add_problem("is flight-critical (its `flight_critical` is true): only other containers may give way")
 
 
-def topic_nodes_exist(root: View) -> None:
+def topic_nodes_exist(root: ConfigNode) -> None:
     known = {bare(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
     if not root.get("ros", "nodes").value:
         return
@@ -207,58 +207,58 @@ def topic_nodes_exist(root: View) -> None:
         for key in ("publishers", "subscribers"):
             for place in topic.get(key).texts:
                 if bare(place.text) not in known:
-                    place.complain(unknown("node", place.text, known.values()) + " (or add it to 'ros.nodes')")
+                    place.add_problem(unknown("node", place.text, known.values()) + " (or add it to 'ros.nodes')")
 
 
-def diagnostics_are_known(root: View) -> None:
+def diagnostics_are_known(root: ConfigNode) -> None:
     """Each watched pattern stands once, its container and node are configured, and something is listened to."""
     known = {container_key(container): container for container in root.get("containers").records()}
     known.pop("", None)
     nodes = {bare(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
     watched = list(root.get("ros", "diagnostics", "watch").records())
-    no_twins("status", ((entry.get("name").text, entry.get("name")) for entry in watched))
+    report_duplicates("status", ((entry.get("name").text, entry.get("name")) for entry in watched))
     listen = root.get("ros", "diagnostics", "listen")
     if watched and listen.given and not listen.value:
-        listen.complain("is empty, but 'watch' needs something to hear: leave it out, or name a topic")
+        listen.add_problem("is empty, but 'watch' needs something to hear: leave it out, or name a topic")
     for entry in watched:
         container, node = entry.get("container"), entry.get("node")
         if container.text:
             _configured(container, known)
         if node.text and bare(node.text) not in nodes:
-            node.complain(unknown("node", node.text, nodes.values()) + " (or add it to 'ros.nodes')")
+            node.add_problem(unknown("node", node.text, nodes.values()) + " (or add it to 'ros.nodes')")
 
 
-def own_topics_have_no_rate(root: View) -> None:
+def own_topics_have_no_rate(root: ConfigNode) -> None:
     """PHM's own array once a second would be counted with the application's. With any topic configured it is published."""
     if root.get("ros", "diagnostics", "publish").value is False:
         return
     for topic in root.get("ros", "topics").records():
         rate = topic.get("rate")
         if bare(topic.get("name").text) == "diagnostics" and rate.given and rate.value is not None:
-            rate.complain(
+            rate.add_problem(
                 "cannot be measured while PHM publishes on /diagnostics itself: leave it out, or set ros.diagnostics.publish to "
                 "false; what the application says there is judged by ros.diagnostics.watch"
             )
 
 
-def endpoints_are_told_apart(root: View) -> None:
+def endpoints_are_unique(root: ConfigNode) -> None:
     endpoints = list(root.get("mavlink", "endpoints").records())
-    no_twins("endpoint", ((entry.get("url").text, entry.get("url")) for entry in endpoints))
-    no_twins("endpoint name", ((entry.get("name").text, entry.get("name")) for entry in endpoints))
+    report_duplicates("endpoint", ((entry.get("url").text, entry.get("url")) for entry in endpoints))
+    report_duplicates("endpoint name", ((entry.get("name").text, entry.get("name")) for entry in endpoints))
     known = {container_key(container): container for container in root.get("containers").records()}
     for entry in endpoints:
         if entry.get("container").text:
             _configured(entry.get("container"), known)
     autopilot = root.get("mavlink", "autopilot")
     if autopilot.value is True and not root.get("mavlink", "endpoints").value:
-        autopilot.complain("is true, but there are no endpoints to hear it on: add one to 'mavlink.endpoints'")
+        autopilot.add_problem("is true, but there are no endpoints to hear it on: add one to 'mavlink.endpoints'")
     elif autopilot.value is True and all(entry.get("leads_to").value in ("ground", "peers") for entry in endpoints):
-        autopilot.complain("is true, but no endpoint leads to it: correct 'leads_to' of one of them")
+        autopilot.add_problem("is true, but no endpoint leads to it: correct 'leads_to' of one of them")
 
 
-def link_ids_are_told_apart(root: View) -> None:
+def link_ids_are_unique(root: ConfigNode) -> None:
     """Two links that sign with one id share a stream at the receiver, which then refuses the later of the two."""
-    taken: dict[int, View] = {}
+    taken: dict[int, ConfigNode] = {}
     endpoints = list(root.get("mavlink", "endpoints").records())
     # What is not given is the place in the list, so those stand before any that is.
     for number, entry in sorted(enumerate(endpoints), key=lambda pair: pair[1].get("link_id").given):
@@ -267,11 +267,13 @@ def link_ids_are_told_apart(root: View) -> None:
         if not isinstance(link_id, int):
             continue
         if link_id in taken:
-            place.complain(f"{link_id} is that of the endpoint in line {taken[link_id].line}, too: give each its own")
+            place.add_problem(
+                f"{link_id} is that of the endpoint in line {taken[link_id].line}, too: give each its own"
+            )
         taken.setdefault(link_id, entry)
 
 
-def limits_are_in_order(root: View) -> None:
+def limits_are_in_order(root: ConfigNode) -> None:
     places = [("host", key, Percent) for key in ("cpu", "memory", "disk")]
     places += [("pressure", key, Percent) for key in PRESSURE_SHARES]
     for section, key, kind in (*places, ("pressure", "memory_faults", Hertz)):
@@ -294,55 +296,55 @@ def limits_are_in_order(root: View) -> None:
     )
 
 
-def in_order(low: View, high: View, kind: object, defaults: tuple[float, float]) -> None:
+def in_order(low: ConfigNode, high: ConfigNode, kind: object, defaults: tuple[float, float]) -> None:
     """Complain at the key that is in the file when `low` is above `high`."""
     small, big = low.quantity(kind, defaults[0]), high.quantity(kind, defaults[1])
     if small is None or big is None or small <= big:
         return
     if low.given:
-        low.complain(f"is {small:g}, above {high.path[-1]!r} which is {big:g}: allowed is {big:g} or less")
+        low.add_problem(f"is {small:g}, above {high.path[-1]!r} which is {big:g}: allowed is {big:g} or less")
     else:
-        high.complain(f"is {big:g}, below {low.path[-1]!r} which is {small:g}: allowed is {small:g} or more")
+        high.add_problem(f"is {big:g}, below {low.path[-1]!r} which is {small:g}: allowed is {small:g} or more")
 
 
-def disks_stand_once(root: View) -> None:
-    no_twins("disk", ((same_path(place.text), place) for place in root.get("host", "disks").texts))
+def disks_are_unique(root: ConfigNode) -> None:
+    report_duplicates("disk", ((same_path(place.text), place) for place in root.get("host", "disks").texts))
 
 
-def names_of_checks(root: View, known: Iterable[str], units: Iterable[str] | None) -> None:
+def names_of_checks(root: ConfigNode, known: Iterable[str], units: Iterable[str] | None) -> None:
     """`checks.<name>` must be installed; needs name checks or units of checks."""
     names = sorted(known)
     for name, check in root.get("checks").items():
         if name not in names:
-            check.complain(unknown("check", name, names) + " (`phm checks` lists them)")
+            check.add_problem(unknown("check", name, names) + " (`phm checks` lists them)")
         for need in check.get("needs").texts:
             of_check, _, subject = need.text.partition("/")
             if of_check not in names:
                 what = f"unknown need {shown(need.text)}"
                 near = unknown("check", of_check, names)
-                need.complain(f"{what}: {near} (write a check's name or the id of a unit, check/subject)")
+                need.add_problem(f"{what}: {near} (write a check's name or the id of a unit, check/subject)")
             elif subject and units is not None and need.text not in units:
                 theirs = sorted(unit for unit in units if unit.startswith(f"{of_check}/"))
-                need.complain(unknown("unit", need.text, [of_check, *theirs]))
+                need.add_problem(unknown("unit", need.text, [of_check, *theirs]))
 
 
-def names_of_recovery(root: View, actions: Iterable[str] | None, conditions: Iterable[str] | None) -> None:
+def names_of_recovery(root: ConfigNode, actions: Iterable[str] | None, conditions: Iterable[str] | None) -> None:
     """`recovery.ladders`: conditions to lists of actions."""
     for condition, ladder in root.get("recovery", "ladders").items():
         if conditions is not None and condition not in conditions:
-            ladder.complain(unknown("condition", condition, sorted(conditions)))
+            ladder.add_problem(unknown("condition", condition, sorted(conditions)))
         for action in ladder.texts:
             if actions is not None and action.text not in actions:
-                action.complain(unknown("action", action.text, sorted(actions)))
+                action.add_problem(unknown("action", action.text, sorted(actions)))
 
 
-def needs_have_no_loop(root: View, builtin: dict[str, set[str]]) -> None:
+def needs_have_no_loop(root: ConfigNode, builtin: dict[str, set[str]]) -> None:
     """The needs written in the file, together with those built in, must not run in a circle.
 
     Told at the need in the file that closes the circle; each circle once.
     """
     graph = {name: set(needs) for name, needs in builtin.items()}
-    written: list[tuple[str, str, View]] = []
+    written: list[tuple[str, str, ConfigNode]] = []
     for name, check in root.get("checks").items():
         if check.get("enabled").value is False:
             continue
@@ -357,7 +359,7 @@ def needs_have_no_loop(root: View, builtin: dict[str, set[str]]) -> None:
         way = _way(graph, need, name)
         if way is not None and frozenset(way) not in told:
             told.add(frozenset(way))
-            place.complain(f"needs run in a circle: {' -> '.join([name, *way])} (remove one of these needs)")
+            place.add_problem(f"needs run in a circle: {' -> '.join([name, *way])} (remove one of these needs)")
 
 
 def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
@@ -374,25 +376,25 @@ def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
     return None
 
 
-RULES: tuple[Callable[[View], None], ...] = (
+RULES: tuple[Callable[[ConfigNode], None], ...] = (
     containers_have_one_identity,
-    containers_are_told_apart,
-    container_parts_stand_once,
+    containers_are_unique,
+    container_parts_are_unique,
     containers_start_in_order,
     absent_files_have_no_copy,
-    repairs_are_opted_in,
-    flight_critical_is_known_to_be,
-    ros_names_stand_once,
+    recovery_keys_need_opt_in,
+    flight_critical_needs_autopilot,
+    ros_names_are_unique,
     named_containers_exist,
     relaunch_has_a_container,
     topic_nodes_exist,
     diagnostics_are_known,
     own_topics_have_no_rate,
-    endpoints_are_told_apart,
-    link_ids_are_told_apart,
+    endpoints_are_unique,
+    link_ids_are_unique,
     limits_are_in_order,
-    disks_stand_once,
-    fleet_rules.fleet_can_be_told,
-    fleet_rules.fleet_modes_fit,
-    fleet_rules.fleet_certificates_are_of_use,
+    disks_are_unique,
+    fleet_rules.fleet_has_endpoints,
+    fleet_rules.fleet_modes_match,
+    fleet_rules.fleet_certificates_are_used,
 )

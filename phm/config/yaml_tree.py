@@ -161,15 +161,15 @@ class _Builder:
         self._left -= 1
         if self._left == 0:
             self._tree.broken = True
-            self._complain(node, (), f"holds more than {MAX_VALUES} values, counting aliases (split or shorten it)")
+            self._add_problem(node, (), f"holds more than {MAX_VALUES} values, counting aliases (split or shorten it)")
             return None
         if isinstance(node, yaml.ScalarNode):
             return self._scalar(node, path)
         if any(node is parent for parent in self._open):
-            self._complain(node, path, "an alias stands inside its own anchor: write the value out")
+            self._add_problem(node, path, "an alias stands inside its own anchor: write the value out")
             return None
         if len(self._open) >= MAX_DEPTH:
-            self._complain(node, path, f"is nested deeper than {MAX_DEPTH} levels, counting aliases")
+            self._add_problem(node, path, f"is nested deeper than {MAX_DEPTH} levels, counting aliases")
             return None
         self._open.append(node)
         try:
@@ -184,15 +184,15 @@ class _Builder:
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
-                self._complain(key_node, path, "a key is a list or a mapping, allowed is a word")
+                self._add_problem(key_node, path, "a key is a list or a mapping, allowed is a word")
                 continue
             key = key_node.value
             here = (*path, key)
             if key in seen:
-                self._complain(key_node, here, f"stands twice, first in line {seen[key]}: keep one")
+                self._add_problem(key_node, here, f"stands twice, first in line {seen[key]}: keep one")
                 continue
             if key == "<<":
-                self._complain(key_node, here, "merge keys are not supported: write the keys out")
+                self._add_problem(key_node, here, "merge keys are not supported: write the keys out")
                 continue
             seen[key] = line
             self._tree.keys[here] = _mark(key_node)
@@ -202,11 +202,11 @@ class _Builder:
         try:
             text = self._expander.expand(node.value)
         except ExpandError as error:
-            self._complain(node, path, str(error))
+            self._add_problem(node, path, str(error))
             return None
         return resolve(text) if node.style is None else text
 
-    def _complain(self, node: yaml.Node, path: Path, message: str) -> None:
+    def _add_problem(self, node: yaml.Node, path: Path, message: str) -> None:
         if path not in self._tree.keys or not message.startswith("stands twice"):
             self._tree.bad.add(path)
         self._tree.problems.append(Problem(self._file, node.start_mark.line + 1, dotted(path), message))

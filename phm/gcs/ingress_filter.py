@@ -21,7 +21,7 @@ class Meter:
         self._new = (NEW_BURST, float("-inf"))
         self.refused = 0
 
-    def lets(self, sender: tuple[int, int], now: float) -> bool:
+    def allow(self, sender: tuple[int, int], now: float) -> bool:
         """Whether one more frame of a sender (system, component) is taken."""
         held = self._senders.pop(sender, None)
         if held is None:

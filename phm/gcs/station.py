@@ -154,7 +154,7 @@ class Station:
         if frame is None:
             return
         with self._inbox:
-            if not self._meter.lets(sender, at.mono):
+            if not self._meter.allow(sender, at.mono):
                 return
             if len(self._waiting) >= MAX_WAITING:
                 self._overrun += 1

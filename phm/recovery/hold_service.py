@@ -323,7 +323,7 @@ class HoldService:
         try:
             window = parse(when)
         except ValueError as error:
-            self._complain(target, f"{_name_of(target)}: the label {LABEL} is not used: {error}")
+            self._add_problem(target, f"{_name_of(target)}: the label {LABEL} is not used: {error}")
             return
         found = window.open_at(now.utc)
         if found is None or (target, found[0]) in self._holds.done():
@@ -334,7 +334,7 @@ class HoldService:
             return
         self._begin(Hold(target, WINDOW, now.mono + min(found[1], window.length_s), by, reason, found[0]))
 
-    def _complain(self, target: str, text: str) -> None:
+    def _add_problem(self, target: str, text: str) -> None:
         if (target, text) not in self._complained:
             self._complained.add((target, text))
             self._pipeline.note("HOLD", text)

@@ -89,7 +89,7 @@ class Teller:
         key = f"{event.unit} action"
         if not event.fault:
             return self._asked(event, state, key)
-        number = command.number(event.fault)
+        number = command.fault_number(event.fault)
         if event.phase is Phase.ADVISED:
             text = status_line.advise(self._agent, state.slot, event.action, event.target, number)
             return [self._ask(event.unit, Line(key, Severity.WARNING, text))]

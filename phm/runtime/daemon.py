@@ -16,8 +16,9 @@ from phm.checking import registry
 from phm.checking.pipeline import Pipeline
 from phm.checking.plan import Plan, make
 from phm.checking.scheduler import WATCH_S, Batch, Engine
-from phm.commands.control_server import Control
-from phm.commands.handler import Desk, Powers
+from phm.commands.control_server import ControlServer
+from phm.commands.handler import CommandHandler
+from phm.commands.services import CommandServices
 from phm.core import threads
 from phm.core.bus import Bus
 from phm.core.clock import Clock, SystemClock
@@ -42,8 +43,8 @@ from phm.recovery.shop import Shop
 from phm.recovery.state import State
 from phm.reporters.base import Reporter, ReporterContext
 from phm.reporters.reporter_manager import Installed
-from phm.runtime.shutdown_marker import LastEnd
-from phm.runtime.wiring import Parts, assemble
+from phm.runtime.shutdown_marker import ShutdownMarker
+from phm.runtime.wiring import Components, build_components
 from phm.tracker import Tracker
 
 logger = logging.getLogger(__name__)
@@ -79,7 +80,7 @@ class Daemon:
         if before is not None:
             before._note_subscribers()
         self._guard = guard
-        self._last_end = LastEnd(settings.state_dir)
+        self._last_end = ShutdownMarker(settings.state_dir)
         self._ended_badly = False
         self._stood_still: tuple[float, float, bool] | None = None
         self.clock = clock or SystemClock()
@@ -91,27 +92,29 @@ class Daemon:
         self._since: Stamp = before._since if before is not None else self._started
         tracker = Tracker(self.plan.tracked, self._started, fault_prefix=f"{self.boot_id[:4]}-")
         self.pipeline = Pipeline(tracker, self.bus, self.clock, self.plan.pass_limit_s)
-        self.parts: Parts = assemble(
+        self.components: Components = build_components(
             settings,
             self.clock,
             wake=self._wake,
             docker_event=self._docker_event,
             note=lambda text: self.pipeline.note("PHM", text),
             self_look=self._look_at_self,
-            hub=before.parts.mavlink if before is not None else None,
+            hub=before.components.mavlink if before is not None else None,
         )
-        self.engine = Engine(self.plan.scheduled, self.parts.world, self.clock, self._observe)
+        self.engine = Engine(self.plan.scheduled, self.components.world, self.clock, self._observe)
         self.pipeline.attach(self.engine.wake_units, self.beat_soon)
         self.reporters = Installed(self.bus)
         self.executor: Executor | None = None
         self._held = Holds()
-        self.control: Control | None = before.control if before is not None else None
-        self.desk: Desk | None = None
+        self.control: ControlServer | None = before.control if before is not None else None
+        self.desk: CommandHandler | None = None
         timeout_s = settings.mavlink.autopilot_timeout
-        self.armed = ArmedMonitor(self.parts.world.links.autopilot, timeout_s, self.clock)
-        world = HoldWorld(self.armed.now, self.parts.world.docker.container, self._acting_on, self.parts.event_stream)
+        self.armed = ArmedMonitor(self.components.world.links.autopilot, timeout_s, self.clock)
+        world = HoldWorld(
+            self.armed.now, self.components.world.docker.container, self._acting_on, self.components.event_stream
+        )
         self.holds = HoldService(settings, self._held, self.pipeline, self.bus.publish, self.clock, world)
-        self.relief = Relief(self.parts.engine, self.parts.world.docker.container, self.pipeline, self.clock)
+        self.relief = Relief(self.components.engine, self.components.world.docker.container, self.pipeline, self.clock)
         self.memory = Memory(settings, self.pipeline, self.bus, self.clock, self.armed)
         self._looks = self._stalled = 0
         self._subscribers: tuple[object, ...] = ()
@@ -130,7 +133,7 @@ class Daemon:
         self.reporters.start(self._reporter_context())
         self._start_recovery()
         self._tell_what_could_not_load()
-        self.parts.start(links=before is None)
+        self.components.start(links=before is None)
         threads.start(threading.Thread(target=self._join_networks, name="phm-join", daemon=True))
         self.engine.start()
         threads.start(self._heart)
@@ -167,20 +170,20 @@ class Daemon:
             self.executor.stop()
         closing.step("relief", self.relief.end, 1.0)
         self.engine.end()
-        self.parts.engine.close()  # cuts the calls that checks and actions wait for
+        self.components.engine.close()  # cuts the calls that checks and actions wait for
         closing.step("checks", partial(self.engine.stop, 1.0), 1.5)
         closing.step("events", partial(self.bus.close, 1.0), 1.5)
         for name, close in self.reporters.closers():
             closing.step(name, close, 1.0)
         closing.step("state", self.memory.close, 1.0)
-        for name, close in self.parts.closers():
+        for name, close in self.components.closers():
             closing.step(name, close, 1.5)
         return tuple(closing.hung)
 
     def _note_subscribers(self) -> None:
         """What listens to the links now belongs to this daemon, and what comes from now on to the next."""
-        if self.parts.mavlink is not None:
-            self._subscribers = self.parts.mavlink.subscribers()
+        if self.components.mavlink is not None:
+            self._subscribers = self.components.mavlink.subscribers()
 
     def acting(self) -> str:
         """The recovery action that is under way, empty when there is none."""
@@ -189,9 +192,9 @@ class Daemon:
 
     def keep_links(self) -> None:
         """The next daemon could not be made: what it has left at the links goes."""
-        if self.parts.mavlink is not None:
+        if self.components.mavlink is not None:
             mine = self._subscribers
-            self.parts.mavlink.forget(each for each in self.parts.mavlink.subscribers() if each not in mine)
+            self.components.mavlink.forget(each for each in self.components.mavlink.subscribers() if each not in mine)
 
     def _hand_over(self) -> State:
         """End all but links, control socket and guard, and give away what is known. The heart and the reporters end last,
@@ -204,9 +207,9 @@ class Daemon:
             self.holds.close()
             self.executor.stop()
         self.engine.end()
-        self.parts.engine.close()
+        self.components.engine.close()
         closing.step("checks", partial(self.engine.stop, 1.0), 1.5)
-        for name, close in self.parts.closers(links=False):
+        for name, close in self.components.closers(links=False):
             closing.step(name, close, 1.5)
         state = self.memory.state()
         self._stop.set()
@@ -215,8 +218,8 @@ class Daemon:
         closing.step("events", partial(self.bus.close, 1.0), 1.5)
         for name, close in self.reporters.closers(last=False):
             closing.step(name, close, 1.0)
-        if self.parts.mavlink is not None:
-            self.parts.mavlink.forget(self._subscribers)
+        if self.components.mavlink is not None:
+            self.components.mavlink.forget(self._subscribers)
         return state
 
     def alive(self) -> bool:
@@ -232,7 +235,7 @@ class Daemon:
 
     def health(self) -> dict[str, Any]:
         """PHM's own condition for `phm status`; JSON-able."""
-        fact, armed = self.parts.world.myself.look(), self.armed.now()
+        fact, armed = self.components.world.myself.look(), self.armed.now()
         critical = {"containers": critical_containers(self.settings), "armed": armed.state.value, "why": armed.why}
         return {
             "started_utc": self._since.utc,
@@ -244,8 +247,8 @@ class Daemon:
             "process": {"nice": os.getpriority(os.PRIO_PROCESS, 0), "oom_score_adj": oom_score_adj()},
             "late_percent": round(100 * self.clock.late_s(self.clock.mono() - WINDOW_S) / WINDOW_S, 1),
             **({"flight_critical": critical} if critical["containers"] else {}),
-            "ros_sandbox": self.parts.ros.sandbox if self.parts.ros is not None else None,
-            "links": self.parts.link_reports(),
+            "ros_sandbox": self.components.ros.sandbox if self.components.ros is not None else None,
+            "links": self.components.link_reports(),
             "reporters": self.reporters.reports(),
         }
 
@@ -254,7 +257,7 @@ class Daemon:
     def _observe(self, batch: Batch) -> None:
         """What the engine reported before these results were there is applied first: it may explain them."""
         if not batch.overdue:  # STALE, and brought by the heart, which waits for nobody
-            self.parts.catch_up()
+            self.components.catch_up()
         self.pipeline.observe(dict(batch.units), batch.started, batch.duration_s, overdue=batch.overdue)
 
     def _wake(self, subject: str) -> None:
@@ -270,13 +273,13 @@ class Daemon:
             self.pipeline.ended(event.key)
         if event.begins_life:
             self.pipeline.started(event.key)
-            self.parts.begun(event.key)
+            self.components.begun(event.key)
         for subject in event.subjects:
             self._wake(subject)
 
     def _look_at_self(self) -> SelfFact:
         problems = self.reporters.problems()
-        parts = (self.memory, self.control, self.parts.mavlink)
+        parts = (self.memory, self.control, self.components.mavlink)
         problems += [part.problem() for part in parts if part is not None and part.problem()]
         if self._guard is not None and self._guard.problem:
             problems.append(self._guard.problem)
@@ -302,10 +305,10 @@ class Daemon:
             self.pipeline.states,
             self.alive,
             self.health,
-            self.parts.mavlink,
+            self.components.mavlink,
             restored=self.pipeline.open_faults(),
-            ros=self.parts.ros,
-            swarm=self.parts.world.swarm,
+            ros=self.components.ros,
+            swarm=self.components.world.swarm,
             pilot=self._pilot_heard,
             radio=self._radio_heard,
             open_faults=self.pipeline.open_faults,
@@ -335,7 +338,7 @@ class Daemon:
             self.bus.subscribe("relief", relief.handle, kinds=relief.kinds, tick=relief.tick, period_s=relief.period_s)
         self.holds.start()
         if self.control is None:
-            self.control = Control(self.settings.run_dir, self.executor.approve, self.pipeline.note, self.holds)
+            self.control = ControlServer(self.settings.run_dir, self.executor.approve, self.pipeline.note, self.holds)
             self.control.start()
         else:
             self.control.serve(self.executor.approve, self.pipeline.note, self.holds)
@@ -343,10 +346,10 @@ class Daemon:
 
     def _start_desk(self, executor: Executor) -> None:
         """What the ground may ask for by MAVLink."""
-        if self.parts.mavlink is None:
+        if self.components.mavlink is None:
             return
         pipeline = self.pipeline
-        powers = Powers(
+        services = CommandServices(
             pipeline.states,
             pipeline.open_faults,
             pipeline.recent_faults,
@@ -357,26 +360,28 @@ class Daemon:
             restart=executor.restart,
             note=pipeline.note,
             later=NotNow,
-            remember=self.parts.mavlink.remember,
-            clock_problem=self.parts.mavlink.clock_problem,
+            remember=self.components.mavlink.remember,
+            clock_problem=self.components.mavlink.clock_problem,
         )
-        self.desk = Desk(self.parts.mavlink, powers, self.settings, self.clock)
+        self.desk = CommandHandler(self.components.mavlink, services, self.settings, self.clock)
         self.desk.start()
 
     def _action_context(self) -> ActionContext:
-        autopilot = self.parts.world.links.autopilot
-        return dataclasses.replace(self._docker_context(), link=self.parts.link, autopilot=autopilot, clock=self.clock)
+        autopilot = self.components.world.links.autopilot
+        return dataclasses.replace(
+            self._docker_context(), link=self.components.link, autopilot=autopilot, clock=self.clock
+        )
 
     def _docker_context(self) -> ActionContext:
-        docker = self.parts.world.docker
+        docker = self.components.world.docker
         return ActionContext(
-            self.parts.engine,
+            self.components.engine,
             self.settings,
             docker.container,
             docker.myself,
-            self.parts.remembered,
-            listed_nodes=lambda: self.parts.world.ros.look().nodes,
-            reopen=self.parts.reopen,
+            self.components.remembered,
+            listed_nodes=lambda: self.components.world.ros.look().nodes,
+            reopen=self.components.reopen,
             on_hold=self._hold_words,
             relief=self.relief,
         )
@@ -384,7 +389,7 @@ class Daemon:
     def _publish_action(self, event: Event) -> None:
         self.bus.publish(event)
         if isinstance(event, ActionEvent) and event.phase is Phase.DONE and event.action == "join":
-            self.parts.renew_ros("PHM joined a network")
+            self.components.renew_ros("PHM joined a network")
 
     def _acting_on(self, container: str) -> bool:
         return self.executor is not None and self.executor.acting_on(container)
@@ -395,10 +400,10 @@ class Daemon:
     def _radio_heard(self) -> bool:
         """As the radio's check, a radio counts as silent after two and a half of its own pauses."""
         least_s = self.settings.mavlink.radio_timeout
-        return any(radio.silent_s <= max(least_s, 2.5 * radio.due_s) for radio in self.parts.world.links.radios())
+        return any(radio.silent_s <= max(least_s, 2.5 * radio.due_s) for radio in self.components.world.links.radios())
 
     def _pilot_heard(self) -> bool:
-        pilot = self.parts.world.links.autopilot()
+        pilot = self.components.world.links.autopilot()
         return pilot is not None and pilot.silent_s <= self.settings.mavlink.autopilot_timeout
 
     def _join_networks(self) -> None:
@@ -418,7 +423,7 @@ class Daemon:
             else:
                 if done:
                     self.pipeline.note("ACTION", done)
-        self.parts.start_ros()
+        self.components.start_ros()
 
     def _tell_what_could_not_load(self) -> None:
         groups: tuple[tuple[str, type], ...] = (
@@ -449,7 +454,7 @@ class Daemon:
                     self.pipeline.begin_pass()
                     next_pass = max(next_pass + self.settings.interval, now)
                 calm_s = min(CALM_S, self.engine.look_for_overdue(), next_pass - now)
-                if self.parts.caught_up():
+                if self.components.caught_up():
                     self.pipeline.tick()
             except Exception:  # a defect that shows in one beat must not end all: passes and deadlines hang on it
                 logger.exception("the heart missed a beat")
@@ -470,7 +475,7 @@ def once(settings: Settings, clock: Clock | None = None) -> tuple[UnitState, ...
     longest_grace_s = max((entry.unit.grace_s + entry.unit.settle_s for entry in daemon.plan.tracked), default=0.0)
     end = clock.mono() + longest_grace_s + daemon.plan.pass_limit_s
     try:
-        daemon.parts.start_ros()
+        daemon.components.start_ros()
         daemon.engine.start()
         tick = threading.Event()
         while clock.mono() < end:
@@ -483,4 +488,4 @@ def once(settings: Settings, clock: Clock | None = None) -> tuple[UnitState, ...
         return daemon.pipeline.states()
     finally:
         daemon.engine.stop(0.5)
-        daemon.parts.close()
+        daemon.components.close()

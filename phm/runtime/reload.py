@@ -32,7 +32,7 @@ Read = Callable[[], Settings]
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ReloadOutcome:
     """What came of it. `changed`: sections that apply now; `restart`: those that need a restart of PHM and stay as they were."""
 
     ok: bool
@@ -61,7 +61,7 @@ class _Asked:
     """One `phm reload` that waits for its answer."""
 
     done: threading.Event = field(default_factory=threading.Event)
-    outcome: Outcome | None = None
+    outcome: ReloadOutcome | None = None
 
 
 class Reloader:
@@ -79,7 +79,7 @@ class Reloader:
             self._waiting.append(asked)
         os.kill(os.getpid(), signal.SIGHUP)
         if not asked.done.wait(ANSWER_S) or asked.outcome is None:
-            return Outcome(False, why=f"PHM has not come to it within {ANSWER_S:g} s").as_json()
+            return ReloadOutcome(False, why=f"PHM has not come to it within {ANSWER_S:g} s").as_json()
         return asked.outcome.as_json()
 
     def run(self, daemon: Daemon) -> Daemon:
@@ -90,7 +90,7 @@ class Reloader:
             daemon, outcome = self._reload(daemon)
         except Exception as error:  # a defect here must not end PHM
             logger.exception("the configuration could not be reloaded")
-            outcome = Outcome(False, why=f"{type(error).__name__}: {error}")
+            outcome = ReloadOutcome(False, why=f"{type(error).__name__}: {error}")
         if not outcome.ok:
             for problem in outcome.problems:
                 logger.error("%s", problem)
@@ -100,27 +100,27 @@ class Reloader:
             asked.done.set()
         return daemon
 
-    def _reload(self, daemon: Daemon) -> tuple[Daemon, Outcome]:
+    def _reload(self, daemon: Daemon) -> tuple[Daemon, ReloadOutcome]:
         try:
             wanted = self._read()
         except ConfigError as error:
-            return daemon, Outcome(False, problems=error.problems)
+            return daemon, ReloadOutcome(False, problems=error.problems)
         old = daemon.settings
         sections = [name for name in type(old).model_fields if getattr(old, name) != getattr(wanted, name)]
         restart = tuple(name for name in sections if name in FIXED)
         changed = tuple(name for name in sections if name not in FIXED)
         if not changed:
-            return daemon, Outcome(True, restart=restart)
+            return daemon, ReloadOutcome(True, restart=restart)
         if busy := daemon.acting():
-            return daemon, Outcome(False, why=f"an action is under way ({busy}): reload again when it has ended")
+            return daemon, ReloadOutcome(False, why=f"an action is under way ({busy}): reload again when it has ended")
         usable = wanted.model_copy(update={name: getattr(old, name) for name in FIXED})
         try:
             new = Daemon(usable, daemon.clock, self._guard, before=daemon)
         except NeedsLoop as error:
             daemon.keep_links()
-            return daemon, Outcome(False, why=f"checks: {error}")
+            return daemon, ReloadOutcome(False, why=f"checks: {error}")
         except Exception:
             daemon.keep_links()
             raise
         new.start()
-        return new, Outcome(True, changed, restart)
+        return new, ReloadOutcome(True, changed, restart)

@@ -10,7 +10,7 @@ from phm.wire.status_file import place
 NAME = "running"
 
 
-class LastEnd:
+class ShutdownMarker:
     """The machine's boot id stands in the file: a power cut is no crash of PHM, and vehicles are switched off like that.
 
     A folder that cannot be written is told by whoever keeps more there (`phm.recovery.state_file`).

@@ -1,6 +1,6 @@
 """Makes the parts that touch the outside: the engine's client, probes, MAVLink endpoints, the ROS child.
 
-One place knows which class stands behind which protocol of `phm.facts`; the daemon only holds `Parts`.
+One place knows which class stands behind which protocol of `phm.facts`; the daemon only holds `Components`.
 Nothing is opened by making the parts: that is `start`'s doing.
 """
 
@@ -28,11 +28,11 @@ from phm.probes.swarm import Swarm
 from phm.transport.docker import Engine
 from phm.transport.mavlink import MavlinkHub
 
-SelfLook = Callable[[], SelfFact]
+ReadSelf = Callable[[], SelfFact]
 """What the daemon knows of itself."""
 
 
-class NoRos:
+class RosNotConfigured:
     """Stands in where the configuration names no node and no topic: no child process is started."""
 
     def look(self) -> RosFact:
@@ -40,10 +40,10 @@ class NoRos:
 
 
 @dataclass(frozen=True)
-class Myself:
+class SelfProbe:
     """PHM as a probe of itself: the daemon's own knowledge and the ROS child's restarts."""
 
-    self_look: SelfLook
+    self_look: ReadSelf
     ros: RosProcess | None
     links: Links
 
@@ -55,7 +55,7 @@ class Myself:
 
 
 @dataclass(frozen=True)
-class Parts:
+class Components:
     """Everything that has threads or sockets of its own, and the world made of it."""
 
     engine: Engine
@@ -140,17 +140,17 @@ class Parts:
             close()
 
 
-def assemble(
+def build_components(
     settings: Settings,
     clock: Clock,
     *,
     wake: Callable[[str], None],
     docker_event: Callable[[DockerEvent], None],
     note: Callable[[str], None],
-    self_look: SelfLook,
+    self_look: ReadSelf,
     hub: MavlinkHub | None = None,
-) -> Parts:
-    """Make the parts that this configuration needs; see `Parts.start` for when they begin. `hub`: one that runs already."""
+) -> Components:
+    """Make the parts that this configuration needs; see `Components.start` for when they begin. `hub`: one that runs already."""
     engine = Engine(settings.docker.socket, settings.docker.timeout, clock)
     asked = Docker(engine, settings, clock)
     docker = RememberingDocker(asked)
@@ -166,7 +166,7 @@ def assemble(
     links = Links(hub, settings, clock, lambda: wake("link"))
     swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"), links.deaf)
     ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None
-    probe: RosProbe = ros if ros is not None else NoRos()
+    probe: RosProbe = ros if ros is not None else RosNotConfigured()
     world = World(
         clock=clock,
         docker=docker,
@@ -176,10 +176,10 @@ def assemble(
         ros=probe,
         links=links,
         swarm=swarm,
-        myself=Myself(self_look, ros, links),
+        myself=SelfProbe(self_look, ros, links),
         pressure=Pressure(engine, docker, settings, clock),
     )
-    return Parts(engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, world)
+    return Components(engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, world)
 
 
 def _addressed(settings: Settings) -> bool:

@@ -32,7 +32,7 @@ LARGEST = 2**24
 """Up to here a float of 32 bits holds every whole number."""
 
 
-class Result(IntEnum):
+class CommandResult(IntEnum):
     """The part of MAV_RESULT that is used."""
 
     ACCEPTED = 0
@@ -42,7 +42,7 @@ class Result(IntEnum):
     FAILED = 4
 
 
-class Word(str, Enum):
+class Permission(str, Enum):
     """What the configuration allows one by one (`mavlink.commands`). The first two only read."""
 
     STATUS = "status"
@@ -52,11 +52,11 @@ class Word(str, Enum):
     RESTART = "restart"
 
 
-READS = frozenset((Word.STATUS, Word.DETAILS))
+READ_ONLY = frozenset((Permission.STATUS, Permission.DETAILS))
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class Command:
     """One command as it came. `whole`: addressed to all components of this system and not to this one alone. `age_s`: how long
     ago it was signed, seconds."""
 
@@ -77,21 +77,21 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
-class Send:
+class SendMessage:
     """One message, now."""
 
     message: int
 
 
 @dataclass(frozen=True, slots=True)
-class Tell:
+class SendDetails:
     """The text about a fault; `fault` is its number, 0 for the newest open one."""
 
     fault: int
 
 
 @dataclass(frozen=True, slots=True)
-class Repeat:
+class RepeatMessage:
     """A message again and again, `every_s` seconds apart; 0: no more."""
 
     message: int
@@ -99,90 +99,95 @@ class Repeat:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class RunChecks:
     """Run all checks now."""
 
 
 @dataclass(frozen=True, slots=True)
-class Approve:
+class ApproveAction:
     """Say yes to what is advised for this fault."""
 
     fault: int
 
 
 @dataclass(frozen=True, slots=True)
-class Restart:
+class RestartContainer:
     """Restart a container, by its place in the configuration, from 1."""
 
     place: int
 
 
-Wish = Send | Tell | Repeat | Look | Approve | Restart
+Request = SendMessage | SendDetails | RepeatMessage | RunChecks | ApproveAction | RestartContainer
 
 
-class Unknown(Exception):
+class UnknownCommand(Exception):
     """The command means nothing here: another component's, or a newer PHM's."""
 
 
-class Wrong(Exception):
+class InvalidParameters(Exception):
     """The command is known and its parameters are not allowed; the message says which."""
 
 
-def understand(command: int, params: tuple[float, float]) -> Wish:
+def parse(command: int, params: tuple[float, float]) -> Request:
     """What is wished. params: param1 and param2. Raises Unknown and Wrong."""
     if command not in (REQUEST_MESSAGE, SET_MESSAGE_INTERVAL, USER_1):
-        raise Unknown(f"command {command}")
+        raise UnknownCommand(f"command {command}")
     what = _whole(params[0], "param1")
     if command == REQUEST_MESSAGE:
         return _message(what, params[1])
     return _repeat(what, params[1]) if command == SET_MESSAGE_INTERVAL else _operation(what, params[1])
 
 
-def word(wish: Wish) -> Word:
+def required_permission(request: Request) -> Permission:
     """What must be allowed for it."""
-    if isinstance(wish, (Send, Repeat)):
-        return Word.DETAILS if wish.message == TUNNEL else Word.STATUS
-    words: dict[type, Word] = {Tell: Word.DETAILS, Look: Word.CHECK, Approve: Word.APPROVE, Restart: Word.RESTART}
-    return words[type(wish)]
+    if isinstance(request, (SendMessage, RepeatMessage)):
+        return Permission.DETAILS if request.message == TUNNEL else Permission.STATUS
+    words: dict[type, Permission] = {
+        SendDetails: Permission.DETAILS,
+        RunChecks: Permission.CHECK,
+        ApproveAction: Permission.APPROVE,
+        RestartContainer: Permission.RESTART,
+    }
+    return words[type(request)]
 
 
-def number(fault_id: str) -> int | None:
+def fault_number(fault_id: str) -> int | None:
     """The number of a fault by its id, None when the id has none."""
     digits = fault_id.rpartition("-")[2]
     return int(digits) if digits.isascii() and digits.isdigit() and len(digits) < 10 else None
 
 
-def _message(what: int, second: float) -> Wish:
+def _message(what: int, second: float) -> Request:
     if what == TUNNEL:
         # NaN is what a ground station puts into a parameter that it does not use.
-        return Tell(0 if math.isnan(second) else _whole(second, "param2"))
+        return SendDetails(0 if math.isnan(second) else _whole(second, "param2"))
     if what in (HEARTBEAT, STATUSTEXT, ONBOARD_COMPUTER_STATUS):
-        return Send(what)
-    raise Unknown(f"message {what}")
+        return SendMessage(what)
+    raise UnknownCommand(f"message {what}")
 
 
-def _repeat(what: int, interval_us: float) -> Wish:
+def _repeat(what: int, interval_us: float) -> Request:
     if what not in SHORTEST_S:
-        raise Unknown(f"the interval of message {what}")
+        raise UnknownCommand(f"the interval of message {what}")
     if interval_us in (-1.0, 0.0):
-        return Repeat(what, 0.0)
+        return RepeatMessage(what, 0.0)
     if not SHORTEST_S[what] * 1e6 <= interval_us <= 3600e6:  # NaN is not, either
-        raise Wrong(f"param2 must be -1, 0 or {SHORTEST_S[what]:g} s to 1 h in microseconds")
-    return Repeat(what, interval_us / 1e6)
+        raise InvalidParameters(f"param2 must be -1, 0 or {SHORTEST_S[what]:g} s to 1 h in microseconds")
+    return RepeatMessage(what, interval_us / 1e6)
 
 
-def _operation(what: int, second: float) -> Wish:
+def _operation(what: int, second: float) -> Request:
     if what == CHECK:
-        return Look()
+        return RunChecks()
     if what not in (APPROVE, RESTART):
-        raise Unknown(f"operation {what}")
+        raise UnknownCommand(f"operation {what}")
     chosen = _whole(second, "param2")
     if chosen == 0:
-        raise Wrong("param2 must be 1 or more")
-    return Approve(chosen) if what == APPROVE else Restart(chosen)
+        raise InvalidParameters("param2 must be 1 or more")
+    return ApproveAction(chosen) if what == APPROVE else RestartContainer(chosen)
 
 
 def _whole(value: float, name: str) -> int:
     if not (0 <= value <= LARGEST and value == int(value)):  # NaN and infinity fail the first half
-        raise Wrong(f"{name} must be a whole number from 0 to {LARGEST}")
+        raise InvalidParameters(f"{name} must be a whole number from 0 to {LARGEST}")
     return int(value)

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
-from phm.commands.control_server import Control
+from phm.commands.control_server import ControlServer
 from phm.core.clock import SystemClock
 from phm.core.settings import Settings
 from phm.reporters.base import ReporterContext
@@ -20,7 +20,7 @@ from phm.reporters.status import Status
 from phm.wire import control as wire
 
 
-class Desk:
+class HoldService:
     """Grants every hold but that of `nobody`, and notes what was asked for."""
 
     def __init__(self) -> None:
@@ -38,9 +38,9 @@ class Desk:
 
 
 @pytest.fixture
-def desk(tmp_path: Path) -> Iterator[Desk]:
-    made = Desk()
-    control = Control(str(tmp_path), lambda fault: "", lambda kind, text: None, made)
+def holds(tmp_path: Path) -> Iterator[HoldService]:
+    made = HoldService()
+    control = ControlServer(str(tmp_path), lambda fault: "", lambda kind, text: None, made)
     control.start()
     end = time.monotonic() + 30
     while not (tmp_path / wire.NAME).exists():
@@ -64,20 +64,22 @@ def phm(folder: Path, *words: str) -> tuple[int, str]:
         (("app",), ("app", None, "")),
     ],
 )
-def test_a_hold_reaches_the_daemon(desk: Desk, tmp_path: Path, words: tuple[str, ...], asked: tuple[Any, ...]) -> None:
+def test_a_hold_reaches_the_daemon(
+    holds: HoldService, tmp_path: Path, words: tuple[str, ...], asked: tuple[Any, ...]
+) -> None:
     """Seconds, the reason, and who asks, as the kernel knows it."""
     assert phm(tmp_path, "hold", *words) == (0, f"{asked[0]} is on hold\n")
-    assert desk.asked == [(*asked, "operator (uid 0)")]
+    assert holds.asked == [(*asked, "operator (uid 0)")]
 
 
-def test_a_release_reaches_the_daemon(desk: Desk, tmp_path: Path) -> None:
+def test_a_release_reaches_the_daemon(holds: HoldService, tmp_path: Path) -> None:
     """Of one container, or of everything."""
     assert phm(tmp_path, "release", "app") == (0, "released: app\n")
     assert phm(tmp_path, "release")[0] == 0
-    assert desk.asked == [("app", "operator (uid 0)"), ("", "operator (uid 0)")]
+    assert holds.asked == [("app", "operator (uid 0)"), ("", "operator (uid 0)")]
 
 
-def test_a_refusal_is_said_with_its_reason(desk: Desk, tmp_path: Path) -> None:
+def test_a_refusal_is_said_with_its_reason(holds: HoldService, tmp_path: Path) -> None:
     """Exit code 1."""
     code, said = phm(tmp_path, "hold", "nobody")
     assert (code, "there is no container" in said) == (1, True)
@@ -85,17 +87,17 @@ def test_a_refusal_is_said_with_its_reason(desk: Desk, tmp_path: Path) -> None:
     assert code == 1 and json.loads(said)["ok"] is False
 
 
-def test_json_has_the_hold_as_data(desk: Desk, tmp_path: Path) -> None:
+def test_json_has_the_hold_as_data(holds: HoldService, tmp_path: Path) -> None:
     """What `phm status --json` lists, too."""
     code, said = phm(tmp_path, "hold", "app", "--for", "5s", "--json")
     assert (code, json.loads(said)) == (0, {"ok": True, "text": "app is on hold", "container": "app", "left_s": 5.0})
 
 
 @pytest.mark.parametrize("length", ["10", "ten", "-5s", "5d", "nans", ""])
-def test_a_bad_duration_is_a_mistake_of_usage(desk: Desk, tmp_path: Path, length: str) -> None:
+def test_a_bad_duration_is_a_mistake_of_usage(holds: HoldService, tmp_path: Path, length: str) -> None:
     """With what is allowed."""
     code, said = phm(tmp_path, "hold", "app", "--for", length)
-    assert (code, "10min" in said, desk.asked) == (2, True, [])
+    assert (code, "10min" in said, holds.asked) == (2, True, [])
 
 
 @pytest.mark.parametrize(
@@ -111,11 +113,11 @@ def test_a_bad_duration_is_a_mistake_of_usage(desk: Desk, tmp_path: Path, length
         {"do": "release", "container": "app", "reason": ""},
     ],
 )
-def test_a_request_that_is_none_changes_nothing(desk: Desk, tmp_path: Path, request_: dict[str, Any]) -> None:
+def test_a_request_that_is_none_changes_nothing(holds: HoldService, tmp_path: Path, request_: dict[str, Any]) -> None:
     """Missing, further or wrong keys are refused, also a name that the asker gives to himself."""
     with pytest.raises(wire.Refused):
         wire.ask(str(tmp_path), request_)
-    assert desk.asked == []
+    assert holds.asked == []
     assert wire.ask(str(tmp_path), {"do": "ping"}) == "PHM is here"
 
 

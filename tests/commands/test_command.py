@@ -9,46 +9,46 @@ import struct
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.commands.authorize import Do, Ignore, Refuse, addressed, judge
+from phm.commands.authorization import Accept, Deny, Ignore, authorize, is_addressed_to
 from phm.wire.command import (
-    Approve,
-    Asked,
-    Look,
-    Repeat,
-    Restart,
-    Result,
-    Send,
-    Tell,
-    Unknown,
-    Wish,
-    Word,
-    Wrong,
-    number,
-    understand,
-    word,
+    ApproveAction,
+    Command,
+    CommandResult,
+    InvalidParameters,
+    Permission,
+    RepeatMessage,
+    Request,
+    RestartContainer,
+    RunChecks,
+    SendDetails,
+    SendMessage,
+    UnknownCommand,
+    fault_number,
+    parse,
+    required_permission,
 )
 
 NAN, INF = math.nan, math.inf
-WORDS = frozenset(each.value for each in Word)
+WORDS = frozenset(each.value for each in Permission)
 FLOATS = st.integers(0, 2**32 - 1).map(lambda bits: struct.unpack("<f", struct.pack("<I", bits))[0])
 """Every value that a parameter can have on the wire."""
 
-KNOWN: list[tuple[int, float, float, Wish, Word]] = [
-    (512, 0, 0, Send(0), Word.STATUS),
-    (512, 253, 0, Send(253), Word.STATUS),
-    (512, 390, NAN, Send(390), Word.STATUS),
-    (512, 385, 0, Tell(0), Word.DETAILS),
-    (512, 385, NAN, Tell(0), Word.DETAILS),
-    (512, 385, 17, Tell(17), Word.DETAILS),
-    (511, 253, 2e6, Repeat(253, 2.0), Word.STATUS),
-    (511, 390, 5e6, Repeat(390, 5.0), Word.STATUS),
-    (511, 390, -1, Repeat(390, 0.0), Word.STATUS),
-    (511, 253, 0, Repeat(253, 0.0), Word.STATUS),
-    (511, 385, 1e7, Repeat(385, 10.0), Word.DETAILS),
-    (31010, 1, 0, Look(), Word.CHECK),
-    (31010, 1, NAN, Look(), Word.CHECK),
-    (31010, 2, 17, Approve(17), Word.APPROVE),
-    (31010, 3, 1, Restart(1), Word.RESTART),
+KNOWN: list[tuple[int, float, float, Request, Permission]] = [
+    (512, 0, 0, SendMessage(0), Permission.STATUS),
+    (512, 253, 0, SendMessage(253), Permission.STATUS),
+    (512, 390, NAN, SendMessage(390), Permission.STATUS),
+    (512, 385, 0, SendDetails(0), Permission.DETAILS),
+    (512, 385, NAN, SendDetails(0), Permission.DETAILS),
+    (512, 385, 17, SendDetails(17), Permission.DETAILS),
+    (511, 253, 2e6, RepeatMessage(253, 2.0), Permission.STATUS),
+    (511, 390, 5e6, RepeatMessage(390, 5.0), Permission.STATUS),
+    (511, 390, -1, RepeatMessage(390, 0.0), Permission.STATUS),
+    (511, 253, 0, RepeatMessage(253, 0.0), Permission.STATUS),
+    (511, 385, 1e7, RepeatMessage(385, 10.0), Permission.DETAILS),
+    (31010, 1, 0, RunChecks(), Permission.CHECK),
+    (31010, 1, NAN, RunChecks(), Permission.CHECK),
+    (31010, 2, 17, ApproveAction(17), Permission.APPROVE),
+    (31010, 3, 1, RestartContainer(1), Permission.RESTART),
 ]
 WRONG = [
     (512, NAN, 0),
@@ -89,38 +89,40 @@ UNKNOWN = [
 ]
 
 
-@pytest.mark.parametrize(("command", "first", "second", "wish", "needed"), KNOWN)
-def test_each_command_means_one_thing(command: int, first: float, second: float, wish: Wish, needed: Word) -> None:
+@pytest.mark.parametrize(("command", "first", "second", "wanted", "needed"), KNOWN)
+def test_each_command_means_one_thing(
+    command: int, first: float, second: float, wanted: Request, needed: Permission
+) -> None:
     """The table of the contract, and the word that allows it."""
-    assert understand(command, (first, second)) == wish
-    assert word(wish) is needed
+    assert parse(command, (first, second)) == wanted
+    assert required_permission(wanted) is needed
 
 
 @pytest.mark.parametrize("given_", WRONG)
 def test_parameters_outside_of_the_contract_are_wrong(given_: tuple[int, float, float]) -> None:
     """Nothing is rounded and nothing guessed."""
-    with pytest.raises(Wrong, match=r"param[12] must be"):
-        understand(given_[0], given_[1:])
+    with pytest.raises(InvalidParameters, match=r"param[12] must be"):
+        parse(given_[0], given_[1:])
 
 
 @pytest.mark.parametrize("given_", UNKNOWN)
 def test_what_the_contract_does_not_name_is_unknown(given_: tuple[int, float, float]) -> None:
     """Commands of the autopilot above all: arming (400 is it) and rebooting (246)."""
-    with pytest.raises(Unknown):
-        understand(given_[0], given_[1:])
+    with pytest.raises(UnknownCommand):
+        parse(given_[0], given_[1:])
 
 
 @given(st.one_of(st.integers(0, 65535), st.sampled_from([511, 512, 31010])), FLOATS, FLOATS)
 def test_any_numbers_are_understood_or_refused(command: int, first: float, second: float) -> None:
     """No bit pattern raises anything else, and what is understood is within the contract."""
     try:
-        wish = understand(command, (first, second))
-    except (Unknown, Wrong):
+        wanted = parse(command, (first, second))
+    except (UnknownCommand, InvalidParameters):
         return
-    if isinstance(wish, Repeat):
-        assert wish.every_s == 0 or 2.0 <= wish.every_s <= 3600.0
-    if isinstance(wish, (Approve, Restart)):
-        assert second == (wish.fault if isinstance(wish, Approve) else wish.place) >= 1
+    if isinstance(wanted, RepeatMessage):
+        assert wanted.every_s == 0 or 2.0 <= wanted.every_s <= 3600.0
+    if isinstance(wanted, (ApproveAction, RestartContainer)):
+        assert second == (wanted.fault if isinstance(wanted, ApproveAction) else wanted.place) >= 1
 
 
 @pytest.mark.parametrize(
@@ -128,31 +130,31 @@ def test_any_numbers_are_understood_or_refused(command: int, first: float, secon
 )
 def test_a_faults_number_is_what_stands_behind_its_dash(name: str, expected: int | None) -> None:
     """An id of another form has no number."""
-    assert number(name) == expected
+    assert fault_number(name) == expected
 
 
-def asked(command: int, first: float, second: float, *, signed: bool = False, whole: bool = False) -> Asked:
-    return Asked(command, (first, second), 0, 255, 190, "radio", signed, whole)
+def asked(command: int, first: float, second: float, *, signed: bool = False, whole: bool = False) -> Command:
+    return Command(command, (first, second), 0, 255, 190, "radio", signed, whole)
 
 
 def test_a_command_is_done_if_its_word_is_allowed_and_it_is_signed_where_signing_is_on() -> None:
     """Every known command x every set of allowed words x signed or not x signing on or off x to all or to us."""
     done = 0
     sets = [frozenset(chosen) for size in range(6) for chosen in itertools.combinations(sorted(WORDS), size)]
-    for (command, first, second, wish, needed), allowed, signed, signing, whole in itertools.product(
+    for (command, first, second, wanted, needed), allowed, signed, signing, whole in itertools.product(
         KNOWN, sets, (False, True), (False, True), (False, True)
     ):
-        verdict = judge(asked(command, first, second, signed=signed, whole=whole), allowed, signing=signing)
-        acts = needed in (Word.CHECK, Word.APPROVE, Word.RESTART)
+        authorization = authorize(asked(command, first, second, signed=signed, whole=whole), allowed, signing=signing)
+        acts = needed in (Permission.CHECK, Permission.APPROVE, Permission.RESTART)
         if whole and acts:
-            assert isinstance(verdict, Ignore)
+            assert isinstance(authorization, Ignore)
         elif (signing and not signed) or needed.value not in allowed:
-            assert isinstance(verdict, Refuse)
-            assert verdict.result is Result.DENIED
+            assert isinstance(authorization, Deny)
+            assert authorization.result is CommandResult.DENIED
         else:
-            assert verdict == Do(wish)
+            assert authorization == Accept(wanted)
             done += 1
-    assert done == 3 * 16 * (len(KNOWN) + sum(1 for row in KNOWN if row[4] in (Word.STATUS, Word.DETAILS)))
+    assert done == 3 * 16 * (len(KNOWN) + sum(1 for row in KNOWN if row[4] in (Permission.STATUS, Permission.DETAILS)))
 
 
 @pytest.mark.parametrize("given_", UNKNOWN)
@@ -160,22 +162,22 @@ def test_unknown_commands_are_answered_only_when_they_were_meant_for_us_alone(
     given_: tuple[int, float, float],
 ) -> None:
     """To all components: the answer is another one's to give."""
-    verdict = judge(asked(*given_), WORDS, signing=False)
-    assert isinstance(verdict, Refuse)
-    assert verdict.result is Result.UNSUPPORTED
-    assert judge(asked(*given_, whole=True), WORDS, signing=False) == Ignore()
+    authorization = authorize(asked(*given_), WORDS, signing=False)
+    assert isinstance(authorization, Deny)
+    assert authorization.result is CommandResult.UNSUPPORTED
+    assert authorize(asked(*given_, whole=True), WORDS, signing=False) == Ignore()
 
 
 @pytest.mark.parametrize("given_", WRONG)
 def test_wrong_parameters_are_denied(given_: tuple[int, float, float]) -> None:
     """With the reason for the log."""
-    verdict = judge(asked(*given_), WORDS, signing=False)
-    assert isinstance(verdict, Refuse)
-    assert verdict.result is Result.DENIED
-    assert "param" in verdict.why
+    authorization = authorize(asked(*given_), WORDS, signing=False)
+    assert isinstance(authorization, Deny)
+    assert authorization.result is CommandResult.DENIED
+    assert "param" in authorization.why
 
 
 def test_only_our_system_is_addressed_and_our_component_or_all() -> None:
     """Every pair of ids, against system 7 component 193."""
-    found = {(s, c) for s in range(256) for c in range(256) if addressed(s, c, 7, 193)}
+    found = {(s, c) for s in range(256) for c in range(256) if is_addressed_to(s, c, 7, 193)}
     assert found == {(7, 193), (7, 0)}

@@ -7,7 +7,8 @@ from typing import Any
 
 from hypothesis import HealthCheck, assume, example, given, settings as hypothesis_settings, strategies as st
 
-from phm.commands.handler import MAX_WAITING, Desk, Powers
+from phm.commands.handler import MAX_WAITING, CommandHandler
+from phm.commands.services import CommandServices
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
@@ -31,7 +32,7 @@ class Scene:
         signer = Signer(self.signing, 0, unsigned_of("vehicle")) if signs else None
         self.codec = Codec(7, 193, IDS.__contains__, signer)
         self.parser = self.codec.parser()
-        powers = Powers(
+        services = CommandServices(
             tuple,
             tuple,
             tuple,
@@ -44,7 +45,7 @@ class Scene:
             later=TimeoutError,
         )
         chosen = settings(agent={"id": 7}, containers=[{"name": "app"}], mavlink={"commands": ALL})
-        self.desk = Desk(self, powers, chosen, self.clock)
+        self.handler = CommandHandler(self, services, chosen, self.clock)
 
     def _do(self, what: str) -> str:
         self.did.append(what)
@@ -66,11 +67,11 @@ class Scene:
             self.heard += 1
             if message.get_msgId() in (75, 76):
                 self.callback(message, "radio")
-        self.desk.turn()
+        self.handler.turn()
 
     def state(self) -> tuple[object, ...]:
         """What hostile bytes must not change."""
-        return dict(self.signing._streams), self.signing._time, dict(self.desk._repeats), list(self.did)
+        return dict(self.signing._streams), self.signing._time, dict(self.handler._repeats), list(self.did)
 
     def obeys(self) -> bool:
         """Whether a true command still gets through, behind whatever came."""
@@ -213,6 +214,6 @@ def test_a_flood_leaves_room_for_the_true_command(floods: list[tuple[int, int, i
         message = mavlink.MAVLink_command_long_message(7, 193, 31010, again, 3, 1, 0, 0, 0, 0, 0)
         for heard in scene.parser.feed(Sender(system, component).frame(message)):
             scene.callback(heard, "radio")
-        assert len(scene.desk._waiting) <= MAX_WAITING
+        assert len(scene.handler._waiting) <= MAX_WAITING
     scene.feed(command(ticks(NOW)))
     assert scene.did == ["app"]

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from phm.commands.handler import Desk, Powers
+from phm.commands.handler import CommandHandler
+from phm.commands.services import CommandServices
 from phm.core.clock import SystemClock
 from phm.core.settings import MavlinkSettings
 from phm.testing import settings
@@ -23,7 +24,7 @@ mavutil.set_dialect("common")
 
 
 class Aboard:
-    """A hub of agent 7 with its desk, listening by UDP; `did` is what was done."""
+    """A hub of agent 7 with its handler, listening by UDP; `did` is what was done."""
 
     def __init__(self, port: int, key: Path | None = None) -> None:
         chosen = settings(
@@ -39,7 +40,7 @@ class Aboard:
         self.did: list[str] = []
         self.notes: list[str] = []
         self.hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
-        powers = Powers(
+        services = CommandServices(
             tuple,
             tuple,
             tuple,
@@ -51,12 +52,12 @@ class Aboard:
             note=lambda kind, text: self.notes.append(text),
             later=TimeoutError,
         )
-        self.desk = Desk(self.hub, powers, chosen, SystemClock())
+        self.handler = CommandHandler(self.hub, services, chosen, SystemClock())
         self.hub.start()
-        self.desk.start()
+        self.handler.start()
 
     def close(self) -> None:
-        self.desk.close()
+        self.handler.close()
         self.hub.close()
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from phm.commands.handler import Desk, Powers
+from phm.commands.handler import CommandHandler
+from phm.commands.services import CommandServices
 from phm.core.clock import SystemClock
 from phm.core.settings import MavlinkSettings
 from phm.testing import settings
@@ -58,7 +59,7 @@ class Aboard:
         )
         self.heard: list[Any] = []
         self.hub.listen(lambda message, link: self.heard.append(message), (0,))
-        powers = Powers(
+        services = CommandServices(
             tuple,
             tuple,
             tuple,
@@ -72,9 +73,9 @@ class Aboard:
             remember=self.hub.remember,
             clock_problem=self.hub.clock_problem,
         )
-        self.desk = Desk(self.hub, powers, chosen, clock)
+        self.handler = CommandHandler(self.hub, services, chosen, clock)
         self.hub.start()
-        self.desk.start()
+        self.handler.start()
         until(self.hub.links, "the port opening")
 
     def _restart(self, key: str, by: str) -> str:
@@ -82,7 +83,7 @@ class Aboard:
         return key
 
     def close(self) -> None:
-        self.desk.close()
+        self.handler.close()
         self.hub.close()
 
 

@@ -15,17 +15,19 @@ import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
-from phm.commands.control_server import MAX_CONNECTIONS, Control, HoldDesk
+from phm.commands.control_server import MAX_CONNECTIONS, ControlServer, HoldController
 from phm.wire import control as wire
 
 
 class Daemon:
     """A control socket with what it was asked for."""
 
-    def __init__(self, run_dir: Path, holds: HoldDesk | None = None) -> None:
+    def __init__(self, run_dir: Path, holds: HoldController | None = None) -> None:
         self.run_dir = run_dir
         self.notes: list[tuple[str, str]] = []
-        self.control = Control(str(run_dir), self.approve, lambda kind, text: self.notes.append((kind, text)), holds)
+        self.control = ControlServer(
+            str(run_dir), self.approve, lambda kind, text: self.notes.append((kind, text)), holds
+        )
         self.control.start()
         self.until(lambda: (run_dir / wire.NAME).exists())
 
@@ -182,7 +184,7 @@ def test_only_root_and_its_own_user_may_ask(daemon: Daemon, monkeypatch: pytest.
 def test_a_run_dir_that_cannot_be_made_is_a_problem(tmp_path: Path) -> None:
     """Told in `phm status`; nothing else is hurt."""
     (tmp_path / "file").write_text("")
-    control = Control(str(tmp_path / "file" / "run"), str, lambda kind, text: None)
+    control = ControlServer(str(tmp_path / "file" / "run"), str, lambda kind, text: None)
     control.start()
     end = time.monotonic() + 10
     while not control.problem():

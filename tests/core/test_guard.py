@@ -15,7 +15,7 @@ import pytest
 
 from phm.core import watchdog as guard_module
 from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, Guard, state_of, watch
-from phm.runtime.shutdown_marker import LastEnd
+from phm.runtime.shutdown_marker import ShutdownMarker
 
 LOOK_S = 0.02
 LIMIT_S = 20.0
@@ -207,18 +207,18 @@ def test_a_guard_that_cannot_start_or_dies_is_a_problem_and_no_crash(monkeypatch
 
 def test_an_end_without_a_word_is_known_at_the_next_start(tmp_path: Path) -> None:
     """Not at the first start, not after an orderly end, not after a power cut of the machine."""
-    assert not LastEnd(str(tmp_path), "boot-1").begin()
-    assert LastEnd(str(tmp_path), "boot-1").begin()
-    assert not LastEnd(str(tmp_path), "boot-2").begin()
-    LastEnd(str(tmp_path), "boot-2").end()
-    assert not LastEnd(str(tmp_path), "boot-2").begin()
+    assert not ShutdownMarker(str(tmp_path), "boot-1").begin()
+    assert ShutdownMarker(str(tmp_path), "boot-1").begin()
+    assert not ShutdownMarker(str(tmp_path), "boot-2").begin()
+    ShutdownMarker(str(tmp_path), "boot-2").end()
+    assert not ShutdownMarker(str(tmp_path), "boot-2").begin()
 
 
 def test_without_a_folder_to_write_to_nothing_is_said(tmp_path: Path) -> None:
     """Cannot tell: somebody else tells about the folder."""
     file = tmp_path / "file"
     file.touch()
-    end = LastEnd(str(file / "below"), "boot-1")
+    end = ShutdownMarker(str(file / "below"), "boot-1")
     assert not end.begin()
     end.end()
     assert not end.begin()

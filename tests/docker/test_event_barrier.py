@@ -111,7 +111,7 @@ def test_results_and_time_wait_for_the_events_before_them(
     fake: FakeEngine, daemon: Daemon, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While an event is not applied no result is judged, and nothing is published because time has passed; the heart goes on."""
-    until(lambda: daemon.pipeline.complete and daemon.parts.caught_up(), "the first report")
+    until(lambda: daemon.pipeline.complete and daemon.components.caught_up(), "the first report")
     taken, go, order = threading.Event(), threading.Event(), list[str]()
 
     def late(*event: str) -> None:

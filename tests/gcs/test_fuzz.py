@@ -127,20 +127,20 @@ def test_others_cannot_change_an_agents_row() -> None:
 def test_one_sender_uses_up_his_own_share() -> None:
     """A burst and a rate; it comes back with time, and the others do not notice."""
     meter = Meter()
-    taken = sum(meter.lets((9, 1), 100.0) for _ in range(5000))
+    taken = sum(meter.allow((9, 1), 100.0) for _ in range(5000))
     assert taken == BURST
-    assert meter.lets((7, 193), 100.0)
-    assert not meter.lets((9, 1), 100.0)
-    assert meter.lets((9, 1), 100.1)
+    assert meter.allow((7, 193), 100.0)
+    assert not meter.allow((9, 1), 100.0)
+    assert meter.allow((9, 1), 100.1)
 
 
 def test_made_up_senders_share_one_entrance() -> None:
     """And those that are known already go on."""
     meter = Meter()
-    meter.lets((7, 193), 100.0)
-    taken = sum(meter.lets((system, component), 100.0) for system in range(20) for component in range(200, 250))
+    meter.allow((7, 193), 100.0)
+    taken = sum(meter.allow((system, component), 100.0) for system in range(20) for component in range(200, 250))
     assert taken == NEW_BURST - 1
-    assert meter.lets((7, 193), 100.0)
+    assert meter.allow((7, 193), 100.0)
     assert meter.refused == 1000 - taken
 
 

@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from phm.commands.handler import Desk, Powers
+from phm.commands.handler import CommandHandler
+from phm.commands.services import CommandServices
 from phm.core.clock import SystemClock
 from phm.core.settings import MavlinkSettings
 from phm.testing import settings
@@ -47,7 +48,7 @@ class Aboard:
         self.heard: list[tuple[int, str]] = []
         self.hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
         self.hub.listen(lambda message, link: self.heard.append((message.get_srcSystem(), message.get_type())), (0,))
-        powers = Powers(
+        services = CommandServices(
             tuple,
             tuple,
             tuple,
@@ -59,7 +60,7 @@ class Aboard:
             note=lambda kind, text: None,
             later=TimeoutError,
         )
-        self.desk = Desk(self.hub, powers, chosen, SystemClock())
+        self.desk = CommandHandler(self.hub, services, chosen, SystemClock())
         self.hub.start()
         self.desk.start()
 

@@ -191,7 +191,7 @@ def test_a_stop_while_the_event_stream_is_interrupted_is_not_undone(
     """PHM sees that the container has ended before it hears why: the alarm is raised, and the engine's replay is waited for."""
     monkeypatch.setattr("phm.recovery.hold_service.CLOSED_S", 10 * LIMIT_S)
     agent = phm(**RESPECT)
-    engine, watch = agent.daemon.parts.engine, agent.daemon.parts.watch
+    engine, watch = agent.daemon.components.engine, agent.daemon.components.watch
     agent.until(lambda: watch.fact.open, "the event stream to be open")
     with monkeypatch.context() as closed:
 

@@ -165,7 +165,7 @@ class Restarts:
 
     def __init__(self, daemon: Daemon, container: str) -> None:
         self.made, self.at_once, self._now = 0, 0, 0
-        self._lock, engine = threading.Lock(), daemon.parts.engine
+        self._lock, engine = threading.Lock(), daemon.components.engine
         original = engine.restart
 
         def restart(ref: str, stop_timeout_s: float = 5.0) -> None:

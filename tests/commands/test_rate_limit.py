@@ -9,52 +9,52 @@ from hypothesis import given, strategies as st
 from phm.commands.rate_limit import (
     ALL_BURST,
     ALL_RATE,
-    BURST,
     COPY_S,
     MAX_DONE,
     MAX_SENDERS,
-    RATE,
     REPEAT_S,
-    Gate,
-    Memory,
+    SENDER_BURST,
+    SENDER_RATE,
+    CommandDedup,
+    CommandRateLimiter,
 )
-from phm.wire.command import Asked, Result
+from phm.wire.command import Command, CommandResult
 
-ASKED = Asked(31010, (3.0, 1.0), 0, 255, 190, "radio", False)
+ASKED = Command(31010, (3.0, 1.0), 0, 255, 190, "radio", False)
 
 
 def test_a_sender_has_a_burst_and_then_a_rate() -> None:
     """Ten at once, then two a second."""
-    gate = Gate()
-    assert sum(gate.lets("radio", 255, 190, False, 0.0) for _ in range(100)) == BURST
-    assert sum(gate.lets("radio", 255, 190, False, 1.0) for _ in range(100)) == RATE
+    gate = CommandRateLimiter()
+    assert sum(gate.allow("radio", 255, 190, False, 0.0) for _ in range(100)) == SENDER_BURST
+    assert sum(gate.allow("radio", 255, 190, False, 1.0) for _ in range(100)) == SENDER_RATE
 
 
 def test_who_signs_cannot_be_crowded_out_by_those_who_do_not() -> None:
     """A flood with made-up senders, our ground station's among them, leaves signed commands their whole burst."""
-    gate = Gate()
+    gate = CommandRateLimiter()
     names = [(255, 190)] * 100 + [(n % 256, n // 256) for n in range(5000)]
-    assert sum(gate.lets("radio", *name, False, 0.0) for name in names) == ALL_BURST
-    assert sum(gate.lets("radio", 255, 190, True, 0.0) for _ in range(20)) == BURST
+    assert sum(gate.allow("radio", *name, False, 0.0) for name in names) == ALL_BURST
+    assert sum(gate.allow("radio", 255, 190, True, 0.0) for _ in range(20)) == SENDER_BURST
 
 
 @given(st.lists(st.tuples(st.integers(0, 255), st.integers(0, 255), st.floats(0, 0.2)), max_size=400))
 def test_whoever_asks_the_whole_is_bounded(floods: list[tuple[int, int, float]]) -> None:
     """Over any time not more than burst + rate x time are let in, and memory stays bounded."""
-    gate, now, let = Gate(), 0.0, 0
+    gate, now, let = CommandRateLimiter(), 0.0, 0
     for system, component, pause in floods:
         now += pause
-        let += gate.lets("radio", system, component, False, now)
+        let += gate.allow("radio", system, component, False, now)
     assert let <= ALL_BURST + ALL_RATE * now + 1
     assert len(gate._senders) <= MAX_SENDERS
 
 
 def test_a_command_that_comes_again_has_its_first_result() -> None:
     """A rising confirmation is the same command; also by another link."""
-    memory = Memory()
-    memory.did(ASKED, b"one", Result.ACCEPTED, 0.0)
+    memory = CommandDedup()
+    memory.did(ASKED, b"one", CommandResult.ACCEPTED, 0.0)
     again = replace(ASKED, confirmation=1, link="other")
-    assert memory.before(again, b"two", REPEAT_S) is Result.ACCEPTED
+    assert memory.before(again, b"two", REPEAT_S) is CommandResult.ACCEPTED
     assert memory.before(again, b"two", REPEAT_S + 0.1) is None
     assert memory.before(replace(again, params=(3.0, 2.0)), b"three", 1.0) is None
     assert memory.before(replace(again, system=254), b"four", 1.0) is None
@@ -63,30 +63,30 @@ def test_a_command_that_comes_again_has_its_first_result() -> None:
 
 def test_the_very_same_frame_is_a_copy_and_another_one_a_new_command() -> None:
     """With confirmation 0 only a copy by another way is the same."""
-    memory = Memory()
-    memory.did(ASKED, b"one", Result.FAILED, 0.0)
-    assert memory.before(replace(ASKED, link="other"), b"one", COPY_S) is Result.FAILED
+    memory = CommandDedup()
+    memory.did(ASKED, b"one", CommandResult.FAILED, 0.0)
+    assert memory.before(replace(ASKED, link="other"), b"one", COPY_S) is CommandResult.FAILED
     assert memory.before(ASKED, b"one", COPY_S + 0.1) is None
     assert memory.before(ASKED, b"two", 0.1) is None
 
 
 def test_what_was_lost_the_first_time_is_done_when_it_comes_again() -> None:
     """A confirmation above 0 of a command that never arrived is a command."""
-    assert Memory().before(replace(ASKED, confirmation=3), b"one", 0.0) is None
+    assert CommandDedup().before(replace(ASKED, confirmation=3), b"one", 0.0) is None
 
 
 def test_the_memory_is_bounded() -> None:
     """The oldest is forgotten."""
-    memory = Memory()
+    memory = CommandDedup()
     for n in range(1000):
-        memory.did(replace(ASKED, params=(3.0, float(n))), b"", Result.ACCEPTED, 0.0)
+        memory.did(replace(ASKED, params=(3.0, float(n))), b"", CommandResult.ACCEPTED, 0.0)
     assert len(memory._done[False]) == MAX_DONE
 
 
 def test_unsigned_commands_make_no_signed_one_forgotten() -> None:
     """Its acknowledgement was lost; asked again after a flood of others, it is not done twice."""
-    memory, signed = Memory(), replace(ASKED, signed=True)
-    memory.did(signed, b"one", Result.ACCEPTED, 0.0)
+    memory, signed = CommandDedup(), replace(ASKED, signed=True)
+    memory.did(signed, b"one", CommandResult.ACCEPTED, 0.0)
     for n in range(10 * MAX_DONE):
-        memory.did(replace(ASKED, params=(3.0, float(n))), b"", Result.DENIED, 0.0)
-    assert memory.before(replace(signed, confirmation=1), b"two", 1.0) is Result.ACCEPTED
+        memory.did(replace(ASKED, params=(3.0, float(n))), b"", CommandResult.DENIED, 0.0)
+    assert memory.before(replace(signed, confirmation=1), b"two", 1.0) is CommandResult.ACCEPTED

@@ -1,4 +1,4 @@
-"""The desk as a whole without sockets: a command in, an acknowledgement to its asker out, and what it did."""
+"""The handler as a whole without sockets: a command in, an acknowledgement to its asker out, and what it did."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from typing import Any
 import pytest
 
 from phm.commands import responses
-from phm.commands.handler import CHECK_EVERY_S, MAX_WAITING, Desk, Powers
-from phm.commands.ledger import ONE_BY_ONE, PERIOD_S
-from phm.commands.rate_limit import BURST
+from phm.commands.command_log import LOGGED_PER_PERIOD, PERIOD_S
+from phm.commands.handler import CHECK_EVERY_S, MAX_WAITING, CommandHandler
+from phm.commands.rate_limit import SENDER_BURST
+from phm.commands.services import CommandServices
 from phm.core.model import Fault, Layer, Level, Result as Found, Slot, Stamp, UnitState
 from phm.facts import DiskFact
 from phm.testing import FakeClock, FakeHost, settings, world
 from phm.transport.dialect import mavlink
 from phm.transport.priority import Class
 from phm.wire import status_word, tunnel
-from phm.wire.command import Result
+from phm.wire.command import CommandResult
 from phm_checks.host import Host
 from tests.fakes.mavlink import Sender, until
 
@@ -35,7 +36,7 @@ def fault(number: int, opened: float, words: str = "node_1 is dead") -> Fault:
 
 
 class Scene:
-    """Agent 7 and what its desk may reach; `did` is what was done, `notes` what was logged."""
+    """Agent 7 and what its handler may reach; `did` is what was done, `notes` what was logged."""
 
     def __init__(self, *allowed: str, signs: bool = False) -> None:
         self.clock, self.sent, self.did, self.notes = FakeClock(), [], [], []  # type: ignore[var-annotated]
@@ -54,7 +55,7 @@ class Scene:
             Found(Level.OK, "well", values=values),
             Stamp(0, 0),
         )
-        powers = Powers(
+        services = CommandServices(
             lambda: (host,),
             lambda: self.faults,
             lambda: (),
@@ -70,7 +71,7 @@ class Scene:
         chosen = settings(
             agent={"id": 7}, containers=[{"name": "app"}, {"name": "db"}], mavlink={"commands": list(allowed)}
         )
-        self.desk = Desk(self, powers, chosen, self.clock)
+        self.handler = CommandHandler(self, services, chosen, self.clock)
         self.ground = Sender(255, 190)
 
     def _do(self, what: str) -> str:
@@ -94,16 +95,16 @@ class Scene:
         heard = (by or self.ground).received(message)
         heard._signed = signed
         self.sent.clear()
-        self.desk.hear(heard, link)
-        self.desk.turn()
+        self.handler.hear(heard, link)
+        self.handler.turn()
         assert {on for _message, on in self.sent} <= {link}
         return [message for message, _link in self.sent]
 
-    def result(self, message: Any, **how: Any) -> Result:
+    def result(self, message: Any, **how: Any) -> CommandResult:
         acks = [sent for sent in self.ask(message, **how) if sent.get_type() == "COMMAND_ACK"]
         assert len(acks) == 1
         assert (acks[0].command, acks[0].target_system, acks[0].target_component) == (message.command, 255, 190)
-        return Result(acks[0].result)
+        return CommandResult(acks[0].result)
 
 
 def long(command: int, first: float = 0, second: float = 0, *, to: tuple[int, int] = (7, 193), again: int = 0) -> Any:
@@ -115,7 +116,7 @@ def test_a_command_int_is_a_command_too() -> None:
     scene = Scene(*ALL)
     assert (
         scene.result(mavlink.MAVLink_command_int_message(7, 193, 0, 31010, 0, 0, 1, 0, 0, 0, 0, 0, 0))
-        is Result.ACCEPTED
+        is CommandResult.ACCEPTED
     )
     assert scene.did == ["look"]
 
@@ -139,8 +140,8 @@ def test_the_default_only_reads() -> None:
     """The shipped setting denies whatever acts, and notes who asked."""
     scene = Scene(*settings().mavlink.commands)
     for operation in (1, 2, 3):
-        assert scene.result(long(31010, operation, 1)) is Result.DENIED
-    assert scene.result(long(512, 253)) is Result.ACCEPTED
+        assert scene.result(long(31010, operation, 1)) is CommandResult.DENIED
+    assert scene.result(long(512, 253)) is CommandResult.ACCEPTED
     assert scene.did == []
     assert scene.notes[0].startswith(
         "COMMAND: denied: command 31010 (1.0, 1.0) from 255/190 by radio, unsigned: 'check'"
@@ -150,10 +151,10 @@ def test_the_default_only_reads() -> None:
 def test_with_signing_only_signed_commands_are_obeyed() -> None:
     """Reading is a command too; and what is obeyed is remembered first."""
     scene = Scene(*ALL, signs=True)
-    assert scene.result(long(31010, 1)) is Result.DENIED
-    assert scene.result(long(512, 253)) is Result.DENIED
+    assert scene.result(long(31010, 1)) is CommandResult.DENIED
+    assert scene.result(long(512, 253)) is CommandResult.DENIED
     assert scene.did == []
-    assert scene.result(long(31010, 1), signed=True) is Result.ACCEPTED
+    assert scene.result(long(31010, 1), signed=True) is CommandResult.ACCEPTED
     assert scene.did == ["remember", "look"]
 
 
@@ -161,7 +162,7 @@ def test_the_status_line_is_sent_on_request() -> None:
     """One line with the array, on the link that asked."""
     line, ack = Scene("status").ask(long(512, 253))
     assert (line.severity, line.text) == (6, "A07 OK --------")
-    assert ack.result == Result.ACCEPTED
+    assert ack.result == CommandResult.ACCEPTED
 
 
 def test_a_heartbeat_on_request_has_the_status_word() -> None:
@@ -170,7 +171,7 @@ def test_a_heartbeat_on_request_has_the_status_word() -> None:
     heartbeat, _ack = scene.ask(long(512, 0))
     assert status_word.decode(heartbeat.custom_mode) == {Slot.HOST: Level.OK}
     assert heartbeat.system_status == mavlink.MAV_STATE_ACTIVE
-    assert scene.result(long(512, 0)) is Result.TEMPORARILY_REJECTED
+    assert scene.result(long(512, 0)) is CommandResult.TEMPORARILY_REJECTED
 
 
 def test_the_computers_figures_are_those_of_the_host_check() -> None:
@@ -210,7 +211,7 @@ def test_nothing_is_said_of_checks_that_have_stalled() -> None:
     scene.lives = False
     sent = scene.ask(long(512, 0))
     assert [message.get_type() for message in sent] == ["COMMAND_ACK"]
-    assert sent[0].result == Result.FAILED
+    assert sent[0].result == CommandResult.FAILED
 
 
 def told(sent: list[Any]) -> tuple[str, str]:
@@ -235,16 +236,16 @@ def test_the_details_of_a_fault_come_in_parts_to_the_asker() -> None:
     assert len(sent) == tunnel.MAX_PARTS + 1
     assert text.startswith("nodes/node_1: xxx")
     assert {(m.target_system, m.target_component) for m in sent} == {(255, 190)}
-    assert scene.result(long(512, 385, 4)) is Result.FAILED
+    assert scene.result(long(512, 385, 4)) is CommandResult.FAILED
 
 
 def test_checks_are_run_at_most_every_two_seconds() -> None:
     """Asking more often is not refused for good."""
     scene = Scene("check")
-    assert scene.result(long(31010, 1)) is Result.ACCEPTED
-    assert scene.result(long(31010, 1)) is Result.TEMPORARILY_REJECTED
+    assert scene.result(long(31010, 1)) is CommandResult.ACCEPTED
+    assert scene.result(long(31010, 1)) is CommandResult.TEMPORARILY_REJECTED
     scene.clock.advance(CHECK_EVERY_S)
-    assert scene.result(long(31010, 1)) is Result.ACCEPTED
+    assert scene.result(long(31010, 1)) is CommandResult.ACCEPTED
     assert scene.did == ["look", "look"]
 
 
@@ -252,20 +253,20 @@ def test_a_fault_is_approved_by_its_number() -> None:
     """Unless it is not open, or two have that number (of two runs of PHM)."""
     scene = Scene("approve")
     scene.faults = (fault(3, 5.0), fault(17, 9.0))
-    assert scene.result(long(31010, 2, 17)) is Result.ACCEPTED
+    assert scene.result(long(31010, 2, 17)) is CommandResult.ACCEPTED
     assert scene.did == ["approve ab12-17"]
-    assert scene.result(long(31010, 2, 4)) is Result.FAILED
+    assert scene.result(long(31010, 2, 4)) is CommandResult.FAILED
     scene.faults = (fault(5, 5.0), fault(5, 9.0))
-    assert scene.result(long(31010, 2, 5)) is Result.FAILED
+    assert scene.result(long(31010, 2, 5)) is CommandResult.FAILED
     assert scene.did == ["approve ab12-17"]
 
 
 def test_a_container_is_restarted_by_its_place() -> None:
     """From 1, as it stands in the configuration."""
     scene = Scene("restart")
-    assert scene.result(long(31010, 3, 2)) is Result.ACCEPTED
+    assert scene.result(long(31010, 3, 2)) is CommandResult.ACCEPTED
     assert scene.did == ["restart db for 255/190"]
-    assert scene.result(long(31010, 3, 3)) is Result.FAILED
+    assert scene.result(long(31010, 3, 3)) is CommandResult.FAILED
 
 
 @pytest.mark.parametrize(("raised", "result"), [(Later("armed"), 1), (RuntimeError("no"), 4), (KeyError(), 4)])
@@ -282,9 +283,9 @@ def test_a_command_that_comes_again_is_answered_and_not_done_again() -> None:
     """The acknowledgement was lost: the ground asks with a higher confirmation."""
     scene = Scene("restart")
     for again in range(3):
-        assert scene.result(long(31010, 3, 1, again=again)) is Result.ACCEPTED
+        assert scene.result(long(31010, 3, 1, again=again)) is CommandResult.ACCEPTED
     assert scene.did == ["restart app for 255/190"]
-    assert scene.result(long(31010, 3, 1)) is Result.ACCEPTED
+    assert scene.result(long(31010, 3, 1)) is CommandResult.ACCEPTED
     assert len(scene.did) == 2
 
 
@@ -296,30 +297,30 @@ def test_a_message_is_sent_again_and_again_until_it_is_not_wanted() -> None:
         scene.sent.clear()
         for _ in range(seconds):
             scene.clock.advance(1.0)
-            scene.desk.turn()
+            scene.handler.turn()
         return len([m for m, link in scene.sent if m.get_type() == "STATUSTEXT" and link == "radio"])
 
-    assert scene.result(long(511, 253, 5e6)) is Result.ACCEPTED
+    assert scene.result(long(511, 253, 5e6)) is CommandResult.ACCEPTED
     assert lines(20) == 4
     scene.lives = False
     assert lines(20) == 0
     scene.lives = True
-    assert scene.result(long(511, 253, 1e6)) is Result.DENIED
-    assert scene.result(long(511, 253, -1)) is Result.ACCEPTED
+    assert scene.result(long(511, 253, 1e6)) is CommandResult.DENIED
+    assert scene.result(long(511, 253, -1)) is CommandResult.ACCEPTED
     assert lines(20) == 0
 
 
 def test_the_newest_faults_details_may_come_again_and_again() -> None:
     """To who asked, while a fault is open; it is `details` that must be allowed for it."""
     scene = Scene("details")
-    assert scene.result(long(511, 385, 1e7)) is Result.ACCEPTED
-    assert Scene("status").result(long(511, 385, 1e7)) is Result.DENIED
+    assert scene.result(long(511, 385, 1e7)) is CommandResult.ACCEPTED
+    assert Scene("status").result(long(511, 385, 1e7)) is CommandResult.DENIED
 
     def details(seconds: int) -> list[str]:
         scene.sent.clear()
         for _ in range(seconds):
             scene.clock.advance(1.0)
-            scene.desk.turn()
+            scene.handler.turn()
         sent = [m for m, link in scene.sent if m.get_type() == "TUNNEL" and link == "radio"]
         assert {(m.target_system, m.target_component) for m in sent} <= {(255, 190)}
         return [tunnel.decode(bytes(m.payload[: m.payload_length])).fault for m in sent]  # type: ignore[union-attr]
@@ -335,9 +336,9 @@ def test_a_flood_is_bounded_and_told_once() -> None:
     """What is too much is dropped unread."""
     scene = Scene("status")
     for n in range(1000):
-        scene.desk.hear(scene.ground.received(long(512, 253, n)), "radio")
-    assert len(scene.desk._waiting[False]) == BURST <= MAX_WAITING
-    scene.desk.turn()
+        scene.handler.hear(scene.ground.received(long(512, 253, n)), "radio")
+    assert len(scene.handler._waiting[False]) == SENDER_BURST <= MAX_WAITING
+    scene.handler.turn()
     assert [note for note in scene.notes if "dropped unread" in note] == [
         "COMMAND: 990 commands were dropped unread: too many came at once"
     ]
@@ -350,10 +351,10 @@ def test_a_flood_that_is_refused_leaves_the_rest_of_the_log() -> None:
         scene.clock.advance(0.1)
         scene.ask(long(512, 253) if n % 2 else long(31010, 3, 1), by=Sender(1 + n % 250, n // 250))
     scene.clock.advance(PERIOD_S)
-    scene.desk.turn()
-    assert len(scene.notes) <= ONE_BY_ONE + 3
+    scene.handler.turn()
+    assert len(scene.notes) <= LOGGED_PER_PERIOD + 3
     counted = [note for note in scene.notes if "not logged one by one" in note]
-    assert sum(int(note.split()[1]) for note in counted) + ONE_BY_ONE == 600
+    assert sum(int(note.split()[1]) for note in counted) + LOGGED_PER_PERIOD == 600
     assert max(map(len, scene.notes)) < 250
 
 
@@ -378,14 +379,14 @@ def test_a_signed_command_is_answered_before_unsigned_ones() -> None:
     scene = Scene("restart", signs=True)
     for n in range(MAX_WAITING + 10):
         scene.clock.advance(1.0)
-        scene.desk.hear(Sender(n + 1, 190).received(long(31010, 3, 1)), "radio")
+        scene.handler.hear(Sender(n + 1, 190).received(long(31010, 3, 1)), "radio")
     heard = scene.ground.received(long(31010, 3, 1))
     heard._signed = True
-    scene.desk.hear(heard, "radio")
-    scene.desk.turn()
+    scene.handler.hear(heard, "radio")
+    scene.handler.turn()
     acks = [message.result for message, _link in scene.sent]
-    assert acks[0] == Result.ACCEPTED
-    assert set(acks[1:]) == {Result.DENIED}
+    assert acks[0] == CommandResult.ACCEPTED
+    assert set(acks[1:]) == {CommandResult.DENIED}
     assert len(acks) == MAX_WAITING + 1
     assert scene.urgencies[0] < min(scene.urgencies[1:])
 
@@ -393,8 +394,8 @@ def test_a_signed_command_is_answered_before_unsigned_ones() -> None:
 def test_the_desk_answers_from_its_own_thread() -> None:
     """`hear` only queues; the thread ends when it is told to."""
     scene = Scene("status")
-    scene.desk.start()
-    scene.desk.hear(scene.ground.received(long(512, 253)), "radio")
+    scene.handler.start()
+    scene.handler.hear(scene.ground.received(long(512, 253)), "radio")
     until(lambda: len(scene.sent) == 2, "the answer")
-    scene.desk.close()
-    assert not scene.desk._thread.is_alive()
+    scene.handler.close()
+    assert not scene.handler._thread.is_alive()

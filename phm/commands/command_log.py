@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections import Counter
 
-from phm.wire.command import Asked, Result
+from phm.wire.command import Command, CommandResult
 
 PERIOD_S = 60.0
-ONE_BY_ONE = 5
+LOGGED_PER_PERIOD = 5
 """In each period, of those that anybody can cause."""
 MAX_SENDERS, NAMED = 64, 4
 """Senders that are counted one by one, and that the line names: they can make up their numbers."""
 _OTHERS = "others"
 
 
-class Ledger:
+class CommandLog:
     """Not thread-safe."""
 
     def __init__(self) -> None:
@@ -27,17 +27,17 @@ class Ledger:
         self._results: Counter[str] = Counter()
         self._senders: Counter[str] = Counter()
 
-    def logs(self, asked: Asked, result: Result, now: float, *, acts: bool) -> bool:
+    def logs(self, command: Command, result: CommandResult, now: float, *, acts: bool) -> bool:
         """Whether this command has a line of its own; else it is counted. acts: what was asked for does more than read or check."""
-        if asked.signed or (acts and result is Result.ACCEPTED):
+        if command.signed or (acts and result is CommandResult.ACCEPTED):
             return True  # only who has the key can sign, and what acts is bounded by recovery
         if now - self._began >= PERIOD_S:
             self._began, self._shown = now, 0
-        if self._shown < ONE_BY_ONE:
+        if self._shown < LOGGED_PER_PERIOD:
             self._shown += 1
             return True
         self._results[result.name.lower()] += 1
-        sender = f"{asked.sender} by {asked.link}"
+        sender = f"{command.sender} by {command.link}"
         self._senders[sender if sender in self._senders or len(self._senders) < MAX_SENDERS else _OTHERS] += 1
         return False
 
