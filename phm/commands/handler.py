@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -18,6 +17,7 @@ from phm.commands.command_log import CommandLog
 from phm.commands.rate_limit import CommandDedup, CommandRateLimiter
 from phm.commands.services import CommandServices, MavlinkPort
 from phm.core import threads
+from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import Clock
 from phm.core.model import Fault
 from phm.core.settings import Settings
@@ -62,7 +62,9 @@ class CommandHandler:
         self._port, self._services, self._settings, self._clock = port, services, settings, clock
         self._allowed = frozenset(settings.mavlink.commands)
         self._rate_limiter, self._dedup = CommandRateLimiter(), CommandDedup()
-        self._waiting: dict[bool, deque[tuple[Command, bytes, Accept | Deny]]] = {True: deque(), False: deque()}
+        self._waiting: dict[bool, BoundedQueue[tuple[Command, bytes, Accept | Deny]]] = {
+            signed: BoundedQueue(clock, MAX_WAITING, refuse_new=True) for signed in (True, False)
+        }
         """Signed ones, which are answered first, and others."""
         self._log = CommandLog()
         self._repeats: dict[tuple[str, int], tuple[float, float, Command]] = {}
@@ -106,11 +108,10 @@ class CommandHandler:
             return
         with self._lock:
             allowed = self._rate_limiter.allow(link, *sender, command.signed, self._clock.mono())
-            waiting = self._waiting[command.signed]
-            if not allowed or len(waiting) >= MAX_WAITING:
+            item = (command, bytes(message.get_msgbuf()), authorization)
+            if not allowed or not self._waiting[command.signed].put(item):
                 self._log.dropped()
                 return
-            waiting.append((command, bytes(message.get_msgbuf()), authorization))
         self._wake.set()
 
     # ------------------------------------------------------------ the desk's thread
@@ -128,12 +129,10 @@ class CommandHandler:
     def turn(self) -> float:
         """Answer what waits and send what is due; seconds until something is due again."""
         while not self._stop.is_set():
-            with self._lock:
-                waiting = self._waiting[True] or self._waiting[False]
-                if not waiting:
-                    break
-                command, frame, authorization = waiting.popleft()
-            self._answer(command, frame, authorization)
+            waiting = self._waiting[True].next() or self._waiting[False].next()
+            if waiting is None:
+                break
+            self._answer(*waiting)
         with self._lock:
             lines = self._log.due(self._clock.mono())
         for line in lines:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
 
+from phm.core.duplicate_filter import DuplicateFilter
+from phm.core.rate_limiter import RateLimiter
 from phm.wire.command import Command, CommandResult
 
 SENDER_BURST, SENDER_RATE = 10.0, 2.0
@@ -19,37 +20,17 @@ COPY_S = 5.0
 MAX_DONE = 64
 
 
-@dataclass(slots=True)
-class _Bucket:
-    credit: float
-    at: float
-
-    def take(self, now: float, burst: float, rate: float) -> bool:
-        self.credit, self.at = min(burst, self.credit + max(0.0, now - self.at) * rate), now
-        if self.credit < 1.0:
-            return False
-        self.credit -= 1.0
-        return True
-
-
 class CommandRateLimiter:
     """Not thread-safe: the caller's lock."""
 
     def __init__(self) -> None:
-        self._senders: OrderedDict[tuple[str, int, int, bool], _Bucket] = OrderedDict()
-        self._all: dict[bool, _Bucket] = {}
+        self._senders = RateLimiter(SENDER_RATE, SENDER_BURST, MAX_SENDERS)
+        self._all = RateLimiter(ALL_RATE, ALL_BURST, 2)
 
     def allow(self, link: str, system: int, component: int, signed: bool, now: float) -> bool:
         """Whether one more command is taken at `now` (monotonic seconds)."""
-        key = (link, system, component, signed)
-        mine = self._senders.pop(key, None) or _Bucket(SENDER_BURST, now)
-        self._senders[key] = mine
-        if len(self._senders) > MAX_SENDERS:
-            self._senders.popitem(last=False)
-        # Both, in this order: who is over his own limit takes nothing from the others.
-        return mine.take(now, SENDER_BURST, SENDER_RATE) and self._all.setdefault(signed, _Bucket(ALL_BURST, now)).take(
-            now, ALL_BURST, ALL_RATE
-        )
+        # Both, in this order: a sender over its own limit takes nothing from the others.
+        return self._senders.allow(now, (link, system, component, signed)) and self._all.allow(now, signed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,23 +45,20 @@ class CommandDedup:
     makes it forget one."""
 
     def __init__(self) -> None:
-        self._done: dict[bool, OrderedDict[tuple[object, ...], _Done]] = {True: OrderedDict(), False: OrderedDict()}
+        self._done: dict[bool, DuplicateFilter[tuple[object, ...], _Done]] = {
+            signed: DuplicateFilter(MAX_DONE, REPEAT_S) for signed in (True, False)
+        }
 
     def before(self, command: Command, frame: bytes, now: float) -> CommandResult | None:
         """The result of the same command when this is it again, else None."""
-        done = self._done[command.signed].get(_key(command))
+        done = self._done[command.signed].get(_key(command), now)
         if done is None:
             return None
-        again = command.confirmation > 0 and now - done.at <= REPEAT_S
         copy = frame == done.frame and now - done.at <= COPY_S
-        return done.result if again or copy else None
+        return done.result if command.confirmation > 0 or copy else None
 
     def did(self, command: Command, frame: bytes, result: CommandResult, now: float) -> None:
-        key, of_kind = _key(command), self._done[command.signed]
-        of_kind.pop(key, None)
-        of_kind[key] = _Done(now, result, frame)
-        if len(of_kind) > MAX_DONE:
-            of_kind.popitem(last=False)
+        self._done[command.signed].add(_key(command), _Done(now, result, frame), now)
 
 
 def _key(command: Command) -> tuple[object, ...]:

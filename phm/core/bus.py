@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 
 from phm.core import threads
+from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import Clock
 from phm.core.model import Event
 
@@ -36,49 +36,33 @@ class Subscription:
         period_s: float | None = None,
     ) -> None:
         self.name, self.kinds = name, kinds
-        self._handler, self._clock, self._size, self._key = handler, clock, size, key
+        self._handler, self._clock = handler, clock
         self._tick, self._period_s = tick, period_s
-        self._queue: OrderedDict[Hashable, Event] = OrderedDict()
-        self._serial = 0
-        self._lock = threading.Lock()
-        self._ready = threading.Event()
+        self._queue: BoundedQueue[Event] = BoundedQueue(clock, size, key=key)
         self._closing = False
-        self.dropped = 0
         self.errors = 0
         self.last_error = ""
         self._thread = threading.Thread(target=self._loop, name=f"phm-bus-{name}", daemon=True)
         threads.start(self._thread)
 
+    @property
+    def dropped(self) -> int:
+        return self._queue.dropped
+
     def put(self, event: Event) -> None:
-        if self.kinds and not isinstance(event, self.kinds):
-            return
-        with self._lock:
-            self._serial += 1
-            key = self._serial if self._key is None else self._key(event)
-            self._queue.pop(key, None)
-            self._queue[key] = event
-            if len(self._queue) > self._size:
-                self._queue.popitem(last=False)
-                self.dropped += 1
-        self._ready.set()
+        if not self.kinds or isinstance(event, self.kinds):
+            self._queue.put(event)
 
     def close(self, timeout_s: float) -> bool:
         """Let the queue run empty, then end. False when the handler did not finish in time."""
         self._closing = True
-        self._ready.set()
+        self._queue.wake()
         return threads.join(self._thread, timeout_s)
-
-    def _next(self) -> Event | None:
-        with self._lock:
-            if self._queue:
-                return self._queue.popitem(last=False)[1]
-            self._ready.clear()
-            return None
 
     def _loop(self) -> None:
         due = self._clock.mono() if self._period_s is not None else None
         while True:
-            event = self._next()
+            event = self._queue.next()
             if event is not None:
                 self._guarded(lambda event=event: self._handler(event))  # type: ignore[misc]
             elif self._closing:
@@ -88,7 +72,7 @@ class Subscription:
                 self._guarded(self._tick)
                 due = max(due + self._period_s, now)
             if event is None:
-                self._clock.wait(self._ready, None if due is None else max(0.0, due - self._clock.mono()))
+                self._queue.wait(None if due is None else max(0.0, due - self._clock.mono()))
 
     def _guarded(self, call: Callable[[], None]) -> None:
         try:

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from phm.core.duplicate_filter import DuplicateFilter
 from phm.core.model import Level, Slot, Stamp
 from phm.gcs.frames import BOOT, Beat
 from phm.gcs.presence import Presence, State
@@ -78,8 +79,8 @@ class Agent:
     details: OrderedDict[str, dict[int, Detail]] = field(default_factory=OrderedDict)
     refreshed: dict[Kind, str] = field(default_factory=dict)
     """The newest line of each kind that repeats."""
-    changes: OrderedDict[str, float] = field(default_factory=OrderedDict)
-    """The newest changes, and when they came."""
+    changes: DuplicateFilter[str, bool] = field(default_factory=lambda: DuplicateFilter(MAX_CHANGES, AGAIN_S))
+    """Lines about changes that were received a short time ago."""
 
     @property
     def name(self) -> str:
@@ -147,11 +148,9 @@ class Agent:
         if line.kind is not Kind.CHANGE:
             old, self.refreshed[line.kind] = self.refreshed.get(line.kind), text
             return old == text
-        at = self.changes.pop(text, None)
-        self.changes[text] = now
-        if len(self.changes) > MAX_CHANGES:
-            self.changes.popitem(last=False)
-        return at is not None and now - at <= AGAIN_S
+        again = self.changes.get(text, now) is not None
+        self.changes.add(text, True, now)
+        return again
 
     def newest(self, slot: int, level: Level) -> Bad | None:
         """The newest unit of this level that was told for a slot."""

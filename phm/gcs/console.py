@@ -14,7 +14,7 @@ from phm.core.clock import Clock
 from phm.gcs import table
 from phm.gcs.events import timed
 from phm.gcs.station import Station
-from phm.gcs.subscriber_queue import Outlet
+from phm.gcs.subscriber_queue import SubscriberQueue
 
 REDRAW_S = 0.5
 LOOK_S = 0.2
@@ -35,7 +35,7 @@ class Show:
     ) -> None:
         self._station, self._clock, self._echo, self._notes, self._warn = station, clock, echo, notes, warn
         self._warned: set[str] = set()
-        self._outlet = Outlet(clock)
+        self._outlet = SubscriberQueue(clock)
         self._lines: deque[str] = deque(maxlen=KEPT_LINES)
         station.subscribe(self._outlet)
 

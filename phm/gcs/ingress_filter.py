@@ -1,60 +1,39 @@
-"""What is kept away from the store: more than one sender may say, and frames that came before by another link. Pure."""
+"""What does not reach the fleet's state: more frames than one sender may send, and copies by another link. Pure."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from phm.core.duplicate_filter import DuplicateFilter
+from phm.core.rate_limiter import RateLimiter
 
 RATE, BURST = 50.0, 200.0
 """Frames a second of one sender, and at once: an agent sends one or two, and its full state in one go."""
 NEW_RATE, NEW_BURST = 20.0, 300.0
-"""New senders: a swarm of 250 may appear at once, and not again and again."""
+"""New senders a second, and at once: a swarm of 250 may appear together, but not repeatedly."""
 MAX_SENDERS = 1024
 COPY_S = 5.0
 MAX_COPIES = 2048
 
 
-class Meter:
-    """Who floods a link crowds out himself alone. Not thread-safe."""
+class IngressFilter:
+    """A sender that floods a link loses its own frames only. Not thread-safe."""
 
     def __init__(self) -> None:
-        self._senders: OrderedDict[tuple[int, int], tuple[float, float]] = OrderedDict()
-        self._new = (NEW_BURST, float("-inf"))
+        self._senders = RateLimiter(RATE, BURST, MAX_SENDERS)
+        self._new = RateLimiter(NEW_RATE, NEW_BURST)
+        self._frames: DuplicateFilter[bytes, str] = DuplicateFilter(MAX_COPIES, COPY_S)
         self.refused = 0
+        """Frames over a limit."""
 
     def allow(self, sender: tuple[int, int], now: float) -> bool:
-        """Whether one more frame of a sender (system, component) is taken."""
-        held = self._senders.pop(sender, None)
-        if held is None:
-            self._new, admitted = _take(self._new, now, NEW_RATE, NEW_BURST)
-            if not admitted:
-                self.refused += 1
-                return False
-            held = (BURST, now)
-        self._senders[sender], taken = _take(held, now, RATE, BURST)
-        if len(self._senders) > MAX_SENDERS:
-            self._senders.popitem(last=False)
-        self.refused += not taken
-        return taken
+        """Whether one more frame of a sender (system, component) is within the limits."""
+        allowed = (sender in self._senders or self._new.allow(now)) and self._senders.allow(now, sender)
+        self.refused += not allowed
+        return allowed
 
-
-class Copies:
-    """The very same frame by another link, shortly after: it says nothing new. Not thread-safe."""
-
-    def __init__(self) -> None:
-        self._seen: OrderedDict[bytes, tuple[str, float]] = OrderedDict()
-
-    def copy(self, frame: bytes, link: str, now: float) -> bool:
-        seen = self._seen.get(frame)
-        if seen is not None and seen[0] != link and now - seen[1] <= COPY_S:
+    def is_copy(self, frame: bytes, link: str, now: float) -> bool:
+        """Whether the same frame arrived by another link within COPY_S."""
+        first = self._frames.get(frame, now)
+        if first not in (None, link):
             return True
-        self._seen.pop(frame, None)
-        self._seen[frame] = (link, now)
-        if len(self._seen) > MAX_COPIES:
-            self._seen.popitem(last=False)
+        self._frames.add(frame, link, now)
         return False
-
-
-def _take(bucket: tuple[float, float], now: float, rate: float, burst: float) -> tuple[tuple[float, float], bool]:
-    credit, at = bucket
-    credit = min(burst, credit + max(0.0, now - at) * rate)
-    return ((credit - 1.0, now), True) if credit >= 1.0 else ((credit, now), False)

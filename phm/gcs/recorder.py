@@ -13,7 +13,7 @@ from phm.core import threads
 from phm.core.clock import Clock
 from phm.gcs.events import VERSION
 from phm.gcs.station import Station
-from phm.gcs.subscriber_queue import Outlet
+from phm.gcs.subscriber_queue import SubscriberQueue
 from phm.reporters.rotating_file import RotatingLines
 
 MAX_SIZE, FILES = 20_000_000, 5
@@ -29,7 +29,7 @@ class Record:
     def __init__(
         self, path: str, station: Station, clock: Clock, *, max_size: int = MAX_SIZE, files: int = FILES
     ) -> None:
-        self._station, self._clock, self._outlet = station, clock, Outlet(clock)
+        self._station, self._clock, self._outlet = station, clock, SubscriberQueue(clock)
         self._lines = RotatingLines(path, max_size=max_size, files=files, clock=clock, lost_line=_lost)
         self._stop = threading.Event()
         self._snapshot_at = clock.mono() + SNAPSHOT_S

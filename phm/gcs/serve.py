@@ -17,7 +17,7 @@ from phm.core import threads
 from phm.core.clock import Clock
 from phm.gcs.events import News
 from phm.gcs.station import Station
-from phm.gcs.subscriber_queue import Item, Outlet
+from phm.gcs.subscriber_queue import Item, SubscriberQueue
 
 logger = logging.getLogger(__name__)
 
@@ -58,17 +58,18 @@ class _Client:
     """It has closed its side; it may still read, or be gone."""
 
 
-class _Feed(Outlet):
-    """An outlet that rings the server's bell instead of being waited for."""
+class _Feed(SubscriberQueue):
+    """A queue that rings the server's bell instead of being waited for."""
 
     def __init__(self, clock: Clock, bell: socket.socket) -> None:
         super().__init__(clock)
         self._bell = bell
 
-    def put(self, item: Item) -> None:
-        super().put(item)
+    def put(self, item: Item) -> bool:
+        kept = super().put(item)
         with contextlib.suppress(OSError):  # full: it rings already; closed: nobody listens
             self._bell.send(b"x")
+        return kept
 
 
 class Server:

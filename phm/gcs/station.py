@@ -10,13 +10,13 @@ import errno
 import logging
 import threading
 import uuid
-from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
 from phm import __version__
 from phm.core import threads
+from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import Clock
 from phm.core.model import Stamp
 from phm.core.scheduling_delay import WINDOW_S
@@ -25,8 +25,8 @@ from phm.gcs import frames
 from phm.gcs.events import News, encode
 from phm.gcs.fleet_state import Store
 from phm.gcs.frames import Frame
-from phm.gcs.ingress_filter import Copies, Meter
-from phm.gcs.subscriber_queue import Item, Outlet
+from phm.gcs.ingress_filter import IngressFilter
+from phm.gcs.subscriber_queue import Item, SubscriberQueue
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 
@@ -73,16 +73,15 @@ class Station:
         # Each PHM with the key signs all that it sends.
         signed = settings.signing.key is not None and settings.signing.unsigned != "all"
         self._store, self._hub = Store(expected, self.ids, signed=signed), MavlinkHub(settings, system, clock)
-        self._waiting: deque[_Heard] = deque()
-        self._meter, self._copies = Meter(), Copies()
-        self._outlets: tuple[Outlet, ...] = ()
+        self._filter = IngressFilter()
+        self._frames: BoundedQueue[_Heard] = BoundedQueue(clock, MAX_WAITING, refuse_new=True)
+        self._outlets: tuple[SubscriberQueue, ...] = ()
         self._number = 0
         self._problems: tuple[str, ...] = ()
         self._twin = ""
-        self._overrun = 0
         self._tick_at = self._beat_at = float("-inf")
-        self._lock, self._inbox = threading.Lock(), threading.Lock()
-        self._ready, self._stop = threading.Event(), threading.Event()
+        self._lock, self._limits = threading.Lock(), threading.Lock()
+        self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="phm-gcs", daemon=True)
         self._hub.listen(self._hear, frames.IDS)
 
@@ -96,7 +95,7 @@ class Station:
     def close(self) -> None:
         """Ends within seconds whatever the links do."""
         self._stop.set()
-        self._ready.set()
+        self._frames.wake()
         if self._thread.ident is not None:
             self._thread.join(CLOSE_LIMIT_S)
         self._hub.close()
@@ -116,7 +115,7 @@ class Station:
                 return ""
             self._clock.wait(self._stop, 0.02)
 
-    def subscribe(self, outlet: Outlet) -> None:
+    def subscribe(self, outlet: SubscriberQueue) -> None:
         """Have all news put there from now on."""
         with self._lock:
             self._outlets = (*self._outlets, outlet)
@@ -130,7 +129,7 @@ class Station:
                 "component": self.ids[1],
                 **self._store.snapshot(self._judged_at(at)),
                 "problems": list(self._problems),
-                "frames_refused": self._meter.refused + self._overrun,
+                "frames_refused": self._filter.refused + self._frames.dropped,
             }
             return self._number, News(at, "snapshot", body)
 
@@ -153,14 +152,10 @@ class Station:
         frame = frames.read(message)
         if frame is None:
             return
-        with self._inbox:
-            if not self._meter.allow(sender, at.mono):
-                return
-            if len(self._waiting) >= MAX_WAITING:
-                self._overrun += 1
-                return
-            self._waiting.append(_Heard(frame, raw, link, at))
-        self._ready.set()
+        with self._limits:
+            allowed = self._filter.allow(sender, at.mono)
+        if allowed:
+            self._frames.put(_Heard(frame, raw, link, at))
 
     # ------------------------------------------------------------ the station's thread
 
@@ -170,15 +165,11 @@ class Station:
                 self._turn()
             except Exception:  # a defect that one frame brings out must not end all
                 logger.exception("the ground station stumbled")
-            self._clock.wait(self._ready, TICK_S)
+            self._frames.wait(TICK_S)
 
     def _turn(self) -> None:
-        self._ready.clear()
-        with self._inbox:
-            heard = list(self._waiting)
-            self._waiting.clear()
-        for one in heard:
-            if not self._copies.copy(one.raw, one.link, one.at.mono):
+        for one in self._frames.take(0.0):
+            if not self._filter.is_copy(one.raw, one.link, one.at.mono):
                 with self._lock:
                     self._publish(self._store.hear(one.frame, one.link, one.at))
         now = self._clock.mono()

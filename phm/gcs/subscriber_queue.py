@@ -1,11 +1,10 @@
-"""News to one consumer: a bounded queue that drops the oldest and counts, so that nobody who is slow delays the station."""
+"""Events for one consumer, who cannot delay the station: a slow one loses the oldest events, which are counted."""
 
 from __future__ import annotations
 
-import threading
-from collections import deque
 from dataclasses import dataclass
 
+from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import Clock
 from phm.gcs.events import News
 
@@ -21,34 +20,8 @@ class Item:
     line: bytes
 
 
-class Outlet:
+class SubscriberQueue(BoundedQueue[Item]):
     """One thread puts, one takes."""
 
     def __init__(self, clock: Clock, size: int = SIZE) -> None:
-        self._clock, self._size = clock, size
-        self._items: deque[Item] = deque()
-        self._lock = threading.Lock()
-        self._ready = threading.Event()
-        self.dropped = 0
-
-    def put(self, item: Item) -> None:
-        """Never waits."""
-        with self._lock:
-            self._items.append(item)
-            if len(self._items) > self._size:
-                self._items.popleft()
-                self.dropped += 1
-            self._ready.set()
-
-    def take(self, timeout_s: float) -> list[Item]:
-        """All that waits; when nothing does, what comes within the time."""
-        self._clock.wait(self._ready, timeout_s)
-        with self._lock:
-            found = list(self._items)
-            self._items.clear()
-            self._ready.clear()
-        return found
-
-    def wake(self) -> None:
-        """Have `take` come back at once."""
-        self._ready.set()
+        super().__init__(clock, size)

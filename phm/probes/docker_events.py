@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from phm.core import threads
+from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.model import Stamp
 from phm.core.settings import ContainerSettings, Settings
@@ -196,7 +197,7 @@ class Watch:
     # ------------------------------------------------------------ the stream
 
     def _follow(self) -> None:
-        wait_s = BACKOFF_S
+        backoff = Backoff(BACKOFF_S, BACKOFF_MAX_S)
         while not self._stopping.is_set():
             opened_at = self._clock.mono()
             try:
@@ -216,10 +217,9 @@ class Watch:
                 self._turned()
             # A stream that is dropped as soon as it is opened must not be reopened ten times a second.
             if silent or self._clock.mono() - opened_at > BACKOFF_MAX_S:
-                wait_s = BACKOFF_S
+                backoff.reset()
             if not self._stopping.is_set():
-                self._clock.wait(self._stopping, wait_s)
-                wait_s = min(wait_s * 2, BACKOFF_MAX_S)
+                self._clock.wait(self._stopping, backoff.next_s())
 
     def _read_stream(self) -> None:
         opened_at = self._clock.mono()

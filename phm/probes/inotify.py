@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from phm.core import threads
+from phm.core.backoff import Backoff
 from phm.core.clock import Clock, SystemClock
 
 logger = logging.getLogger(__name__)
@@ -50,7 +51,7 @@ class _Listener:
     tell: Tell
     mask: int
     due: float | None = None
-    gap_s: float = PACE_S
+    pause: Backoff = field(default_factory=lambda: Backoff(PACE_S, PACE_MAX_S))
     last: float = float("-inf")
 
 
@@ -207,9 +208,9 @@ class Notices:
     def _happened(self, listener: _Listener) -> None:
         now = self._clock.mono()
         if now - listener.last > CALM_S:
-            listener.gap_s = PACE_S
+            listener.pause.reset()
         if listener.due is None:
-            listener.due = max(now, listener.last + listener.gap_s)
+            listener.due = max(now, listener.last + listener.pause.pause_s)
 
     def _tell_due(self) -> None:
         now = self._clock.mono()
@@ -217,6 +218,6 @@ class Notices:
             if listener.due is None or listener.due > now:
                 continue
             if now - listener.last <= CALM_S:
-                listener.gap_s = min(listener.gap_s * 2, PACE_MAX_S)
+                listener.pause.next_s()
             listener.due, listener.last = None, now
             listener.tell()

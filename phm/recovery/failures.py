@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from phm.core.backoff import pause_s
 from phm.core.model import Fault
 from phm.core.settings import RecoverySettings
 from phm.recovery.history import CLEAN_S, Attempt, History
@@ -47,7 +48,7 @@ class Failures:
         same = sorted((each for each in (*mine, *others) if not each.eased), key=lambda attempt: attempt.at)
         if not same:
             return self.now
-        return same[-1].at + float(min(settings.backoff * 2.0 ** (len(same) - 1), settings.backoff_max))
+        return same[-1].at + pause_s(len(same), settings.backoff, settings.backoff_max)
 
     def _within(self) -> list[Attempt]:
         return self.history.within(self.now - CLEAN_S)

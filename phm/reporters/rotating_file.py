@@ -14,6 +14,7 @@ import stat
 from collections import deque
 from collections.abc import Callable
 
+from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.wire.json_log import rotated_number
 
@@ -46,7 +47,7 @@ class RotatingLines:
         self._lost = 0
         self._last_lost = b""
         self._reason = ""
-        self._failures = 0
+        self._backoff = Backoff(FIRST_RETRY_S, LAST_RETRY_S)
         self._retry_at = 0.0
         self._asked_at: float | None = None
 
@@ -68,7 +69,8 @@ class RotatingLines:
             self._drain()
             if sync and self._regular():
                 os.fdatasync(self._fd)
-            self._reason, self._failures = "", 0
+            self._reason = ""
+            self._backoff.reset()
         except OSError as error:
             self._failed(error)
         finally:
@@ -192,8 +194,7 @@ class RotatingLines:
 
     def _failed(self, error: OSError) -> None:
         self._reason = error.strerror or type(error).__name__
-        self._retry_at = self._clock.mono() + min(FIRST_RETRY_S * 2**self._failures, LAST_RETRY_S)
-        self._failures = min(self._failures + 1, 10)
+        self._retry_at = self._clock.mono() + self._backoff.next_s()
         self._close()
 
     def _close(self) -> None:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import copy
 import threading
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from phm.core.duplicate_filter import DuplicateFilter
 from phm.transport.dialect import SAME, mavlink
 from phm.transport.mavlink_signing import SIGNATURE_BYTES, Signer
 from phm.transport.mavlink_traffic import Senders
@@ -52,7 +52,7 @@ class Codec:
         if signer is not None:
             signer.prepare(self._mav)
         self._wanted = wanted
-        self._recent: deque[bytes] = deque(maxlen=_RECENT_FRAMES)
+        self._recent: DuplicateFilter[bytes, bool] = DuplicateFilter(_RECENT_FRAMES)
         self._lock = threading.Lock()
         self.counters = Counters()
         self.senders = Senders()
@@ -69,7 +69,7 @@ class Codec:
         frame: bytes = copy.copy(message).pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         with self._lock:
-            self._recent.append(frame)
+            self._recent.add(frame, True)
         return frame
 
     def size(self, message: Any) -> int:
@@ -79,7 +79,7 @@ class Codec:
     def sent(self, frame: bytes) -> bool:
         """Whether this very frame was sent here lately: then hearing it is an echo."""
         with self._lock:
-            return frame in self._recent
+            return self._recent.get(frame) is not None
 
     def parser(self) -> Parser:
         return Parser(self._scale, self._wanted, self.counters, self.senders, self._signer)

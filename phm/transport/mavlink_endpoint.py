@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from phm.core import threads
+from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.settings import EndpointSettings
 from phm.facts import LinkFact
@@ -123,7 +124,7 @@ class Endpoint:
     # ------------------------------------------------------------ the thread
 
     def _loop(self) -> None:
-        wait_s = BACKOFF_S
+        backoff = Backoff(BACKOFF_S, BACKOFF_MAX_S)
         while not self._stopping.is_set():
             was_open, opened = False, 0.0
             try:
@@ -136,12 +137,10 @@ class Endpoint:
                 logger.exception("MAVLink endpoint %s failed unexpectedly", self.name)
                 self._tell(is_open=False, error=f"{type(error).__name__}: {error}")
             if was_open and self._clock.mono() - opened >= STEADY_S:
-                wait_s = BACKOFF_S
-            if self._clock.wait(self._soon, wait_s) and not self._stopping.is_set():
+                backoff.reset()
+            if self._clock.wait(self._soon, backoff.next_s()) and not self._stopping.is_set():
                 self._soon.clear()
-                wait_s = BACKOFF_S
-            else:
-                wait_s = min(2 * wait_s, BACKOFF_MAX_S)
+                backoff.reset()
 
     def _live(self, channel: Channel) -> None:
         """Serve an open channel until PHM stops or wants it opened anew. Raises OSError when it is lost."""

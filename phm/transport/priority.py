@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
+from phm.core.rate_limiter import TokenBucket
+
 RADIO_BYTES_S = 3170.0
 SHARE = 0.05
 SWARM_BYTES_S = RADIO_BYTES_S * SHARE
@@ -116,11 +118,12 @@ class Budget:
     counts: dict[Class, Count] = field(default_factory=lambda: {kind: Count() for kind in Class})
     _beat: tuple[float, float] = (float("-inf"), 0.0)
     """When the last heartbeat left, and bytes a second of heartbeats."""
-    _credit: float = 0.0
+    _credit: TokenBucket = field(init=False)
+    """Bytes."""
     _waiting: OrderedDict[str, Item] = field(default_factory=OrderedDict)
 
     def __post_init__(self) -> None:
-        self._credit = self.burst
+        self._credit = TokenBucket(self.burst, self.now)
 
     @property
     def rate(self) -> float:
@@ -154,11 +157,10 @@ class Budget:
 
     def next(self, now: float) -> Item | None:
         """What leaves now, or None. Nothing small overtakes something graver that has to wait for credit."""
-        self._earn(now)
+        self._credit.refill(now, self.rate / self.flow.factor(now), self.burst)
         item = min(self._waiting.values(), key=_order, default=None)
-        if item is None or item.size > self._credit:
+        if item is None or not self._credit.take(item.size):
             return None
-        self._credit -= item.size
         del self._waiting[item.key]
         count = self.counts[item.kind]
         count.sent, count.bytes = count.sent + 1, count.bytes + item.size
@@ -166,7 +168,7 @@ class Budget:
 
     def give_back(self, item: Item) -> None:
         """It could not be sent after all. It is first among its equals again, unless a newer one of its key waits."""
-        self._credit = min(self.burst, self._credit + item.size)
+        self._credit.tokens = min(self.burst, self._credit.tokens + item.size)
         count = self.counts[item.kind]
         count.sent, count.bytes = count.sent - 1, count.bytes - item.size
         if item.key in self._waiting:
@@ -184,14 +186,6 @@ class Budget:
     @property
     def waiting(self) -> int:
         return len(self._waiting)
-
-    def _earn(self, now: float) -> None:
-        if self.bytes_s is None:
-            self._credit = float("inf")
-        else:
-            earned = max(0.0, now - self.now) * self.rate / self.flow.factor(now)
-            self._credit = min(self.burst, self._credit + earned)
-        self.now = now
 
 
 def _order(item: Item) -> tuple[int, int]:

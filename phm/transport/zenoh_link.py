@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from phm.core import threads
+from phm.core.backoff import Backoff
+from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import Clock
 from phm.core.settings import FleetSettings
 from phm.transport import zenoh_config
@@ -67,7 +68,7 @@ class ZenohLink:
         self._bell, self._stopping = threading.Event(), threading.Event()
         self._newest = b""
         self._due = self._present = False
-        self._queries: deque[Any] = deque(maxlen=MAX_QUERIES)
+        self._queries: BoundedQueue[Any] = BoundedQueue(clock, MAX_QUERIES)
         self._links: set[str] = set()
         self._namesakes: dict[str, float] = {}
         self._connected, self._error = False, "not tried yet"
@@ -122,7 +123,7 @@ class ZenohLink:
     # ------------------------------------------------------------ the thread
 
     def _loop(self) -> None:
-        wait_s = BACKOFF_S
+        backoff = Backoff(BACKOFF_S, BACKOFF_MAX_S)
         while not self._stopping.is_set():
             opened = False
             self._turned = self._clock.mono()
@@ -134,10 +135,10 @@ class ZenohLink:
                 if opened:
                     logger.warning("fleet: the session is opened anew", exc_info=True)
                 self._tell(connected=False, error=zenoh_config.words(error))
-            wait_s = BACKOFF_S if opened else wait_s
+            if opened:
+                backoff.reset()
             self._turned = self._clock.mono()
-            self._clock.wait(self._stopping, wait_s)
-            wait_s = min(2 * wait_s, BACKOFF_MAX_S)
+            self._clock.wait(self._stopping, backoff.next_s())
 
     def _open(self) -> Any:
         import zenoh
@@ -193,7 +194,7 @@ class ZenohLink:
     def _answer(self, declared: Declared) -> None:
         """At most MAX_QUERIES in one turn: a peer that asks all the time must not keep the status from being published."""
         for _ in range(min(len(self._queries), MAX_QUERIES)):
-            declared.answer(self._queries.popleft(), self._newest if self._present else b"")
+            declared.answer(self._queries.next(), self._newest if self._present else b"")
             self._answered += 1
         if self._queries:
             self._bell.set()
@@ -214,7 +215,7 @@ class ZenohLink:
     # ------------------------------------------------------------ from Zenoh's threads
 
     def _asked(self, query: Any) -> None:
-        self._queries.append(query)
+        self._queries.put(query)
         self._bell.set()
 
     def _seen(self, token: str, there: bool) -> None:

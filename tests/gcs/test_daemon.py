@@ -25,7 +25,7 @@ from phm.core.clock import SystemClock
 from phm.core.settings import MavlinkSettings
 from phm.gcs.recorder import Record
 from phm.gcs.station import COMPONENT, Station
-from phm.gcs.subscriber_queue import Outlet
+from phm.gcs.subscriber_queue import SubscriberQueue
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
@@ -114,7 +114,7 @@ class Scene:
         self.agents = {7: agent(folder, 7, url, key=key, engine=True), 8: agent(folder, 8, url, key=key)}
         clock = SystemClock()
         self.station = Station(endpoints(url, key=key), 254, clock)
-        self.outlet = Outlet(clock)
+        self.outlet = SubscriberQueue(clock)
         self.station.subscribe(self.outlet)
         self.seen: list[dict[str, Any]] = []
 

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from phm.gcs import frames, table
 from phm.gcs.events import encode, timed
-from phm.gcs.ingress_filter import BURST, NEW_BURST, Copies, Meter
+from phm.gcs.ingress_filter import BURST, MAX_COPIES, NEW_BURST, IngressFilter
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
 from phm.wire import tunnel
@@ -126,31 +126,31 @@ def test_others_cannot_change_an_agents_row() -> None:
 
 def test_one_sender_uses_up_his_own_share() -> None:
     """A burst and a rate; it comes back with time, and the others do not notice."""
-    meter = Meter()
-    taken = sum(meter.allow((9, 1), 100.0) for _ in range(5000))
+    ingress = IngressFilter()
+    taken = sum(ingress.allow((9, 1), 100.0) for _ in range(5000))
     assert taken == BURST
-    assert meter.allow((7, 193), 100.0)
-    assert not meter.allow((9, 1), 100.0)
-    assert meter.allow((9, 1), 100.1)
+    assert ingress.allow((7, 193), 100.0)
+    assert not ingress.allow((9, 1), 100.0)
+    assert ingress.allow((9, 1), 100.1)
 
 
 def test_made_up_senders_share_one_entrance() -> None:
     """And those that are known already go on."""
-    meter = Meter()
-    meter.allow((7, 193), 100.0)
-    taken = sum(meter.allow((system, component), 100.0) for system in range(20) for component in range(200, 250))
+    ingress = IngressFilter()
+    ingress.allow((7, 193), 100.0)
+    taken = sum(ingress.allow((system, component), 100.0) for system in range(20) for component in range(200, 250))
     assert taken == NEW_BURST - 1
-    assert meter.allow((7, 193), 100.0)
-    assert meter.refused == 1000 - taken
+    assert ingress.allow((7, 193), 100.0)
+    assert ingress.refused == 1000 - taken
 
 
 def test_a_copy_by_another_link_is_one() -> None:
     """The same bytes by the same link are not: a sender may not count its frames."""
-    copies = Copies()
-    assert not copies.copy(b"frame", "a", 1.0)
-    assert copies.copy(b"frame", "b", 1.1)
-    assert not copies.copy(b"frame", "a", 1.2)
-    assert not copies.copy(b"frame", "b", 20.0)
+    ingress = IngressFilter()
+    assert not ingress.is_copy(b"frame", "a", 1.0)
+    assert ingress.is_copy(b"frame", "b", 1.1)
+    assert not ingress.is_copy(b"frame", "a", 1.2)
+    assert not ingress.is_copy(b"frame", "b", 20.0)
     for number in range(5000):
-        copies.copy(str(number).encode(), "a", 21.0)
-    assert len(copies._seen) <= 2048
+        ingress.is_copy(str(number).encode(), "a", 21.0)
+    assert len(ingress._frames) <= MAX_COPIES

@@ -16,7 +16,7 @@ from phm.core.clock import SystemClock
 from phm.gcs import serve
 from phm.gcs.events import News, encode
 from phm.gcs.serve import Server
-from phm.gcs.subscriber_queue import Item, Outlet
+from phm.gcs.subscriber_queue import Item, SubscriberQueue
 from tests.fakes.mavlink import until
 
 
@@ -24,10 +24,10 @@ class Source:
     """As much of a station as the server uses. Its snapshot is the number of the last news."""
 
     def __init__(self) -> None:
-        self._outlets: list[Outlet] = []
+        self._outlets: list[SubscriberQueue] = []
         self._number, self._clock = 0, SystemClock()
 
-    def subscribe(self, outlet: Outlet) -> None:
+    def subscribe(self, outlet: SubscriberQueue) -> None:
         self._outlets.append(outlet)
 
     def snapshot(self) -> tuple[int, News]:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import phm
 from phm.core import threads
+from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.scheduling_delay import NOISE_S, Lateness, Progress
 from phm.core.settings import Settings
@@ -247,7 +248,7 @@ class RosProcess:
     # ---- the thread
 
     def _run(self) -> None:
-        backoff_s = self._limits.backoff_s
+        backoff = Backoff(self._limits.backoff_s, self._limits.backoff_max_s)
         while not self._closing:
             began_s = self._clock.mono()
             try:
@@ -255,10 +256,10 @@ class RosProcess:
             except Exception as error:  # a mistake of ours must not end the supervision
                 sentence, wait_s = f"the ROS probe failed: {error!r}", None
             if self._clock.mono() - began_s >= self._limits.steady_s:
-                backoff_s = self._limits.backoff_s
+                backoff.reset()
                 self._last_note = ""
             if wait_s is None:
-                wait_s, backoff_s = backoff_s, min(2 * backoff_s, self._limits.backoff_max_s)
+                wait_s = backoff.next_s()
                 self._restarts += 1
             self._lose(sentence)
             self._pause(wait_s)

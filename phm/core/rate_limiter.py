@@ -1,0 +1,53 @@
+"""Token buckets: one, and one for each of many keys. Pure; the caller brings monotonic time in seconds."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Hashable
+from dataclasses import dataclass
+
+
+@dataclass(slots=True)
+class TokenBucket:
+    """`tokens` may be taken now; it was filled at `at`. Not thread-safe."""
+
+    tokens: float
+    at: float
+
+    def refill(self, now: float, rate: float, burst: float) -> None:
+        """Add `rate` tokens for each second since the last call, up to `burst`."""
+        earned = (now - self.at) * rate if now > self.at else 0.0
+        self.tokens, self.at = min(burst, self.tokens + earned), now
+
+    def take(self, tokens: float = 1.0) -> bool:
+        """Take them if there are so many."""
+        if tokens > self.tokens:
+            return False
+        self.tokens -= tokens
+        return True
+
+
+class RateLimiter:
+    """`rate` events a second for each key, and `burst` at once. Not thread-safe.
+
+    At most `max_keys` are remembered; the one that was used longest ago is forgotten first, and starts with a full bucket.
+    """
+
+    def __init__(self, rate: float, burst: float, max_keys: int = 1) -> None:
+        self._rate, self._burst, self._max_keys = rate, burst, max_keys
+        self._buckets: OrderedDict[Hashable, TokenBucket] = OrderedDict()
+
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._buckets
+
+    def __len__(self) -> int:
+        return len(self._buckets)
+
+    def allow(self, now: float, key: Hashable = None) -> bool:
+        """Whether one more event of this key is within the limit."""
+        bucket = self._buckets.pop(key, None) or TokenBucket(self._burst, now)
+        self._buckets[key] = bucket
+        if len(self._buckets) > self._max_keys:
+            self._buckets.popitem(last=False)
+        bucket.refill(now, self._rate, self._burst)
+        return bucket.take()
