@@ -27,7 +27,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from phm.core.model import CERTAIN, CONCLUSIVE, Layer, Level, Result, Slot, Value
+from phm.core.model import Evidence, HostReadings, Layer, Level, Result, Slot, Value
 from phm.core.settings import (
     ContainerSettings,
     DeviceSettings,
@@ -77,8 +77,6 @@ from phm.facts import (
 )
 
 __all__ = [
-    "CERTAIN",
-    "CONCLUSIVE",
     "Attachment",
     "AutopilotFact",
     "BeaconFact",
@@ -94,10 +92,12 @@ __all__ = [
     "DiskFact",
     "EndpointFact",
     "EndpointSettings",
+    "Evidence",
     "FileFact",
     "FileSettings",
     "GcsFact",
     "HostFact",
+    "HostReadings",
     "HostSettings",
     "Layer",
     "Level",

@@ -6,6 +6,7 @@ Not a check: files of this folder that begin with an underscore are parts of che
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from datetime import datetime
 
 from phm import api
@@ -42,14 +43,13 @@ class Cpu:
         self._taken: tuple[str, float] | None = None
 
     def judge(self, fact: api.HostFact, now: float, world: api.World) -> api.Result:
+        """See `_judge`; the readings carry the mean, too."""
+        mean = self._mean_of(fact, now)
+        return replace(self._judge(fact, mean, now, world), readings=api.HostReadings(cpu_percent=mean))
+
+    def _judge(self, fact: api.HostFact, mean: float, now: float, world: api.World) -> api.Result:
         """The mean of the readings within the window; high use is told once the window is full, or the quick way."""
         window_s = self._limits.cpu_window
-        self._readings.append((now, fact.cpu_percent))
-        # One reading from before the window stays: it is what shows that the window is full.
-        while len(self._readings) > 1 and self._readings[1][0] <= now - window_s:
-            self._readings.popleft()
-        inside = [share for at, share in self._readings if at > now - window_s]
-        mean = sum(inside) / len(inside)
         values: dict[str, api.Value] = {
             "cpu_percent": round(mean, 1),
             "load_per_core": round(fact.load_per_core, 2),
@@ -70,6 +70,16 @@ class Cpu:
             return api.stale(f"CPU at {mean:.0f} %, averaging over {span(window_s)} before judging", brief="", **values)
         words = f"CPU at {mean:.0f} % over {span(window_s)}, expected below {self._limits.cpu.warn:g} %"
         return self._bad(level, words, mean, values)
+
+    def _mean_of(self, fact: api.HostFact, now: float) -> float:
+        """The mean CPU use in percent over the window, with this reading."""
+        window_s = self._limits.cpu_window
+        self._readings.append((now, fact.cpu_percent))
+        # One reading from before the window stays: it shows that the window is full.
+        while len(self._readings) > 1 and self._readings[1][0] <= now - window_s:
+            self._readings.popleft()
+        inside = [share for at, share in self._readings if at > now - window_s]
+        return sum(inside) / len(inside)
 
     def _bad(self, level: Level, words: str, share: float, values: dict[str, api.Value]) -> api.Result:
         most = f"; {self._taken[0]} takes {self._taken[1]:.1f} CPUs" if self._taken else ""

@@ -60,6 +60,10 @@ class Container(PerContainer):
 
     def run(self, world: api.World) -> api.Result:
         fact = world.docker.container(self.key)
+        seen = api.Evidence(generation=fact.life if fact is not None else "")
+        return self._judge(fact, world).with_evidence(seen)
+
+    def _judge(self, fact: api.ContainerFact | None, world: api.World) -> api.Result:
         if fact is None:
             return self._bad(
                 "missing",
@@ -68,7 +72,7 @@ class Container(PerContainer):
                 "missing",
             )
         self._lives.look(fact, world.clock.mono())
-        values: dict[str, api.Value] = {"restart_count": fact.restart_count, "life": fact.life}
+        values: dict[str, api.Value] = {"restart_count": fact.restart_count}
         if fact.running:
             return self._running(fact, {"pid": fact.pid, **values})
         return self._stopped(fact, {"exit_code": fact.exit_code, **values})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Slot
@@ -50,7 +51,7 @@ class Files(PerContainer):
             paths = listed(wanted.path for wanted in self.entry.files)
             return api.ok(f"File check passed: {paths}", **values)
         summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
-        return api.Result(first.level, summary, first.brief, first.condition, first.target, {**values, **first.values})
+        return replace(first, summary=summary, values=values)
 
     def _judge(self, world: api.World, wanted: api.FileSettings) -> api.Result:
         where = f"{wanted.path} in {self.key}"
@@ -94,6 +95,5 @@ class Files(PerContainer):
         return api.ok(f"{where} is there and unaltered")
 
     def _bad(self, wanted: api.FileSettings, words: str, short: str, condition: str) -> api.Result:
-        return api.error(
-            words, brief=brief(last(wanted.path), short), condition=condition, target=self.key, path=wanted.path
-        )
+        found = api.error(words, brief=brief(last(wanted.path), short), condition=condition, target=self.key)
+        return found.with_evidence(api.Evidence(file=wanted.path))

@@ -51,12 +51,18 @@ class Host(api.Check):
     def run(self, world: api.World) -> Mapping[str, api.Result]:
         fact = world.host.read()
         now = world.clock.mono()
+        disks = tuple(
+            (disk.total_bytes, disk.free_bytes) for disk in fact.disks if disk.total_bytes and not disk.problem
+        )
         return {
             "host/cpu": self._cpu.judge(fact, now, world),
-            "host/memory": self._judge_memory(fact, now),
+            "host/memory": _with(self._judge_memory(fact, now), api.HostReadings(memory_percent=fact.memory_percent)),
             "host/io": self._judge_io(fact, now),
-            "host/disk": self._judge_disks(fact),
-            "host/temperature": self._judge_temperature(fact),
+            "host/disk": _with(self._judge_disks(fact), api.HostReadings(disks=disks)),
+            "host/temperature": _with(
+                self._judge_temperature(fact),
+                api.HostReadings(temperature_c=fact.temperature_c, fans_rpm=tuple(fact.fans_rpm)),
+            ),
             "host/clock": self._judge_clock(fact, now),
         }
 
@@ -207,6 +213,10 @@ class Host(api.Check):
     @staticmethod
     def _bad(level: Level, words: str, short: str, condition: str, values: Mapping[str, api.Value]) -> api.Result:
         return api.Result(level, words, brief(short), condition, values=values)
+
+
+def _with(result: api.Result, readings: api.HostReadings) -> api.Result:
+    return replace(result, readings=readings)
 
 
 def _rounded(percent: float | None) -> float | None:

@@ -88,10 +88,10 @@ class Network(PerContainer):
             f"{self.key} is connected{' and answers' if self.entry.address else ''}, but discovery passes and no data: {why}. {cause}",
             "transport blocked",
             "transport_blocked",
-            never_well=never,
         )
         # Whose address was not asked for may be well, and PHM's own way to it broken: nothing is restarted for that.
-        return found if self.entry.address else replace(found, target="")
+        target = found.target if self.entry.address else ""
+        return replace(found, evidence=api.Evidence(never_ok=never), target=target)
 
     def _mode(self, fact: api.ContainerFact) -> api.Result | None:
         """The network modes in which a container cannot be on a network of its own."""
@@ -162,8 +162,6 @@ class Network(PerContainer):
             "address_silent",
         )
 
-    def _bad(
-        self, words: str, short: str, condition: str, subject: str | None = None, **values: api.Value
-    ) -> api.Result:
+    def _bad(self, words: str, short: str, condition: str, subject: str | None = None) -> api.Result:
         told = self.key if subject is None else subject
-        return api.error(words, brief=brief(told, short), condition=condition, target=self.key, **values)
+        return api.error(words, brief=brief(told, short), condition=condition, target=self.key)

@@ -183,14 +183,17 @@ class Nodes(api.Check):
         node.live(roster, evidence, now)
         level, words, short, condition = self._words(node, judgement, fact, why)
         values: dict[str, api.Value] = {"listed": node.signs.count, "process": told}
-        if judgement.state is State.NEVER_STARTED and roster is not None and roster.left_out(name):
-            values[api.CERTAIN] = True
-        if judgement.witnessed or judgement.state is State.DUPLICATE:
-            values[api.CONCLUSIVE] = True
+        known = api.Evidence(
+            certain=judgement.state is State.NEVER_STARTED and roster is not None and roster.left_out(name),
+            conclusive=judgement.witnessed or judgement.state is State.DUPLICATE,
+            listed=node.signs.count,
+        )
         if condition == "node_missing" and node.wanted.container in cut_off:
-            return _unreached(node, judgement, values)
+            return _unreached(node, judgement, values, known)
         target = node.wanted.container if level is Level.ERROR else ""
-        return api.Result(level, words, brief(last(name), short) if short else "", condition, target, values)
+        return api.Result(
+            level, words, brief(last(name), short) if short else "", condition, target, values, evidence=known
+        )
 
     def _words(self, node: _Node, judgement: Judgement, fact: api.RosFact | None, why: str) -> _Words:
         """Level, summary, the brief's end, and condition."""
@@ -271,7 +274,7 @@ def _unheard(evidence: Iterable[Evidence]) -> bool:
     )
 
 
-def _unreached(node: _Node, judgement: Judgement, values: dict[str, api.Value]) -> api.Result:
+def _unreached(node: _Node, judgement: Judgement, values: dict[str, api.Value], known: api.Evidence) -> api.Result:
     """No target: a restart does not open the way between PHM and a container."""
     name, where = node.wanted.name, node.wanted.container
     words = (
@@ -279,7 +282,7 @@ def _unreached(node: _Node, judgement: Judgement, values: dict[str, api.Value]) 
         f"They were expected in the graph: look at the network between PHM and {where}, ROS_DOMAIN_ID, firewalls, discovery; "
         "nothing is restarted for it"
     )
-    return api.Result(Level.ERROR, words, brief(last(name), "unheard"), "node_unreachable", "", values)
+    return api.Result(Level.ERROR, words, brief(last(name), "unheard"), "node_unreachable", "", values, evidence=known)
 
 
 def _picture(world: api.World) -> tuple[api.RosFact | None, str]:

@@ -81,7 +81,8 @@ class Path(api.Check):
         broken = first_broken(hops)
         if broken is None:
             return api.ok(f"a command from the ground gets through, as far as is known: {words}", **values)
-        return api.stale(f"a command from the ground stops at {broken.name}: {words}", brief="", **values)
+        found = api.stale(f"a command from the ground stops at {broken.name}: {words}", brief="", **values)
+        return found.with_evidence(api.Evidence(broken_hop=broken.name))
 
     def _hops(self, world: api.World) -> list[Hop]:
         near = [self._name(entry) for entry in self._ground]

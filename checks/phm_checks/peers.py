@@ -62,9 +62,8 @@ class Peers(api.Check):
             values["not_listed"] = _names(fact.strangers)
         if found:
             first = api.worst(found)
-            values[api.CONCLUSIVE] = first.values.get(api.CONCLUSIVE) is True
             words = joined([result.summary for result in found])
-            return api.Result(first.level, words, first.brief, first.condition, values=values)
+            return api.Result(first.level, words, first.brief, first.condition, values=values, evidence=first.evidence)
         if not fact.peers:
             return api.bypass("no other agent was ever heard, and none is configured (swarm.agents)", **values)
         return api.ok(f"{fact.living} of {fact.members} agents of the swarm live", **values)
@@ -85,8 +84,7 @@ class Peers(api.Check):
                 "broken, or something happened to all of those",
                 brief=brief(f"split {len(here)}/{fact.members}", f"lost {_names(self._away, 3)}"),
                 condition="split",
-                conclusive=len(here) > 1,
-            )
+            ).with_evidence(api.Evidence(conclusive=len(here) > 1))
         ]
 
 
@@ -99,8 +97,8 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
         "heard_by": len(peer.heard_by),
         "unheard_by": len(peer.unheard_by),
     }
-    if set(peer.unheard_by) - {fact.own}:
-        values[api.CONCLUSIVE] = True  # by the word of others, too: not because this agent is late
+    # Another agent has lost it, too, so the cause is not that this agent is late.
+    known = api.Evidence(conclusive=bool(set(peer.unheard_by) - {fact.own}))
     dissent = f", but {_names(peer.heard_by)} hear it" if peer.heard_by else ""
     silent = "" if peer.age_s is None else f", here for {span(peer.age_s)}"
     if peer.state == "lost":
@@ -108,19 +106,21 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
             f"agent {name} is lost: unheard by {_names(peer.unheard_by)}{silent}{dissent}; expected its heartbeat: look for the "
             "vehicle, its power and its radio"
         )
-        return api.Result(Level.ERROR, words, brief(name, "lost"), "peer_lost", values=values)
+        return api.Result(Level.ERROR, words, brief(name, "lost"), "peer_lost", values=values, evidence=known)
     if peer.state == "never seen":
         words = (
             f"agent {name} was never heard; it is configured in swarm.agents: is it switched on, and on this network?"
         )
-        return api.Result(Level.WARN, words, brief(name, "never seen"), "peer_never_seen", values=values)
+        return api.Result(
+            Level.WARN, words, brief(name, "never seen"), "peer_never_seen", values=values, evidence=known
+        )
     if peer.state == "unheard by some":
         words = (
             f"agent {name} lives, heard by {_names(peer.heard_by)}, and is unheard by {_names(peer.unheard_by)}: the network "
             "between these is broken or at the edge of its range"
         )
         short = brief(name, f"unheard by {_names(peer.unheard_by, 3)}")
-        return api.Result(Level.WARN, words, short, "peer_partly", values=values)
+        return api.Result(Level.WARN, words, short, "peer_partly", values=values, evidence=known)
     if peer.state == "left":
         return api.bypass(f"agent {name} was stopped on purpose", **values)
     return api.ok(f"agent {name} is {peer.state}", **values)

@@ -303,8 +303,7 @@ def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *
 
 def _between(found: api.Result) -> api.Result:
     """What is wrong between ends that are there is seen, not concluded: a node that is late does not change it."""
-    values = {**found.values, api.CONCLUSIVE: True}
-    return replace(found, values=values) if found.condition in BETWEEN else found
+    return found.with_evidence(api.Evidence(conclusive=True)) if found.condition in BETWEEN else found
 
 
 def _unit(topic: api.TopicSettings) -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from phm.core.model import Fault, UnitState, Value, worst_by_slot
+from phm.core.model import Fault, UnitState, worst_by_slot
 from phm.transport.dialect import mavlink
 from phm.wire import status_line, status_word, tunnel
 from phm.wire.command import HEARTBEAT, STATUSTEXT, Command, CommandResult, fault_number
@@ -17,7 +17,6 @@ _U8, _I8, _I16, _U32 = 0xFF, 0x7F, 0x7FFF, 0xFFFFFFFF
 """What the standard writes for `not known` into a field of that type."""
 _MIB = 2**20
 MOST_OTHERS = 20
-_TOTAL = "disk_total_bytes "
 
 
 def ack(command: Command, result: CommandResult) -> Any:
@@ -41,12 +40,13 @@ def status(message: int, agent: int, states: Sequence[UnitState], *, complete: b
 
 def computer(states: Sequence[UnitState], *, mono: float, utc: float) -> Any:
     """ONBOARD_COMPUTER_STATUS with what the host check found last; what it does not tell is marked as not known."""
-    values: dict[str, Value] = {key: value for state in states for key, value in state.result.values.items()}
-    cpu, heat = _number(values.get("cpu_percent")), _number(values.get("temperature_c"))
-    memory = _number(values.get("memory_percent"))
+    found = [state.result.readings for state in states if state.result.readings is not None]
+    cpu = next((one.cpu_percent for one in found if one.cpu_percent is not None), None)
+    heat = next((one.temperature_c for one in found if one.temperature_c is not None), None)
+    memory = next((one.memory_percent for one in found if one.memory_percent is not None), None)
     total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if memory is not None else None
-    used, whole = _disks(values)
-    fans = [_within(rpm, 0, _I16 - 1) for rpm in _of(values, "fan_rpm ")]
+    disks = [disk for one in found for disk in one.disks]
+    fans = [_within(rpm, 0, _I16 - 1) for one in found for rpm in one.fans_rpm]
     return mavlink.MAVLink_onboard_computer_status_message(
         time_usec=int(max(0.0, utc) * 1e6),
         uptime=int(max(0.0, mono) * 1e3) & _U32,
@@ -61,30 +61,14 @@ def computer(states: Sequence[UnitState], *, mono: float, utc: float) -> Any:
         ram_usage=_U32 if memory is None or total is None else round(total * memory / 100 / _MIB),
         ram_total=_U32 if total is None else round(total / _MIB),
         storage_type=[_U32] * 4,
-        storage_usage=_four(used, _U32),
-        storage_total=_four(whole, _U32),
+        storage_usage=_four([round((total - free) / _MIB) for total, free in disks], _U32),
+        storage_total=_four([round(total / _MIB) for total, _ in disks], _U32),
         link_type=[_U32] * 6,
         link_tx_rate=[_U32] * 6,
         link_rx_rate=[_U32] * 6,
         link_tx_max=[_U32] * 6,
         link_rx_max=[_U32] * 6,
     )
-
-
-def _disks(values: Mapping[str, Value]) -> tuple[list[int], list[int]]:
-    """Used and all of each watched disk in MiB, in the order of the configuration; those that could not be read are left out."""
-    used, whole = [], []
-    for key, value in values.items():
-        total, free = _number(value), _number(values.get(f"disk_free_bytes {key.removeprefix(_TOTAL)}"))
-        if key.startswith(_TOTAL) and total and free is not None:
-            used.append(round((total - free) / _MIB))
-            whole.append(round(total / _MIB))
-    return used, whole
-
-
-def _of(values: Mapping[str, Value], prefix: str) -> list[float]:
-    found = (_number(value) for key, value in values.items() if key.startswith(prefix))
-    return [number for number in found if number is not None]
 
 
 def _four(known: Sequence[int], unknown: int) -> list[int]:
@@ -114,10 +98,6 @@ def details(fault: Fault, command: Command, others: Sequence[str] = ()) -> list[
         )
         for payload in payloads
     ]
-
-
-def _number(value: Value | None) -> float | None:
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
 def _within(value: float, least: int, most: int) -> int:

@@ -7,21 +7,13 @@ import this one. All records are frozen; what changes is kept by its owner (trac
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 
 Value = str | int | float | bool | None
 """What a result's `values` may hold: exactly what JSON can carry without loss."""
-LIFE = "life"
-"""The value by which a unit with a target says which life of that container it saw (`ContainerFact.life`)."""
-CERTAIN = "certain"
-"""The value True says that time would not change what is wrong: grace, which is for incomplete pictures, need not end first."""
-CONCLUSIVE = "conclusive"
-"""The value True says that what is wrong was seen itself, and not concluded from lateness or silence: starvation does not explain it."""
 ON_HOLD = "on_hold"
 """The condition of a STALE unit whose target is on hold: it is bad, on purpose, and no fault."""
-NEVER_WELL = "never_well"
-"""The value by which a check that can tell says whether what is wrong was ever well in this life of its container."""
 
 
 class Level(IntEnum):
@@ -83,6 +75,42 @@ class Stamp:
 
 
 @dataclass(frozen=True, slots=True)
+class Evidence:
+    """What tracker and recovery need to know about a result besides its level and condition. The defaults claim nothing.
+
+    generation:   which run of the target container the check saw (`phm.facts.ContainerFact.generation`).
+    certain:      more time would not change this bad result, so it counts during grace, too.
+    conclusive:   the problem itself was observed, not inferred from delay or silence: resource starvation cannot explain it.
+    never_ok:     whether the subject has never been OK since its container was started; None: the check does not know.
+    listed:       how many times the name of the missing node is still in the ROS graph; None: unknown.
+    file:         path, in the container, of the file that is wrong.
+    broken_hop:   name of the first broken hop on the command path.
+    """
+
+    generation: str = ""
+    certain: bool = False
+    conclusive: bool = False
+    never_ok: bool | None = None
+    listed: int | None = None
+    file: str = ""
+    broken_hop: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class HostReadings:
+    """Measurements of the companion computer for ONBOARD_COMPUTER_STATUS; None or empty: not measured by this check.
+
+    disks: total and free bytes of each watched disk, in the order of the configuration.
+    """
+
+    cpu_percent: float | None = None
+    memory_percent: float | None = None
+    temperature_c: float | None = None
+    fans_rpm: tuple[int, ...] = ()
+    disks: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Result:
     """What a check says about one unit (see `phm.api.Unit`) after one run.
 
@@ -92,13 +120,15 @@ class Result:
     condition: one machine word that names what is wrong (``exited``, ``unhealthy``); it selects the
                ladder of recovery actions. Empty when OK.
     target:    name of the container (as in the configuration) that a recovery may act on, or empty.
-    values:    numbers behind the judgement, for the JSON log; units in the key names.
+    values:    measured numbers for logs and reporters, units in the key names. PHM makes no decision from them.
     bypass:    the check had nothing to judge and counts as OK (logged as BYPASS).
     settle_s:  how long a bad result must last before it is told, where the check knows better than `Unit.settle_s`:
                shorter with evidence that nothing above it is the cause, longer for what was seen to mend itself.
     decides_s: a STALE result that only time can change: from the start of its container it takes at most so many seconds
                until it is OK or ERROR. The verification of an action waits for that.
     age_s:     how old the evidence is where no newer could be had: the engine's health check probes in its own time.
+    evidence:  what tracker and recovery need to know besides level and condition.
+    readings:  measurements of the companion computer, from checks that make them.
     """
 
     level: Level
@@ -111,6 +141,12 @@ class Result:
     settle_s: float | None = None
     decides_s: float | None = None
     age_s: float = 0.0
+    evidence: Evidence = Evidence()
+    readings: HostReadings | None = None
+
+    def with_evidence(self, evidence: Evidence) -> Result:
+        """The same result with this evidence."""
+        return replace(self, evidence=evidence)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from phm.core.model import NEVER_WELL, Fault
+from phm.core.model import Fault
 from phm.core.settings import ContainerSettings, RecoverySettings
 from phm.recovery.failures import Failures
 from phm.recovery.history import Attempt, History
@@ -75,7 +75,7 @@ back what the start had, and is tried once; where it never was, nothing is done.
 ONCE_WELL_S, FOUND_WELL_S = 2.0, 5.0
 """What has been told well for longer was not wrong from the start: beyond the grace of that start, in which all comes up and names
 of the life before go; where the container ran before PHM did, since PHM looks. A check that knows better says so
-(`phm.core.model.NEVER_WELL`)."""
+(`phm.core.model.Evidence.never_ok`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,8 +262,9 @@ def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings,
     if not ladder:
         return f"no action is known for {condition or 'this'}"
     least_s = start_s + ONCE_WELL_S if fault.life_seen else FOUND_WELL_S
-    never_well = fault.result.values.get(NEVER_WELL, fault.well_in_life_s < least_s)
-    if _once(condition, settings) and never_well:
+    known = fault.result.evidence.never_ok
+    never_ok = fault.well_in_life_s < least_s if known is None else known
+    if _once(condition, settings) and never_ok:
         return "it was not well before in this life of its container, so a restart would bring it back"
     return ""
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from phm.core.model import CERTAIN, CONCLUSIVE, ON_HOLD, Level, Result
+from phm.core.model import ON_HOLD, Level, Result
 from phm.tracker import starvation
 from phm.tracker.units import Entry, Pending, Scene
 
@@ -123,7 +123,7 @@ def starved(look: Look) -> Verdict | None:
         return KEEP if starvation.before(entry, cause) else _blocked(look, cause.id)
     if starvation.recovering(entry, look.now) and not _known(entry):
         return Verdict(not_known_yet(look.result))
-    if look.result.values.get(CONCLUSIVE) is True:
+    if look.result.evidence.conclusive:
         return None
     above = _cause(look, by_starvation=True)
     if not above:
@@ -217,7 +217,7 @@ def not_known_yet(result: Result) -> Result:
 def too_early(entry: Entry, now: float) -> bool:
     """Whether the unit has grace. An open or given-up fault goes on meanwhile."""
     known = entry.fault is not None or (entry.told_given_up and not entry.anew)
-    certain = entry.raw is not None and entry.raw.values.get(CERTAIN) is True
+    certain = entry.raw is not None and entry.raw.evidence.certain
     return not known and ((now < entry.quiet_until and not certain) or entry.started < entry.counts_from)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from phm.core.model import CERTAIN, CONCLUSIVE, Level, Result
+from phm.core.model import Level, Result
 from phm.tracker.units import Entry, Scene, Starving
 
 WAITING = frozenset({"cpu_throttled", "cpu_starved", "cpu_high", "memory_pressure", "io_pressure"})
@@ -91,7 +91,7 @@ EXPLAINED: Mapping[str, Explained] = {
 
 def explained(result: Result) -> Explained | None:
     """What can explain this bad result; None: starvation cannot."""
-    if not result.level.bad or result.values.get(CERTAIN) is True or result.values.get(CONCLUSIVE) is True:
+    if not result.level.bad or result.evidence.certain or result.evidence.conclusive:
         return None
     return EXPLAINED.get(result.condition)
 

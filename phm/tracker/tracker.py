@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from phm.core.dependency_graph import Needs
-from phm.core.model import LIFE, Fault, Level, Outcome, Result, Stamp, Transition, UnitState
+from phm.core.model import Fault, Level, Outcome, Result, Stamp, Transition, UnitState
 from phm.tracker import starvation
 from phm.tracker.faults import Episodes
 from phm.tracker.rules import SURE_S, judge, not_known_yet, too_early
@@ -149,9 +149,8 @@ class Tracker:
         entry.harmed = entry.harmed or entry.failing
         entry.bad_in_a_row = entry.bad_in_a_row + 1 if result.level.bad else 0
         entry.told = replace(entry.told, duration_s=duration_s)
-        life = result.values.get(LIFE)
-        if entry.target and isinstance(life, str) and life:
-            self._see_life(entry.target, unit, life, started, now, step)
+        if entry.target and result.evidence.generation:
+            self._see_life(entry.target, unit, result.evidence.generation, started, now, step)
         self._judge(entry, now, step)
         self._judge_dependents(entry, now, step)
         if unit in self._scene.starved:

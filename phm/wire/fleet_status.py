@@ -35,7 +35,6 @@ STATES = {
 """As HEARTBEAT's `system_status` of MAVLink."""
 POWEROFF = "POWEROFF"
 PATH_UNIT = "path"
-_BROKEN = "BROKEN"
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +107,7 @@ def broken_hop(states: Sequence[UnitState]) -> str | None:
     path = next((state for state in states if state.unit == PATH_UNIT), None)
     if path is None:
         return None
-    hop = next((name for name, state in path.result.values.items() if state == _BROKEN), "")
+    hop = path.result.evidence.broken_hop
     if hop or path.blocked_by:
         return (hop or path.blocked_by)[:_CUT]
     return "" if path.level is Level.OK else None

@@ -178,9 +178,9 @@ def test_every_result_names_the_life_that_was_seen() -> None:
     loop = Loop()
     first, second = loop.look(), loop.runs(by_hand=True)
     assert first.level is second.level is api.Level.OK
-    assert first.values["life"] == "id-of-ros_app@2026-01-01T00:00:00.000000001Z"
-    assert second.values["life"] == "id-of-ros_app@t2"
-    assert loop.look(status="exited").values["life"] == "id-of-ros_app@t2"
+    assert first.evidence.generation == "id-of-ros_app@2026-01-01T00:00:00.000000001Z"
+    assert second.evidence.generation == "id-of-ros_app@t2"
+    assert loop.look(status="exited").evidence.generation == "id-of-ros_app@t2"
 
 
 def test_one_restart_by_the_engine_is_a_warning_until_it_has_stayed() -> None:

@@ -79,7 +79,7 @@ def test_nodes_that_fall_silent_at_once_are_a_blocked_transport(aboard: Aboard) 
 def test_a_life_in_which_data_came_before_is_told_from_one_in_which_none_did(aboard: Aboard) -> None:
     """A restart may help the first, and not the second; the words say so."""
     result = aboard.later(10.0, 4.0, 4.4)
-    assert result.values["never_well"] is False
+    assert result.evidence.never_ok is False
     assert "Data came before" in result.summary
 
 
@@ -151,7 +151,7 @@ def test_publishers_without_names_are_a_blocked_transport_from_the_start(aboard:
     assert aboard.look().level is api.Level.OK
     aboard.clock.advance(20.0)
     result = aboard.look()
-    assert (result.condition, result.values["never_well"]) == ("transport_blocked", True)
+    assert (result.condition, result.evidence.never_ok) == ("transport_blocked", True)
     assert "nothing was ever heard" in result.summary
 
 

@@ -79,7 +79,7 @@ def test_a_file_that_can_be_put_back_is_named_first() -> None:
         {"path": "/c"},
         files=testing.FakeFiles(),
     )
-    assert (result.condition, result.values["path"]) == ("file_missing", "/b")
+    assert (result.condition, result.evidence.file) == ("file_missing", "/b")
     assert "/a in" in result.summary and "/c in" in result.summary
 
 

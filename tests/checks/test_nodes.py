@@ -328,18 +328,18 @@ def test_only_what_its_process_shows_is_conclusive() -> None:
     """That a process has ended or is stopped was seen itself; that a node left the graph may come of lateness."""
     bench = rated()
     bench.after(3.0)
-    assert api.CONCLUSIVE not in bench.result().values
+    assert not bench.result().evidence.conclusive
     bench.processes(MAIN, api.ProcessFact(71, 1, "T", 5.0, ONE.command))
     bench.ros.change(topics=flowing(0.5))
     stopped = bench.after(1.0)
-    assert (stopped.condition, stopped.values.get(api.CONCLUSIVE)) == ("node_hung", True)
+    assert (stopped.condition, stopped.evidence.conclusive) == ("node_hung", True)
     bench.processes(MAIN, ONE)
     bench.ros.change(nodes={})
     left = bench.after(8.0)
-    assert (left.condition, left.values.get(api.CONCLUSIVE)) == ("node_missing", None)
+    assert (left.condition, left.evidence.conclusive) == ("node_missing", False)
     bench.processes(MAIN)
     dead = bench.after(12.0)
-    assert (dead.condition, dead.values.get(api.CONCLUSIVE)) == ("node_missing", True)
+    assert (dead.condition, dead.evidence.conclusive) == ("node_missing", True)
 
 
 def test_a_killed_node_is_dead_as_soon_as_its_beacon_wavers() -> None:
@@ -736,7 +736,7 @@ def test_a_node_left_out_of_a_start_is_told_before_grace_ends() -> None:
     bench = pair()
     after_s, result = first_bad(bench, restarted(bench))
     assert 2.0 <= after_s <= 3.5
-    assert (result.condition, result.brief, result.values["certain"]) == ("node_missing", "node_1 never started", True)
+    assert (result.condition, result.brief, result.evidence.certain) == ("node_missing", "node_1 never started", True)
     assert "it was not started with its container in ros_app: none of the processes" in result.summary
 
 
@@ -788,7 +788,7 @@ def test_a_start_that_is_not_as_before_has_its_whole_grace(why: str) -> None:
         later = restarted(bench, command=f"{TWO.command} --other")
     after_s, result = first_bad(bench, later)
     assert after_s >= GRACE_S
-    assert "certain" not in result.values
+    assert not result.evidence.certain
 
 
 def test_a_node_alone_in_its_container_has_its_whole_grace() -> None:

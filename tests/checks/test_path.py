@@ -250,6 +250,7 @@ def test_a_node_that_takes_commands_is_part_of_the_path() -> None:
     assert world.alarms == ["nodes/a/controller: controller dead"]
     assert world.blocked() == {"path": "nodes/a/controller"}
     assert "stops at application" in world.text("path")
+    assert world.tracker.state("path").result.evidence.broken_hop == "application"
     assert "application BROKEN (controller not in the graph)" in world.text("path")
 
 

@@ -43,9 +43,9 @@ def test_a_loss_is_conclusive_by_the_word_of_others() -> None:
     """What this agent alone misses may be its own lateness."""
     mine = PeerFact("lost", 20.0, (), (1,))
     results = judge({2: ALIVE, 3: LOST, 4: mine})
-    assert [results[unit].values.get("conclusive") for unit in ("peers/A03", "peers/A04")] == [True, None]
-    assert judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[WHOLE].values["conclusive"] is True
-    assert judge({2: LOST, 3: LOST, 4: LOST})[WHOLE].values["conclusive"] is False
+    assert [results[unit].evidence.conclusive for unit in ("peers/A03", "peers/A04")] == [True, False]
+    assert judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[WHOLE].evidence.conclusive is True
+    assert judge({2: LOST, 3: LOST, 4: LOST})[WHOLE].evidence.conclusive is False
 
 
 @pytest.mark.parametrize(

@@ -196,7 +196,7 @@ def test_a_pair_that_the_configuration_needs_must_connect(topic: Any, level: api
     """A subscriber that is named gets nothing: ERROR. A pair that nobody asked for: WARN."""
     result = judge(build(**topic), api.TopicFact((end(**LAX),), (end(TWO, **STRICT),)))
     assert (result.level, result.condition) == (level, "qos_mismatch")
-    assert result.values[api.CONCLUSIVE] is True
+    assert result.evidence.conclusive
 
 
 def test_a_named_subscriber_that_another_publisher_serves_is_a_warning() -> None:

@@ -11,7 +11,7 @@ from phm.commands.command_log import LOGGED_PER_PERIOD, PERIOD_S
 from phm.commands.handler import CHECK_EVERY_S, MAX_WAITING, CommandHandler
 from phm.commands.rate_limit import SENDER_BURST
 from phm.commands.services import CommandServices
-from phm.core.model import Fault, Layer, Level, Result as Found, Slot, Stamp, UnitState
+from phm.core.model import Fault, HostReadings, Layer, Level, Result as Found, Slot, Stamp, UnitState
 from phm.facts import DiskFact
 from phm.testing import FakeClock, FakeHost, settings, world
 from phm.transport.dialect import mavlink
@@ -45,14 +45,14 @@ class Scene:
         self.faults: tuple[Fault, ...] = ()
         self.raises: Exception | None = None
         self.lives = True
-        values = {"cpu_percent": 41.6, "memory_percent": 50.0, "temperature_c": None}
+        readings = HostReadings(cpu_percent=41.6, memory_percent=50.0)
         host = UnitState(
             "host/cpu",
             "host",
             Slot.HOST,
             Layer.COMPANION,
             Level.OK,
-            Found(Level.OK, "well", values=values),
+            Found(Level.OK, "healthy", readings=readings),
             Stamp(0, 0),
         )
         services = CommandServices(

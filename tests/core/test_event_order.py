@@ -6,14 +6,14 @@ import itertools
 
 import pytest
 
-from phm.api import Level, Result, error, ok
+from phm.api import Evidence, Level, Result, error, ok
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
-GONE = error("exited", brief="exited", condition="exited", life="id@1")
+GONE = error("exited", brief="exited", condition="exited").with_evidence(Evidence(generation="id@1"))
 
 
 def lived(life: int) -> Result:
-    return ok("running", life=f"id@{life}")
+    return ok("running").with_evidence(Evidence(generation=f"id@{life}"))
 
 
 def agent() -> Bench:

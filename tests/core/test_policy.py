@@ -7,7 +7,7 @@ from unittest.mock import ANY
 
 import pytest
 
-from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
 from phm.core.settings import ContainerSettings, RecoverySettings
 from phm.recovery.history import Attempt, History
 from phm.recovery.policy import Act, Advise, GiveUp, Leave, Wait, decide
@@ -105,7 +105,7 @@ def test_a_container_that_ran_before_phm_has_come_up_already(seconds: float, exp
 def test_a_check_knows_better_than_what_was_told(never: bool, seconds: float, expected: type) -> None:
     """A network is well before anybody has listened for data on it."""
     known = was_well("transport_blocked", seconds)
-    known = replace(known, result=replace(known.result, values={"never_well": never}))
+    known = replace(known, result=replace(known.result, evidence=Evidence(never_ok=never)))
     assert isinstance(say(fault=known), expected)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from phm.api import Level
-from phm.core.model import CERTAIN
+from phm.core.model import Evidence
 from tests.fakes.tracker_bench import BAD, OK, Bench, chain, unit
 
 
@@ -55,7 +55,7 @@ def test_grace_after_start() -> None:
 
 def test_what_is_certain_needs_no_grace() -> None:
     """Time would not change it. What was seen before a need recovered is old all the same, and must be seen anew."""
-    certain = replace(BAD, values={CERTAIN: True})
+    certain = replace(BAD, evidence=Evidence(certain=True))
     bench = Bench([unit("nodes", grace_s=5.0)])
     bench.see("nodes", certain)
     assert bench.opened == ["nodes"]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from phm.api import Level, Result, error, ok, stale
-from phm.core.model import FaultOpened, Outcome
+from phm.core.model import Evidence, FaultOpened, Outcome
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
 
 def lived(life: int) -> Result:
-    return ok("running", life=f"id@{life}")
+    return ok("running").with_evidence(Evidence(generation=f"id@{life}"))
 
 
 def living() -> Bench:
@@ -134,7 +134,9 @@ def test_only_one_unit_tells_the_lives_of_a_container() -> None:
     bench = living()
     for _ in range(4):
         bench.later(0.5)
-        bench.see("nodes", error("gone", brief="gone", condition="gone", life="other words"))
+        bench.see(
+            "nodes", error("gone", brief="gone", condition="gone").with_evidence(Evidence(generation="other words"))
+        )
         bench.see("container", lived(1))
     assert bench.opened == ["nodes"]
 

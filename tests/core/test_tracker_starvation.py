@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from phm.api import Level, Result, error, ok, stale, warn
-from phm.core.model import CERTAIN, CONCLUSIVE, Outcome, Transition
+from phm.core.model import Evidence, Outcome, Transition
 from phm.tracker.starvation import EXPLAINED, LAST_WORD_S, LATE_S, OVER_S, RISING_S, UNREAD_S
 from tests.fakes.tracker_bench import OK, Bench, unit
 
@@ -23,9 +23,9 @@ WAITS = error("app waits for a core", brief="app waits", condition="cpu_starved"
 OVERLOADED = error("CPU at 100 %", brief="CPU 100 %", condition="cpu_high")
 SLOW = error("topic /x at 3 Hz, expected 10", brief="3 Hz", condition="rate_low")
 HUNG = error("node hangs", brief="hung", condition="node_hung")
-GONE = error("node is gone", brief="dead", condition="node_missing", **{CONCLUSIVE: True})
+GONE = error("node is gone", brief="dead", condition="node_missing").with_evidence(Evidence(conclusive=True))
 EXITED = error("app exited", brief="exited", condition="exited")
-MISFIT = error("QoS mismatch", brief="QoS mismatch", condition="qos_mismatch", **{CONCLUSIVE: True})
+MISFIT = error("QoS mismatch", brief="QoS mismatch", condition="qos_mismatch").with_evidence(Evidence(conclusive=True))
 
 
 def bench(**more: float) -> Bench:
@@ -130,7 +130,12 @@ def test_a_warning_of_pressure_explains_nothing_but_is_waited_for() -> None:
 
 @pytest.mark.parametrize(
     "result",
-    [EXITED, GONE, MISFIT, error("left out", brief="left out", condition="node_missing", **{CERTAIN: True})],
+    [
+        EXITED,
+        GONE,
+        MISFIT,
+        error("left out", brief="left out", condition="node_missing").with_evidence(Evidence(certain=True)),
+    ],
     ids=["exited", "process gone", "qos", "certain"],
 )
 def test_what_starvation_does_not_explain_is_published_immediately(result: Result) -> None:

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -31,7 +31,7 @@ from phm import testing
 from phm.checking import plan, registry
 from phm.checking.plan import Plan
 from phm.config import load
-from phm.core.model import CONCLUSIVE, LIFE, Event, FaultClosed, FaultOpened, Level, Result, Stamp, Transition, Value
+from phm.core.model import Event, Evidence, FaultClosed, FaultOpened, Level, Result, Stamp, Transition
 from phm.core.settings import Settings
 from phm.facts import ContainerFact
 from phm.tracker import SURE_S, Step, Tracker
@@ -244,25 +244,32 @@ class World:
             return Result(Level.STALE, "not judged while the container does not run")
         if self._is_ghost(unit, at):
             return OK
-        values: dict[str, Value] = {LIFE: self.fact(at).life} if unit == f"container/{TARGET}" else {}
+        evidence = Evidence(generation=self.fact(at).life if unit == f"container/{TARGET}" else "")
         target = TARGET if unit in targeted() else ""
         found = [span for span in self.bad.get(unit, ()) if span.covers(at)]
         if not found:
-            return Result(Level.OK, "well", values=values)
+            return Result(Level.OK, "well", evidence=evidence)
         probing_s = self._running_since(at) + PROBING_S - at
         if unit.startswith("health/") and probing_s > 0:
             return Result(Level.STALE, "starting", target=target, decides_s=PROBING_S)
         span = next(filter(self._conclusive, found), found[0])
         if span.condition == "restarting":
-            return Result(Level.STALE, "the engine is about to restart it", values=values)
+            return Result(Level.STALE, "the engine is about to restart it", evidence=evidence)
         if self._conclusive(span):
-            values[CONCLUSIVE] = True
+            evidence = replace(evidence, conclusive=True)
         condition = span.condition
         sure = 0.0 if self._surely_silent(span) else None
         # The engine's probes come every few seconds: the newest was at one of the moments, or began this one.
         age_s = (at - span.begin) % 30.0 if unit.startswith("health/") else 0.0
         return Result(
-            Level.ERROR, f"{unit} {condition}", condition, condition, target, values, settle_s=sure, age_s=age_s
+            Level.ERROR,
+            f"{unit} {condition}",
+            condition,
+            condition,
+            target,
+            settle_s=sure,
+            age_s=age_s,
+            evidence=evidence,
         )
 
     def _conclusive(self, span: Bad) -> bool:

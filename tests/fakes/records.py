@@ -33,8 +33,8 @@ def at(seconds: float = 0.0) -> Stamp:
 
 
 def unit(name: str, slot: Slot, level: Level = Level.OK, summary: str = "", **fields: Any) -> UnitState:
-    """A published unit; `brief`, `condition`, `values`, `target`, `bypass` go into its result."""
-    keys = ("brief", "condition", "values", "target", "bypass")
+    """A published unit; `brief`, `condition`, `values`, `target`, `bypass`, `evidence` go into its result."""
+    keys = ("brief", "condition", "values", "target", "bypass", "evidence")
     result = Result(level, summary or f"{name} says so", **{key: fields.pop(key) for key in keys if key in fields})
     base = UnitState(name, name.partition("/")[0], slot, Layer.ROS, level, result, at())
     return replace(base, **fields)

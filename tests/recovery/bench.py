@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from phm.core.clock import SystemClock
-from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp, Value
+from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import ContainerFact
 from phm.probes.docker import Docker
@@ -20,8 +20,8 @@ from phm.transport.docker import Engine
 from tests.proxy.haproxy import BehindProxy
 
 
-def fault(unit: str, condition: str, **values: Value) -> Fault:
-    result = Result(Level.ERROR, "it is broken", "broken", condition, "app", values)
+def fault(unit: str, condition: str, evidence: Evidence | None = None) -> Fault:
+    result = Result(Level.ERROR, "it is broken", "broken", condition, "app", evidence=evidence or Evidence())
     return Fault("F1", unit, Slot.CONTAINER, Layer.DOCKER, result, Stamp(0.0, 0.0))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from phm.core.model import Outcome
+from phm.core.model import Evidence, Outcome
 from phm.facts import NotPermitted
 from phm.probes.docker import Docker
 from phm.recovery.actions import Relaunch, Restart, Restore, Start
@@ -227,7 +227,7 @@ def test_the_name_of_a_dead_node_that_is_still_listed_is_no_return(fake: FakeEng
     """It was told as dead while listed, since its lease runs on: only a name that came once more is the node."""
     made = ros(fake, ask)
     made.nodes = {"/a/one": 1}
-    dead = fault("nodes/a/one", "node_missing", listed=1)
+    dead = fault("nodes/a/one", "node_missing", Evidence(listed=1))
     assert made.run(Relaunch, "app", dead).startswith("relaunched /a/one")
     made.nodes = {"/a/one": 2}
     assert made.run(Relaunch, "app", dead) == "/a/one is listed again"
@@ -280,7 +280,7 @@ def test_a_file_is_put_back(
     golden.write_bytes(GOOD)
     golden.chmod(0o640)
     made = files(fake, ask, content, restore="image" if source == "image" else str(golden), **wanted)
-    made.run(Restore, "app", fault("files/app", "file_missing", path=PATH))
+    made.run(Restore, "app", fault("files/app", "file_missing", Evidence(file=PATH)))
     app = fake.containers["app"]
     assert app["_files"][PATH] == GOOD
     plain = 0o644 if source == "image" else 0o640
@@ -300,7 +300,7 @@ def test_a_copy_that_is_not_good_itself_is_refused(fake: FakeEngine, ask: Engine
     made = files(fake, ask, b"bad", sha256=SUM, restore="image" if source == "image" else str(golden))
     fake.images["image-of-app"] = {PATH: b"worse"}
     with pytest.raises(ActionFailed, match="not the configured SHA-256"):
-        made.run(Restore, "app", fault("files/app", "file_altered", path=PATH))
+        made.run(Restore, "app", fault("files/app", "file_altered", Evidence(file=PATH)))
     assert fake.containers["app"]["_files"][PATH] == b"bad"
     assert list(fake.containers) == ["app"]
 
@@ -381,10 +381,12 @@ def test_restore_applies_to_the_file_at_fault(fake: FakeEngine, ask: Engine) -> 
     """Another file that could be put back does not help this one."""
     made = files(fake, ask, None)
     app = made.target("app")
-    assert Restore.applies(app, fault("files/app", "file_missing", path=PATH), made.settings)
-    assert not Restore.applies(app, fault("files/app", "file_missing", path="/other"), made.settings)
+    assert Restore.applies(app, fault("files/app", "file_missing", Evidence(file=PATH)), made.settings)
+    assert not Restore.applies(app, fault("files/app", "file_missing", Evidence(file="/other")), made.settings)
     plain = bench(ask, containers=[{"name": "app", "files": [{"path": PATH}]}])
-    assert not Restore.applies(plain.target("app"), fault("files/app", "file_missing", path=PATH), plain.settings)
+    assert not Restore.applies(
+        plain.target("app"), fault("files/app", "file_missing", Evidence(file=PATH)), plain.settings
+    )
 
 
 @pytest.mark.parametrize("call", ["exec", "put", "create", "remove"])

@@ -8,7 +8,7 @@ import pytest
 
 from phm import testing
 from phm.api import ok
-from phm.core.model import Event, FaultOpened, Phase
+from phm.core.model import Event, Evidence, FaultOpened, Phase
 from tests.fakes.mavlink import until
 from tests.recovery.agent import Agent, Containers, Of
 
@@ -33,7 +33,7 @@ def agent() -> Iterator[Agent]:
 
 def seen(agent: Agent) -> None:
     """The container's check names the life that it sees."""
-    agent.found[CONTAINER] = ok("running", life=agent.containers.facts["app"].life)
+    agent.found[CONTAINER] = ok("running").with_evidence(Evidence(generation=agent.containers.facts["app"].life))
 
 
 def restart(agent: Agent) -> None:

@@ -49,9 +49,9 @@ class Relaunch(Action):
         A node can be reported missing while it is listed: its name stays until its lease ends.
         """
         missing = fault.result.condition == "node_missing"
-        stale = fault.result.values.get("listed") if missing else None
+        still_listed = (fault.result.evidence.listed or 0) if missing else 0
         try:
-            return context.listed_nodes().get(name, 0) > (stale if isinstance(stale, int) else 0)
+            return context.listed_nodes().get(name, 0) > still_listed
         except CannotTell:
             return not missing
 

@@ -41,8 +41,8 @@ class Restore(Action):
     @classmethod
     def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
         """The file at fault can be put back; any file can when the check does not say which it is."""
-        path = fault.result.values.get("path")
-        return any(file.restore and file.present and path in (None, file.path) for file in target.files)
+        path = fault.result.evidence.file
+        return any(file.restore and file.present and path in ("", file.path) for file in target.files)
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
