@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from phm.core.settings import Settings
 from phm.reporters.base import ReporterContext
 from phm.reporters.status import Status
 from phm.wire import control as wire
+from tests.fakes.until import until
 
 
 class HoldService:
@@ -42,10 +42,7 @@ def holds(tmp_path: Path) -> Iterator[HoldService]:
     made = HoldService()
     control = ControlServer(str(tmp_path), lambda fault: "", lambda kind, text: None, made)
     control.start()
-    end = time.monotonic() + 30
-    while not (tmp_path / wire.NAME).exists():
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    until((tmp_path / wire.NAME).exists, "the socket")
     yield made
     control.close()
 

@@ -16,7 +16,8 @@ from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_signing import NAME
 from phm.wire import tunnel
-from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat, until
+from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat
+from tests.fakes.until import until
 
 KEY = bytes(range(1, 33))
 # With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.

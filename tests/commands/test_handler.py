@@ -19,7 +19,8 @@ from phm.transport.priority import Class
 from phm.wire import status_word, tunnel
 from phm.wire.command import CommandResult
 from phm_checks.host import Host
-from tests.fakes.mavlink import Sender, until
+from tests.fakes.mavlink import Sender
+from tests.fakes.until import until
 
 ALL = ["status", "details", "check", "approve", "restart"]
 

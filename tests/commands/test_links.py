@@ -17,7 +17,8 @@ from phm.core.settings import MavlinkSettings
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
-from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat, until
+from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat
+from tests.fakes.until import until
 
 # With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
 mavutil.set_dialect("common")

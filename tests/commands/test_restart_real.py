@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,8 @@ from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from tests.fakes.mavlink import free_port, heartbeat
+from tests.fakes.until import until
 
-LIMIT_S = 60.0
 APPROVE, RESTART = 2, 3
 RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
 # With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
@@ -56,15 +55,15 @@ class Agent:
 
     def until(self, wanted: Callable[[], Any], what: str) -> None:
         """Reads what comes meanwhile, and lets the agent know that a ground station is there."""
-        end = time.monotonic() + LIMIT_S
-        while not wanted():
-            assert time.monotonic() < end, f"waited {LIMIT_S:g} s for {what}; lines {self.lines}"
-            self.ground.mav.send(heartbeat(kind=mavlink.MAV_TYPE_GCS))
-            message = self.ground.recv_match(blocking=True, timeout=0.2)
-            if message is not None and message.get_type() == "STATUSTEXT":
-                self.lines.append((message.severity, message.text))
-            elif message is not None and message.get_type() == "COMMAND_ACK":
-                self.answer = message.result
+        until(wanted, what, lambda: self.lines, step=self._receive)
+
+    def _receive(self) -> None:
+        self.ground.mav.send(heartbeat(kind=mavlink.MAV_TYPE_GCS))
+        message = self.ground.recv_match(blocking=True, timeout=0.2)
+        if message is not None and message.get_type() == "STATUSTEXT":
+            self.lines.append((message.severity, message.text))
+        elif message is not None and message.get_type() == "COMMAND_ACK":
+            self.answer = message.result
 
     def ask(self, operation: int, number: int) -> int:
         """The result with which this is acknowledged."""

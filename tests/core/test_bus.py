@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable
 
 from phm import testing
 from phm.core.bus import Bus
 from phm.core.clock import SystemClock
 from phm.core.model import Event, Note, ReportStarted, Stamp
+from tests.fakes.until import until
 
 AT = Stamp(0.0, 0.0)
-
-
-def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
-    end = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < end, "it did not happen in time"
-        time.sleep(0.002)
 
 
 def note(text: str) -> Note:
@@ -47,7 +39,7 @@ def test_a_slow_subscriber_delays_nobody_and_loses_the_oldest_counted() -> None:
 
     bus.subscribe("slow", slow, size=3)
     bus.publish(note("first"))
-    until(lambda: not bus._subscriptions[0]._queue)
+    until(lambda: not bus._subscriptions[0]._queue, "an empty queue")
     for number in range(10):
         bus.publish(note(str(number)))
     assert bus.dropped() == {"slow": 7}
@@ -66,7 +58,7 @@ def test_with_a_key_the_newest_of_each_key_is_kept() -> None:
 
     bus.subscribe("recovery", slow, key=lambda event: event.text[0] if isinstance(event, Note) else "")
     bus.publish(note("x"))
-    until(lambda: not bus._subscriptions[0]._queue)
+    until(lambda: not bus._subscriptions[0]._queue, "an empty queue")
     for text in ("a1", "b1", "a2", "a3"):
         bus.publish(note(text))
     gate.set()
@@ -96,7 +88,7 @@ def test_ticks_come_every_period_without_events() -> None:
     bus, ticks = Bus(clock), []
     bus.subscribe("beat", lambda event: None, tick=lambda: ticks.append(clock.mono()), period_s=2.0)
     for count in (1, 2, 3):
-        until(lambda count=count: len(ticks) == count)  # type: ignore[misc]
+        until(lambda count=count: len(ticks) == count, "the next event")  # type: ignore[misc]
         clock.wait_for_sleepers(1)
         clock.advance(2.0)
     bus.close()

@@ -7,8 +7,7 @@ import os
 import random
 import socket
 import stat
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,6 +16,7 @@ from click.testing import CliRunner
 from phm.cli import group
 from phm.commands.control_server import MAX_CONNECTIONS, ControlServer, HoldController
 from phm.wire import control as wire
+from tests.fakes.until import until
 
 
 class Daemon:
@@ -29,18 +29,12 @@ class Daemon:
             str(run_dir), self.approve, lambda kind, text: self.notes.append((kind, text)), holds
         )
         self.control.start()
-        self.until(lambda: (run_dir / wire.NAME).exists())
+        until(lambda: (run_dir / wire.NAME).exists(), "the socket")
 
     def approve(self, fault: str) -> str:
         if fault == "ab12-1":
             return "approved: restart app"
         raise LookupError(f"there is no open fault {fault}; open: ab12-1 (health/app)")
-
-    def until(self, condition: Callable[[], bool]) -> None:
-        end = time.monotonic() + 10
-        while not condition():
-            assert time.monotonic() < end
-            time.sleep(0.01)
 
     def connect(self) -> socket.socket:
         stream = socket.socket(socket.AF_UNIX)  # blocking: with a full backlog it waits for its turn
@@ -77,8 +71,8 @@ def test_it_is_for_its_owner_and_goes_away(daemon: Daemon) -> None:
     assert [entry.name for entry in daemon.run_dir.iterdir()] == [wire.NAME]
     first = path.stat().st_ino
     second = Daemon(daemon.run_dir)
-    daemon.until(lambda: path.stat().st_ino != first)
-    daemon.until(second.serves)
+    until(lambda: path.stat().st_ino != first, "the new socket")
+    until(second.serves, "the second server to answer")
     daemon.control.close()
     assert path.exists(), "the socket of another daemon was removed"
     second.control.close()
@@ -137,7 +131,7 @@ def test_nonsense_is_answered_with_an_error_and_let_go(daemon: Daemon, line: byt
             pass  # closed with more than it wanted to read
     assert not data or json.loads(data)["ok"] is False
     assert daemon.notes == []
-    daemon.until(daemon.serves)
+    until(daemon.serves, "the server to answer")
 
 
 def test_random_bytes_never_end_it(daemon: Daemon) -> None:
@@ -158,7 +152,7 @@ def test_random_bytes_never_end_it(daemon: Daemon) -> None:
                     stream.sendall(piece)
             except OSError:
                 continue  # it had enough
-    daemon.until(daemon.serves)
+    until(daemon.serves, "the server to answer")
 
 
 def test_few_connections_at_a_time(daemon: Daemon) -> None:
@@ -171,7 +165,7 @@ def test_few_connections_at_a_time(daemon: Daemon) -> None:
         assert "at most" in json.loads(more.recv(4096))["error"]
     for stream in held:
         stream.close()
-    daemon.until(daemon.serves)
+    until(daemon.serves, "the server to answer")
 
 
 def test_only_root_and_its_own_user_may_ask(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,9 +180,6 @@ def test_a_run_dir_that_cannot_be_made_is_a_problem(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     control = ControlServer(str(tmp_path / "file" / "run"), str, lambda kind, text: None)
     control.start()
-    end = time.monotonic() + 10
-    while not control.problem():
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    until(control.problem, "the problem")
     assert "`phm approve` does not work" in control.problem()
     control.close()

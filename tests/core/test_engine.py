@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 
 import pytest
 
 from phm import api, testing
 from phm.checking.scheduler import Batch, Engine, Scheduled
-
-
-def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
-    """Wait for something observable, in real time, with a limit."""
-    end = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < end, "it did not happen in time"
-        time.sleep(0.002)
+from tests.fakes.until import until
 
 
 class Scripted(api.Check):
@@ -71,24 +63,24 @@ def rig() -> Iterator[Rig]:
 def test_a_check_runs_at_start_and_then_every_period(rig: Rig) -> None:
     """The first result does not wait for the first period."""
     rig.start(Scripted(lambda: api.ok("well")), period_s=20.0)
-    until(lambda: len(rig.batches) == 1)
+    until(lambda: len(rig.batches) == 1, "the first result")
     for count in (2, 3):
         rig.clock.wait_for_sleepers(1)
         rig.clock.advance(0.05)
         rig.clock.wait_for_sleepers(1)
         rig.clock.advance(20.0)
-        until(lambda count=count: len(rig.batches) == count)  # type: ignore[misc]
+        until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
 
 
 def test_a_wake_runs_only_the_checks_that_named_the_subject(rig: Rig) -> None:
     """An event costs the run of what it is about, not a whole pass."""
     engine = rig.start(Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b"))
-    until(lambda: len(rig.batches) == 2)
+    until(lambda: len(rig.batches) == 2, "the second result")
     rig.clock.wait_for_sleepers(2)
     rig.clock.advance(0.05)
     rig.clock.wait_for_sleepers(2)
     engine.wake_subject("subject:a")
-    until(lambda: len(rig.summaries("a")) == 2)
+    until(lambda: len(rig.summaries("a")) == 2, "the second result of a")
     assert len(rig.summaries("b")) == 1
 
 
@@ -96,7 +88,7 @@ def test_a_check_that_is_woken_all_the_time_leaves_a_gap(rig: Rig) -> None:
     """What wakes it meanwhile is one run, after the gap."""
     engine = rig.start(Scripted(lambda: api.ok("well")))
     for count in (1, 2, 3):
-        until(lambda count=count: len(rig.batches) == count)  # type: ignore[misc]
+        until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
         rig.clock.wait_for_sleepers(1)
         engine.wake_all("test")
         engine.wake_all("test")
@@ -117,7 +109,7 @@ def test_a_crash_is_stale_about_phm_and_the_check_goes_on(rig: Rig) -> None:
 
     engine = rig.start(Scripted(run))
     for count in (1, 2, 3):
-        until(lambda count=count: len(rig.batches) >= count)  # type: ignore[misc]
+        until(lambda count=count: len(rig.batches) >= count, "the next result")  # type: ignore[misc]
         rig.clock.wait_for_sleepers(1)
         rig.clock.advance(0.05)
         engine.wake_all("test")
@@ -134,14 +126,14 @@ def test_cannot_tell_is_stale_with_the_probes_sentence(rig: Rig) -> None:
         raise api.CannotTell("the engine did not answer in 5 s")
 
     rig.start(Scripted(run))
-    until(lambda: len(rig.batches) == 1)
+    until(lambda: len(rig.batches) == 1, "the first result")
     assert rig.batches[0].units["scripted"] == api.stale("the engine did not answer in 5 s")
 
 
 def test_a_unit_left_out_is_stale(rig: Rig) -> None:
     """Silence is never OK."""
     rig.start(Scripted(lambda: {"scripted": api.ok("well")}))
-    until(lambda: len(rig.batches) == 1)
+    until(lambda: len(rig.batches) == 1, "the first result")
     assert rig.batches[0].units["scripted"].level is api.Level.OK
     assert rig.batches[0].units["scripted/second"].level is api.Level.STALE
 
@@ -155,15 +147,15 @@ def test_a_hung_check_makes_only_itself_stale(rig: Rig) -> None:
         return api.ok("back")
 
     engine = rig.start(Scripted(hang, "hung"), Scripted(lambda: api.ok("b"), "other"))
-    until(lambda: len(rig.summaries("other")) == 1)
+    until(lambda: len(rig.summaries("other")) == 1, "the first result of other")
     rig.clock.advance(6.0)
     engine.look_for_overdue()
     engine.look_for_overdue()
     assert [("deadline of 5 s" in text) for text in rig.summaries("hung")] == [True]
     assert engine.overdue() == ("hung",)
-    until(lambda: len(rig.summaries("other")) >= 1)
+    until(lambda: len(rig.summaries("other")) >= 1, "a result of other")
     hung.set()
-    until(lambda: rig.summaries("hung")[-1] == "back")
+    until(lambda: rig.summaries("hung")[-1] == "back", "the result of the check that hung")
     assert engine.overdue() == ()
 
 
@@ -178,8 +170,8 @@ def test_a_defect_behind_the_sink_does_not_end_the_thread(rig: Rig) -> None:
     engine = Engine([Scheduled(Scripted(lambda: api.ok("well")), 20.0, 5.0)], testing.world(), rig.clock, sink)
     rig.engines.append(engine)
     engine.start()
-    until(lambda: len(calls) == 1)
+    until(lambda: len(calls) == 1, "the first call")
     rig.clock.wait_for_sleepers(1)
     rig.clock.advance(0.05)
     engine.wake_all("test")
-    until(lambda: len(calls) == 2)
+    until(lambda: len(calls) == 2, "the second call")

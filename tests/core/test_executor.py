@@ -20,6 +20,7 @@ from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext, ActionFailed
 from phm.recovery.executor import Executor, Shop
 from phm.tracker import Tracked, Tracker
+from tests.fakes.until import until
 
 
 class World:
@@ -86,14 +87,14 @@ class World:
         self.well = False
         self.look()
 
-    def until(self, condition: Callable[[], bool], limit_s: float = 10.0) -> None:
+    def until(self, condition: Callable[[], bool]) -> None:
         """Let fake time run, with the unit looked at all along, until something is seen."""
-        end = time.monotonic() + limit_s
-        while not condition():
-            assert time.monotonic() < end, f"it did not happen; seen: {self.phases()}"
-            self.clock.advance(0.05)
-            self.look()
-            time.sleep(0.001)
+        until(condition, "the executor", self.phases, step=self._step)
+
+    def _step(self) -> None:
+        self.clock.advance(0.05)
+        self.look()
+        time.sleep(0.001)
 
     def phases(self) -> list[Phase]:
         return [event.phase for event in self.events if isinstance(event, ActionEvent)]
@@ -136,7 +137,7 @@ def test_an_action_that_does_not_help_is_repeated_and_then_given_up(worlds: list
     world = make(worlds)
     world.behave = lambda name: None
     world.fail()
-    world.until(lambda: Phase.ESCALATED in world.phases(), limit_s=20)
+    world.until(lambda: Phase.ESCALATED in world.phases())
     assert world.runs == ["restart"] * 3
     assert world.phases().count(Phase.ESCALATED) == 1
     assert world.closed()[-1].fault.outcome.value == "escalated"
@@ -154,20 +155,20 @@ def test_a_container_given_up_while_down_is_started_again_without_a_new_alarm(wo
     world.condition, world.nodes_well = "exited", False
     world.behave = lambda name: None
     world.fail()
-    world.until(lambda: Phase.ESCALATED in world.phases(), limit_s=20)
+    world.until(lambda: Phase.ESCALATED in world.phases())
     assert world.runs == ["start", "restart", "restart"]
 
     def up_for_a_moment(name: str) -> None:
         world.well = True
 
     world.behave = up_for_a_moment
-    world.until(lambda: len(world.runs) == 4, limit_s=20)
-    world.until(lambda: world.phases()[-1] is Phase.DONE, limit_s=20)
+    world.until(lambda: len(world.runs) == 4)
+    world.until(lambda: world.phases()[-1] is Phase.DONE)
     world.fail()
-    world.until(lambda: world.phases()[-1] is Phase.FAILED, limit_s=20)
+    world.until(lambda: world.phases()[-1] is Phase.FAILED)
     world.nodes_well = True
-    world.until(lambda: len(world.runs) == 5, limit_s=20)
-    world.until(lambda: world.phases()[-1] is Phase.VERIFIED, limit_s=20)
+    world.until(lambda: len(world.runs) == 5)
+    world.until(lambda: world.phases()[-1] is Phase.VERIFIED)
     assert world.runs[3:] == ["start", "start"]
     assert world.phases().count(Phase.ESCALATED) == 1
     assert len([event for event in world.events if isinstance(event, FaultOpened)]) == 1

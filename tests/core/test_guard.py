@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,16 +16,10 @@ import pytest
 from phm.core import watchdog as guard_module
 from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, Guard, state_of, watch
 from phm.runtime.shutdown_marker import ShutdownMarker
+from tests.fakes.until import until
 
 LOOK_S = 0.02
 LIMIT_S = 20.0
-
-
-def until(wanted: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not wanted():
-        assert time.monotonic() < end, what
-        time.sleep(0.01)
 
 
 class Watched:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +14,7 @@ from phm.core.model import UnitState
 from phm.core.watchdog import Guard
 from phm.runtime.daemon import CALM_S, Daemon
 from phm.testing import settings
+from tests.fakes.until import until
 
 LIMIT_S = 20.0
 
@@ -50,13 +51,6 @@ def daemon(tmp_path: Path) -> Iterator[tuple[Daemon, Told]]:
     daemon.stop()
 
 
-def until(wanted: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not wanted():
-        assert time.monotonic() < end, what
-        time.sleep(0.01)
-
-
 def companion(daemon: Daemon) -> UnitState:
     (state,) = [state for state in daemon.pipeline.states() if state.unit == "companion"]
     return state
@@ -85,5 +79,5 @@ def test_the_heart_rests_while_nothing_waits_and_beats_when_called(daemon: tuple
         made.beat_soon()
         return guard.beats >= before + 50
 
-    until(called, "fifty beats, which its rests alone would make 25 s")
+    until(called, "fifty beats, which its rests alone would make 25 s", limit_s=LIMIT_S)
     assert made.alive()

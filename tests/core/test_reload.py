@@ -15,8 +15,9 @@ from typing import Any
 import pytest
 
 from phm.wire import control, json_log, status_file
-from tests.core.test_service import LIMIT_S, ROOT, until
+from tests.core.test_service import LIMIT_S, ROOT
 from tests.fakes.mavlink import free_port
+from tests.fakes.until import until
 
 HEARTBEAT, POWEROFF = 0, 8
 

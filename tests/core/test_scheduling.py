@@ -23,7 +23,8 @@ from phm.testing import FakeClock, world
 from phm.transport.call_deadlines import Watchdog
 from phm.transport.mavlink_traffic import Traffic
 from phm.wire.tunnel import Seen
-from tests.fakes.mavlink import heartbeat, until
+from tests.fakes.mavlink import heartbeat
+from tests.fakes.until import until
 
 
 def starved(clock: FakeClock, seconds: float, share: float = 0.8) -> None:
@@ -235,7 +236,7 @@ def test_a_call_is_not_cut_for_time_in_which_phm_did_not_run() -> None:
         clock.wait_for_sleepers(1)
         assert not call.expired
         clock.advance(2.1)
-        until(lambda: call.expired)
+        until(lambda: call.expired, "the call to expire")
     watchdog.close()
 
 
@@ -244,4 +245,4 @@ def test_the_system_clock_measures_once_asked() -> None:
     clock = SystemClock()
     assert clock.late_s(0.0) == 0.0
     clock.measure()
-    until(lambda: clock.lateness._due is not None)
+    until(lambda: clock.lateness._due is not None, "the first measurement")

@@ -24,6 +24,7 @@ from phm.runtime.daemon import Daemon
 from phm.runtime.shutdown_marker import NAME as MARKER
 from phm.testing import FakeClock, settings
 from phm.wire import control
+from tests.fakes.until import until
 
 ROOT = Path(__file__).parents[2]
 LIMIT_S = 60.0
@@ -42,13 +43,6 @@ threading.Event.wait = unlucky
 from phm.cli import main
 main(sys.argv[1:])
 """
-
-
-def until(wanted: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not wanted():
-        assert time.monotonic() < end, what
-        time.sleep(0.02)
 
 
 class Running:

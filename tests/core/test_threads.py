@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +23,9 @@ from phm.testing import settings
 from phm.transport.dns import Resolver
 from tests.core.test_engine import Scripted
 from tests.core.test_executor import World, make, worlds  # noqa: F401 - a fixture
+from tests.fakes.until import until
 
 LIMIT_S = 20.0
-
-
-def until(wanted: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not wanted():
-        assert time.monotonic() < end, what
-        time.sleep(0.005)
 
 
 class Full:

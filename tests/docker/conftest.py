@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
-import time
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -114,20 +112,3 @@ def engine() -> Iterator[Engine]:
     engine = Engine(SOCKET, timeout_s=10)
     yield engine
     engine.close()
-
-
-Until = Callable[[Callable[[], object], str], None]
-
-
-@pytest.fixture
-def until() -> Until:
-    """Wait for something that can be observed, or fail with what was waited for."""
-
-    def wait(condition: Callable[[], object], what: str) -> None:
-        end = time.monotonic() + 20
-        while not condition():
-            if time.monotonic() > end:
-                pytest.fail(f"waited 20 s for: {what}")
-            threading.Event().wait(0.02)
-
-    return wait

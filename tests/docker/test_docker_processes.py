@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -15,9 +14,9 @@ from phm.probes.docker_processes import AGAIN_MOST_S, AGAIN_S, FORMS, Processes,
 from phm.testing import FakeClock, settings
 from phm.transport.docker import Engine, EngineBroken
 from tests.fakes.engine import FakeEngine, Hang, Status, container
+from tests.fakes.until import until
 
 TITLES = ["PID", "PPID", "STAT", "TIME", "ELAPSED", "COMMAND"]
-Until = Callable[[Callable[[], object], str], None]
 
 
 def probe(engine: Engine, name: str) -> Docker:
@@ -128,7 +127,7 @@ def test_an_engine_that_does_not_list_cannot_tell(fake: FakeEngine, ask: Engine,
 
 
 @pytest.mark.engine
-def test_real_processes_with_their_state(real: Any, engine: Engine, until: Until) -> None:
+def test_real_processes_with_their_state(real: Any, engine: Engine) -> None:
     """Asleep, busy, stopped, gone: each shows in the list of a real container, with long arguments in full."""
     long = "x" * 1000
     made = real.container(f"sleep 601 & bash -c 'while :; do :; done' busy {long} & exec sleep 602")

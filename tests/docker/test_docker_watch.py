@@ -14,8 +14,7 @@ from phm.probes.docker_reconcile import Expected, after, differences
 from phm.testing import settings
 from phm.transport.docker import Engine
 from tests.fakes.engine import DropStream, FakeEngine, Hang, Status, container
-
-Until = Callable[[Callable[[], object], str], None]
+from tests.fakes.until import until
 
 
 class Heard(list[DockerEvent]):
@@ -50,9 +49,7 @@ def watch(fake: FakeEngine) -> Iterator[Callable[..., tuple[Watch, Heard]]]:
         engine.close()
 
 
-def test_events_of_a_configured_container_are_told(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
-) -> None:
+def test_events_of_a_configured_container_are_told(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
     """Death comes with its exit code, health with its word, and both wake the container's checks."""
     fake.containers["app"] = container("app", health="healthy")
     _, heard = watch({"name": "app", "alias": "ros"})
@@ -65,7 +62,7 @@ def test_events_of_a_configured_container_are_told(
 
 
 def test_other_containers_and_exec_events_are_not_told(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
 ) -> None:
     """What happens to a container that nobody configured, and each run of a healthcheck, wakes nobody."""
     fake.containers["app"], fake.containers["db"] = container("app"), container("db")
@@ -80,7 +77,7 @@ def test_other_containers_and_exec_events_are_not_told(
 
 
 def test_a_container_that_was_renamed_away_is_still_known(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
 ) -> None:
     """The configured name is gone then: its check must look."""
     fake.containers["app"] = container("app")
@@ -95,7 +92,7 @@ def test_a_container_that_was_renamed_away_is_still_known(
 
 @pytest.mark.parametrize("entry", [{"name": "app"}, {"label": "role=app"}])
 def test_the_end_of_a_container_that_was_replaced_is_not_told(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until, entry: dict[str, Any]
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], entry: dict[str, Any]
 ) -> None:
     """Renamed away, a copy started in its place, then removed: the running copy is not concerned."""
     fake.containers["app"] = container("app", labels={"role": "app"})
@@ -114,9 +111,7 @@ def test_the_end_of_a_container_that_was_replaced_is_not_told(
     assert [event.id for event in heard] == [old, "copy", "copy", "copy"]
 
 
-def test_a_container_is_known_by_its_label(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
-) -> None:
+def test_a_container_is_known_by_its_label(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
     """Events carry labels, so a container that Compose made anew is known at once."""
     _, heard = watch({"label": "role=app"})
     fake.containers["swarm-app-1"] = container("swarm-app-1", status="created", labels={"role": "app"})
@@ -124,9 +119,7 @@ def test_a_container_is_known_by_its_label(
     until(lambda: "app start" in heard.texts(), "the start")
 
 
-def test_network_events_wake_the_network_checks(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
-) -> None:
+def test_network_events_wake_the_network_checks(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
     """Connecting and disconnecting names the network and the container."""
     fake.containers["app"] = container("app", networks=["swarm"])
     made, heard = watch({"name": "app", "networks": ["swarm"]})
@@ -143,7 +136,7 @@ def test_network_events_wake_the_network_checks(
 
 
 def test_a_network_that_is_removed_and_created_again_wakes_the_network_checks(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
 ) -> None:
     """What waited for it goes on at once; networks that nobody has configured wake nobody."""
     made, heard = watch({"name": "app", "networks": ["swarm"]})
@@ -159,7 +152,7 @@ def test_a_network_that_is_removed_and_created_again_wakes_the_network_checks(
 
 
 def test_a_disconnect_that_the_engine_tells_twice_is_told_once(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
 ) -> None:
     """The echo is left out; a connection in between, another container, or a later time makes it a disconnect of its own."""
     fake.containers["app"], fake.containers["two"] = container("app"), container("two")
@@ -190,7 +183,7 @@ def test_a_disconnect_that_the_engine_tells_twice_is_told_once(
 
 
 def test_a_disconnect_seconds_after_another_is_told(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
 ) -> None:
     """The engine's own clock counts: what was missed meanwhile is a connection, and both disconnects were real."""
     fake.containers["app"] = container("app")
@@ -204,7 +197,7 @@ def test_a_disconnect_seconds_after_another_is_told(
 
 
 def test_what_the_stream_lost_is_found_by_comparing(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
 ) -> None:
     """A change without an event is told within a comparison period, marked as lost."""
     fake.containers["app"] = container("app", health="healthy", networks=["swarm"])
@@ -217,9 +210,7 @@ def test_what_the_stream_lost_is_found_by_comparing(
     assert all(event.lost for event in heard)
 
 
-def test_what_the_stream_told_is_not_told_again(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
-) -> None:
+def test_what_the_stream_told_is_not_told_again(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
     """The comparison knows what the events have led to."""
     fake.containers["app"] = container("app", health="healthy")
     made, heard = watch({"name": "app"}, compare=0.5)
@@ -232,7 +223,7 @@ def test_what_the_stream_told_is_not_told_again(
 
 
 def test_a_dropped_stream_is_followed_again_and_what_was_missed_is_told(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
 ) -> None:
     """After a reconnect the containers are compared at once, whatever the period."""
     fake.containers["app"] = container("app")
@@ -249,7 +240,7 @@ def test_a_dropped_stream_is_followed_again_and_what_was_missed_is_told(
 
 
 def test_events_while_the_stream_was_down_are_read_from_the_engines_memory(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
 ) -> None:
     """The stream is taken up where it broke off, so nothing is told twice and nothing is left out."""
     fake.containers["app"] = container("app")
@@ -268,7 +259,7 @@ def test_events_while_the_stream_was_down_are_read_from_the_engines_memory(
 
 @pytest.mark.parametrize("fault", [Status(500), Hang()])
 def test_a_failing_engine_is_tried_again_and_shows_in_healthy(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until, fault: Any
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], fault: Any
 ) -> None:
     """While the engine fails the watch says so; afterwards it goes on by itself."""
     fake.containers["app"] = container("app")
@@ -284,7 +275,7 @@ def test_a_failing_engine_is_tried_again_and_shows_in_healthy(
     until(lambda: heard, "an event")
 
 
-def test_a_listener_that_raises_does_not_end_the_watch(fake: FakeEngine, until: Until) -> None:
+def test_a_listener_that_raises_does_not_end_the_watch(fake: FakeEngine) -> None:
     """A defect elsewhere costs its own event only."""
     fake.containers["app"] = container("app")
     heard: list[str] = []
@@ -312,7 +303,7 @@ def test_stop_ends_both_threads(fake: FakeEngine, watch: Callable[..., tuple[Wat
     assert not names & {"phm-docker-events", "phm-docker-compare"}
 
 
-def test_a_start_begins_a_life_once(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until) -> None:
+def test_a_start_begins_a_life_once(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
     """`docker restart` tells `start` and then `restart`, which are one life; a restart that was lost is one, too."""
     fake.containers["app"] = container("app")
     made, heard = watch({"name": "app"}, compare=0.5)
@@ -374,7 +365,7 @@ def test_a_death_after_a_start_that_was_told_is_still_found() -> None:
     assert differences(started, dead) == [("container", "die", "exit code 2")]
 
 
-def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine, until: Until) -> None:
+def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine) -> None:
     """Mostly the engine itself has gone or come: its check looks at once, and again when it cannot be reached."""
     turns: list[int] = []
     engine = Engine(fake.url, timeout_s=2)
@@ -410,7 +401,6 @@ def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine, until: Unt
 def test_a_kill_says_how_long_the_container_may_take_to_end(
     fake: FakeEngine,
     watch: Callable[..., tuple[Watch, Heard]],
-    until: Until,
     config: dict[str, Any],
     signal: str,
     end_s: float,
@@ -427,7 +417,7 @@ def test_a_kill_says_how_long_the_container_may_take_to_end(
 
 
 def test_events_are_replayed_also_when_none_had_come_before_the_stream_broke(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], until: Until
+    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
 ) -> None:
     """From when the stream was first open."""
     fake.containers["app"] = container("app")
@@ -446,7 +436,6 @@ def test_events_are_replayed_also_when_none_had_come_before_the_stream_broke(
 def test_the_stream_says_since_when_nothing_was_missed(
     fake: FakeEngine,
     watch: Callable[..., tuple[Watch, Heard]],
-    until: Until,
     monkeypatch: pytest.MonkeyPatch,
     missed_s: float,
     complete: bool,

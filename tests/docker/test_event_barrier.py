@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,8 +15,7 @@ from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.docker import Engine
 from tests.fakes.engine import DropStream, FakeEngine, container
-
-Until = Callable[[Callable[[], object], str], None]
+from tests.fakes.until import until
 
 
 class Late:
@@ -46,17 +45,13 @@ def late(fake: FakeEngine) -> Iterator[tuple[Watch, Late]]:
     engine.close()
 
 
-def test_a_reader_that_waits_for_the_next_event_has_caught_up(
-    fake: FakeEngine, late: tuple[Watch, Late], until: Until
-) -> None:
+def test_a_reader_that_waits_for_the_next_event_has_caught_up(fake: FakeEngine, late: tuple[Watch, Late]) -> None:
     """With nothing sent, nobody has to wait for it, however long the stream has been open."""
     watch, _ = late
     until(watch.caught_up, "the open stream")
 
 
-def test_an_event_that_is_being_applied_or_unread_is_waited_for(
-    fake: FakeEngine, late: tuple[Watch, Late], until: Until
-) -> None:
+def test_an_event_that_is_being_applied_or_unread_is_waited_for(fake: FakeEngine, late: tuple[Watch, Late]) -> None:
     """The first is in the late listener's hands, the second lies on the socket; both are applied when the wait is over."""
     watch, listener = late
     until(watch.caught_up, "the open stream")
@@ -79,7 +74,7 @@ def test_an_event_that_is_being_applied_or_unread_is_waited_for(
     assert waited == [2]
 
 
-def test_a_stream_that_is_closed_is_not_waited_for(fake: FakeEngine, late: tuple[Watch, Late], until: Until) -> None:
+def test_a_stream_that_is_closed_is_not_waited_for(fake: FakeEngine, late: tuple[Watch, Late]) -> None:
     """An engine that is away sends nothing that could be applied."""
     watch, _ = late
     until(watch.caught_up, "the open stream")
@@ -108,7 +103,7 @@ def daemon(fake: FakeEngine, tmp_path: Path) -> Iterator[Daemon]:
 
 
 def test_results_and_time_wait_for_the_events_before_them(
-    fake: FakeEngine, daemon: Daemon, until: Until, monkeypatch: pytest.MonkeyPatch
+    fake: FakeEngine, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While an event is not applied no result is judged, and nothing is published because time has passed; the heart goes on."""
     until(lambda: daemon.pipeline.complete and daemon.components.caught_up(), "the first report")

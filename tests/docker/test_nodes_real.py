@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -12,15 +11,15 @@ from phm.core.clock import SystemClock
 from phm.probes.docker import Docker
 from phm.transport.docker import Engine
 from phm_checks.nodes import Nodes
+from tests.fakes.until import until
 
-Until = Callable[[Callable[[], object], str], None]
 FAKE = "bash -c 'while :; do sleep 1; done' fake --name node_{} --namespace /agent_1"
 
 
 class Agent:
     """Two fake nodes of one real container, beside the graph of a ROS that does not notice anything."""
 
-    def __init__(self, name: str, engine: Engine, until: Until) -> None:
+    def __init__(self, name: str, engine: Engine) -> None:
         nodes = [{"name": f"/agent_1/node_{number}"} for number in (1, 2)]
         settings = testing.settings(
             containers=[{"name": name, "alias": "ros_app"}], ros={"nodes": nodes, "grace": "2s"}
@@ -29,7 +28,6 @@ class Agent:
         ros = testing.FakeRos(nodes={node["name"]: 1 for node in nodes})
         self.docker = Docker(engine, settings, SystemClock())
         self.world = testing.world(clock=SystemClock(), docker=self.docker, ros=ros)
-        self._until = until
 
     def results(self) -> dict[str, api.Result]:
         results = self.check.run(self.world)
@@ -45,7 +43,7 @@ class Agent:
             assert other.level in (api.Level.OK, api.Level.STALE), other.summary
             return results[node].condition == condition and process in str(results[node].values["process"])
 
-        self._until(shown, f"{node} as {condition or 'well'}, process {process}")
+        until(shown, f"{node} as {condition or 'well'}, process {process}")
 
 
 @pytest.fixture
@@ -53,9 +51,9 @@ def made(real: Any) -> Any:
     return real.container(f"{FAKE.format(1)} & {FAKE.format(2)} & wait; exec sleep 600")
 
 
-def test_a_stopped_and_then_killed_process(made: Any, engine: Engine, until: Until) -> None:
+def test_a_stopped_and_then_killed_process(made: Any, engine: Engine) -> None:
     """Hung while it is stopped, well when it is let go, dead when it is killed, although its name is listed throughout."""
-    agent = Agent(made.name, engine, until)
+    agent = Agent(made.name, engine)
     agent.shows("node_1", "", " S")
     for signal, condition, process in (
         ("STOP", "node_hung", " T"),
@@ -66,9 +64,9 @@ def test_a_stopped_and_then_killed_process(made: Any, engine: Engine, until: Unt
         agent.shows("node_1", condition, process)
 
 
-def test_a_restarted_container_has_other_processes(made: Any, engine: Engine, until: Until) -> None:
+def test_a_restarted_container_has_other_processes(made: Any, engine: Engine) -> None:
     """The processes of before are gone with their life: no node is told as dead, and the new ones are found."""
-    agent = Agent(made.name, engine, until)
+    agent = Agent(made.name, engine)
     agent.shows("node_1", "", " S")
     before = agent.results()["node_1"].values["process"]
     made.restart(timeout=0)
@@ -79,9 +77,9 @@ def test_a_restarted_container_has_other_processes(made: Any, engine: Engine, un
     assert {result.level for result in agent.results().values()} == {api.Level.OK}
 
 
-def test_a_container_that_ended_takes_its_nodes_along(made: Any, engine: Engine, until: Until) -> None:
+def test_a_container_that_ended_takes_its_nodes_along(made: Any, engine: Engine) -> None:
     """Its state is the evidence; the tracker then tells it at the container."""
-    agent = Agent(made.name, engine, until)
+    agent = Agent(made.name, engine)
     agent.shows("node_1", "", " S")
     made.kill()
     agent.docker.invalidate()

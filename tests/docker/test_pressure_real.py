@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,10 @@ from phm.probes.docker import Docker
 from phm.probes.pressure import Pressure as Probe
 from phm.transport.docker import Engine
 from phm_checks.pressure import Pressure
+from tests.fakes.until import until
 
 FILES, STATISTICS = "/sys/fs/cgroup", "/nowhere"
 LOOK_S = 0.5
-LIMIT_S = 90.0
 """For whatever is waited for: the machine may be as busy as it likes."""
 BUSY = "while :; do :; done"
 THRASH = """
@@ -35,6 +36,9 @@ while True:
 """
 """Needs the same 40 MB of a file again and again, as a program needs its code."""
 STREAM = "while :; do dd if=/dev/zero of=/tmp/data bs=1M count=200 2>/dev/null; cat /tmp/data >/dev/null; done"
+
+
+wait_until = partial(until, limit_s=90.0, step=lambda: time.sleep(LOOK_S))
 
 
 class Agent:
@@ -59,14 +63,11 @@ class Agent:
         return result
 
     def until(self, wanted: Callable[[api.Result], bool], what: str) -> api.Result:
-        end = time.monotonic() + LIMIT_S
-        while True:
+        def found() -> api.Result | None:
             result = self.look()
-            if wanted(result):
-                return result
-            if time.monotonic() > end:
-                pytest.fail(f"waited {LIMIT_S:g} s for {what}; last: {result}")
-            threading.Event().wait(LOOK_S)
+            return result if wanted(result) else None
+
+        return wait_until(found, what, lambda: self.seen[-1])
 
     def is_ok(self) -> api.Result:
         return self.until(lambda result: result.level is api.Level.OK and not result.bypass, "no pressure")
@@ -169,10 +170,8 @@ def test_a_real_mount_of_version_2_is_read(real: Any, engine: Engine) -> None:
         fact = agent.world.pressure.container("ros_app")
         return fact.cpu.full_s or 0.0 if fact is not None and fact.cpu is not None else 0.0
 
-    first_s, end = stalled_s(), time.monotonic() + LIMIT_S
-    while stalled_s() < first_s + 1.0:
-        assert time.monotonic() < end, "the kernel counts that the limit stops it"
-        threading.Event().wait(LOOK_S)
+    first_s = stalled_s()
+    wait_until(lambda: stalled_s() >= first_s + 1.0, "the kernel to count that the limit stops it")
 
 
 def test_who_has_the_cpus_is_known_by_name(real: Any, engine: Engine, source: str) -> None:
@@ -180,17 +179,16 @@ def test_who_has_the_cpus_is_known_by_name(real: Any, engine: Engine, source: st
     made, other = real.container(), real.container(f"{BUSY} & {BUSY}")
     agent = Agent(engine, made.name, source)
     agent.is_ok()
-    end = time.monotonic() + LIMIT_S
-    found: tuple[api.ConsumerFact, ...] = ()
-    while other.name not in [fact.name for fact in found]:
-        assert time.monotonic() < end, found
-        threading.Event().wait(LOOK_S)
-        found = agent.world.pressure.consumers()
+    wait_until(
+        lambda: other.name in [fact.name for fact in agent.world.pressure.consumers()],
+        "the other container among the consumers",
+        agent.world.pressure.consumers,
+    )
 
 
 def until_read(made: Any, size: int) -> None:
     """Until the program has its file in memory."""
-    end = time.monotonic() + LIMIT_S
-    while made.stats(stream=False, one_shot=True)["memory_stats"].get("usage", 0) < size:
-        assert time.monotonic() < end, "the program did not read its file"
-        threading.Event().wait(LOOK_S)
+    wait_until(
+        lambda: made.stats(stream=False, one_shot=True)["memory_stats"].get("usage", 0) >= size,
+        "the program to read its file",
+    )

@@ -17,10 +17,10 @@ from phm.probes.files import Files
 from phm.testing import settings
 from phm.transport.docker import Engine, EngineConflict, EngineError, EngineMissing
 from sitl.faults.address_silent import LINKS, set_link
+from tests.fakes.until import until
 
 pytestmark = pytest.mark.engine
 
-Until = Callable[[Callable[[], object], str], None]
 HEALTH = {
     "test": ["CMD", "test", "-e", "/tmp/healthy"],
     "interval": 500_000_000,
@@ -45,7 +45,7 @@ def heard(engine: Engine) -> Iterator[Callable[..., list[DockerEvent]]]:
     """Starts a watch on the real engine; the list fills as events come."""
     watches: list[Watch] = []
 
-    def start(until: Until, **more: Any) -> list[DockerEvent]:
+    def start(**more: Any) -> list[DockerEvent]:
         events: list[DockerEvent] = []
         watch = Watch(engine, settings(docker={"compare": 60.0}, **more), SystemClock(), events.append)
         watches.append(watch)
@@ -63,7 +63,7 @@ def test_the_engine_answers(engine: Engine) -> None:
     assert probe(engine).engine()[0].isdigit()
 
 
-def test_a_life_of_a_container(real: Any, engine: Engine, until: Until) -> None:
+def test_a_life_of_a_container(real: Any, engine: Engine) -> None:
     """running, paused, running, exited with its code, and running again as another life."""
     made = real.container("trap 'exit 7' TERM; while :; do sleep 0.1; done")
     docker = probe(engine, made.name)
@@ -88,7 +88,7 @@ def test_a_life_of_a_container(real: Any, engine: Engine, until: Until) -> None:
     assert docker.container(made.name) is None
 
 
-def test_failing_health_is_seen_with_its_output(real: Any, engine: Engine, until: Until) -> None:
+def test_failing_health_is_seen_with_its_output(real: Any, engine: Engine) -> None:
     """healthy while the command succeeds, unhealthy with its streak when it fails."""
     made = real.container("touch /tmp/healthy; exec sleep 600", healthcheck=HEALTH)
     docker = probe(engine, made.name)
@@ -98,7 +98,7 @@ def test_failing_health_is_seen_with_its_output(real: Any, engine: Engine, until
     assert fact_of(docker, made.name).health_streak >= 1
 
 
-def test_a_container_that_used_too_much_memory_is_told(real: Any, engine: Engine, until: Until) -> None:
+def test_a_container_that_used_too_much_memory_is_told(real: Any, engine: Engine) -> None:
     """The engine says that the kernel killed it for memory."""
     made = real.container(
         "exec python3 -c 'x = bytearray(200 << 20)'", mem_limit="32m", memswap_limit="32m", start=False
@@ -111,11 +111,11 @@ def test_a_container_that_used_too_much_memory_is_told(real: Any, engine: Engine
 
 
 def test_events_of_a_real_container_wake_its_checks(
-    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]], until: Until
+    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]]
 ) -> None:
     """Each change of state arrives by the stream, and the runs of its healthcheck do not."""
     made = real.container("touch /tmp/healthy; exec sleep 600", start=False, healthcheck=HEALTH)
-    events = heard(until, containers=[{"name": made.name}])
+    events = heard(containers=[{"name": made.name}])
     made.start()
     until(lambda: "healthy" in [event.detail for event in events], "healthy")
     made.exec_run(["rm", "/tmp/healthy"])
@@ -131,13 +131,13 @@ def test_events_of_a_real_container_wake_its_checks(
 
 
 def test_the_engines_own_restarts_are_counted_and_a_start_by_hand_counts_anew(
-    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]], until: Until
+    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]]
 ) -> None:
     """By the counter the container check tells hands apart; each start is another life, told once."""
     made = real.container("test -e /tmp/born || { touch /tmp/born; sleep 1; exit 3; }; exec sleep 600", start=False)
     made.update(restart_policy={"Name": "always"})
     docker = probe(engine, made.name)
-    events = heard(until, containers=[{"name": made.name}])
+    events = heard(containers=[{"name": made.name}])
     made.start()
     first = fact_of(docker, made.name)
     until(lambda: [event.begins_life for event in events].count(True) == 2, "the restart by the policy")
@@ -152,7 +152,7 @@ def test_the_engines_own_restarts_are_counted_and_a_start_by_hand_counts_anew(
 
 
 def test_networks_are_left_and_joined_with_ids(
-    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]], until: Until
+    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]]
 ) -> None:
     """Disconnected, then connected again with its alias: seen as events and as facts, by the network's id."""
     network = real.network()
@@ -160,7 +160,7 @@ def test_networks_are_left_and_joined_with_ids(
     docker = probe(engine, made.name)
     assert docker.network_id(network.name) == network.id
     assert [(at.name, at.network_id) for at in fact_of(docker, made.name).networks] == [(network.name, network.id)]
-    events = heard(until, containers=[{"name": made.name, "networks": [network.name]}])
+    events = heard(containers=[{"name": made.name, "networks": [network.name]}])
     engine.disconnect(network.name, made.name, force=True)
     assert fact_of(docker, made.name).networks == ()
     engine.connect(network.id, made.name, aliases=("nav",))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -12,17 +11,6 @@ from phm.transport.dialect import mavlink
 from phm.transport.priority import Class
 
 LIMIT_S = 15.0
-
-
-def until(wanted: Callable[[], Any], what: str = "it") -> Any:
-    """Poll until `wanted` gives something true, and return that; fail after LIMIT_S."""
-    end = time.monotonic() + LIMIT_S
-    while True:
-        value = wanted()
-        if value:
-            return value
-        assert time.monotonic() < end, f"{what} did not happen within {LIMIT_S:g} s"
-        time.sleep(0.01)
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -19,6 +18,7 @@ from phm.core.clock import SystemClock
 from phm.core.settings import Settings
 from phm.facts import CannotTell, RosFact
 from phm.probes.ros.supervisor import COMMAND, Limits, RosProcess
+from tests.fakes import until as wait
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMITS = Limits()
@@ -44,13 +44,8 @@ def claim_domain() -> tuple[int, IO[bytes]]:
 
 
 def until(condition: Callable[[], Any], what: str, limit_s: float = 60.0) -> Any:
-    """Poll an observable; the deadline only bounds a failing test, which says what there was instead."""
-    end_s = time.monotonic() + limit_s
-    while time.monotonic() < end_s:
-        if value := condition():
-            return value
-        time.sleep(0.01)
-    raise AssertionError("\n".join([f"not within {limit_s:g} s: {what}", *(bench.state() for bench in _open)]))
+    """`tests.fakes.until.until` with the state of all benches in the message."""
+    return wait.until(condition, what, lambda: "\n".join(bench.state() for bench in _open), limit_s=limit_s)
 
 
 class Bench:

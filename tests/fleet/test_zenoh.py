@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,17 +17,11 @@ from phm.core.model import Level, Slot
 from phm.wire.status_file import NAME, read
 from sitl.simulation.fleet_agents import Agent, Crowd, Ticker
 from sitl.simulation.fleet_router import Ground, Router, config, free_port
+from tests.fakes.until import until
 
 FLEET = "north"
 LIMIT_S = 120.0
 """Bounds a failing test. On a machine with a load of 100 a daemon takes more than 30 s to start."""
-
-
-def until(done: Callable[[], Any], limit_s: float = LIMIT_S) -> None:
-    end = time.monotonic() + limit_s
-    while not done():
-        assert time.monotonic() < end, "not in time"
-        time.sleep(0.02)
 
 
 class Bench:
@@ -104,7 +97,7 @@ def test_who_comes_late_gets_the_state_at_once(bench: Bench) -> None:
     """A query is answered with the newest status, long before the next refresh; a stalled agent answers nobody."""
     bench.router()
     agent = bench.agent(refresh="1h")
-    until(lambda: agent.reporter.report()["published"])
+    until(lambda: agent.reporter.report()["published"], "the first publication")
     late = bench.ground()
     late.wait(lambda g: "agent_1" in g.statuses and len(g.tokens) == 1)
     agent.alive = False
@@ -116,20 +109,20 @@ def test_who_comes_late_gets_the_state_at_once(bench: Bench) -> None:
 def test_a_router_that_is_absent_dies_and_comes_back(bench: Bench) -> None:
     """The agent starts without it, says so, connects when it is there, and so again after its end; nothing waits for it."""
     agent = bench.agent(refresh="1h")
-    until(lambda: "Unable to connect" in agent.reporter.report()["error"])
+    until(lambda: "Unable to connect" in agent.reporter.report()["error"], "the failed connection to be reported")
     assert ".rs" not in agent.reporter.report()["error"]
-    until(agent.reporter.problem)
+    until(agent.reporter.problem, "a problem to be reported")
     router = bench.router()
-    until(lambda: agent.reporter.report()["connected"])
+    until(lambda: agent.reporter.report()["connected"], "the connection")
     assert not agent.reporter.problem()
     ground = bench.ground()
     ground.wait(lambda g: "agent_1" in g.statuses)
     before = ground.statuses["agent_1"].sequence
     router.kill()
-    until(lambda: not agent.reporter.report()["connected"])
+    until(lambda: not agent.reporter.report()["connected"], "the connection to be lost")
     ground.wait(lambda g: not g.tokens)
     agent.turn()
-    until(agent.reporter.problem)
+    until(agent.reporter.problem, "a problem to be reported")
     bench.router()
     # What changed meanwhile is published after the reconnect, without waiting for a refresh. A reader that was connected
     # again later than the agent has missed it, and asks, as the contract says.
@@ -144,13 +137,13 @@ def test_a_client_takes_the_router_that_answers(bench: Bench) -> None:
     """The first endpoint of the list leads nowhere."""
     bench.router()
     agent = bench.agent(connect=[f"tcp/127.0.0.1:{free_port()}", bench.endpoint])
-    until(lambda: agent.reporter.report()["connected"])
+    until(lambda: agent.reporter.report()["connected"], "the connection")
 
 
 def test_a_peer_needs_no_router(bench: Bench) -> None:
     """It listens, and a reader connects to it."""
     agent = bench.agent(mode="peer", connect=[], listen=[bench.endpoint])
-    until(lambda: agent.reporter.report()["error"] == "nobody has connected")
+    until(lambda: agent.reporter.report()["error"] == "nobody has connected", "the missing reader to be reported")
     ground = bench.ground()
     ground.wait(lambda g: "agent_1" in g.statuses and len(g.tokens) == 1)
 
@@ -159,12 +152,15 @@ def test_two_agents_of_one_name_are_noticed(bench: Bench) -> None:
     """Each sees the other's token stay, says so, and is at ease again when the other is gone."""
     bench.router()
     one = bench.agent(lease=1)
-    until(lambda: one.reporter.report()["connected"])
+    until(lambda: one.reporter.report()["connected"], "the connection")
     other = bench.agent(lease=1)
-    until(lambda: "another PHM is present" in one.reporter.problem() and other.reporter.problem())
+    until(
+        lambda: "another PHM is present" in one.reporter.problem() and other.reporter.problem(),
+        "the duplicate name to be reported",
+    )
     bystander = bench.agent("agent_2", lease=1)
     other.reporter.close()
-    until(lambda: not one.reporter.problem())
+    until(lambda: not one.reporter.problem(), "the problem to end")
     assert not bystander.reporter.problem()
 
 
@@ -238,13 +234,14 @@ def test_the_daemon_tells_a_fleet(bench: Bench, tmp_path: Path) -> None:
         lambda: (
             (tmp_path / "run" / NAME).exists()
             and "not reached" in str(read(str(tmp_path / "run"))["health"]["problems"])
-        )
+        ),
+        "the unreachable router to be reported",
     )
     assert read(str(tmp_path / "run"))["health"]["reporters"]["fleet"]["connected"] is False
     bench.router()
     ground = bench.ground()
     ground.wait(lambda g: "real_1" in g.statuses and g.statuses["real_1"].levels.get(Slot.COMPANION) is Level.OK)
-    until(lambda: read(str(tmp_path / "run"))["health"]["reporters"]["fleet"]["connected"])
+    until(lambda: read(str(tmp_path / "run"))["health"]["reporters"]["fleet"]["connected"], "the connection")
     daemon.kill()
     ground.wait(lambda g: not g.tokens)
     daemon.wait()
@@ -327,8 +324,8 @@ def test_a_fleet_by_tls(bench: Bench, tmp_path: Path) -> None:
     ground = bench.ground()
     ground.wait(lambda g: "good" in g.statuses and bool(g.tokens))
     for agent in (anonymous, misled, missing):
-        until(agent.reporter.problem)
-    until(lambda: impostor.reporter.report()["published"])
+        until(agent.reporter.problem, "a problem to be reported")
+    until(lambda: impostor.reporter.report()["published"], "the publication by the impostor")
     good.turn()
     ground.wait(lambda g: g.statuses["good"].open_faults == 1)
     late = bench.ground()
@@ -345,7 +342,7 @@ def put_until_refused(stranger: Any, ground: Ground, payload: bytes) -> None:
         stranger.put(f"phm/{FLEET}/agent_1/status", payload)
         return ground.refused > before
 
-    until(refused)
+    until(refused, "a refused message")
 
 
 def test_a_stranger_cannot_crash_a_reader_or_an_agent(bench: Bench) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-import time
 from functools import cache
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from phm.recovery.hold_service import HoldService
 from phm.wire import control as wire
 from phm.wire.control import MAX_REQUEST
 from tests.core.test_control import Daemon
+from tests.fakes.until import until
 from tests.fuzz.hostile import messages
 from tests.fuzz.targets import folder, fuzzed
 from tests.recovery.test_holds import Scene
@@ -77,7 +77,5 @@ def test_any_request_is_answered_and_the_next_one_served(lines: list[bytes]) -> 
             and 0 < hold["left_s"] <= MAX_HOLD_S
             and hold["reason"].isprintable()
         )
-    end = time.monotonic() + LIMIT_S
-    while not daemon.serves():
-        assert time.monotonic() < end
+    until(daemon.serves, "the server to answer")
     assert wire.ask(str(daemon.run_dir), {"do": "ping"}) == "PHM is here"

@@ -31,7 +31,8 @@ from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.wire import json_log
 from sitl.simulation.autopilot import Autopilot
-from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
+from tests.fakes.mavlink import Sender, free_port, heartbeat, text
+from tests.fakes.until import until
 
 ROOT = Path(phm.__file__).parents[1]
 KEY = bytes(range(1, 33))

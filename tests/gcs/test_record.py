@@ -8,7 +8,7 @@ from phm.core.clock import SystemClock
 from phm.gcs import recorder
 from phm.gcs.recorder import Record
 from phm.wire import json_log
-from tests.fakes.mavlink import until
+from tests.fakes.until import until
 from tests.gcs.test_serve import Source
 
 

@@ -17,7 +17,7 @@ from phm.gcs import serve
 from phm.gcs.events import News, encode
 from phm.gcs.serve import Server
 from phm.gcs.subscriber_queue import Item, SubscriberQueue
-from tests.fakes.mavlink import until
+from tests.fakes.until import until
 
 
 class Source:

@@ -8,27 +8,16 @@ import os
 import signal
 import subprocess
 import threading
-import time
 from collections import deque
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from tests.fakes.until import until
+
 ROOT = Path(__file__).resolve().parents[2]
 BIN = ROOT / ".venv-interop" / "bin"
-LIMIT_S = 60.0
-"""Bounds failure alone: these programs take seconds to start on a loaded machine."""
 END_LIMIT_S = 5.0
 KEPT = 20_000
-
-
-def until(wanted: Callable[[], Any], what: str, told: Callable[[], object] = str) -> Any:
-    """Poll until `wanted` gives something true, and return that; fail after LIMIT_S with what was `told`."""
-    end = time.monotonic() + LIMIT_S
-    while not (value := wanted()):
-        assert time.monotonic() < end, f"{what} did not happen within {LIMIT_S:g} s; seen: {told()}"
-        time.sleep(0.02)
-    return value
 
 
 class Program:

@@ -15,7 +15,8 @@ from phm.core.model import Level, Slot
 from sitl.simulation.ground import Ground
 from sitl.simulation.link import mavlink
 from tests.fakes.mavlink import Sender, free_port, text
-from tests.interop.programs import Mavproxy, Program, until
+from tests.fakes.until import until
+from tests.interop.programs import Mavproxy, Program
 from tests.interop.vehicle import COMPONENT, ERROR, FAIL, FIXED, SYSTEM, WARN, Vehicle
 
 ONLINE = f"online system {SYSTEM}"

@@ -10,7 +10,8 @@ import pytest
 from phm.core.model import Level, Slot
 from phm.wire import status_word, tunnel
 from sitl.simulation.ground import Ground
-from tests.interop.programs import Watcher, until
+from tests.fakes.until import until
+from tests.interop.programs import Watcher
 from tests.interop.vehicle import COMPONENT, ERROR, FAIL, FIXED, SYSTEM, WARN, Vehicle
 
 Ends = Callable[[Watcher], Watcher]

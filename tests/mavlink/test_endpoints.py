@@ -23,7 +23,8 @@ from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.priority import MAX_WAITING
 from phm.transport.send_queue import OUTBOX_AGE_S, Outbox
-from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
+from tests.fakes.mavlink import Sender, free_port, heartbeat, text
+from tests.fakes.until import until
 
 WORD = 0x40025D55
 MakeHub = Callable[..., MavlinkHub]

@@ -9,7 +9,8 @@ import pytest
 from phm.testing import FakeClock, settings
 from phm.transport.mavlink import MavlinkHub
 from phm_checks.link import Link
-from tests.fakes.mavlink import free_port, until
+from tests.fakes.mavlink import free_port
+from tests.fakes.until import until
 
 
 @pytest.mark.parametrize("container", ["router", "other"])

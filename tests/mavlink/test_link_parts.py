@@ -25,7 +25,8 @@ from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_traffic import MAX_SENDERS, Senders, Traffic
 from phm.transport.serial_errors import LineCount
-from tests.fakes.mavlink import Sender, heartbeat, until
+from tests.fakes.mavlink import Sender, heartbeat
+from tests.fakes.until import until
 
 BASE = LinkFact("ground", open=True)
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED

@@ -13,7 +13,8 @@ from phm.probes.links import Links
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
-from tests.fakes.mavlink import Sender, heartbeat, until
+from tests.fakes.mavlink import Sender, heartbeat
+from tests.fakes.until import until
 
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 

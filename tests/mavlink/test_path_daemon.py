@@ -14,7 +14,8 @@ from phm.testing import settings
 from sitl.simulation.autopilot import Autopilot
 from sitl.simulation.ground import Ground
 from sitl.simulation.radio import Radio
-from tests.fakes.mavlink import free_port, until
+from tests.fakes.mavlink import free_port
+from tests.fakes.until import until
 
 ALL_OK = "GCS ok -> radio ok -> port ground ok -> companion ok -> link fc ok -> autopilot ok"
 

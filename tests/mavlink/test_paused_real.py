@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +20,12 @@ from phm.core.model import Level, Slot
 from phm.transport.dialect import mavlink
 from phm.wire import status_word
 from tests.fakes.mavlink import Sender, free_port, heartbeat
+from tests.fakes.until import until
 
 ROOT = Path(__file__).parents[2]
-LIMIT_S = 90.0
 TIMEOUT_S, STOPPED_S = 4.0, 9.0
 """Stopped for more than twice the timeouts: the bound for a PHM that is starved for good must not apply."""
 UNITS = ("autopilot", "gcs", "peers/A02")
-
-
-def until(wanted: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not wanted():
-        assert time.monotonic() < end, what
-        time.sleep(0.05)
 
 
 class Air:

@@ -24,7 +24,8 @@ from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm_checks import autopilot
-from tests.fakes.mavlink import Sender, free_port, heartbeat, until
+from tests.fakes.mavlink import Sender, free_port, heartbeat
+from tests.fakes.until import until
 
 PILOT_FACT = AutopilotFact(0.0, False)
 PILOT = heartbeat(5, kind=mavlink.MAV_TYPE_QUADROTOR, autopilot=3, base_mode=81)

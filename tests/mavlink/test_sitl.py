@@ -16,7 +16,8 @@ from phm.wire import status_word
 from sitl.simulation.autopilot import Autopilot
 from sitl.simulation.ground import Ground, TextLine, WordChange, as_text
 from sitl.simulation.link import Port, mavlink
-from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
+from tests.fakes.mavlink import Sender, free_port, heartbeat, text
+from tests.fakes.until import until
 
 
 class Flight:

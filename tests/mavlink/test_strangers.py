@@ -22,7 +22,8 @@ from phm.transport.client_admission import MAX_PEERS
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.mavlink_udp import network_of
-from tests.fakes.mavlink import Sender, free_port, heartbeat, text, until
+from tests.fakes.mavlink import Sender, free_port, heartbeat, text
+from tests.fakes.until import until
 
 # With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
 mavutil.set_dialect("common")

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from tests.docker.conftest import engine, real, until
+from tests.docker.conftest import engine, real
 from tests.proxy.haproxy import Proxies, short_folder
 
-__all__ = ["engine", "proxies", "real", "until"]
+__all__ = ["engine", "proxies", "real"]
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +14,11 @@ from phm.probes.docker_processes import FORMS
 from phm.testing import settings
 from phm.transport import docker_bodies
 from phm.transport.docker import Engine, EngineMissing, EngineRefused
+from tests.fakes.until import until
 from tests.proxy.haproxy import Proxies, Proxy
 
 pytestmark = pytest.mark.engine
 
-Until = Callable[[Callable[[], object], str], None]
 RUN = ["touch", "/tmp/ran"]
 FILE = "/etc/hostname"
 WAIT = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
@@ -75,7 +74,7 @@ def place(real: Any, proxies: Proxies) -> Place:
     return Place(proxy, client, app, other, docker["container"], net, foreign)
 
 
-def test_what_phm_needs_passes(place: Place, until: Until) -> None:
+def test_what_phm_needs_passes(place: Place) -> None:
     """Each call of PHM's client for a container, its network, its program and its file, by name and by id."""
     client, app, net = place.client, place.app, place.net
     assert client.version()["Version"]
@@ -340,7 +339,7 @@ def test_without_recovery_nothing_is_allowed_to_act(real: Any, proxies: Proxies)
         client.disconnect(net.name, str(made.docker.container))
 
 
-def test_a_refusal_is_logged_and_said_to_phm(place: Place, until: Until) -> None:
+def test_a_refusal_is_logged_and_said_to_phm(place: Place) -> None:
     """The operator finds the call in the proxy's log, and PHM's message says where to look."""
     with pytest.raises(EngineRefused, match="phm proxy-rules"):
         place.client.inspect(place.other.name)

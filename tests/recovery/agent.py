@@ -24,11 +24,11 @@ from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
 from phm.tracker import Tracked, Tracker
 from phm.transport.docker import EngineError
+from tests.fakes.until import until
 
 STEP_S = 0.1
 ARMED = Armed(State.ARMED, "the autopilot is armed")
 DISARMED = Armed(State.DISARMED, "the autopilot is disarmed")
-LIMIT_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,10 +215,10 @@ class Agent:
 
     def _settle(self) -> None:
         """Wait until everybody has done what there is to do now: the bus's threads, recovery's and actions sleep again."""
-        end = time.monotonic() + LIMIT_S
-        while self.clock.sleepers < len(self.bus._subscriptions) + len(self.executor._workers) + len(self._at_work):
-            assert time.monotonic() < end, "somebody does not come to rest"
-            time.sleep(0.0002)
+        until(self._is_idle, "all threads to be idle", step=lambda: time.sleep(0.0002))
+
+    def _is_idle(self) -> bool:
+        return self.clock.sleepers >= len(self.bus._subscriptions) + len(self.executor._workers) + len(self._at_work)
 
     def pause(self, until: Callable[[], object]) -> None:
         """For actions: some time passes, and whatever more it takes."""
@@ -228,10 +228,7 @@ class Agent:
 
     def until(self, condition: Callable[[], object], what: str = "it") -> None:
         """Let fake time run until something is seen."""
-        end = time.monotonic() + LIMIT_S
-        while not condition():
-            assert time.monotonic() < end, f"{what} did not happen; seen: {self.events}"
-            self.step()
+        until(condition, what, lambda: self.events, step=self.step)
 
     def rest(self, seconds: float) -> None:
         """So much fake time passes."""

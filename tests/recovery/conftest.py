@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import pytest
 
 from phm.transport.docker import Engine
-from tests.docker.conftest import SOCKET, fake, real, until
+from tests.docker.conftest import SOCKET, fake, real
 from tests.fakes.engine import FakeEngine
 from tests.proxy.conftest import proxies
 from tests.proxy.haproxy import BehindProxy, Door
 
-__all__ = ["ask", "door", "engine", "fake", "proxies", "real", "until"]
+__all__ = ["ask", "door", "engine", "fake", "proxies", "real"]
 
 
 @pytest.fixture(params=["engine", "proxy"])

@@ -13,12 +13,12 @@ from phm.facts import NotPermitted
 from phm.recovery.actions import Relaunch, Restart, Restore, Start
 from phm.recovery.base import ActionFailed
 from phm.transport.docker import Engine
+from tests.fakes.until import until
 from tests.proxy.haproxy import BehindProxy
 from tests.recovery.bench import Bench, bench, fault
 
 pytestmark = pytest.mark.engine
 
-Until = Callable[[Callable[[], object], str], None]
 PROGRAM = "/bin/printenv"
 """An executable that every base image has, behind a linked folder on most."""
 DAMAGE = {
@@ -106,9 +106,7 @@ def test_a_file_that_the_image_lacks_is_told(real: Any, engine: Engine) -> None:
     assert left_over(real, made) == []
 
 
-def test_relaunch_starts_a_program_with_the_containers_user_and_environment(
-    real: Any, engine: Engine, until: Until
-) -> None:
+def test_relaunch_starts_a_program_with_the_containers_user_and_environment(real: Any, engine: Engine) -> None:
     """Detached, no shell, one copy however often it is done."""
     made = real.container(user="1234", environment={"WHO": "me"})
     run = ["sh", "-c", 'echo "$WHO $(id -u) $0" > /tmp/said; exec sleep 4321', "a b;reboot"]
@@ -120,7 +118,7 @@ def test_relaunch_starts_a_program_with_the_containers_user_and_environment(
     assert inside(made, "cat /tmp/said") == "me 1234 a b;reboot"
 
 
-def test_relaunch_done_twice_starts_one_copy(real: Any, engine: Engine, until: Until) -> None:
+def test_relaunch_done_twice_starts_one_copy(real: Any, engine: Engine) -> None:
     """The command that still runs is seen among the container's processes."""
     made = real.container()
     node = {"name": "/one", "container": "app", "relaunch": ["sleep", "4322"]}

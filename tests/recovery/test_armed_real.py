@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,11 @@ from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.wire import control
 from tests.fakes.mavlink import Sender, free_port, heartbeat
+from tests.fakes.until import until
 from tests.proxy.haproxy import Door
 
 pytestmark = pytest.mark.engine
 
-LIMIT_S = 90.0
 NEEDED = "/needed"
 RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
 
@@ -125,13 +124,6 @@ class Vehicle:
         daemon = self.daemon
         seen = daemon.pipeline._pass_number
         until(lambda: daemon.pipeline._pass_number >= seen + number, f"{number} passes")
-
-
-def until(condition: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not condition():
-        assert time.monotonic() < end, f"waited {LIMIT_S:g} s for {what}"
-        threading.Event().wait(0.05)
 
 
 @pytest.fixture

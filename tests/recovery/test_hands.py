@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, cast
 
 import pytest
 
 from phm import testing
 from phm.recovery.hands import Hands, InOtherHands
+from tests.fakes.until import until
 
 LIMIT_S = 10.0
 
@@ -63,12 +64,9 @@ class Repair:
             self.outcome = str(error)
 
 
-def until(condition: Callable[[], object], clock: testing.FakeClock) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        clock.advance(0.05)
-        time.sleep(0.001)
+def pass_time(clock: testing.FakeClock) -> None:
+    clock.advance(0.05)
+    time.sleep(0.001)
 
 
 def test_a_container_is_in_one_hand_at_a_time(hands: Hands) -> None:
@@ -92,9 +90,9 @@ def test_whoever_needs_a_dependant_waits_for_it(hands: Hands, clock: testing.Fak
     clock.wait_for_sleepers(1)
     assert not second.inside.is_set()
     first.go.set()
-    until(second.inside.is_set, clock)
+    until(second.inside.is_set, "the second to enter", step=lambda: pass_time(clock))
     second.go.set()
-    until(lambda: second.outcome, clock)
+    until(lambda: second.outcome, "the outcome of the second", step=lambda: pass_time(clock))
     assert (first.outcome, second.outcome) == ("done", "done")
 
 
@@ -102,7 +100,7 @@ def test_a_wait_has_an_end(hands: Hands, clock: testing.FakeClock) -> None:
     """A repair that hangs with the dependant in hand costs others their time and no more."""
     assert hands.take("side", object())
     repair = Repair(hands, "side", object())
-    until(lambda: repair.outcome, clock)
+    until(lambda: repair.outcome, "the outcome of the repair", step=lambda: pass_time(clock))
     assert repair.outcome == "another repair had side in hand for 10 s"
 
 
@@ -120,9 +118,9 @@ def test_repairs_that_wait_for_each_other_do_not_wait_for_ever(
         pytest.fail("somebody has what is in another's hand")
     for number in range(links - 1, 0, -1):
         hands.let_go(f"c{number}", owners[number])
-        until(waiting[number - 1].inside.is_set, clock)
+        until(waiting[number - 1].inside.is_set, f"number {number} to enter", step=lambda: pass_time(clock))
         waiting[number - 1].go.set()
-        until(lambda repair=waiting[number - 1]: repair.outcome, clock)  # type: ignore[misc]
+        until(lambda repair=waiting[number - 1]: repair.outcome, "the next outcome", step=lambda: pass_time(clock))  # type: ignore[misc]
     assert [repair.outcome for repair in waiting] == ["done"] * (links - 1)
 
 

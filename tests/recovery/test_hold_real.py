@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import threading
-import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +18,7 @@ from phm.probes.docker_events import FILTERS
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.docker import EngineNotConnected
+from tests.fakes.until import until
 
 LIMIT_S = 90.0
 RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
@@ -46,10 +45,7 @@ class Phm:
         self.daemon.start()
 
     def until(self, condition: Any, what: str) -> None:
-        end = time.monotonic() + LIMIT_S
-        while not condition():
-            assert time.monotonic() < end, f"waited {LIMIT_S:g} s for {what}; {self.events}"
-            threading.Event().wait(0.02)
+        until(condition, what, lambda: self.events, limit_s=LIMIT_S)
 
     def level(self) -> Level:
         return next(state.level for state in self.daemon.pipeline.states() if state.unit == self.unit)

@@ -9,7 +9,7 @@ import pytest
 from phm import testing
 from phm.api import ok
 from phm.core.model import Event, Evidence, FaultOpened, Phase
-from tests.fakes.mavlink import until
+from tests.fakes.until import until
 from tests.recovery.agent import Agent, Containers, Of
 
 CONTAINER, ONE, TWO = "container/app", "nodes/app", "more/app"

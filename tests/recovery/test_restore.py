@@ -22,6 +22,7 @@ from phm.recovery.executor import Executor, NotApprovable
 from phm.recovery.memory import Memory
 from phm.recovery.shop import Shop
 from phm.tracker import Tracked, Tracker
+from tests.fakes.until import until
 
 APP = "health/app"
 
@@ -79,12 +80,12 @@ class Life:
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Let fake time run, with the unit looked at all along, until something is seen."""
-        end = time.monotonic() + 20
-        while not condition():
-            assert time.monotonic() < end, f"it did not happen; seen: {self.events}"
-            self.clock.advance(0.05)
-            self.look()
-            time.sleep(0.001)
+        until(condition, "recovery", lambda: self.events, step=self._step)
+
+    def _step(self) -> None:
+        self.clock.advance(0.05)
+        self.look()
+        time.sleep(0.001)
 
     def die(self) -> None:
         """SIGKILL, as far as a thread can: nothing more is kept."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import pytest
 from phm.core.model import ActionEvent, Event, FaultOpened, Level, Note, Phase
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
+from tests.fakes.until import until
 from tests.proxy.haproxy import Door
 
 pytestmark = pytest.mark.engine
@@ -66,10 +66,7 @@ class Phm:
         )
 
     def until(self, condition: Callable[[], object], what: str) -> None:
-        end = time.monotonic() + self._limit_s
-        while not condition():
-            assert time.monotonic() < end, f"waited {self._limit_s:g} s for {what}; actions: {self.actions()}"
-            threading.Event().wait(0.02)
+        until(condition, what, self.actions, limit_s=self._limit_s)
 
     def actions(self) -> list[tuple[str, str, str]]:
         return [

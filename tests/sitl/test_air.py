@@ -19,7 +19,7 @@ from sitl.swarm.frames import HEARTBEAT, RADIO_STATUS, Frame
 from sitl.swarm.mesh import Mesh
 from sitl.swarm.ports import Ports
 from sitl.swarm.vehicle import Vehicle
-from tests.fakes.swarm import until
+from tests.fakes.until import until
 
 
 def pipe(*, filled: bool = False, **how: Any) -> Pipe[str]:
@@ -350,7 +350,7 @@ def test_the_ground_hears_each_vehicle_and_phm_hears_radio_and_autopilot(process
             seen.update(message.get_type() for _, message in phm.receive(sock))
         return {"RADIO_STATUS", "HEARTBEAT"} <= seen and {(1, 1), (2, 1), (2, 193)} <= set(ground.heartbeats)
 
-    assert until(both)
+    until(both, "all messages")
     traffic = control.traffic()
     assert traffic[2]["phm_to_ground"] > 0
     assert traffic[1]["phm_to_ground"] == 0
@@ -363,14 +363,14 @@ def test_a_killed_router_refuses_and_comes_back_at_the_same_place(process: AirPr
     """So PHM sees `connection refused`, and finds it again."""
     control, url = Air(("127.0.0.1", process.control_port)), f"tcp:{process.routers[1].partition(':')[2]}"
     phm = Port(url)
-    assert until(lambda: control.state()["agents"][1]["router"]["connected"] == 1)
+    until(lambda: control.state()["agents"][1]["router"]["connected"] == 1, "one connection to the router")
     control.set(1, "router", off=True)
     assert control.state()["agents"][1]["router"] == {"off": True, "connected": 0}
     with pytest.raises(ConnectionRefusedError):
         Port(url)
     control.reset(1)
     again = Port(url)
-    assert until(lambda: control.state()["agents"][1]["router"]["connected"] == 1)
+    until(lambda: control.state()["agents"][1]["router"]["connected"] == 1, "one connection to the router")
     phm.close()
     again.close()
 

@@ -6,22 +6,15 @@ import contextlib
 import os
 import socket
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from sitl.faults import _docker_proxy as door
+from tests.fakes.until import until
 
 LIMIT_S = 20.0
-
-
-def until(wanted: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not wanted():
-        assert time.monotonic() < end, what
-        time.sleep(0.02)
 
 
 @pytest.fixture

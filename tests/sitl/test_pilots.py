@@ -18,7 +18,7 @@ from sitl.swarm import config, external_autopilots
 from sitl.swarm.options import Options
 from sitl.swarm.ports import Ports
 from tests.fakes.ardupilot import ArduPilot, decoded, read, record
-from tests.fakes.swarm import until
+from tests.fakes.until import until
 
 ARDUPILOT = Options(agents=3, autopilot="ardupilot", autopilot_path="/usr/bin/env")
 
@@ -88,7 +88,7 @@ def test_the_air_boots_it_by_connecting_and_carries_its_session(air: AirProcess,
             and {("HEARTBEAT", 1), ("HEARTBEAT", 255), ("RADIO_STATUS", 51)} <= told
         )
 
-    assert until(all_heard, 60.0), seen
+    until(all_heard, "all messages", lambda: seen)
     ground.stop()
     phm.close()
 
@@ -99,7 +99,7 @@ def test_a_command_of_the_ground_reaches_it_alone(air: AirProcess, vehicle: Ardu
     ground.start()
     phm = Port(f"tcp:{air.routers[1].partition(':')[2]}")
     seen: list[Any] = []
-    assert until(lambda: (1, 1) in ground.heartbeats)
+    until(lambda: (1, 1) in ground.heartbeats, "the heartbeat of the autopilot")
 
     def obeyed() -> bool:
         ground.arm(1, armed=True)
@@ -107,7 +107,7 @@ def test_a_command_of_the_ground_reaches_it_alone(air: AirProcess, vehicle: Ardu
             seen.extend(message for _, message in phm.receive(sock))
         return any(message.get_type() == "COMMAND_LONG" for message in vehicle.heard[0])
 
-    assert until(obeyed)
+    until(obeyed, "the command to reach the autopilot")
     assert not [message for message in seen if message.get_type() == "COMMAND_LONG"]
     ground.stop()
     phm.close()

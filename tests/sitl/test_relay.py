@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from sitl.simulation import router as program
-from tests.fakes.swarm import until
+from tests.fakes.until import until
 
 LIMIT_S = 10.0
 MOST_KB = 12 * 1024
@@ -66,7 +66,7 @@ def connected(port: int) -> Iterator[socket.socket]:
             found.append(socket.create_connection(("127.0.0.1", port), LIMIT_S))
         return bool(found)
 
-    assert until(tried)
+    until(tried, "the router to listen")
     with found[0] as near:
         near.settimeout(LIMIT_S)
         yield near
@@ -115,7 +115,7 @@ def test_who_connects_is_refused_while_nothing_is_behind_it(
         air.close()
         far.door.close()
         assert near.recv(10) == b""
-    assert until(lambda: refused(port))
+    until(lambda: refused(port), "the router to refuse")
 
 
 def test_it_costs_next_to_nothing(router: subprocess.Popen[bytes], far: Far, port: int) -> None:
@@ -127,7 +127,7 @@ def test_it_costs_next_to_nothing(router: subprocess.Popen[bytes], far: Far, por
         status = Path(f"/proc/{router.pid}/status").read_text()
         (resident,) = [line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")]
         assert int(resident) <= MOST_KB
-        assert until(lambda: waits_for_ever(router.pid))
+        until(lambda: waits_for_ever(router.pid), "the router to sleep")
 
 
 def test_it_ends_when_it_is_told_to(router: subprocess.Popen[bytes], far: Far) -> None:

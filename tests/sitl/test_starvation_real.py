@@ -28,8 +28,8 @@ from sitl.faults import (
 )
 from sitl.faults._cgroups import cgroup
 from sitl.faults.base import Agent
+from tests.fakes.until import until
 
-LIMIT_S = 60.0
 NODE = "n=600; mkdir -p /tmp/nodes; sleep $n & echo $! >/tmp/nodes/node_1.pid; while :; do wait; sleep 1; done"
 LIMITS = {
     "cpu": ("cpu.cfs_quota_us", "cpu.cfs_period_us", "cpu.max"),
@@ -37,13 +37,6 @@ LIMITS = {
     "pids": ("pids.max",),
     "blkio": ("blkio.throttle.read_bps_device", "blkio.throttle.write_bps_device", "io.max"),
 }
-
-
-def until(wanted: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not wanted():
-        assert time.monotonic() < end, f"{what} has not come within {LIMIT_S:g} s"
-        time.sleep(0.05)
 
 
 @pytest.fixture

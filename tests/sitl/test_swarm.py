@@ -19,7 +19,7 @@ from sitl.swarm.cli import main
 from sitl.swarm.health import MACHINE, Standing
 from sitl.swarm.options import Options
 from sitl.swarm.swarm import Swarm
-from tests.fakes.swarm import until
+from tests.fakes.until import until
 
 
 def settings(options: Options, number: int) -> Any:
@@ -244,7 +244,7 @@ def test_a_child_keeps_the_lock_of_a_parent_that_was_killed(base: Path) -> None:
 
     assert not free()
     subprocess.run(["kill", "-KILL", str(child)], check=True)
-    assert until(free)
+    until(free, "the lock to be free")
 
 
 @pytest.mark.parametrize("agents", [0, 25])

@@ -3,7 +3,6 @@ an id that is used twice."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,10 @@ from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.wire import tunnel
 from tests.fakes.mesh import Mesh
+from tests.fakes.until import until
 
 IDS = (1, 2, 3, 4, 5)
 ALL = frozenset(f"a{number}" for number in IDS)
-LIMIT_S = 40.0
 BUDGET = 3170
 OFF = ("host", "engine", "path", "autopilot", "radio")
 
@@ -72,13 +71,7 @@ class Fleet:
         )
 
     def until(self, wanted: Callable[[], Any], what: str) -> None:
-        end = time.monotonic() + LIMIT_S
-        while not wanted():
-            assert time.monotonic() < end, (
-                f"waited {LIMIT_S:g} s for {what}; states {[(name, self.states(name)) for name in self.daemons]}, "
-                f"lines {self.mesh.lines[-12:]}"
-            )
-            time.sleep(0.05)
+        until(wanted, what, lambda: ({name: self.states(name) for name in self.daemons}, self.mesh.lines[-12:]))
 
     def read(self, text: str, *, by: int | None = None) -> bool:
         """Whether the ground has read this line, from that agent."""

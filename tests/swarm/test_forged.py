@@ -20,7 +20,8 @@ from phm.transport.mavlink_signing import EPOCH_S, TICKS
 from phm.transport.priority import SIZES, periods
 from phm.wire import status_word, tunnel
 from phm.wire.tunnel import Seen, View
-from tests.fakes.mavlink import free_port, heartbeat, until
+from tests.fakes.mavlink import free_port, heartbeat
+from tests.fakes.until import until
 
 KEY = bytes(range(1, 33))
 WELL = status_word.encode(dict.fromkeys(list(Slot)[:8], Level.OK))

@@ -16,7 +16,7 @@ from phm.facts.swarm import SwarmFact
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from sitl.simulation.link import Pty
-from tests.fakes.mavlink import until
+from tests.fakes.until import until
 
 PACKET_BYTES = 72
 """As many as an 802.15.4 radio sends at once; a frame goes on in the next one."""

@@ -17,7 +17,7 @@ from docker.models.containers import Container
 from sitl.swarm import engine
 from sitl.swarm.cli import main
 from sitl.swarm.swarm import Options, Swarm
-from tests.fakes.swarm import until
+from tests.fakes.until import until
 from tests.system.conftest import APP_IMAGE, ROOT
 
 STARTED_LIMIT_S = 120.0
@@ -63,8 +63,10 @@ def test_nothing_is_left_of_a_swarm_whose_start_was_ended(
     argv = [sys.executable, "-m", "sitl", "up", "--agents", "2", "--name", name, "--no-build"]
     process = subprocess.Popen(argv, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL)
     try:
-        assert until(
-            lambda: any("ros_app" in thing.name for thing in engine.belongings(docker_client, name)), STARTED_LIMIT_S
+        until(
+            lambda: any("ros_app" in thing.name for thing in engine.belongings(docker_client, name)),
+            "the container ros_app",
+            limit_s=STARTED_LIMIT_S,
         )
         process.send_signal(number)
         code = process.wait(STARTED_LIMIT_S)

@@ -1,0 +1,35 @@
+"""The wait of all tests: poll something observable, with a limit that only bounds a failing test."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+LIMIT_S = 120.0
+POLL_S = 0.01
+
+
+def _poll() -> None:
+    time.sleep(POLL_S)
+
+
+def until(
+    condition: Callable[[], Any],
+    what: str = "the condition",
+    seen: Callable[[], object] | None = None,
+    *,
+    limit_s: float = LIMIT_S,
+    step: Callable[[], object] = _poll,
+) -> Any:
+    """Return the first true value of `condition`, calling `step` after each false one.
+
+    After `limit_s` seconds of real time, fail with what was waited for and what was `seen` instead.
+    """
+    end_s = time.monotonic() + limit_s
+    while not (value := condition()):
+        if time.monotonic() > end_s:
+            instead = "" if seen is None else f"; seen: {seen()}"
+            raise AssertionError(f"waited {limit_s:g} s for {what}{instead}")
+        step()
+    return value
