@@ -222,7 +222,7 @@ def test_a_child_keeps_the_lock_of_a_parent_that_was_killed(base: Path) -> None:
     """So `down` does not begin while a Compose of a killed `up` is still making things."""
     code = (
         "import subprocess, sys, os, time\n"
-        "from sitl.swarm import place\n"
+        "from sitl.swarm import workspace\n"
         "with workspace.locked('one', 0.0) as lock:\n"
         "    child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'], pass_fds=[lock])\n"
         "    print(child.pid, flush=True)\n"
