@@ -155,7 +155,7 @@ class Host(api.Check):
         )
         short = brief(f"disk {path}", f"{self._steady.show(disk.path, most):.0f} %")
         # Recovery may make room, where it is told what may go.
-        target = f"disk:{disk.path}" if self._limits.make_room else ""
+        target = f"disk:{disk.path}" if self._limits.free_disk else ""
         return api.Result(level, words, short, "disk_full", target, values)
 
     def _judge_temperature(self, fact: api.HostFact) -> api.Result:

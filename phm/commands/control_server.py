@@ -37,7 +37,7 @@ _CREDENTIALS = struct.Struct("3i")
 
 
 class HoldController(Protocol):
-    """Begins and ends holds (`phm.recovery.hold_service.HoldService`): in words and as data, or an exception with its reason."""
+    """Begins and ends holds (`phm.recovery.holds.hold_service.HoldService`): in words and as data, or an exception with its reason."""
 
     def hold(self, container: str, for_s: float | None, reason: str, by: str) -> tuple[str, dict[str, Any]]: ...
 

@@ -409,7 +409,7 @@ class Limit(Section):
     """ERROR from here."""
 
 
-class RoomSettings(Section):
+class FreeDiskSettings(Section):
     """Files that PHM may remove when their disk is full."""
 
     path: AbsolutePath
@@ -435,7 +435,7 @@ class HostSettings(Section):
     """Share of each disk in use."""
     disks: list[AbsolutePath] = Field(default_factory=lambda: ["/"])
     """Paths whose disks are watched, as PHM sees them."""
-    make_room: Annotated[list[RoomSettings], Field(max_length=16)] = Field(default_factory=list)
+    free_disk: Annotated[list[FreeDiskSettings], Field(max_length=16)] = Field(default_factory=list)
     """What may be removed when one of them is full, the oldest first."""
     temperature_warn: Celsius = 75.0
     """Degrees Celsius of the hottest sensor of the processor for WARN (a Pi throttles at 80)."""

@@ -13,11 +13,11 @@ from phm.core import threads
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, NotPermitted
-from phm.recovery.armed import State
-from phm.recovery.base import Action, ActionFailed, NotYet, Unneeded
-from phm.recovery.critical import FlightCritical, Reach
-from phm.recovery.guarded_engine import GuardedEngine
-from phm.recovery.hands import InOtherHands
+from phm.recovery.base import Action, ActionFailed, NotNeeded, NotYet
+from phm.recovery.safety.armed_state import ArmedState
+from phm.recovery.safety.flight_critical import FlightCriticalError, Impact
+from phm.recovery.safety.guarded_engine import GuardedEngine
+from phm.recovery.safety.target_locks import TargetBusy
 from phm.recovery.shop import Shop
 from phm.transport.docker import Engine
 
@@ -28,7 +28,7 @@ ASK_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class ActionResult:
     """What came of it: a sentence for the log, whether the step was done, and whether it was not permitted.
 
     forbidden: the vehicle was armed between the decision and the call to the engine.
@@ -51,13 +51,13 @@ class Acting:
     """
 
     def __init__(
-        self, shop: Shop, target: ContainerSettings, fault: Fault, action: Action, approved_at: State | None = None
+        self, shop: Shop, target: ContainerSettings, fault: Fault, action: Action, approved_at: ArmedState | None = None
     ) -> None:
         self._approved_at = approved_at
         self._shop, self._target, self._fault, self._action = shop, target, fault, action
-        self._engine = GuardedEngine(shop.context.engine, shop.safeguard, self._forbids)
+        self._engine = GuardedEngine(shop.context.engine, shop.flight_critical_guard, self._forbids)
         self._given_up = False
-        self._outcome: list[Done] = []
+        self._outcome: list[ActionResult] = []
         self._go, self._finished = threading.Event(), threading.Event()
 
     def begin(self) -> bool:
@@ -70,26 +70,26 @@ class Acting:
         name = f"phm-act-{self._action.name}-{self._target.key}"
         if threads.start_now(threading.Thread(target=self._in_thread, name=name, daemon=True)):
             return True
-        self.let_go()
+        self.release_target()
         return False
 
-    def run(self) -> Done:
+    def run(self) -> ActionResult:
         """Do it, and let the target go. A plug-in that hangs costs its deadline and no more."""
         self._go.set()
         try:
             if self._shop.clock.wait(self._finished, self._action.deadline_s):
                 return self._outcome[0]
-            return Done(f"{self._action.name} has not come back within {self._action.deadline_s:g} s")
+            return ActionResult(f"{self._action.name} has not come back within {self._action.deadline_s:g} s")
         finally:
-            self.let_go()
+            self.release_target()
 
-    def not_its_doing(self) -> str:
-        """What else has made the unit OK, see `Action.not_its_doing`. A plug-in that hangs or crashes costs ASK_S, and says nothing."""
+    def other_cause(self) -> str:
+        """What else has made the unit OK, see `Action.other_cause`. A plug-in that hangs or crashes costs ASK_S, and says nothing."""
         said: list[str] = []
 
         def ask() -> None:
             with contextlib.suppress(CannotTell):
-                said.append(self._action.not_its_doing(self._target, self._fault, self._shop.context))
+                said.append(self._action.other_cause(self._target, self._fault, self._shop.context))
 
         name = f"phm-credit-{self._action.name}-{self._target.key}"
         thread = threading.Thread(target=ask, name=name, daemon=True)
@@ -97,11 +97,11 @@ class Acting:
             thread.join(ASK_S)
         return said[0] if said else ""
 
-    def let_go(self) -> None:
+    def release_target(self) -> None:
         """From now on, others may act on the target; what still runs begins nothing more."""
         self._given_up = True
         self._go.set()
-        self._shop.hands.let_go(self._target.key, self)
+        self._shop.hands.release_target(self._target.key, self)
 
     def _in_thread(self) -> None:
         self._go.wait()
@@ -111,24 +111,24 @@ class Acting:
         finally:
             self._finished.set()
 
-    def _work(self) -> Done:
+    def _work(self) -> ActionResult:
         engine = self._engine
         context = replace(self._shop.context, engine=cast(Engine, engine), holding=self._holding)
         try:
             with self._life(engine):
                 said = self._action.run(self._target, self._fault, context)
-            return Done(str(said), ok=True, unneeded=isinstance(said, Unneeded))
-        except FlightCritical as error:
-            return Done(str(error), forbidden=True)
+            return ActionResult(str(said), ok=True, unneeded=isinstance(said, NotNeeded))
+        except FlightCriticalError as error:
+            return ActionResult(str(error), forbidden=True)
         except NotPermitted as error:
-            return Done(f"healing not permitted: {error}; PHM only reports this fault", refused=True)
+            return ActionResult(f"healing not permitted: {error}; PHM only reports this fault", refused=True)
         except NotYet as error:
-            return Done(str(error), postponed=True)
+            return ActionResult(str(error), postponed=True)
         except (ActionFailed, CannotTell) as error:
-            return Done(str(error))
+            return ActionResult(str(error))
         except BaseException as error:  # plug-in code, which may also exit: its thread is ours, and the attempt failed
             logger.exception("action %s crashed", self._action.name)
-            return Done(f"the action crashed: {type(error).__name__}: {error}")
+            return ActionResult(f"the action crashed: {type(error).__name__}: {error}")
 
     def _life(self, engine: GuardedEngine) -> contextlib.AbstractContextManager[None]:
         """What an operator starts or stops while an action is at work that starts nothing is not PHM's doing."""
@@ -139,8 +139,8 @@ class Acting:
             else contextlib.nullcontext()
         )
 
-    def _forbids(self, key: str, reach: Reach) -> str:
-        return self._shop.safeguard.forbids(key, reach, self._approved_at)
+    def _forbids(self, key: str, reach: Impact) -> str:
+        return self._shop.flight_critical_guard.forbids(key, reach, self._approved_at)
 
     @contextlib.contextmanager
     def _holding(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
@@ -148,9 +148,9 @@ class Acting:
         hands = self._shop.hands
         with hands.on(key, self, at_most_s):
             if self._given_up:
-                raise InOtherHands(f"{action} of {self._target.key} was given up meanwhile")
+                raise TargetBusy(f"{action} of {self._target.key} was given up meanwhile")
             if self._shop.pipeline.stopping(key):
-                raise InOtherHands(f"{key} is being stopped")
+                raise TargetBusy(f"{key} is being stopped")
             hands.hold(key, self, fault.unit, action, at_most_s)
             try:
                 with self._shop.lives.acting(key, self._target.key, self._engine.take_unanswered):

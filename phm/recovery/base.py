@@ -15,12 +15,12 @@ from phm.core.clock import Clock, SystemClock
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import Attachment, AutopilotFact, CannotTell, ContainerFact, LinkFact
-from phm.recovery.critical import Reach
-from phm.recovery.relief import Relief
+from phm.recovery.containers.cpu_weights import CpuWeights
+from phm.recovery.safety.flight_critical import Impact
 from phm.transport.docker import Engine
 
 
-class Unneeded(str):
+class NotNeeded(str):
     """What `Action.run` returns when it has changed nothing, because what it is for was there already: what is OK afterwards is
     not credited to it."""
 
@@ -62,7 +62,7 @@ def _no_hold(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractC
 class ActionContext:
     """What an action may use.
 
-    engine:     refuses what would disturb something flight-critical while armed (`phm.recovery.guarded_engine`).
+    engine:     refuses what would disturb something flight-critical while armed (`phm.recovery.safety.guarded_engine`).
     container:  the engine's view of a configured container now, or None when there is none.
     myself:     PHM's own container, or None when it runs on the host.
     remembered: how a container was attached to a network when that was last seen.
@@ -87,29 +87,29 @@ class ActionContext:
     reopen: Callable[[str, float], bool] = _no_link
     holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
     on_hold: Callable[[str], str] = lambda key: ""
-    relief: Relief | None = None
+    relief: CpuWeights | None = None
 
 
 class Action(ABC):
-    """One step. `on_myself` marks actions on what is PHM's own, its container or its MAVLink links, which need no opt-in."""
+    """One step. `on_phm_itself` marks actions on what is PHM's own, its container or its MAVLink links, which need no opt-in."""
 
     name: ClassVar[str]
     deadline_s: ClassVar[float] = 20.0
-    on_myself: ClassVar[bool] = False
-    takes_down: ClassVar[Reach] = Reach.CONTAINER
+    on_phm_itself: ClassVar[bool] = False
+    impact: ClassVar[Impact] = Impact.CONTAINER
     """What goes down with it for a moment: what is flight-critical among that is left alone while armed."""
     starts: ClassVar[bool] = True
     """Whether it may start or restart its container. The engine may do that late, also after PHM itself has ended."""
-    proof_s: ClassVar[float] = 0.0
+    verify_after_s: ClassVar[float] = 0.0
     """The unit and all that needs it must be found well by runs that began this long after the action: for actions after
     which all looks well for a moment (a container that starts and ends again, a node that is listed but cut off)."""
 
-    shows_s: ClassVar[float | None] = None
+    still_bad_after_s: ClassVar[float | None] = None
     """A run of the unit's check that began this long after the action and is still ERROR says that it has not helped: for
     actions that work at once or never. None: the unit's grace and two seconds."""
-    follow_s: ClassVar[float | None] = None
+    dependents_within_s: ClassVar[float | None] = None
     """What needs the unit must be back so long after the action: for actions after which nothing has to start. None: its grace
-    and two seconds, and `proof_s`."""
+    and two seconds, and `verify_after_s`."""
 
     @classmethod
     def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
@@ -128,10 +128,10 @@ class Action(ABC):
         """Do it; return a sentence for the log. Raises ActionFailed, NotYet, NotPermitted or CannotTell.
 
         Called again after a failure or a restart of PHM: doing it twice must be harmless. An action that has found nothing to
-        do returns its sentence as `Unneeded`.
+        do returns its sentence as `NotNeeded`.
         """
 
-    def not_its_doing(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def other_cause(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         """Asked once the unit is OK again after `run`, of the same object: what else has made it OK, as a clause for the log.
 
         Empty: nothing speaks against the action. Raises CannotTell, which counts as empty.

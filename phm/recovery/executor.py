@@ -7,10 +7,10 @@ from collections.abc import Iterable
 
 from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Level, Outcome, Transition
 from phm.recovery import disks, links
-from phm.recovery.asked import NotAllowed, NotNow
 from phm.recovery.history import History
+from phm.recovery.operator.manual_restart import NotAllowed, NotNow
+from phm.recovery.persistence.state import PersistedCase, PersistedState, RecoveryState
 from phm.recovery.shop import Shop
-from phm.recovery.state import Case, RecoveryState, State
 from phm.recovery.worker import NotApprovable, TargetWorker
 
 __all__ = ["Executor", "NotAllowed", "NotApprovable", "NotNow", "Shop"]
@@ -65,7 +65,7 @@ class Executor:
         down_from = fault.opened.mono - self._shop.context.settings.recovery.verify
         for target, units in self._shop.below(fault.unit).items():
             if target in self._histories:
-                self._worker(target).eased(units, down_from)
+                self._worker(target).dependency_recovered(units, down_from)
 
     def _reworded(self, event: Transition) -> None:
         """The same fault now stands for something else (exited, then dead): the ladder may be another."""
@@ -92,7 +92,7 @@ class Executor:
 
     # ------------------------------------------------------------ over a restart of PHM
 
-    def restore(self, state: State) -> tuple[str, ...]:
+    def restore(self, state: PersistedState) -> tuple[str, ...]:
         """Take over attempts and open faults, before the first event; sentences about actions that were cut short.
 
         Such an action counts as an attempt that did not help; what to do is decided afresh, once a fresh
@@ -107,9 +107,9 @@ class Executor:
             notes.append(
                 f"{what} was cut short when PHM ended: it counts as an attempt and is taken up again if needed"
             )
-        self._shop.lives.restore(state.recovery.lives)
-        cut_short = {target for target, cut in state.recovery.under_way.items() if self._starts(cut.attempt.action)}
-        for key, who in {**state.recovery.unfinished, **{target: target for target in cut_short}}.items():
+        self._shop.lives.restore(state.recovery.generations)
+        interrupted = {target for target, cut in state.recovery.under_way.items() if self._starts(cut.attempt.action)}
+        for key, who in {**state.recovery.unfinished, **{target: target for target in interrupted}}.items():
             self._shop.lives.unfinished(key, who)
         if self._shop.context.relief is not None:
             self._shop.context.relief.restore(state.recovery.lowered)
@@ -123,7 +123,7 @@ class Executor:
                 self._worker(fault.result.target)  # which sees whether somebody else begins anew
         for fault in self._shop.pipeline.open_faults():
             if fault.result.target:
-                target, case = fault.result.target, state.recovery.cases.get(fault.id, Case())
+                target, case = fault.result.target, state.recovery.cases.get(fault.id, PersistedCase())
                 action = state.recovery.under_way.get(target)
                 mine = action if action is not None and action.fault == fault.id else None
                 self._worker(target).restored(fault, case, mine)
@@ -138,7 +138,7 @@ class Executor:
         """What is to survive PHM; any thread may ask."""
         with self._lock:
             workers, histories = dict(self._workers), dict(self._histories)
-        cases: dict[str, Case] = {}
+        cases: dict[str, PersistedCase] = {}
         under_way = {}
         attempts = {target: tuple(history.attempts) for target, history in histories.items()}
         for target, worker in workers.items():

@@ -4,7 +4,7 @@ The budget counts every attempt. Back-off and the count of equal failures leave 
 
 - *eased*: something that the unit needs has come back. Whatever the unit waited for, the next attempt may come at once.
 - *excused*: made while something that the unit needs was down, or on an earlier life of the container
-  (`phm.recovery.lives`). Such a failure has another explanation than the container: counted, it would use up the three
+  (`phm.recovery.containers.container_generation`). Such a failure has another explanation than the container: counted, it would use up the three
   attempts before one was made under which the container could have become well.
 
 Both are bounded by the budget alone, so a dependency that flaps costs no more actions than the budget allows.
@@ -22,7 +22,7 @@ KEPT = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Attempt:
+class AttemptRecord:
     """One action that was carried out: when it began (monotonic seconds), for what, and whether it was verified."""
 
     at: float
@@ -30,9 +30,9 @@ class Attempt:
     condition: str
     action: str
     worked: bool
-    eased: bool = False
+    backoff_reset: bool = False
     """Back-off does not wait because of it."""
-    excused: bool = False
+    not_counted: bool = False
     """It is not counted as a failure of the target."""
     partly: bool = False
     """The unit itself came back, and not all that needs it."""
@@ -42,25 +42,29 @@ class Attempt:
 class History:
     """Attempts on one target, newest last, capped. The list is replaced and never changed: any thread may read it."""
 
-    attempts: list[Attempt] = field(default_factory=list)
+    attempts: list[AttemptRecord] = field(default_factory=list)
 
-    def add(self, attempt: Attempt) -> None:
+    def add(self, attempt: AttemptRecord) -> None:
         self.attempts = [*self.attempts, attempt][-KEPT:]
 
-    def within(self, since: float) -> list[Attempt]:
+    def within(self, since: float) -> list[AttemptRecord]:
         return [attempt for attempt in self.attempts if attempt.at >= since]
 
-    def ease(self, units: Collection[str], down_from: float) -> frozenset[str]:
+    def reset_backoff(self, units: Collection[str], down_from: float) -> frozenset[str]:
         """Something that `units` need is well again, after it was down from `down_from`; units with an attempt excused."""
-        excused = {each.unit for each in self.attempts if each.unit in units and each.at >= down_from}
+        not_counted = {each.unit for each in self.attempts if each.unit in units and each.at >= down_from}
         self.attempts = [
-            replace(each, eased=True, excused=each.excused or each.at >= down_from) if each.unit in units else each
+            replace(each, backoff_reset=True, not_counted=each.not_counted or each.at >= down_from)
+            if each.unit in units
+            else each
             for each in self.attempts
         ]
-        return frozenset(excused)
+        return frozenset(not_counted)
 
-    def begin_anew(self, since: float) -> bool:
+    def discount_before(self, since: float) -> bool:
         """A new life of the container began at `since`; whether that excuses anything."""
-        old = [each for each in self.attempts if each.at < since and not (each.eased and each.excused)]
-        self.attempts = [replace(each, eased=True, excused=True) if each.at < since else each for each in self.attempts]
+        old = [each for each in self.attempts if each.at < since and not (each.backoff_reset and each.not_counted)]
+        self.attempts = [
+            replace(each, backoff_reset=True, not_counted=True) if each.at < since else each for each in self.attempts
+        ]
         return bool(old)

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings, RecoverySettings
 from phm.recovery.failures import Failures
-from phm.recovery.history import Attempt, History
-from phm.recovery.holds import BEING_STOPPED
+from phm.recovery.history import AttemptRecord, History
+from phm.recovery.holds.hold_registry import BEING_STOPPED
 
 HOLD, STARVED, START = "hold", "starved", "start"
 LADDERS: Mapping[str, tuple[str, ...]] = {
@@ -31,7 +31,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "unhealthy": ("restart",),
     "disconnected": ("reconnect", "restart"),
     "address_silent": ("reconnect", "restart"),
-    "sidecar_disconnected": ("join",),
+    "sidecar_disconnected": ("join_network",),
     "node_missing": ("relaunch", "restart"),
     "node_hung": ("restart",),
     "silent": ("relaunch", "restart"),
@@ -41,14 +41,14 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "qos_mismatch": ("restart",),
     "node_duplicate": ("restart",),
     "transport_blocked": ("restart",),
-    "file_missing": ("restore",),
-    "file_not_executable": ("restore",),
-    "file_altered": ("restore",),
+    "file_missing": ("restore_file",),
+    "file_not_executable": ("restore_file",),
+    "file_altered": ("restore_file",),
     "device_replugged": ("restart",),
     "link_silent": ("reopen",),
     "radio_silent": ("reopen",),
     "autopilot_silent": ("reopen",),
-    "disk_full": ("make_room",),
+    "disk_full": ("free_disk",),
     "cpu_starved": ("relieve",),
 }
 """Built-in ladders by condition. Conditions that are not here are told and left alone: `restarting` because the engine's
@@ -110,13 +110,13 @@ class GiveUp:
 
 
 @dataclass(frozen=True, slots=True)
-class Leave:
+class Skip:
     """Nothing that PHM may or can do."""
 
     why: str
 
 
-Decision = Act | Advise | Wait | GiveUp | Leave
+Decision = Act | Advise | Wait | GiveUp | Skip
 ARMED_AGAIN_S = STARVED_AGAIN_S = 2.0
 
 
@@ -128,20 +128,20 @@ def decide(
     container: ContainerSettings | None,
     forbids: Callable[[str], str],
     settings: RecoverySettings,
-    free_actions: frozenset[str] = frozenset(),
+    unrestricted_actions: frozenset[str] = frozenset(),
     approved: bool = False,
     usable: frozenset[str] | None = None,
     start_s: float = 8.0,
     hold: tuple[float, str] | None = None,
     undecided: float | None = None,
     stopped_by_hand: bool = False,
-    shared_actions: frozenset[str] = frozenset(),
+    container_actions: frozenset[str] = frozenset(),
     starved: str = "",
     given_up: bool = False,
 ) -> Decision:
     """What to do about `fault` at `now` (monotonic seconds).
 
-    forbids: why an action must not be done while the vehicle may be armed; empty: it may (`phm.recovery.critical`).
+    forbids: why an action must not be done while the vehicle may be armed; empty: it may (`phm.recovery.safety.flight_critical`).
     approved: an operator has approved this action: mode advise and the armed state no longer hold it back.
     free_actions: actions on PHM's own container and links; they endanger nobody, so mode, opt-in and arming do not bind them.
     usable: the actions that apply to this fault; other rungs are left out. None: all.
@@ -157,13 +157,13 @@ def decide(
     ladder = tuple(rung for rung in ladder_of(condition, settings) if usable is None or rung in usable)
     hopeless = _hopeless(fault, ladder, settings, start_s)
     if hopeless:
-        return Leave(hopeless)
+        return Skip(hopeless)
     if given_up and START not in ladder:
-        return Leave("only a start is tried again after recovery has given up")
+        return Skip("only a start is tried again after recovery has given up")
     failures = Failures(history, fault, now, settings.verify)
     same = failures.of_the_unit()
     action = START if given_up else _rung(ladder, condition, same, settings)
-    if action not in free_actions:
+    if action not in unrestricted_actions:
         refused = _refused(container, settings, hold, undecided)
         if refused is not None:
             return refused
@@ -178,12 +178,12 @@ def decide(
     if not given_up and len(same) >= most:
         goes_on = f", one start every {settings.backoff_max:g} s goes on" if condition in DOWN else ""
         return GiveUp(action, f"{_in_vain(len(same))}{goes_on}")
-    elsewhere = failures.of_the_action(action) if action in shared_actions and condition not in DOWN else []
+    elsewhere = failures.of_the_action(action) if action in container_actions and condition not in DOWN else []
     if len(elsewhere) >= most:
         return GiveUp(action, _in_vain_elsewhere(action, len(elsewhere), fault.unit))
     if condition in PATIENT and now < fault.opened.mono + settings.patience:
         return Wait(fault.opened.mono + settings.patience, "it may come back by itself")
-    bound = action not in free_actions and not approved
+    bound = action not in unrestricted_actions and not approved
     forbidden = forbids(action) if bound else ""
     if forbidden:
         return Advise(action, forbidden, again_at=now + ARMED_AGAIN_S)
@@ -192,7 +192,7 @@ def decide(
     if bound and settings.mode == "advise":
         return Advise(action, "recovery only advises")
     act = Act(action, len(same) + 1)
-    return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in free_actions)
+    return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in unrestricted_actions)
 
 
 def _refused(
@@ -200,14 +200,14 @@ def _refused(
     settings: RecoverySettings,
     hold: tuple[float, str] | None,
     undecided: float | None,
-) -> Leave | Wait | None:
+) -> Skip | Wait | None:
     """Why nothing may be done to the container, whatever is wrong with it."""
     if settings.mode == "off":
-        return Leave("recovery is off")
+        return Skip("recovery is off")
     if container is None:
-        return Leave("no container to act on")
+        return Skip("no container to act on")
     if not container.recover:
-        return Leave(f"{container.key} has not opted in (recover: true)")
+        return Skip(f"{container.key} has not opted in (recover: true)")
     if hold is not None:
         return Wait(hold[0], hold[1], tell=True, subject=HOLD)
     return Wait(undecided, BEING_STOPPED) if undecided is not None else None
@@ -216,7 +216,7 @@ def _refused(
 def _when(
     act: Act,
     failures: Failures,
-    elsewhere: Sequence[Attempt],
+    elsewhere: Sequence[AttemptRecord],
     settings: RecoverySettings,
     *,
     given_up: bool,
@@ -245,7 +245,7 @@ def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:
     return tuple(settings.ladders.get(condition, LADDERS.get(condition, ())))
 
 
-def _rung(ladder: tuple[str, ...], condition: str, same: list[Attempt], settings: RecoverySettings) -> str:
+def _rung(ladder: tuple[str, ...], condition: str, same: list[AttemptRecord], settings: RecoverySettings) -> str:
     """The step that follows so many failed attempts."""
     again = condition in AGAIN_WHILE_IT_LASTS and condition not in settings.ladders
     failed = sum(attempt.partly for attempt in same) if again else len(same)

@@ -9,13 +9,13 @@ from phm.checking.pipeline import Pipeline
 from phm.core.clock import Clock
 from phm.core.model import Event, Fault
 from phm.core.settings import ContainerSettings
-from phm.recovery.armed import Armed
 from phm.recovery.base import Action, ActionContext
-from phm.recovery.critical import Reach, Safeguard
-from phm.recovery.hands import Hands
-from phm.recovery.holds import Holds
-from phm.recovery.lives import Lives
+from phm.recovery.containers.container_generation import GenerationTracker
+from phm.recovery.holds.hold_registry import HoldRegistry
 from phm.recovery.policy import ladder_of
+from phm.recovery.safety.armed_state import ArmedStatus
+from phm.recovery.safety.flight_critical import FlightCriticalGuard, Impact
+from phm.recovery.safety.target_locks import TargetLocks
 
 
 def _nothing_below(unit: str) -> Mapping[str, frozenset[str]]:
@@ -36,36 +36,36 @@ class Shop:
     clock: Clock
     actions: Mapping[str, type[Action]]
     context: ActionContext
-    armed: Callable[[], Armed]
+    armed: Callable[[], ArmedStatus]
     grace_s: Callable[[str], float]
     below: Callable[[str], Mapping[str, frozenset[str]]] = _nothing_below
-    holds: Holds = field(default_factory=Holds)
-    hands: Hands = field(init=False)
-    lives: Lives = field(init=False)
-    safeguard: Safeguard = field(init=False)
+    holds: HoldRegistry = field(default_factory=HoldRegistry)
+    hands: TargetLocks = field(init=False)
+    lives: GenerationTracker = field(init=False)
+    flight_critical_guard: FlightCriticalGuard = field(init=False)
 
     def __post_init__(self) -> None:
         verify_s = self.context.settings.recovery.verify
-        object.__setattr__(self, "hands", Hands(self.pipeline, self.clock))
-        object.__setattr__(self, "lives", Lives(self.context.container, self.clock, verify_s))
+        object.__setattr__(self, "hands", TargetLocks(self.pipeline, self.clock))
+        object.__setattr__(self, "lives", GenerationTracker(self.context.container, self.clock, verify_s))
         context = self.context
-        safeguard = Safeguard(context.settings, context.container, context.myself, self.armed)
-        object.__setattr__(self, "safeguard", safeguard)
+        flight_critical_guard = FlightCriticalGuard(context.settings, context.container, context.myself, self.armed)
+        object.__setattr__(self, "flight_critical_guard", flight_critical_guard)
 
     @property
-    def free_actions(self) -> frozenset[str]:
-        return frozenset(name for name, action in self.actions.items() if action.on_myself)
+    def unrestricted_actions(self) -> frozenset[str]:
+        return frozenset(name for name, action in self.actions.items() if action.on_phm_itself)
 
     @property
-    def shared_actions(self) -> frozenset[str]:
+    def container_actions(self) -> frozenset[str]:
         """Actions on a container as a whole, which would help all of its faults at once."""
-        whole = ((name, kind) for name, kind in self.actions.items() if kind.takes_down is Reach.CONTAINER)
-        return frozenset(name for name, kind in whole if not kind.on_myself)
+        whole = ((name, kind) for name, kind in self.actions.items() if kind.impact is Impact.CONTAINER)
+        return frozenset(name for name, kind in whole if not kind.on_phm_itself)
 
     def forbids(self, target: str, action: str) -> str:
         """Why this action on `target` must wait until the vehicle is disarmed; empty: it need not."""
         kind = self.actions.get(action)
-        return self.safeguard.forbids(target, kind.takes_down if kind is not None else Reach.CONTAINER)
+        return self.flight_critical_guard.forbids(target, kind.impact if kind is not None else Impact.CONTAINER)
 
     def usable(self, container: ContainerSettings | None, fault: Fault) -> frozenset[str] | None:
         """The rungs of the fault's ladder that apply to it. One that is not installed stays, to be told as such."""

@@ -16,18 +16,18 @@ from functools import partial
 from phm.core import threads
 from phm.core.model import ActionEvent, Fault, Phase
 from phm.core.settings import ContainerSettings
-from phm.recovery.announcements import announce, in_words
-from phm.recovery.approvals import Approvals
-from phm.recovery.asked import NotAllowed, NotNow, permit, stand_in
-from phm.recovery.cases import Case, Cases
-from phm.recovery.history import Attempt, History
-from phm.recovery.holds import BEING_STOPPED
-from phm.recovery.policy import Act, Advise, Decision, GiveUp, Leave, Wait, decide
-from phm.recovery.proof import LOOK_AGAIN_S, POLL_S
-from phm.recovery.repair import Repair
+from phm.recovery.attempt import Repair
+from phm.recovery.containers.external_changes import ExternalChanges
+from phm.recovery.fault_cases import FaultCase, FaultCases
+from phm.recovery.history import AttemptRecord, History
+from phm.recovery.holds.hold_registry import BEING_STOPPED
+from phm.recovery.operator.announcements import announce, in_words
+from phm.recovery.operator.approvals import Approvals
+from phm.recovery.operator.manual_restart import NotAllowed, NotNow, check_permitted, request_as_fault
+from phm.recovery.persistence.state import PersistedCase, UnfinishedAction
+from phm.recovery.policy import Act, Advise, Decision, GiveUp, Skip, Wait, decide
 from phm.recovery.shop import Shop
-from phm.recovery.state import Case as Kept, UnderWay
-from phm.recovery.surroundings import Surroundings
+from phm.recovery.verification import LOOK_AGAIN_S, POLL_S
 
 logger = logging.getLogger(__name__)
 
@@ -56,10 +56,10 @@ class TargetWorker:
     def __init__(self, target: str, container: ContainerSettings | None, shop: Shop, history: History) -> None:
         self._target, self._container, self._shop = target, container, shop
         self._history = history
-        self._under_way: UnderWay | None = None
-        self._asked: Case | None = None
-        self._left_down: dict[str, Case] = {}
-        self._cases, self._around = Cases(target), Surroundings(target, shop, history)
+        self._under_way: UnfinishedAction | None = None
+        self._asked: FaultCase | None = None
+        self._left_down: dict[str, FaultCase] = {}
+        self._cases, self._around = FaultCases(target), ExternalChanges(target, shop, history)
         self._approvals = Approvals(target, shop, self._publish)
         self._lock = threading.Lock()
         self._wake = threading.Event()
@@ -73,23 +73,25 @@ class TargetWorker:
 
     def closed(self, fault: Fault) -> None:
         case = self._cases.closed(fault.unit)
-        if case is not None and case.cut_short:
+        if case is not None and case.interrupted:
             self._shop.hands.release(self._target, case, worked=True)
         self._wake.set()
 
-    def eased(self, units: Collection[str], down_from: float) -> None:
+    def dependency_recovered(self, units: Collection[str], down_from: float) -> None:
         """Something that these units of the target need has come back, after it was down from then on."""
-        self._around.eased(units, down_from)
+        self._around.dependency_recovered(units, down_from)
         self._wake.set()
 
-    def restored(self, fault: Fault, case: Kept, cut: UnderWay | None) -> None:
+    def restored(self, fault: Fault, case: PersistedCase, cut: UnfinishedAction | None) -> None:
         """A fault of an earlier run of PHM: what was said of it is not said again, and it is judged afresh first.
 
         cut: an action for it that PHM's end cut short. What it broke is no fault of its own: the target is held.
         """
         grace_s = self._shop.grace_s(fault.unit)
-        proof_from = self._shop.clock.mono() + grace_s
-        mine = Case(fault, set(case.told), case.refused, proof_from=proof_from, cut_short=cut is not None)
+        recheck_from = self._shop.clock.mono() + grace_s
+        mine = FaultCase(
+            fault, set(case.reported), case.refused, recheck_from=recheck_from, interrupted=cut is not None
+        )
         self._cases.put(mine)
         if case.approved:
             self._approvals.expire(mine, case.approved, "PHM has been restarted")
@@ -97,7 +99,7 @@ class TargetWorker:
             self._shop.hands.hold(self._target, mine, fault.unit, cut.attempt.action, grace_s + CUT_SHORT_S)
         self._wake.set()
 
-    def kept(self) -> tuple[dict[str, Kept], UnderWay | None]:
+    def kept(self) -> tuple[dict[str, PersistedCase], UnfinishedAction | None]:
         """For the state file: the cases by fault id, and the action under way."""
         return self._cases.kept(), self._under_way
 
@@ -111,7 +113,7 @@ class TargetWorker:
         if not isinstance(unbound, Advise) and not case.refused:
             raise NotApprovable(f"nothing is advised for {fault_id}: {in_words(unbound)}")
         decision = self._decide(case.fault, approved=True)
-        if isinstance(decision, (Leave, GiveUp)):
+        if isinstance(decision, (Skip, GiveUp)):
             raise NotApprovable(f"{fault_id} cannot be helped by a yes: {in_words(decision)}")
         action = unbound.action if isinstance(unbound, Advise) else getattr(decision, "action", "recovery")
         approval = self._approvals.grant(action)
@@ -122,7 +124,7 @@ class TargetWorker:
             )
         later = f", when it may: {decision.why}" if isinstance(decision, Wait) else ""
         detail = f"approved: {action} {self._target} for {case.fault.unit}{later}"
-        case.told.discard(f"{Phase.ADVISED.value} {action}")
+        case.reported.discard(f"{Phase.ADVISED.value} {action}")
         self._publish(case.fault, action, Phase.APPROVED, detail)
         case.refused, case.approval = False, approval
         self._wake.set()
@@ -138,8 +140,8 @@ class TargetWorker:
         with self._lock:
             if self._asked is not None or self._under_way is not None:
                 raise NotNow(f"{self._target} is being acted on")
-            fault = stand_in(state, self._target, by, self._shop.clock.stamp())
-            self._asked = Case(fault, approval=self._approvals.grant("restart"))
+            fault = request_as_fault(state, self._target, by, self._shop.clock.stamp())
+            self._asked = FaultCase(fault, approval=self._approvals.grant("restart"))
         self._wake.set()
         return f"restart {self._target}, asked for by {by}"
 
@@ -162,9 +164,9 @@ class TargetWorker:
         if shop.holds.undecided(self._target, now.mono) is not None:
             raise NotNow(f"{self._target} is {BEING_STOPPED}")
         forbidden = shop.forbids(self._target, "restart")
-        permit(self._container, self._history, now.mono, forbidden=forbidden, settings=settings)
+        check_permitted(self._container, self._history, now.mono, forbidden=forbidden, settings=settings)
 
-    def _as_asked(self, asked: Case) -> float:
+    def _as_asked(self, asked: FaultCase) -> float:
         """As `_perform`; 0 also when it was refused. Decided again each time: the autopilot may have been armed since, or
         another action may have used the budget up."""
         try:
@@ -176,7 +178,7 @@ class TargetWorker:
             self._publish(asked.fault, "restart", Phase.REFUSED, str(error))
             self._asked = None
             return 0
-        wait_s = self._perform(Case(asked.fault, asked.told), Act("restart", 1))
+        wait_s = self._perform(FaultCase(asked.fault, asked.reported), Act("restart", 1))
         if wait_s == 0:
             self._asked = None
         return wait_s
@@ -195,7 +197,7 @@ class TargetWorker:
     def _next(self) -> float | None:
         """Do the most upstream thing there is to do; seconds to wait (0: look again now, None: until woken)."""
         cases = self._current()
-        waits = [LIFE_S] if self._around.take_note(cases) else []
+        waits = [LIFE_S] if self._around.update(cases) else []
         if self._asked is not None:
             wait_s = self._as_asked(self._asked)
             if wait_s == 0:
@@ -206,14 +208,14 @@ class TargetWorker:
             if case.refused:
                 continue
             self._around.note_hold(case)
-            proof_from = self._around.unproven_from(case)
-            if proof_from is not None:
-                waits.append(self._wait_for_proof(case.fault.unit, proof_from))
+            recheck_from = self._around.unchecked_since(case)
+            if recheck_from is not None:
+                waits.append(self._wait_for_proof(case.fault.unit, recheck_from))
                 continue
-            case.proof_from = None
+            case.recheck_from = None
             decision = self._decide(case.fault, approved=case.approval is not None)
             if isinstance(decision, Act):
-                if decision.action not in self._shop.free_actions and self._around.outlived(case):
+                if decision.action not in self._shop.unrestricted_actions and self._around.generation_changed(case):
                     return 0  # judged by what is found in this life
                 wait_s = self._perform(case, decision)
                 if wait_s == 0:
@@ -228,7 +230,7 @@ class TargetWorker:
     def _keep_starting(self, waits: list[float]) -> float | None:
         """A container that is down is worth a start now and then, also when recovery has given up on it. As `_next`."""
         down = self._around.left_down()
-        self._left_down = {fault.id: self._left_down.get(fault.id, Case(fault)) for fault in down}
+        self._left_down = {fault.id: self._left_down.get(fault.id, FaultCase(fault)) for fault in down}
         for fault in down:
             decision = self._decide(fault, approved=False, given_up=True)
             if isinstance(decision, Act):
@@ -242,34 +244,34 @@ class TargetWorker:
                 waits.append(max(POLL_S, again - self._shop.clock.mono()))
         return min(waits, default=None)
 
-    def _check_approval(self, case: Case) -> list[float]:
+    def _check_approval(self, case: FaultCase) -> list[float]:
         """When to look at its approval again, in seconds; empty: it has none, or it has just been found to be void."""
         if case.approval is None:
             return []
         decision = self._decide(case.fault, approved=True)
         return self._approvals.check(case, decision.action if isinstance(decision, Act) else "")
 
-    def _current(self) -> list[Case]:
+    def _current(self) -> list[FaultCase]:
         """The tracker knows first what is over and what is wrong now; its event may still be on its way through the bus."""
         return self._cases.current(self._shop.pipeline.open_faults)
 
-    def _another_calls(self, case: Case) -> bool:
+    def _another_calls(self, case: FaultCase) -> bool:
         """Whether there is something to do on the container that is not this case's."""
         return any(
             isinstance(self._decide(other.fault, approved=other.approval is not None), Act)
             for other in self._current()
-            if other.fault.id != case.fault.id and not other.refused and self._around.unproven_from(other) is None
+            if other.fault.id != case.fault.id and not other.refused and self._around.unchecked_since(other) is None
         )
 
-    def _wait_for_proof(self, unit: str, proof_from: float) -> float:
+    def _wait_for_proof(self, unit: str, recheck_from: float) -> float:
         now = self._shop.clock.mono()
         hold = self._shop.holds.on(self._target, now)
         if hold is not None:
             return hold.until - now  # until then its units are STALE, whatever their checks find
-        left_s = proof_from - now
+        left_s = recheck_from - now
         if left_s > 0:
             return min(left_s, PROOF_S)
-        self._shop.pipeline.look_again(unit, *self._shop.pipeline.suffering(unit, proof_from))
+        self._shop.pipeline.look_again(unit, *self._shop.pipeline.suffering(unit, recheck_from))
         return PROOF_S
 
     def _decide(self, fault: Fault, *, approved: bool, given_up: bool = False) -> Decision:
@@ -282,19 +284,19 @@ class TargetWorker:
             container=self._container,
             forbids=partial(shop.forbids, self._target),
             settings=shop.context.settings.recovery,
-            free_actions=shop.free_actions,
+            unrestricted_actions=shop.unrestricted_actions,
             usable=shop.usable(self._container, fault),
             start_s=shop.context.settings.ros.grace,
             approved=approved,
             given_up=given_up,
-            shared_actions=shop.shared_actions,
+            container_actions=shop.container_actions,
             starved=shop.pipeline.starved(fault.unit),
             hold=(hold.until, hold.words(now)) if hold is not None else None,
             undecided=shop.holds.undecided(self._target, now.mono, ended=fault.result.condition == ENDED),
             stopped_by_hand=shop.holds.stopped_by_hand(self._target),
         )
 
-    def _say(self, case: Case, decision: Decision) -> float | None:
+    def _say(self, case: FaultCase, decision: Decision) -> float | None:
         """Tell a decision that is not to act, once; when to look again, or None when only an event helps."""
         announced = announce(decision, self._target, self._container)
         if announced is not None:
@@ -306,15 +308,15 @@ class TargetWorker:
             return decision.until
         return decision.again_at if isinstance(decision, Advise) else None
 
-    def _once(self, case: Case, action: str, phase: Phase, detail: str) -> None:
+    def _once(self, case: FaultCase, action: str, phase: Phase, detail: str) -> None:
         said = f"{phase.value} {action}"
-        if said not in case.told:
-            case.told.add(said)
+        if said not in case.reported:
+            case.reported.add(said)
             self._publish(case.fault, action, phase, detail)
 
     # ------------------------------------------------------------ acting
 
-    def _perform(self, case: Case, act: Act) -> float:
+    def _perform(self, case: FaultCase, act: Act) -> float:
         """Seconds to wait before the next look."""
         shop, fault = self._shop, case.fault
         kind = shop.actions.get(act.action)
@@ -330,14 +332,14 @@ class TargetWorker:
         if missing:
             self._once(case, act.action, Phase.REFUSED, f"{self._target} is left alone for now: {missing}")
             return WAITS_S
-        attempt = Attempt(shop.clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
+        attempt = AttemptRecord(shop.clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
         if not repair.begin():
             return LOOK_AGAIN_S  # another container's repair restarts this one: decided afresh when that is over
-        if act.action not in shop.free_actions and shop.holds.binds(self._target, shop.clock.mono()):
+        if act.action not in shop.unrestricted_actions and shop.holds.binds(self._target, shop.clock.mono()):
             repair.release(worked=False)  # put on hold, or stopped by hand, since the decision
             return LOOK_AGAIN_S
-        case.approval, case.cut_short = None, False
-        self._under_way = UnderWay(fault.id, attempt)
+        case.approval, case.interrupted = None, False
+        self._under_way = UnfinishedAction(fault.id, attempt)
         worked, life = False, shop.lives.look(self._target)
         try:
             tell = partial(self._publish, fault, act.action, attempt=act.attempt)
@@ -346,8 +348,8 @@ class TargetWorker:
                 return 0  # cut short by the end of PHM: the state file still says that it was under way
             worked = verdict.worked or verdict.undecided
             case.refused = verdict.refused
-            self._around.attempted(self._current(), case, life, overtaken=verdict.overtaken)
-            done = replace(attempt, worked=verdict.worked, excused=verdict.excused, partly=verdict.partly)
+            self._around.attempted(self._current(), case, life, superseded=verdict.superseded)
+            done = replace(attempt, worked=verdict.worked, not_counted=verdict.not_counted, partly=verdict.partly)
             self._end(None if verdict.postponed else done)
             tell(verdict.phase, verdict.detail)
         finally:
@@ -356,7 +358,7 @@ class TargetWorker:
             repair.release(worked=worked)
         return 0
 
-    def _end(self, attempt: Attempt | None) -> None:
+    def _end(self, attempt: AttemptRecord | None) -> None:
         """Counted before it is published: no attempt is lost when PHM is killed in between. None: nothing was tried."""
         if attempt is not None:
             self._history.add(attempt)

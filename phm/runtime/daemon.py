@@ -30,17 +30,17 @@ from phm.core.settings import Settings
 from phm.core.watchdog import Guard
 from phm.facts import CannotTell, SelfFact
 from phm.probes.docker_events import DockerEvent
-from phm.recovery.actions import join
-from phm.recovery.armed import ArmedMonitor
+from phm.recovery.actions.join_network import join_networks
 from phm.recovery.base import Action, ActionContext
-from phm.recovery.critical import critical_containers
+from phm.recovery.containers.cpu_weights import CpuWeights
 from phm.recovery.executor import Executor, NotNow
-from phm.recovery.hold_service import HoldService, HoldWorld
-from phm.recovery.holds import Holds
-from phm.recovery.memory import Memory
-from phm.recovery.relief import Relief
+from phm.recovery.holds.hold_registry import HoldRegistry
+from phm.recovery.holds.hold_service import HoldInputs, HoldService
+from phm.recovery.persistence.persistence_service import PersistenceService
+from phm.recovery.persistence.state import PersistedState
+from phm.recovery.safety.armed_state import ArmedMonitor
+from phm.recovery.safety.flight_critical import critical_containers
 from phm.recovery.shop import Shop
-from phm.recovery.state import State
 from phm.reporters.base import Reporter, ReporterContext
 from phm.reporters.reporter_manager import Installed
 from phm.runtime.shutdown_marker import ShutdownMarker
@@ -105,17 +105,19 @@ class Daemon:
         self.pipeline.attach(self.engine.wake_units, self.beat_soon)
         self.reporters = Installed(self.bus)
         self.executor: Executor | None = None
-        self._held = Holds()
+        self._held = HoldRegistry()
         self.control: ControlServer | None = before.control if before is not None else None
         self.desk: CommandHandler | None = None
         timeout_s = settings.mavlink.autopilot_timeout
         self.armed = ArmedMonitor(self.components.world.links.autopilot, timeout_s, self.clock)
-        world = HoldWorld(
+        world = HoldInputs(
             self.armed.now, self.components.world.docker.container, self._acting_on, self.components.event_stream
         )
         self.holds = HoldService(settings, self._held, self.pipeline, self.bus.publish, self.clock, world)
-        self.relief = Relief(self.components.engine, self.components.world.docker.container, self.pipeline, self.clock)
-        self.memory = Memory(settings, self.pipeline, self.bus, self.clock, self.armed)
+        self.relief = CpuWeights(
+            self.components.engine, self.components.world.docker.container, self.pipeline, self.clock
+        )
+        self.memory = PersistenceService(settings, self.pipeline, self.bus, self.clock, self.armed)
         self._looks = self._stalled = 0
         self._subscribers: tuple[object, ...] = ()
         self.own_problems: list[Callable[[], str]] = before.own_problems if before is not None else [threads.problem]
@@ -196,7 +198,7 @@ class Daemon:
             mine = self._subscribers
             self.components.mavlink.forget(each for each in self.components.mavlink.subscribers() if each not in mine)
 
-    def _hand_over(self) -> State:
+    def _hand_over(self) -> PersistedState:
         """End all but links, control socket and guard, and give away what is known. The heart and the reporters end last,
         so that heartbeats go on until the next daemon sends its own.
         """
@@ -388,7 +390,7 @@ class Daemon:
 
     def _publish_action(self, event: Event) -> None:
         self.bus.publish(event)
-        if isinstance(event, ActionEvent) and event.phase is Phase.DONE and event.action == "join":
+        if isinstance(event, ActionEvent) and event.phase is Phase.DONE and event.action == "join_network":
             self.components.renew_ros("PHM joined a network")
 
     def _acting_on(self, container: str) -> bool:
@@ -413,7 +415,7 @@ class Daemon:
         """
         for container in self.settings.containers:
             try:
-                done = join(container, self._action_context())
+                done = join_networks(container, self._action_context())
             except CannotTell as error:
                 self.pipeline.note("PHM", f"could not join the networks of {container.key}: {error}")
             except Exception as error:  # an unexpected answer must not keep ROS from starting

@@ -13,7 +13,7 @@ NAME = "running"
 class ShutdownMarker:
     """The machine's boot id stands in the file: a power cut is no crash of PHM, and vehicles are switched off like that.
 
-    A folder that cannot be written is told by whoever keeps more there (`phm.recovery.state_file`).
+    A folder that cannot be written is told by whoever keeps more there (`phm.recovery.persistence.state_file`).
     """
 
     def __init__(self, directory: str, boot: str | None = None) -> None:

@@ -16,7 +16,7 @@ BEGIN, END = (
     "<!-- starvation: end -->",
 )
 HEAD = ("fault", "alarms", "actions", "at the end")
-OWN = ("join", "reopen")
+OWN = ("join_network", "reopen")
 """Actions that touch nothing but PHM itself."""
 
 

@@ -33,7 +33,7 @@ STILL_S = 10.0
 WELL_LIMIT_S = 120.0
 STEADY_S = 3.0
 """All must have been well for so long before the next injection."""
-OWN = ("join", "reopen")
+OWN = ("join_network", "reopen")
 """What PHM does to its own container and its own end of a link, in every mode: nothing of the vehicle is touched."""
 LASTING_S = 31.0
 """Longer than `recovery.verify`, 30 s: before that, the same unit's next failure counts as a repair that did not last."""

@@ -39,7 +39,7 @@ class Injection(Fault):
     needs = frozenset({"configuration"})
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
-        room = f"\n  make_room:\n    - {{path: {BAGS}, files: ['*.mcap'], older_than: {OLDER_THAN}}}"
+        room = f"\n  free_disk:\n    - {{path: {BAGS}, files: ['*.mcap'], older_than: {OLDER_THAN}}}"
         return {"\n  disks: [/]": f"\n  disks: [/, /tmp]{room}"}
 
     def inject(self, agent: Agent) -> float:

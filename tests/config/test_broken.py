@@ -258,10 +258,10 @@ BROKEN = [
     Broken("window of no container", ONE + "recovery:\n  maintenance:\n  - {when: '02:00-04:00', container: ap}\n", 5,
            "recovery.maintenance[0].container", ("ap",)),
     Broken("same disk", "host:\n  disks: [/, /data, /data/]\n", 2, "host.disks[2]", ("disk '/data' stands twice",)),
-    Broken("room", "host:\n  make_room:\n  - {path: /bags, files: [run/*.mcap]}\n", 3, "host.make_room[0].files[0]",
+    Broken("room", "host:\n  free_disk:\n  - {path: /bags, files: [run/*.mcap]}\n", 3, "host.free_disk[0].files[0]",
            ("is 'run/*.mcap'", "without '/'")),
-    Broken("all may go at once", "host:\n  make_room:\n  - {path: /bags, files: ['*'], older_than: 1s}\n", 3,
-           "host.make_room[0].older_than", ("is 1", "10 or more")),
+    Broken("all may go at once", "host:\n  free_disk:\n  - {path: /bags, files: ['*'], older_than: 1s}\n", 3,
+           "host.free_disk[0].older_than", ("is 1", "10 or more")),
     Broken("link to no container", ONE + "mavlink:\n  endpoints:\n  - {url: 'tcp:a:5760', container: rooter}\n", 5,
            "mavlink.endpoints[0].container", ("unknown container 'rooter'",)),
     # names of parts

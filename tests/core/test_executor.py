@@ -16,9 +16,9 @@ from phm.core.bus import Bus
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Phase
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import NotPermitted
-from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext, ActionFailed
 from phm.recovery.executor import Executor, Shop
+from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.tracker import Tracked, Tracker
 from tests.fakes.until import until
 
@@ -46,7 +46,11 @@ class World:
         self.pipeline = Pipeline(tracker, self.bus, self.clock)
         self.pipeline.attach(lambda units, reason: self.look())
         context = ActionContext(cast(Any, None), self.settings, lambda key: None, lambda: None, lambda a, b: None)
-        state = Armed(State.ARMED, "the autopilot is armed") if armed else Armed(State.DISARMED, "it is disarmed")
+        state = (
+            ArmedStatus(ArmedState.ARMED, "the autopilot is armed")
+            if armed
+            else ArmedStatus(ArmedState.DISARMED, "it is disarmed")
+        )
         actions = self.actions = {name: self._action(name) for name in ("restart", "start")}
         shop = Shop(self.pipeline, self.publish, self.clock, actions, context, lambda: state, lambda unit: 0.0)
         self.executor = Executor(shop)
@@ -59,7 +63,7 @@ class World:
         class Scripted(Action):
             name = action
             deadline_s = 5.0
-            proof_s = 2.0
+            verify_after_s = 2.0
 
             def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
                 world.runs.append(action)

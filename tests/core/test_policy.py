@@ -9,8 +9,8 @@ import pytest
 
 from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
 from phm.core.settings import ContainerSettings, RecoverySettings
-from phm.recovery.history import Attempt, History
-from phm.recovery.policy import Act, Advise, GiveUp, Leave, Wait, decide
+from phm.recovery.history import AttemptRecord, History
+from phm.recovery.policy import Act, Advise, GiveUp, Skip, Wait, decide
 
 APP = ContainerSettings(name="app", recover=True)
 RULES = RecoverySettings()
@@ -22,7 +22,7 @@ def fault(condition: str = "unhealthy", opened: float = 1000.0, well_s: float = 
 
 
 def attempts(*at: float, worked: bool = False, condition: str = "unhealthy") -> History:
-    return History([Attempt(when, "health/app", condition, "restart", worked) for when in at])
+    return History([AttemptRecord(when, "health/app", condition, "restart", worked) for when in at])
 
 
 def say(history: History | None = None, now: float = 1000.0, *, forbidden: str = "", **more: object) -> object:
@@ -37,19 +37,19 @@ def test_the_first_attempt_is_made_at_once() -> None:
 
 def test_a_container_that_has_not_opted_in_is_never_touched() -> None:
     """Opt-in by name; cve-search once had a backup restarted by a tool that took `all`."""
-    assert isinstance(say(container=ContainerSettings(name="app")), Leave)
+    assert isinstance(say(container=ContainerSettings(name="app")), Skip)
 
 
 def test_mode_off_does_nothing_and_advise_only_says() -> None:
     """`recovery.mode`."""
-    assert isinstance(say(settings=RecoverySettings(mode="off")), Leave)
+    assert isinstance(say(settings=RecoverySettings(mode="off")), Skip)
     assert isinstance(say(settings=RecoverySettings(mode="advise")), Advise)
 
 
 def test_a_condition_without_a_ladder_is_left_alone() -> None:
     """A missing device is not mended by a restart, nor is a blocked transport; the engine's crash loop is its own."""
     for condition in ("device_missing", "not_received", "restarting"):
-        assert isinstance(say(fault=fault(condition)), Leave)
+        assert isinstance(say(fault=fault(condition)), Skip)
 
 
 def test_rungs_that_do_not_apply_are_left_out_of_the_ladder() -> None:
@@ -57,7 +57,7 @@ def test_rungs_that_do_not_apply_are_left_out_of_the_ladder() -> None:
     missing = fault("node_missing")
     assert say(fault=missing, usable=frozenset({"restart"})) == Act("restart", 1)
     assert say(fault=missing, usable=frozenset({"relaunch", "restart"})) == Act("relaunch", 1)
-    assert isinstance(say(fault=fault("file_missing"), usable=frozenset()), Leave)
+    assert isinstance(say(fault=fault("file_missing"), usable=frozenset()), Skip)
 
 
 @pytest.mark.parametrize("condition", ["silent", "rate_low"])
@@ -91,17 +91,17 @@ def test_what_broke_in_this_life_of_its_container_is_tried_once(condition: str) 
 def test_what_was_never_well_in_this_life_is_left_alone(condition: str) -> None:
     """Its cause is in the start itself: code, a launch file, no shared memory. Well for a moment may be what was there before."""
     for seconds in (0.0, 9.0):
-        assert isinstance(say(fault=was_well(condition, seconds)), Leave)
+        assert isinstance(say(fault=was_well(condition, seconds)), Skip)
     assert isinstance(say(fault=was_well(condition, 9.0), start_s=6.0), Act)
 
 
-@pytest.mark.parametrize(("seconds", "expected"), [(4.0, Leave), (6.0, Act)])
+@pytest.mark.parametrize(("seconds", "expected"), [(4.0, Skip), (6.0, Act)])
 def test_a_container_that_ran_before_phm_has_come_up_already(seconds: float, expected: type) -> None:
     """A PHM that was started again need not wait for the grace of a start that was long ago."""
     assert isinstance(say(fault=replace(was_well("node_duplicate", seconds), life_seen=False)), expected)
 
 
-@pytest.mark.parametrize(("never", "seconds", "expected"), [(True, 60.0, Leave), (False, 0.0, Act)])
+@pytest.mark.parametrize(("never", "seconds", "expected"), [(True, 60.0, Skip), (False, 0.0, Act)])
 def test_a_check_knows_better_than_what_was_told(never: bool, seconds: float, expected: type) -> None:
     """A network is well before anybody has listened for data on it."""
     known = was_well("transport_blocked", seconds)
@@ -128,7 +128,7 @@ def test_ends_and_copies_that_may_go_by_themselves_are_given_time(condition: str
 def test_the_configuration_may_replace_a_ladder() -> None:
     """Per condition, the user's ladder counts alone; an empty one switches healing off."""
     assert say(settings=RecoverySettings(ladders={"unhealthy": ["start"]})) == Act("start", 1)
-    assert isinstance(say(settings=RecoverySettings(ladders={"unhealthy": []})), Leave)
+    assert isinstance(say(settings=RecoverySettings(ladders={"unhealthy": []})), Skip)
 
 
 def test_the_next_rung_follows_a_failed_attempt() -> None:
@@ -191,56 +191,60 @@ def test_attempts_on_the_fault_itself_count_however_well_it_was_before() -> None
     assert isinstance(say(history, fault=fault(well_s=3600.0), now=1020.0), GiveUp)
 
 
-def marked(history: History, *, eased: bool = False, excused: bool = False) -> History:
-    return History([replace(attempt, eased=eased, excused=excused) for attempt in history.attempts])
+def marked(history: History, *, backoff_reset: bool = False, not_counted: bool = False) -> History:
+    return History(
+        [replace(attempt, backoff_reset=backoff_reset, not_counted=not_counted) for attempt in history.attempts]
+    )
 
 
 def test_excused_attempts_are_no_failures_and_cost_no_rung() -> None:
     """Made while a dependency was down or on an earlier life: the ladder begins anew, back-off does not."""
-    history = marked(attempts(900.0, 910.0, 998.0, condition="disconnected"), excused=True)
+    history = marked(attempts(900.0, 910.0, 998.0, condition="disconnected"), not_counted=True)
     assert say(history, fault=fault("disconnected")) == Wait(1002.0, "backing off")
     assert say(history, fault=fault("disconnected"), now=1002.0) == Act("reconnect", 1)
 
 
 def test_eased_attempts_are_not_waited_for_and_count_as_failures() -> None:
     """What the target needs has come back: the next attempt may come at once."""
-    assert say(marked(attempts(990.0, 999.5), eased=True)) == Act("restart", 3)
-    assert isinstance(say(marked(attempts(900.0, 910.0, 920.0), eased=True)), GiveUp)
+    assert say(marked(attempts(990.0, 999.5), backoff_reset=True)) == Act("restart", 3)
+    assert isinstance(say(marked(attempts(900.0, 910.0, 920.0), backoff_reset=True)), GiveUp)
 
 
 def test_the_budget_counts_what_nothing_else_does() -> None:
     """However much is excused, a container is not restarted more often than that."""
-    history = marked(attempts(900.0, 910.0, 920.0, 930.0, 940.0), eased=True, excused=True)
+    history = marked(attempts(900.0, 910.0, 920.0, 930.0, 940.0), backoff_reset=True, not_counted=True)
     assert say(history) == Wait(1510.0, KEPT_BACK, tell=True)
 
 
 def test_help_that_lasted_ends_the_count_even_when_excused() -> None:
     """What is older than help that lasted stays forgotten."""
-    helped = Attempt(900.0, "health/app", "unhealthy", "restart", worked=True, excused=True)
+    helped = AttemptRecord(900.0, "health/app", "unhealthy", "restart", worked=True, not_counted=True)
     history = History([*attempts(700.0, 710.0, 720.0).attempts, helped])
     assert say(history, settings=replace_rules(reserve=0)) == Act("restart", 1)
 
 
 def test_easing_marks_the_units_and_excusing_the_time_of_the_outage() -> None:
     """All attempts on what needs the dependency are eased; only those from the outage are excused."""
-    history = History([Attempt(at, unit, "x", "restart", worked=False) for at in (10.0, 20.0) for unit in ("a", "b")])
-    assert history.ease({"a"}, 15.0) == {"a"}
-    assert [(each.unit, each.eased, each.excused) for each in history.attempts] == [
+    history = History(
+        [AttemptRecord(at, unit, "x", "restart", worked=False) for at in (10.0, 20.0) for unit in ("a", "b")]
+    )
+    assert history.reset_backoff({"a"}, 15.0) == {"a"}
+    assert [(each.unit, each.backoff_reset, each.not_counted) for each in history.attempts] == [
         ("a", True, False),
         ("b", False, False),
         ("a", True, True),
         ("b", False, False),
     ]
-    assert history.ease({"a"}, 25.0) == frozenset()
-    assert [each.excused for each in history.attempts] == [False, False, True, False]
+    assert history.reset_backoff({"a"}, 25.0) == frozenset()
+    assert [each.not_counted for each in history.attempts] == [False, False, True, False]
 
 
 def test_a_new_life_excuses_what_was_before_it() -> None:
     """Once: to begin anew a second time says nothing new."""
     history = attempts(10.0, 20.0)
-    assert history.begin_anew(15.0)
-    assert [(each.eased, each.excused) for each in history.attempts] == [(True, True), (False, False)]
-    assert not history.begin_anew(15.0)
+    assert history.discount_before(15.0)
+    assert [(each.backoff_reset, each.not_counted) for each in history.attempts] == [(True, True), (False, False)]
+    assert not history.discount_before(15.0)
 
 
 KEPT_BACK = "budget of 4 actions used up, 1 kept for a container that is down"
@@ -248,21 +252,21 @@ KEPT_BACK = "budget of 4 actions used up, 1 kept for a container that is down"
 
 def test_the_budget_counts_all_actions_on_the_target() -> None:
     """Different faults share one budget; the wait is published."""
-    history = History([Attempt(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(4)])
+    history = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(4)])
     assert say(history) == Wait(1500.0, KEPT_BACK, tell=True)
     assert say(history, settings=replace_rules(reserve=0)) == Act("restart", 1)
 
 
 def test_part_of_the_budget_is_kept_for_a_container_that_is_down() -> None:
     """Restarts for what runs badly must not be the reason that what has ended stays down."""
-    history = History([Attempt(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(4)])
+    history = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(4)])
     assert say(history, fault=fault("exited")) == Act("start", 1)
 
 
 @pytest.mark.parametrize("condition", ["exited", "oom", "created"])
 def test_a_container_that_is_down_is_started_again_when_the_budget_is_used_up(condition: str) -> None:
     """Once per longest back-off: a start of what is down makes nothing worse."""
-    history = History([Attempt(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(5)])
+    history = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(5)])
     decision = say(history, fault=fault(condition), now=950.0)
     assert isinstance(decision, Wait) and decision.until == 904.0 + RULES.backoff_max and decision.tell
     assert say(history, fault=fault(condition), now=964.0) == Act("start", 1)
@@ -276,12 +280,12 @@ def test_a_container_given_up_while_down_is_started_now_and_then() -> None:
     assert say(history, fault=down, now=979.0, given_up=True) == Wait(980.0, ANY, tell=False)
     assert say(history, fault=down, now=980.0, given_up=True) == Act("start", 4)
     assert isinstance(say(history, fault=down, given_up=True, forbidden="armed"), Advise)
-    assert isinstance(say(history, fault=down, given_up=True, container=ContainerSettings(name="app")), Leave)
+    assert isinstance(say(history, fault=down, given_up=True, container=ContainerSettings(name="app")), Skip)
 
 
 def elsewhere(*at: float, worked: bool = False, action: str = "restart") -> History:
     """Attempts for other faults of the same container."""
-    return History([Attempt(when, f"rate/{when:g}", "rate_low", action, worked) for when in at])
+    return History([AttemptRecord(when, f"rate/{when:g}", "rate_low", action, worked) for when in at])
 
 
 SHARED = frozenset({"restart"})
@@ -289,29 +293,29 @@ SHARED = frozenset({"restart"})
 
 def test_an_action_that_did_not_help_one_fault_is_not_repeated_for_another() -> None:
     """Three restarts that did not help the container are three, whichever of its faults they were for."""
-    assert say(elsewhere(900.0, 950.0), shared_actions=SHARED) == Act("restart", 1)
-    decision = say(elsewhere(900.0, 910.0, 950.0), shared_actions=SHARED)
+    assert say(elsewhere(900.0, 950.0), container_actions=SHARED) == Act("restart", 1)
+    decision = say(elsewhere(900.0, 910.0, 950.0), container_actions=SHARED)
     assert isinstance(decision, GiveUp) and "not repeated for health/app" in decision.why
-    assert say(elsewhere(900.0, 910.0, 950.0), shared_actions=frozenset()) == Act("restart", 1)
+    assert say(elsewhere(900.0, 910.0, 950.0), container_actions=frozenset()) == Act("restart", 1)
 
 
 def test_back_off_follows_the_action_and_not_the_fault() -> None:
     """A failed restart a moment ago is waited after for the other faults of the container, too."""
-    assert say(elsewhere(999.5), shared_actions=SHARED) == Wait(1000.5, "backing off")
+    assert say(elsewhere(999.5), container_actions=SHARED) == Wait(1000.5, "backing off")
 
 
 def test_what_helped_others_or_was_before_a_long_good_time_does_not_count() -> None:
     """A restart that healed another fault speaks for the action; a unit that was OK for long has a new fault."""
     helped = History([*elsewhere(900.0, 910.0).attempts, *elsewhere(950.0, worked=True).attempts])
-    assert say(helped, shared_actions=SHARED, settings=replace_rules(same_failure=2)) == Act("restart", 1)
+    assert say(helped, container_actions=SHARED, settings=replace_rules(same_failure=2)) == Act("restart", 1)
     fresh = fault(well_s=RULES.verify + 1)
-    assert say(elsewhere(900.0, 910.0, 950.0), fault=fresh, shared_actions=SHARED) == Act("restart", 1)
+    assert say(elsewhere(900.0, 910.0, 950.0), fault=fresh, container_actions=SHARED) == Act("restart", 1)
 
 
 def test_restarts_in_vain_do_not_keep_a_container_that_ended_from_a_restart() -> None:
     """What runs badly and what does not run are two things."""
     history = History([*elsewhere(900.0, 910.0, 920.0).attempts, *attempts(950.0, condition="exited").attempts])
-    assert say(history, fault=fault("exited"), shared_actions=SHARED) == Act("restart", 2)
+    assert say(history, fault=fault("exited"), container_actions=SHARED) == Act("restart", 2)
 
 
 def test_what_is_forbidden_in_the_air_is_advice_only() -> None:
@@ -327,10 +331,10 @@ def test_phms_own_steps_need_neither_opt_in_nor_mode(mode: str) -> None:
     decision = say(
         fault=fault("sidecar_disconnected"),
         container=ContainerSettings(name="app"),
-        free_actions=frozenset({"join"}),
+        unrestricted_actions=frozenset({"join_network"}),
         settings=RecoverySettings(mode=mode),  # type: ignore[arg-type]
     )
-    assert decision == Act("join", 1)
+    assert decision == Act("join_network", 1)
 
 
 def test_giving_up_needs_no_armed_state() -> None:
@@ -342,8 +346,8 @@ def test_an_approved_action_is_done_in_advise_mode_and_while_armed() -> None:
     """The operator's yes replaces PHM's caution, and nothing else: budget and opt-in still bind."""
     assert say(forbidden="flight-critical, and the autopilot is armed", approved=True) == Act("restart", 1)
     assert say(settings=RecoverySettings(mode="advise"), approved=True) == Act("restart", 1)
-    assert isinstance(say(settings=RecoverySettings(mode="off"), approved=True), Leave)
-    assert isinstance(say(container=ContainerSettings(name="app"), approved=True), Leave)
+    assert isinstance(say(settings=RecoverySettings(mode="off"), approved=True), Skip)
+    assert isinstance(say(container=ContainerSettings(name="app"), approved=True), Skip)
 
 
 def test_nothing_is_restarted_for_a_symptom_of_starvation() -> None:
@@ -356,12 +360,12 @@ def test_nothing_is_restarted_for_a_symptom_of_starvation() -> None:
 def test_after_giving_up_only_a_start_is_tried_again() -> None:
     """A ladder of the user's own without it ends with giving up."""
     rules = RecoverySettings(ladders={"exited": ["restart"]})
-    assert isinstance(say(fault=fault("exited"), given_up=True, settings=rules), Leave)
+    assert isinstance(say(fault=fault("exited"), given_up=True, settings=rules), Skip)
 
 
 def test_giving_way_uses_up_no_budget_and_needs_none() -> None:
     """It disturbs no container, so it must not be the reason that one is not restarted."""
-    lowered = History([Attempt(900.0 + n, "pressure/app", "cpu_starved", "relieve", True) for n in range(6)])
+    lowered = History([AttemptRecord(900.0 + n, "pressure/app", "cpu_starved", "relieve", True) for n in range(6)])
     assert say(lowered) == Act("restart", 1)
-    spent = History([Attempt(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(5)])
+    spent = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(5)])
     assert say(spent, fault=fault("cpu_starved")) == Act("relieve", 1)

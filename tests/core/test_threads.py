@@ -197,7 +197,7 @@ def test_ros_is_started_whatever_joining_a_network_comes_to(tmp_path: Path, monk
     def odd(target: object, context: object) -> str:
         raise AttributeError("'list' object has no attribute 'get'")
 
-    monkeypatch.setattr("phm.runtime.daemon.join", odd)
+    monkeypatch.setattr("phm.runtime.daemon.join_networks", odd)
     monkeypatch.setattr(type(daemon.components), "start_ros", lambda parts: started.set())
     monkeypatch.setattr(daemon.pipeline, "note", lambda kind, text: notes.append(text))
     thread = threading.Thread(target=daemon._join_networks)

@@ -71,8 +71,8 @@ FIXES = {
     "start": {"container"},
     "unpause": {"paused"},
     "reconnect": {"network"},
-    "join": {"apart"},
-    "restore": {"file"},
+    "join_network": {"apart"},
+    "restore_file": {"file"},
     "relaunch": {"node_1", "node_2", "node_3", "silent_1", "silent_2", "silent_3"},
     "restart": set(CAUSES) - {"file", "device", "disk", "engine", "apart", *STARVING},
 }

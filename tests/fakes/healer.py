@@ -17,19 +17,22 @@ from phm.checking.pipeline import Pipeline
 from phm.core.bus import Bus
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase, Transition
 from phm.core.settings import ContainerSettings
-from phm.recovery import actions as real
-from phm.recovery.armed import Armed, State
+from phm.recovery.actions.join_network import JoinNetwork
+from phm.recovery.actions.reconnect import Reconnect
+from phm.recovery.actions.relaunch import Relaunch
+from phm.recovery.actions.restart import Restart
+from phm.recovery.actions.restore_file import RestoreFile
+from phm.recovery.actions.start import Start
+from phm.recovery.actions.unpause import Unpause
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor
+from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.shop import Shop
 from phm.testing import FakeClock
 from tests.fakes.agent_world import FIXES, Sim
 
 REAL_LIMIT_S = 20.0
-KINDS = {
-    kind.name: kind
-    for kind in (real.Start, real.Restart, real.Unpause, real.Reconnect, real.Join, real.Relaunch, real.Restore)
-}
+KINDS = {kind.name: kind for kind in (Start, Restart, Unpause, Reconnect, JoinNetwork, Relaunch, RestoreFile)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,9 +165,11 @@ class Healer:
     def _wake(self, units: Iterable[str], reason: str) -> None:
         self.sim.wake(units, 0.9 if reason == "confirm" else 0.1)
 
-    def _armed(self) -> Armed:
+    def _armed(self) -> ArmedStatus:
         armed = self.armed(self.sim.now)
-        return Armed(State.ARMED if armed else State.DISARMED, "the autopilot is " + ("armed" if armed else "disarmed"))
+        return ArmedStatus(
+            ArmedState.ARMED if armed else ArmedState.DISARMED, "the autopilot is " + ("armed" if armed else "disarmed")
+        )
 
     # ------------------------------------------------------------ what actions do
 
@@ -174,7 +179,7 @@ class Healer:
         class Simulated(Action):
             name: ClassVar[str] = kind.name
             deadline_s: ClassVar[float] = kind.deadline_s
-            proof_s: ClassVar[float] = kind.proof_s
+            verify_after_s: ClassVar[float] = kind.verify_after_s
 
             def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
                 healer._act(self.name, fault)
@@ -215,7 +220,7 @@ class Healer:
             up = world.restart(self.sim.now)
         elif action in ("start", "restart") and not world.fact(up).running:
             world.begin_life(up)
-        in_part = action not in ("restart", "join") and self.sim.random.random() < self.in_part
+        in_part = action not in ("restart", "join_network") and self.sim.random.random() < self.in_part
         for kind in sorted(FIXES[action].intersection(world.active)) if helps else ():
             (world.repair_in_part if in_part else world.repair)(kind, up)
             self.left_lost += in_part

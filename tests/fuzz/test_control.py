@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from phm.recovery.hold_service import HoldService
+from phm.recovery.holds.hold_service import HoldService
 from phm.wire import control as wire
 from phm.wire.control import MAX_REQUEST
 from tests.core.test_control import Daemon

@@ -9,10 +9,17 @@ from pathlib import Path
 from hypothesis import strategies as st
 
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.history import Attempt
-from phm.recovery.lives import Life
-from phm.recovery.state import Case, RecoveryState, State, UnderWay, decode, encode
-from phm.recovery.state_file import NAME, StateFile
+from phm.recovery.containers.container_generation import Generation
+from phm.recovery.history import AttemptRecord
+from phm.recovery.persistence.state import (
+    PersistedCase,
+    PersistedState,
+    RecoveryState,
+    UnfinishedAction,
+    decode,
+    encode,
+)
+from phm.recovery.persistence.state_file import NAME, StateFile
 from phm.testing import FakeClock
 from tests.fuzz.hostile import messages
 from tests.fuzz.targets import fuzzed
@@ -28,15 +35,15 @@ FAULT = Fault(
     blocks=("nodes/a",),
     consequences=("F2",),
 )
-ATTEMPT = Attempt(990.0, "container/app", "exited", "start", False, False, False)
-STATE = State(
+ATTEMPT = AttemptRecord(990.0, "container/app", "exited", "start", False, False, False)
+STATE = PersistedState(
     (FAULT,),
     (FAULT,),
     RecoveryState(
         {"app": (ATTEMPT,)},
-        {"ab12-1": Case(True, ("told",))},
-        {"app": UnderWay("ab12-1", ATTEMPT)},
-        {"app": Life("id", "2026", 990.0, None)},
+        {"ab12-1": PersistedCase(True, ("told",))},
+        {"app": UnfinishedAction("ab12-1", ATTEMPT)},
+        {"app": Generation("id", "2026", 990.0, None)},
     ),
 )
 DOCUMENT = encode(STATE, "boot", NOW)
@@ -53,7 +60,7 @@ def test_any_file_is_read_or_set_aside(data: bytes, boot: str) -> None:
         state, problem = file.load(600.0)
         assert problem.isprintable()
         if problem:
-            assert state == State()
+            assert state == PersistedState()
             assert not path.exists()
             return
         again = json.loads(json.dumps(encode(state, boot, NOW), allow_nan=False))

@@ -17,18 +17,18 @@ from phm.core.bus import Bus
 from phm.core.dependency_graph import Needs
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Note, Phase
 from phm.core.settings import ContainerSettings, Settings
-from phm.recovery.armed import Armed, ArmedMonitor, State
-from phm.recovery.base import Action, ActionContext, Unneeded
+from phm.recovery.base import Action, ActionContext, NotNeeded
 from phm.recovery.executor import Executor
-from phm.recovery.memory import Memory
+from phm.recovery.persistence.persistence_service import PersistenceService
+from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState, ArmedStatus
 from phm.recovery.shop import Shop
 from phm.tracker import Tracked, Tracker
 from phm.transport.docker import EngineError
 from tests.fakes.until import until
 
 STEP_S = 0.1
-ARMED = Armed(State.ARMED, "the autopilot is armed")
-DISARMED = Armed(State.DISARMED, "the autopilot is disarmed")
+ARMED = ArmedStatus(ArmedState.ARMED, "the autopilot is armed")
+DISARMED = ArmedStatus(ArmedState.DISARMED, "the autopilot is disarmed")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class Agent:
         self._monitor = monitor
         self.acting: list[str] = []
         self._at_work: set[str] = set()
-        self.not_its_doing: Callable[[], str] = lambda: ""
+        self.other_cause: Callable[[], str] = lambda: ""
         self.behave: Callable[[str, ActionContext, Fault], object] = lambda key, context, fault: containers.start(key)
         entries = [
             ContainerSettings(name=key, recover=key in opted_in, flight_critical=key in critical)
@@ -136,7 +136,7 @@ class Agent:
         self.units = tuple(units)
         self.bus = Bus(clock)
         self.pipeline = Pipeline(Tracker(tracked, clock.stamp()), self.bus, clock)
-        self.memory = Memory(self.settings, self.pipeline, self.bus, clock, monitor) if folder else None
+        self.memory = PersistenceService(self.settings, self.pipeline, self.bus, clock, monitor) if folder else None
         if self.memory is not None:
             self.memory.restore()
         self.bus.subscribe("test", self.events.append)
@@ -179,14 +179,14 @@ class Agent:
                     said = agent.behave(target.key, context, fault)
                 finally:
                     agent.acting.remove(target.key)
-                return said if isinstance(said, Unneeded) else "restarted"
+                return said if isinstance(said, NotNeeded) else "restarted"
 
-            def not_its_doing(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-                return agent.not_its_doing()
+            def other_cause(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+                return agent.other_cause()
 
         return Simulated
 
-    def _armed(self) -> Armed:
+    def _armed(self) -> ArmedStatus:
         if self._monitor is not None:
             return self._monitor.now()
         return ARMED if self.armed else DISARMED

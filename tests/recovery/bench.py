@@ -11,10 +11,10 @@ from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import ContainerFact
 from phm.probes.docker import Docker
-from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext
-from phm.recovery.critical import Safeguard
-from phm.recovery.guarded_engine import guarded
+from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
+from phm.recovery.safety.flight_critical import FlightCriticalGuard
+from phm.recovery.safety.guarded_engine import guarded
 from phm.testing import settings
 from phm.transport.docker import Engine
 from tests.proxy.haproxy import BehindProxy
@@ -38,8 +38,8 @@ class Bench:
     probe: Docker | None = None
     """Answers as PHM's own does, from memory for a moment; without it each question goes to the engine."""
 
-    def _armed(self) -> Armed:
-        return Armed(State.ARMED if self.armed else State.DISARMED, f"armed: {self.armed}")
+    def _armed(self) -> ArmedStatus:
+        return ArmedStatus(ArmedState.ARMED if self.armed else ArmedState.DISARMED, f"armed: {self.armed}")
 
     def fact(self, key: str) -> ContainerFact | None:
         docker = self.probe or Docker(self.engine, self.settings, SystemClock())
@@ -51,9 +51,9 @@ class Bench:
         return found
 
     def context(self) -> ActionContext:
-        safeguard = Safeguard(self.settings, self.fact, lambda: None, self._armed)
+        flight_critical_guard = FlightCriticalGuard(self.settings, self.fact, lambda: None, self._armed)
         return ActionContext(
-            guarded(self.engine, safeguard, safeguard.forbids),
+            guarded(self.engine, flight_critical_guard, flight_critical_guard.forbids),
             self.settings,
             self.fact,
             lambda: None,

@@ -14,8 +14,11 @@ import pytest
 from phm.core.model import Evidence, Outcome
 from phm.facts import NotPermitted
 from phm.probes.docker import Docker
-from phm.recovery.actions import Relaunch, Restart, Restore, Start
-from phm.recovery.base import ActionFailed, Unneeded
+from phm.recovery.actions.relaunch import Relaunch
+from phm.recovery.actions.restart import Restart
+from phm.recovery.actions.restore_file import RestoreFile
+from phm.recovery.actions.start import Start
+from phm.recovery.base import ActionFailed, NotNeeded
 from phm.testing import FakeClock
 from phm.transport.docker import Engine, EngineBroken, EngineTimeout
 from tests.fakes.engine import FakeEngine, Hang, Status, container
@@ -169,14 +172,14 @@ def test_a_container_that_somebody_else_has_started_is_not_credited(
 ) -> None:
     """Before PHM looks, or between that and its call: the engine says whether it was this call that has started it."""
     made = stack(fake, ask)
-    assert isinstance(made.run(Start, "app", EXITED), Unneeded)
+    assert isinstance(made.run(Start, "app", EXITED), NotNeeded)
     running = made.fact("app")
     assert running is not None
     monkeypatch.setattr(Bench, "fact", lambda self, key: replace(running, status="exited"))
     said = made.run(Start, "app", EXITED)
-    assert isinstance(said, Unneeded) and "by somebody else" in said
+    assert isinstance(said, NotNeeded) and "by somebody else" in said
     fake.set("app", status="exited", exit_code=1)
-    assert not isinstance(made.run(Start, "app", EXITED), Unneeded)
+    assert not isinstance(made.run(Start, "app", EXITED), NotNeeded)
 
 
 @pytest.mark.parametrize(("asked", "given"), [(None, 5), (2, 5), (30, 30), (3600, 120), (-1, 120)])
@@ -280,15 +283,15 @@ def test_a_file_is_put_back(
     golden.write_bytes(GOOD)
     golden.chmod(0o640)
     made = files(fake, ask, content, restore="image" if source == "image" else str(golden), **wanted)
-    made.run(Restore, "app", fault("files/app", "file_missing", Evidence(file=PATH)))
+    made.run(RestoreFile, "app", fault("files/app", "file_missing", Evidence(file=PATH)))
     app = fake.containers["app"]
     assert app["_files"][PATH] == GOOD
     plain = 0o644 if source == "image" else 0o640
     assert app["_modes"][PATH] == (plain | 0o111 if wanted.get("executable") else plain)
     assert list(fake.containers) == ["app"]
     calls = len([call for call in fake.calls if call.startswith(("PUT", "POST"))])
-    again = made.run(Restore, "app", fault("files/app", "file_missing"))
-    assert "as they must be" in again and isinstance(again, Unneeded)
+    again = made.run(RestoreFile, "app", fault("files/app", "file_missing"))
+    assert "as they must be" in again and isinstance(again, NotNeeded)
     assert len([call for call in fake.calls if call.startswith(("PUT", "POST"))]) == calls
 
 
@@ -300,7 +303,7 @@ def test_a_copy_that_is_not_good_itself_is_refused(fake: FakeEngine, ask: Engine
     made = files(fake, ask, b"bad", sha256=SUM, restore="image" if source == "image" else str(golden))
     fake.images["image-of-app"] = {PATH: b"worse"}
     with pytest.raises(ActionFailed, match="not the configured SHA-256"):
-        made.run(Restore, "app", fault("files/app", "file_altered", Evidence(file=PATH)))
+        made.run(RestoreFile, "app", fault("files/app", "file_altered", Evidence(file=PATH)))
     assert fake.containers["app"]["_files"][PATH] == b"bad"
     assert list(fake.containers) == ["app"]
 
@@ -315,9 +318,9 @@ def test_a_golden_copy_must_be_a_regular_file_of_fair_size(
         golden.mkdir()
     elif bad == "big":
         golden.write_bytes(b"x" * 11)
-        monkeypatch.setattr("phm.recovery.actions.restore.LIMIT", 10)
+        monkeypatch.setattr("phm.recovery.actions.restore_file.LIMIT", 10)
     with pytest.raises(ActionFailed, match=str(golden)):
-        files(fake, ask, None, restore=str(golden)).run(Restore, "app", fault("files/app", "file_missing"))
+        files(fake, ask, None, restore=str(golden)).run(RestoreFile, "app", fault("files/app", "file_missing"))
 
 
 @pytest.mark.parametrize("where", ["the file", "its folder", "a folder above"])
@@ -338,7 +341,7 @@ def test_a_golden_copy_behind_a_link_is_refused(fake: FakeEngine, ask: Engine, t
         golden.symlink_to(secret)
     assert golden.read_bytes() == b"the signing key"
     with pytest.raises(ActionFailed, match=r"no regular file|behind a link"):
-        files(fake, ask, None, restore=str(golden)).run(Restore, "app", fault("files/app", "file_missing"))
+        files(fake, ask, None, restore=str(golden)).run(RestoreFile, "app", fault("files/app", "file_missing"))
     assert PATH not in fake.containers["app"]["_files"]
 
 
@@ -347,7 +350,7 @@ def test_a_folder_in_place_of_the_file_is_not_replaced(fake: FakeEngine, ask: En
     made = files(fake, ask, None)
     fake.containers["app"]["_files"][f"{PATH}/inside"] = b""
     with pytest.raises(ActionFailed, match="no regular file"):
-        made.run(Restore, "app", fault("files/app", "file_missing"))
+        made.run(RestoreFile, "app", fault("files/app", "file_missing"))
 
 
 def test_what_an_interrupted_restore_left_is_removed(fake: FakeEngine, ask: Engine) -> None:
@@ -355,7 +358,7 @@ def test_what_an_interrupted_restore_left_is_removed(fake: FakeEngine, ask: Engi
     made = files(fake, ask, None)
     left = f"phm-restore-{fake.containers['app']['Id'][:12]}"
     fake.containers[left] = container(left, status="created")
-    made.run(Restore, "app", fault("files/app", "file_missing"))
+    made.run(RestoreFile, "app", fault("files/app", "file_missing"))
     assert list(fake.containers) == ["app"]
 
 
@@ -365,7 +368,7 @@ def test_a_failure_while_reading_the_image_leaves_no_container(fake: FakeEngine,
     left = f"phm-restore-{fake.containers['app']['Id'][:12]}"
     fake.fault = Status(500, "no", route=f"{container(left)['Id']}/archive")
     with pytest.raises(EngineBroken):
-        made.run(Restore, "app", fault("files/app", "file_missing"))
+        made.run(RestoreFile, "app", fault("files/app", "file_missing"))
     assert list(fake.containers) == ["app"]
 
 
@@ -374,17 +377,17 @@ def test_an_engine_that_forbids_it_is_not_permitted(fake: FakeEngine, ask: Engin
     made = files(fake, ask, None)
     fake.fault = Status(403, "not on the list", route="/containers/create")
     with pytest.raises(NotPermitted):
-        made.run(Restore, "app", fault("files/app", "file_missing"))
+        made.run(RestoreFile, "app", fault("files/app", "file_missing"))
 
 
 def test_restore_applies_to_the_file_at_fault(fake: FakeEngine, ask: Engine) -> None:
     """Another file that could be put back does not help this one."""
     made = files(fake, ask, None)
     app = made.target("app")
-    assert Restore.applies(app, fault("files/app", "file_missing", Evidence(file=PATH)), made.settings)
-    assert not Restore.applies(app, fault("files/app", "file_missing", Evidence(file="/other")), made.settings)
+    assert RestoreFile.applies(app, fault("files/app", "file_missing", Evidence(file=PATH)), made.settings)
+    assert not RestoreFile.applies(app, fault("files/app", "file_missing", Evidence(file="/other")), made.settings)
     plain = bench(ask, containers=[{"name": "app", "files": [{"path": PATH}]}])
-    assert not Restore.applies(
+    assert not RestoreFile.applies(
         plain.target("app"), fault("files/app", "file_missing", Evidence(file=PATH)), plain.settings
     )
 

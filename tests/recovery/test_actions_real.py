@@ -10,7 +10,10 @@ from typing import Any
 import pytest
 
 from phm.facts import NotPermitted
-from phm.recovery.actions import Relaunch, Restart, Restore, Start
+from phm.recovery.actions.relaunch import Relaunch
+from phm.recovery.actions.restart import Restart
+from phm.recovery.actions.restore_file import RestoreFile
+from phm.recovery.actions.start import Start
 from phm.recovery.base import ActionFailed
 from phm.transport.docker import Engine
 from tests.fakes.until import until
@@ -67,12 +70,12 @@ def test_a_damaged_program_runs_again(real: Any, engine: Engine, tmp_path: Path,
     bench_ = only(engine, made, files=[file])
     inside(made, DAMAGE[damage])
     if source == "image" and isinstance(engine, BehindProxy):
-        refused(lambda: bench_.run(Restore, "app", MISSING))
+        refused(lambda: bench_.run(RestoreFile, "app", MISSING))
         return
-    assert "restored in app" in bench_.run(Restore, "app", MISSING)
+    assert "restored in app" in bench_.run(RestoreFile, "app", MISSING)
     assert inside(made, f"stat -L -c '%a %u %g' {PROGRAM}; sha256sum < {PROGRAM}") == before
     assert inside(made, f"{PROGRAM} PATH")
-    assert "as they must be" in bench_.run(Restore, "app", MISSING)
+    assert "as they must be" in bench_.run(RestoreFile, "app", MISSING)
     assert left_over(real, made) == []
 
 
@@ -86,9 +89,9 @@ def test_a_file_comes_back_into_a_volume_of_a_stopped_container(real: Any, engin
     path = "/data/deep/er/file"
     bench_ = only(engine, made, files=[{"path": path, "restore": str(golden)}])
     if isinstance(engine, BehindProxy):
-        refused(lambda: bench_.run(Restore, "app", MISSING))
+        refused(lambda: bench_.run(RestoreFile, "app", MISSING))
         return
-    bench_.run(Restore, "app", MISSING)
+    bench_.run(RestoreFile, "app", MISSING)
     assert engine.read_file(made.id, path) == b"good"
     other = real.container(volumes={volume.name: {"bind": "/seen", "mode": "ro"}})
     assert inside(other, "cat /seen/deep/er/file") == "good"
@@ -99,10 +102,10 @@ def test_a_file_that_the_image_lacks_is_told(real: Any, engine: Engine) -> None:
     made = real.container()
     bench_ = only(engine, made, files=[{"path": "/nowhere/file", "restore": "image"}])
     if isinstance(engine, BehindProxy):
-        refused(lambda: bench_.run(Restore, "app", MISSING))
+        refused(lambda: bench_.run(RestoreFile, "app", MISSING))
         return
     with pytest.raises(ActionFailed, match="not in the image"):
-        bench_.run(Restore, "app", MISSING)
+        bench_.run(RestoreFile, "app", MISSING)
     assert left_over(real, made) == []
 
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from phm.core.model import ActionEvent, Phase
-from phm.recovery.approval import Approval, Situation
-from phm.recovery.armed import State
 from phm.recovery.executor import NotNow
+from phm.recovery.operator.approval import Approval, Situation
+from phm.recovery.safety.armed_state import ArmedState
 from phm.testing import FakeClock
 from tests.recovery.agent import Agent, Containers, Of
 
-THEN = Situation("restart", State.ARMED, "app@1")
+THEN = Situation("restart", ArmedState.ARMED, "app@1")
 
 
 @pytest.mark.parametrize(
@@ -23,8 +23,8 @@ THEN = Situation("restart", State.ARMED, "app@1")
     [
         (59.9, THEN, ""),
         (60.0, THEN, "not possible within 60 s"),
-        (1.0, replace(THEN, armed=State.DISARMED), "was armed when it was given, and is disarmed now"),
-        (1.0, replace(THEN, armed=State.UNKNOWN), "neither reliably armed nor disarmed now"),
+        (1.0, replace(THEN, armed=ArmedState.DISARMED), "was armed when it was given, and is disarmed now"),
+        (1.0, replace(THEN, armed=ArmedState.UNKNOWN), "neither reliably armed nor disarmed now"),
         (1.0, replace(THEN, generation="app@2"), "started or recreated since"),
         (1.0, replace(THEN, action="reconnect"), "the next step is reconnect now"),
     ],
@@ -81,7 +81,7 @@ def test_given_on_the_ground_it_is_void_in_the_air(agents: list[Agent]) -> None:
     made.rest(1.0)
     made.armed = True
     made.until(lambda: expired(made), "the message")
-    made.hands.let_go("app", made)
+    made.hands.release_target("app", made)
     made.rest(5.0)
     assert made.runs == []
     assert "was disarmed when it was given, and is armed now" in expired(made)[0]
@@ -97,7 +97,7 @@ def test_it_expires_with_a_message(agents: list[Agent]) -> None:
     assert expired(made) == []
     made.rest(2.0)
     assert "restart app no longer holds: it was not possible within 20 s" in expired(made)[0]
-    made.hands.let_go("app", made)
+    made.hands.release_target("app", made)
     made.rest(5.0)
     assert made.runs == []
 
@@ -160,7 +160,7 @@ def test_a_restart_that_was_asked_for_expires_too(agents: list[Agent]) -> None:
     assert made.hands.take("app", made)
     made.executor.restart("app", "255/190")
     made.rest(61.0)
-    made.hands.let_go("app", made)
+    made.hands.release_target("app", made)
     made.rest(5.0)
     assert made.runs == []
     assert [event.phase for event in made.of(ActionEvent)] == [Phase.REFUSED]

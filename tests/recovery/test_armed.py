@@ -10,14 +10,14 @@ import pytest
 
 from phm.core.model import Fault, Phase
 from phm.facts.links import AutopilotFact
-from phm.recovery.armed import ArmedMonitor, LastKnown, State, judge
 from phm.recovery.base import ActionContext
-from phm.recovery.critical import FlightCritical
+from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState, LastArmedState, assess
+from phm.recovery.safety.flight_critical import FlightCriticalError
 from phm.testing import FakeClock
 from tests.recovery.agent import Agent, Containers, Of
 
 TIMEOUT_S = 3.5
-FLEW = LastKnown(True, 0.0)
+FLEW = LastArmedState(True, 0.0)
 """Of an earlier run of PHM."""
 
 
@@ -30,43 +30,48 @@ def fact(armed_s: float | None, disarmed_s: float | None, **more: object) -> Aut
 @pytest.mark.parametrize(
     ("given", "last", "state", "words"),
     [
-        (None, None, State.UNKNOWN, "no heartbeat of the autopilot was received"),
-        (None, LastKnown(True, 0.0), State.ARMED, "since PHM started, and it was armed before"),
-        (None, LastKnown(False, 0.0), State.UNKNOWN, "since PHM started"),
-        (fact(None, 0.5), None, State.DISARMED, "disarmed"),
-        (fact(60.0, 0.5, disarmed_for_s=59.0), FLEW, State.DISARMED, "disarmed"),
-        (fact(2.0, 0.5, disarmed_for_s=1.0), FLEW, State.ARMED, "said armed 2.0 s ago"),
-        (fact(4.0, 0.5, disarmed_for_s=3.0), FLEW, State.DISARMED, "disarmed"),
-        (fact(8.0, 0.5, disarmed_for_s=1.0), FLEW, State.ARMED, "may have rebooted in the air"),
-        (fact(38.0, 0.5, disarmed_for_s=31.0), FLEW, State.DISARMED, "disarmed"),
-        (fact(8.0, 0.5, disarmed_for_s=1.0), LastKnown(False, 0.0), State.DISARMED, "disarmed"),
-        (fact(0.5, None), None, State.ARMED, "is armed"),
-        (fact(0.5, 60.0), None, State.ARMED, "is armed"),
-        (fact(12.0, None), None, State.ARMED, "silent for 12 s and was armed"),
-        (fact(None, 12.0), None, State.UNKNOWN, "silent for 12 s"),
-        (fact(None, 3.6), None, State.UNKNOWN, "silent for 4 s"),
-        (fact(1.0, 0.5), None, State.ARMED, "armed 1.0 s ago and disarmed 0.5 s ago"),
-        (fact(None, 0.5, stalled_s=1.0), None, State.UNKNOWN, "PHM was suspended"),
-        (fact(None, 0.5, stalled_s=4.0), None, State.DISARMED, "disarmed"),
-        (fact(9.0, 0.5, rebooted_s=5.0, rebooted_armed=True), None, State.ARMED, "rebooted while armed 5 s ago"),
-        (fact(9.0, 0.5, rebooted_s=31.0, rebooted_armed=True), None, State.DISARMED, "disarmed"),
-        (fact(9.0, 0.5, rebooted_s=5.0, rebooted_armed=False), None, State.DISARMED, "disarmed"),
-        (fact(None, 0.5, disarmed_for_s=29.0), FLEW, State.ARMED, "may have rebooted in the air"),
-        (fact(None, 0.5, disarmed_for_s=31.0), FLEW, State.DISARMED, "disarmed"),
-        (fact(None, 0.5, boot_s=12.0, boot_age_s=0.5), FLEW, State.ARMED, "may have rebooted in the air"),
-        (fact(None, 0.5, boot_s=12.0, boot_age_s=0.5, disarmed_for_s=60.0), FLEW, State.ARMED, "may have rebooted"),
-        (fact(None, 0.5, boot_s=600.0, boot_age_s=0.5), FLEW, State.DISARMED, "disarmed"),
-        (fact(None, 0.5, boot_s=600.0, boot_age_s=9.0), FLEW, State.ARMED, "may have rebooted in the air"),
-        (fact(None, 0.5, boot_s=12.0, boot_age_s=0.5), LastKnown(False, 0.0), State.DISARMED, "disarmed"),
+        (None, None, ArmedState.UNKNOWN, "no heartbeat of the autopilot was received"),
+        (None, LastArmedState(True, 0.0), ArmedState.ARMED, "since PHM started, and it was armed before"),
+        (None, LastArmedState(False, 0.0), ArmedState.UNKNOWN, "since PHM started"),
+        (fact(None, 0.5), None, ArmedState.DISARMED, "disarmed"),
+        (fact(60.0, 0.5, disarmed_for_s=59.0), FLEW, ArmedState.DISARMED, "disarmed"),
+        (fact(2.0, 0.5, disarmed_for_s=1.0), FLEW, ArmedState.ARMED, "said armed 2.0 s ago"),
+        (fact(4.0, 0.5, disarmed_for_s=3.0), FLEW, ArmedState.DISARMED, "disarmed"),
+        (fact(8.0, 0.5, disarmed_for_s=1.0), FLEW, ArmedState.ARMED, "may have rebooted in the air"),
+        (fact(38.0, 0.5, disarmed_for_s=31.0), FLEW, ArmedState.DISARMED, "disarmed"),
+        (fact(8.0, 0.5, disarmed_for_s=1.0), LastArmedState(False, 0.0), ArmedState.DISARMED, "disarmed"),
+        (fact(0.5, None), None, ArmedState.ARMED, "is armed"),
+        (fact(0.5, 60.0), None, ArmedState.ARMED, "is armed"),
+        (fact(12.0, None), None, ArmedState.ARMED, "silent for 12 s and was armed"),
+        (fact(None, 12.0), None, ArmedState.UNKNOWN, "silent for 12 s"),
+        (fact(None, 3.6), None, ArmedState.UNKNOWN, "silent for 4 s"),
+        (fact(1.0, 0.5), None, ArmedState.ARMED, "armed 1.0 s ago and disarmed 0.5 s ago"),
+        (fact(None, 0.5, stalled_s=1.0), None, ArmedState.UNKNOWN, "PHM was suspended"),
+        (fact(None, 0.5, stalled_s=4.0), None, ArmedState.DISARMED, "disarmed"),
+        (fact(9.0, 0.5, rebooted_s=5.0, rebooted_armed=True), None, ArmedState.ARMED, "rebooted while armed 5 s ago"),
+        (fact(9.0, 0.5, rebooted_s=31.0, rebooted_armed=True), None, ArmedState.DISARMED, "disarmed"),
+        (fact(9.0, 0.5, rebooted_s=5.0, rebooted_armed=False), None, ArmedState.DISARMED, "disarmed"),
+        (fact(None, 0.5, disarmed_for_s=29.0), FLEW, ArmedState.ARMED, "may have rebooted in the air"),
+        (fact(None, 0.5, disarmed_for_s=31.0), FLEW, ArmedState.DISARMED, "disarmed"),
+        (fact(None, 0.5, boot_s=12.0, boot_age_s=0.5), FLEW, ArmedState.ARMED, "may have rebooted in the air"),
+        (
+            fact(None, 0.5, boot_s=12.0, boot_age_s=0.5, disarmed_for_s=60.0),
+            FLEW,
+            ArmedState.ARMED,
+            "may have rebooted",
+        ),
+        (fact(None, 0.5, boot_s=600.0, boot_age_s=0.5), FLEW, ArmedState.DISARMED, "disarmed"),
+        (fact(None, 0.5, boot_s=600.0, boot_age_s=9.0), FLEW, ArmedState.ARMED, "may have rebooted in the air"),
+        (fact(None, 0.5, boot_s=12.0, boot_age_s=0.5), LastArmedState(False, 0.0), ArmedState.DISARMED, "disarmed"),
     ],
 )
 def test_only_a_fresh_disarmed_opens_the_gate(
-    given: AutopilotFact | None, last: LastKnown | None, state: State, words: str
+    given: AutopilotFact | None, last: LastArmedState | None, state: ArmedState, words: str
 ) -> None:
     """Never received, silent, contradictory, read late, or fresh from a reboot in the air: shut, with the reason."""
-    found = judge(given, TIMEOUT_S, last)
+    found = assess(given, TIMEOUT_S, last)
     assert found.state is state
-    assert found.shut is (state is not State.DISARMED)
+    assert found.shut is (state is not ArmedState.DISARMED)
     assert words in found.why
 
 
@@ -75,13 +80,13 @@ def test_the_last_certain_state_is_remembered_with_its_beginning() -> None:
     clock, seen = FakeClock(), [fact(0.1, None)]
     monitor = ArmedMonitor(lambda: seen[0], TIMEOUT_S, clock)
     began = clock.mono()
-    assert monitor.kept() == LastKnown(True, began)
+    assert monitor.kept() == LastArmedState(True, began)
     clock.advance(5.0)
-    assert monitor.kept() == LastKnown(True, began)
+    assert monitor.kept() == LastArmedState(True, began)
     seen[0] = fact(None, 9.0)
-    assert monitor.kept() == LastKnown(True, began)
+    assert monitor.kept() == LastArmedState(True, began)
     seen[0] = fact(9.0, 0.1, disarmed_for_s=8.0)
-    assert monitor.kept() == LastKnown(False, clock.mono())
+    assert monitor.kept() == LastArmedState(False, clock.mono())
 
 
 def test_a_restart_of_phm_in_flight_opens_nothing(tmp_path: Path) -> None:
@@ -144,7 +149,7 @@ def test_armed_during_an_action_is_no_failure_of_the_container(agents: list[Agen
     def armed_meanwhile(key: str, context: ActionContext, fault: Fault) -> None:
         if len(made.runs) <= 4:
             made.armed = True
-            raise FlightCritical("restart of app was not done")
+            raise FlightCriticalError("restart of app was not done")
         made.bad.clear()
 
     made.behave = armed_meanwhile

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from phm.api import Layer, Slot, error
 from phm.core.model import Fault, Stamp
-from phm.recovery.cases import Cases
+from phm.recovery.fault_cases import FaultCases
 
 
 def fault(name: str, condition: str = "broken", target: str = "app") -> Fault:
@@ -17,7 +17,7 @@ def fault(name: str, condition: str = "broken", target: str = "app") -> Fault:
 
 def test_what_is_over_is_forgotten() -> None:
     """Only what the tracker still has open is left."""
-    cases = Cases("app")
+    cases = FaultCases("app")
     cases.opened(fault("a"))
     cases.opened(fault("b"))
     assert [case.fault.id for case in cases.current(lambda: [fault("b")])] == ["b"]
@@ -26,7 +26,7 @@ def test_what_is_over_is_forgotten() -> None:
 
 def test_a_case_is_as_its_fault_is_now() -> None:
     """What is wrong may have changed, and its event may be on its way; what was refused was the action for another fault."""
-    cases = Cases("app")
+    cases = FaultCases("app")
     cases.opened(fault("a"))
     (case,) = cases.current(lambda: [fault("a")])
     case.refused = True
@@ -37,14 +37,14 @@ def test_a_case_is_as_its_fault_is_now() -> None:
 
 def test_a_fault_that_no_longer_concerns_the_container_is_forgotten() -> None:
     """A hung node that turns out to be unreachable has no target: nothing is restarted for it."""
-    cases = Cases("app")
+    cases = FaultCases("app")
     cases.opened(fault("a"))
     assert cases.current(lambda: [fault("a", "node_unreachable", target="")]) == []
 
 
 def test_a_fault_that_opens_while_others_are_looked_through_is_kept() -> None:
     """It comes by another thread, after the tracker was asked: forgotten now, it would never be healed."""
-    cases, came = Cases("app"), threading.Event()
+    cases, came = FaultCases("app"), threading.Event()
     coming = threading.Thread(target=lambda: (cases.opened(fault("new")), came.set()))
 
     def open_faults() -> Iterable[Fault]:

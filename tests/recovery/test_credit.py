@@ -13,7 +13,7 @@ from phm import testing
 from phm.core.model import ActionEvent, Fault, Layer, Level, Phase, Result, Slot, Stamp
 from phm.facts import AutopilotFact, LinkFact
 from phm.recovery.actions.reopen import BEHIND_S, BOOT_S, PROMPT_S, Reopen
-from phm.recovery.base import ActionContext, Unneeded
+from phm.recovery.base import ActionContext, NotNeeded
 from phm.recovery.links import as_container
 from phm.testing import settings
 from tests.recovery.agent import Agent, Containers, Of
@@ -49,9 +49,9 @@ def test_an_action_that_helped_is_named(agent: Agent) -> None:
 def test_an_action_that_found_nothing_to_do_is_not_named(agent: Agent) -> None:
     """An operator was quicker: the container ran, the file was there."""
 
-    def nothing(key: str, context: ActionContext, fault: Fault) -> Unneeded:
+    def nothing(key: str, context: ActionContext, fault: Fault) -> NotNeeded:
         agent.bad.clear()
-        return Unneeded("app runs already")
+        return NotNeeded("app runs already")
 
     by, said = resolved(agent, nothing)
     assert by == "itself"
@@ -59,7 +59,7 @@ def test_an_action_that_found_nothing_to_do_is_not_named(agent: Agent) -> None:
 
 
 def test_an_action_may_know_what_else_has_helped(agent: Agent) -> None:
-    agent.not_its_doing = lambda: "the moon has moved"
+    agent.other_cause = lambda: "the moon has moved"
     by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
     assert by == "itself"
     assert said.endswith("and not by restart: the moon has moved")
@@ -143,7 +143,7 @@ class Cable:
         )
         target, action = as_container("link:fc"), Reopen()
         assert target is not None
-        return action.run(target, fault, context), action.not_its_doing(target, fault, context)
+        return action.run(target, fault, context), action.other_cause(target, fault, context)
 
 
 PILOT = AutopilotFact(10.0, False, link="fc", boot_s=500.0)
@@ -193,4 +193,4 @@ def test_a_link_by_which_something_comes_again_is_not_opened_again() -> None:
     made = Cable(silent_s=0.2)
     said, _ = made.act()
     assert (said, made.opened) == ("data come by fc again", None)
-    assert isinstance(said, Unneeded)
+    assert isinstance(said, NotNeeded)

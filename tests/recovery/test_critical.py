@@ -11,9 +11,9 @@ import pytest
 from phm import testing
 from phm.core.settings import Settings
 from phm.facts import CannotTell, ContainerFact
-from phm.recovery.armed import Armed, State
-from phm.recovery.critical import FlightCritical, Reach, Safeguard
-from phm.recovery.guarded_engine import READS, guarded
+from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
+from phm.recovery.safety.flight_critical import FlightCriticalError, FlightCriticalGuard, Impact
+from phm.recovery.safety.guarded_engine import READS, guarded
 from phm.testing import settings
 from phm.transport.docker import Engine
 
@@ -25,7 +25,7 @@ class Scene:
     """`vpn`, whose network `fc_app` shares; `planner` starts after `fc_app`'s owner; `camera` is alone. `fc_app` is critical."""
 
     def __init__(self, **critical: Any) -> None:
-        self.state = State.ARMED
+        self.state = ArmedState.ARMED
         self.unknown: set[str] = set()
         self.me: ContainerFact | None = testing.container("phm")
         vpn = testing.container("vpn")
@@ -44,7 +44,9 @@ class Scene:
             ],
             mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14550"}]},
         )
-        self.safeguard = Safeguard(self.settings, self.fact, lambda: self.me, lambda: Armed(self.state, "it is armed"))
+        self.flight_critical_guard = FlightCriticalGuard(
+            self.settings, self.fact, lambda: self.me, lambda: ArmedStatus(self.state, "it is armed")
+        )
 
     def fact(self, key: str) -> ContainerFact | None:
         if key in self.unknown:
@@ -70,11 +72,11 @@ class Calls:
 
     def stop(self, ref: str) -> None:
         self._note(f"stop {ref}")
-        self.scene.state = State.ARMED
+        self.scene.state = ArmedState.ARMED
 
     def disconnect(self, network: str, container: str, force: bool = False) -> None:
         self._note(f"disconnect {container}")
-        self.scene.state = State.ARMED
+        self.scene.state = ArmedState.ARMED
 
     def connect(self, network: str, container: str, aliases: tuple[str, ...] = (), address: str = "") -> None:
         self._note(f"connect {container}")
@@ -86,32 +88,34 @@ class Calls:
 
 def engine(scene: Scene) -> tuple[Engine, Calls]:
     calls = Calls(scene)
-    return guarded(cast(Engine, calls), scene.safeguard, scene.safeguard.forbids), calls
+    return guarded(cast(Engine, calls), scene.flight_critical_guard, scene.flight_critical_guard.forbids), calls
 
 
-@pytest.mark.parametrize("state", [State.ARMED, State.UNKNOWN])
+@pytest.mark.parametrize("state", [ArmedState.ARMED, ArmedState.UNKNOWN])
 @pytest.mark.parametrize(
     ("target", "reach", "words"),
     [
-        ("fc_app", Reach.NOTHING, "flight-critical, and"),
-        ("fc_app", Reach.CONTAINER, "flight-critical, and"),
-        ("vpn", Reach.NOTHING, ""),
-        ("vpn", Reach.NETWORK, "would take down fc_app, which is flight-critical"),
-        ("vpn", Reach.CONTAINER, "would take down fc_app, which is flight-critical"),
-        ("base", Reach.NETWORK, ""),
-        ("base", Reach.CONTAINER, "would take down fc_app, which is flight-critical"),
-        ("camera", Reach.CONTAINER, ""),
+        ("fc_app", Impact.NOTHING, "flight-critical, and"),
+        ("fc_app", Impact.CONTAINER, "flight-critical, and"),
+        ("vpn", Impact.NOTHING, ""),
+        ("vpn", Impact.NETWORK, "would take down fc_app, which is flight-critical"),
+        ("vpn", Impact.CONTAINER, "would take down fc_app, which is flight-critical"),
+        ("base", Impact.NETWORK, ""),
+        ("base", Impact.CONTAINER, "would take down fc_app, which is flight-critical"),
+        ("camera", Impact.CONTAINER, ""),
     ],
 )
-def test_criticality_is_inherited_from_what_would_go_down(state: State, target: str, reach: Reach, words: str) -> None:
+def test_criticality_is_inherited_from_what_would_go_down(
+    state: ArmedState, target: str, reach: Impact, words: str
+) -> None:
     """By a shared network namespace and by `after`, also in two steps; what nothing critical depends on is not bound."""
     scene = Scene()
     scene.state = state
-    found = scene.safeguard.forbids(target, reach)
+    found = scene.flight_critical_guard.forbids(target, reach)
     assert words in found
     assert bool(found) is bool(words)
-    scene.state = State.DISARMED
-    assert scene.safeguard.forbids(target, reach) == ""
+    scene.state = ArmedState.DISARMED
+    assert scene.flight_critical_guard.forbids(target, reach) == ""
 
 
 def test_a_shared_pid_namespace_counts_like_a_shared_network() -> None:
@@ -119,41 +123,41 @@ def test_a_shared_pid_namespace_counts_like_a_shared_network() -> None:
     scene = Scene()
     fc_app = scene.facts["fc_app"]
     scene.facts["fc_app"] = replace(fc_app, network_mode="bridge", pid_mode=f"container:{scene.facts['camera'].id}")
-    assert "would take down fc_app" in scene.safeguard.forbids("camera", Reach.CONTAINER)
-    assert scene.safeguard.forbids("camera", Reach.NETWORK) == ""
-    assert scene.safeguard.forbids("vpn", Reach.CONTAINER) == ""
+    assert "would take down fc_app" in scene.flight_critical_guard.forbids("camera", Impact.CONTAINER)
+    assert scene.flight_critical_guard.forbids("camera", Impact.NETWORK) == ""
+    assert scene.flight_critical_guard.forbids("vpn", Impact.CONTAINER) == ""
 
 
 def test_when_armed_act_lets_the_user_decide_otherwise() -> None:
     """Some containers are worse down than restarted, and only their owner knows."""
-    safeguard = Scene(when_armed="act").safeguard
-    assert [safeguard.forbids(key, Reach.CONTAINER) for key in ("fc_app", "vpn")] == ["", ""]
+    flight_critical_guard = Scene(when_armed="act").flight_critical_guard
+    assert [flight_critical_guard.forbids(key, Impact.CONTAINER) for key in ("fc_app", "vpn")] == ["", ""]
 
 
 def test_what_would_go_down_and_is_not_known_is_left_alone() -> None:
     """An engine that does not say whose network a container shares is no permission."""
     scene = Scene()
     scene.unknown.add("fc_app")
-    assert "not known (the engine does not answer)" in scene.safeguard.forbids("vpn", Reach.CONTAINER)
+    assert "not known (the engine does not answer)" in scene.flight_critical_guard.forbids("vpn", Impact.CONTAINER)
 
 
 def test_an_approval_holds_as_long_as_the_armed_state_at_which_it_was_given() -> None:
     """Given while armed it opens nothing when the state is not known any more."""
     scene = Scene()
-    assert scene.safeguard.forbids("fc_app", Reach.CONTAINER, State.ARMED) == ""
-    assert scene.safeguard.forbids("fc_app", Reach.CONTAINER, State.UNKNOWN)
-    assert scene.safeguard.forbids("fc_app", Reach.CONTAINER, State.DISARMED)
+    assert scene.flight_critical_guard.forbids("fc_app", Impact.CONTAINER, ArmedState.ARMED) == ""
+    assert scene.flight_critical_guard.forbids("fc_app", Impact.CONTAINER, ArmedState.UNKNOWN)
+    assert scene.flight_critical_guard.forbids("fc_app", Impact.CONTAINER, ArmedState.DISARMED)
 
 
 def test_the_armed_state_is_asked_before_each_call() -> None:
     """A restart that was decided on the ground is not made when the vehicle has been armed meanwhile."""
     scene = Scene()
-    scene.state = State.DISARMED
+    scene.state = ArmedState.DISARMED
     ask, calls = engine(scene)
     ask.restart(scene.facts["fc_app"].id)
-    scene.state = State.ARMED
+    scene.state = ArmedState.ARMED
     for ref in (scene.facts["fc_app"].id, "fc_app", scene.facts["vpn"].id):
-        with pytest.raises(FlightCritical, match="was not done"):
+        with pytest.raises(FlightCriticalError, match="was not done"):
             ask.restart(ref)
     ask.inspect("fc_app")
     ask.restart("camera")
@@ -167,14 +171,14 @@ def test_the_armed_state_is_asked_before_each_call() -> None:
 def test_what_an_action_has_taken_down_it_may_bring_back(down: tuple[str, ...], up: tuple[str, ...]) -> None:
     """Armed between the two calls: half done would be worse. Another action may not."""
     scene = Scene()
-    scene.state = State.DISARMED
+    scene.state = ArmedState.DISARMED
     ask, calls = engine(scene)
     getattr(ask, down[0])(*down[1:], "fc_app")
-    assert scene.state is State.ARMED
+    assert scene.state is ArmedState.ARMED
     getattr(ask, up[0])(*up[1:], "fc_app")
     assert calls.made == [f"{down[0]} fc_app", f"{up[0]} fc_app"]
     other, _ = engine(scene)
-    with pytest.raises(FlightCritical):
+    with pytest.raises(FlightCriticalError):
         getattr(other, up[0])(*up[1:], "fc_app")
 
 

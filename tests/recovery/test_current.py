@@ -26,7 +26,7 @@ def start() -> Iterator[Start]:
     made: list[Agent] = []
 
     def begin(**more: Any) -> Agent:
-        actions = ("restart", "join", "reconnect")
+        actions = ("restart", "join_network", "reconnect")
         made.append(Agent(UNITS, Containers("app"), FakeClock(), actions=actions, verify="5s", **more))
         made[-1].rest(3.0)
         return made[-1]
@@ -79,7 +79,7 @@ def test_the_application_is_reconnected_once_phm_is_back_on_the_network(start: S
     agent.behave = behave
     agent.found["network/app"] = APART
     agent.until(lambda: Phase.VERIFIED in agent.steps(), "the application to be back")
-    assert agent.acted() == ["join", "reconnect"]
+    assert agent.acted() == ["join_network", "reconnect"]
     (closed,) = agent.closed()
     assert (closed.fault.outcome, closed.fault.by) == (Outcome.RESOLVED, "reconnect")
 
@@ -90,7 +90,7 @@ def test_what_was_given_up_is_acted_on_when_something_else_is_wrong(start: Start
     agent.behave = lambda *_: None
     agent.found["network/app"] = APART
     agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
-    assert agent.acted() == ["join"] * 3
+    assert agent.acted() == ["join_network"] * 3
     assert visible(agent)
     agent.behave = lambda *_: agent.found.clear()
     agent.found["network/app"] = OFF

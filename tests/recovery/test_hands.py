@@ -10,7 +10,7 @@ from typing import Any, cast
 import pytest
 
 from phm import testing
-from phm.recovery.hands import Hands, InOtherHands
+from phm.recovery.safety.target_locks import TargetBusy, TargetLocks
 from tests.fakes.until import until
 
 LIMIT_S = 10.0
@@ -42,14 +42,14 @@ def told() -> Told:
 
 
 @pytest.fixture
-def hands(told: Told, clock: testing.FakeClock) -> Hands:
-    return Hands(cast(Any, told), clock)
+def hands(told: Told, clock: testing.FakeClock) -> TargetLocks:
+    return TargetLocks(cast(Any, told), clock)
 
 
 class Repair:
     """A thread that wants one more container and, when it has it, keeps it until `go`."""
 
-    def __init__(self, hands: Hands, wanted: str, owner: object) -> None:
+    def __init__(self, hands: TargetLocks, wanted: str, owner: object) -> None:
         self.outcome, self.go, self.inside = "", threading.Event(), threading.Event()
         self._hands, self._wanted, self._owner = hands, wanted, owner
         threading.Thread(target=self._run, daemon=True).start()
@@ -60,7 +60,7 @@ class Repair:
                 self.inside.set()
                 self.go.wait(LIMIT_S)
             self.outcome = "done"
-        except InOtherHands as error:
+        except TargetBusy as error:
             self.outcome = str(error)
 
 
@@ -69,18 +69,18 @@ def pass_time(clock: testing.FakeClock) -> None:
     time.sleep(0.001)
 
 
-def test_a_container_is_in_one_hand_at_a_time(hands: Hands) -> None:
+def test_a_container_is_in_one_hand_at_a_time(hands: TargetLocks) -> None:
     """Only who has it lets it go."""
     one, two = object(), object()
     assert hands.take("a", one)
     assert not hands.take("a", two)
-    hands.let_go("a", two)
+    hands.release_target("a", two)
     assert not hands.take("a", two)
-    hands.let_go("a", one)
+    hands.release_target("a", one)
     assert hands.take("a", two)
 
 
-def test_whoever_needs_a_dependant_waits_for_it(hands: Hands, clock: testing.FakeClock) -> None:
+def test_whoever_needs_a_dependant_waits_for_it(hands: TargetLocks, clock: testing.FakeClock) -> None:
     """Two repairs, one dependant: one after the other."""
     first = Repair(hands, "side", object())
     assert first.inside.wait(LIMIT_S)
@@ -96,7 +96,7 @@ def test_whoever_needs_a_dependant_waits_for_it(hands: Hands, clock: testing.Fak
     assert (first.outcome, second.outcome) == ("done", "done")
 
 
-def test_a_wait_has_an_end(hands: Hands, clock: testing.FakeClock) -> None:
+def test_a_wait_has_an_end(hands: TargetLocks, clock: testing.FakeClock) -> None:
     """A repair that hangs with the dependant in hand costs others their time and no more."""
     assert hands.take("side", object())
     repair = Repair(hands, "side", object())
@@ -106,7 +106,7 @@ def test_a_wait_has_an_end(hands: Hands, clock: testing.FakeClock) -> None:
 
 @pytest.mark.parametrize("links", [2, 3])
 def test_repairs_that_wait_for_each_other_do_not_wait_for_ever(
-    hands: Hands, clock: testing.FakeClock, links: int
+    hands: TargetLocks, clock: testing.FakeClock, links: int
 ) -> None:
     """Whoever closes the circle is refused at once; when it lets go, the others go on."""
     owners = [object() for _ in range(links)]
@@ -114,17 +114,17 @@ def test_repairs_that_wait_for_each_other_do_not_wait_for_ever(
         assert hands.take(f"c{number}", owner)
     waiting = [Repair(hands, f"c{number + 1}", owner) for number, owner in enumerate(owners[:-1])]
     clock.wait_for_sleepers(links - 1)
-    with pytest.raises(InOtherHands, match="waits for this one"), hands.on("c0", owners[-1], LIMIT_S):
+    with pytest.raises(TargetBusy, match="waits for this one"), hands.on("c0", owners[-1], LIMIT_S):
         pytest.fail("somebody has what is in another's hand")
     for number in range(links - 1, 0, -1):
-        hands.let_go(f"c{number}", owners[number])
+        hands.release_target(f"c{number}", owners[number])
         until(waiting[number - 1].inside.is_set, f"number {number} to enter", step=lambda: pass_time(clock))
         waiting[number - 1].go.set()
         until(lambda repair=waiting[number - 1]: repair.outcome, "the next outcome", step=lambda: pass_time(clock))  # type: ignore[misc]
     assert [repair.outcome for repair in waiting] == ["done"] * (links - 1)
 
 
-def test_a_hold_is_ended_by_who_began_it_last(hands: Hands, told: Told) -> None:
+def test_a_hold_is_ended_by_who_began_it_last(hands: TargetLocks, told: Told) -> None:
     """A repair that proves itself while its container is restarted for another's sake does not end the other's hold."""
     own, other = object(), object()
     hands.hold("side", own, "health/side", "restart", 60.0, proving=True)

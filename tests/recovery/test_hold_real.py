@@ -185,7 +185,7 @@ def test_a_stop_while_the_event_stream_is_interrupted_is_not_undone(
     phm: Any, project: Project, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """PHM sees that the container has ended before it hears why: the alarm is raised, and the engine's replay is waited for."""
-    monkeypatch.setattr("phm.recovery.hold_service.CLOSED_S", 10 * LIMIT_S)
+    monkeypatch.setattr("phm.recovery.holds.hold_service.CLOSED_S", 10 * LIMIT_S)
     agent = phm(**RESPECT)
     engine, watch = agent.daemon.components.engine, agent.daemon.components.watch
     agent.until(lambda: watch.fact.open, "the event stream to be open")
@@ -215,7 +215,7 @@ def test_an_end_whose_kill_was_missed_is_acted_on_when_no_stop_follows(
     actions = tuple(action for action in FILTERS["event"] if action != "kill")
     monkeypatch.setattr("phm.probes.docker_events.FILTERS", {**FILTERS, "event": actions})
     if stops:
-        monkeypatch.setattr("phm.recovery.manual_stop.UNSURE_S", 10 * LIMIT_S)
+        monkeypatch.setattr("phm.recovery.holds.manual_stop.UNSURE_S", 10 * LIMIT_S)
     agent = phm(**RESPECT)
     project.docker("stop" if stops else "kill", project.container)
     if stops:

@@ -14,11 +14,11 @@ import pytest
 from phm.core.model import FaultClosed, HoldChanged, Level, Outcome, Phase, Stamp
 from phm.facts import COMPLETE, EventStreamFact
 from phm.probes.docker_events import DockerEvent
-from phm.recovery.armed import Armed, LastKnown, State as ArmedState
 from phm.recovery.executor import NotApprovable, NotNow
-from phm.recovery.hold_service import CLOSED_S, LABELS_S, HoldRefused, HoldService, HoldWorld
-from phm.recovery.holds import ALL, Hold, Holds
-from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
+from phm.recovery.holds.hold_registry import ALL, Hold, HoldRegistry
+from phm.recovery.holds.hold_service import CLOSED_S, LABELS_S, HoldInputs, HoldRefused, HoldService
+from phm.recovery.persistence.state import InvalidState, PersistedState, RecoveryState, decode, encode
+from phm.recovery.safety.armed_state import ArmedState as ArmedState, ArmedStatus, LastArmedState
 from phm.runtime.daemon import Daemon
 from phm.testing import FakeClock, settings
 from tests.recovery.agent import Agent, Containers, Of
@@ -52,11 +52,14 @@ class Scene:
             critical=("app",),
             **{"ladders": LADDERS, **recovery},
         )
-        self.holds: Holds = self.agent.executor._shop.holds
+        self.holds: HoldRegistry = self.agent.executor._shop.holds
         acting_on = self.agent.executor.acting_on
         self.stream = COMPLETE
-        world = HoldWorld(
-            lambda: Armed(self.armed, "as the test says"), self.containers.facts.get, acting_on, lambda: self.stream
+        world = HoldInputs(
+            lambda: ArmedStatus(self.armed, "as the test says"),
+            self.containers.facts.get,
+            acting_on,
+            lambda: self.stream,
         )
         self.service = HoldService(
             self.agent.settings, self.holds, self.agent.pipeline, self.agent.bus.publish, self.clock, world
@@ -481,7 +484,7 @@ def test_a_crash_with_an_open_fault_is_healed_after_the_verdict(scenes: Any) -> 
 
 def test_a_stop_whose_signal_was_missed_is_not_undone(scenes: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The stream was opened after the `kill`: the alarm comes with the `die`, and the action waits for a `stop`."""
-    monkeypatch.setattr("phm.recovery.manual_stop.UNSURE_S", 1.0)
+    monkeypatch.setattr("phm.recovery.holds.manual_stop.UNSURE_S", 1.0)
     scene = scenes(on_manual_stop="respect")
     scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
     scene.agent.rest(1)
@@ -729,11 +732,11 @@ def test_a_window_that_was_removed_from_the_configuration_ends(scenes: Any, tmp_
 @pytest.mark.parametrize(("before", "left"), [(True, ["cam"]), (False, [])])
 def test_only_a_take_off_ends_a_respected_stop(scene: Scene, before: bool, left: list[str]) -> None:
     """A stop that was respected in flight stays so when PHM is started again in flight; one from the ground does not."""
-    known = RecoveryState(armed=LastKnown(before, 0.0))
-    scene.agent.executor.restore(State(recovery=known))
+    known = RecoveryState(armed=LastArmedState(before, 0.0))
+    scene.agent.executor.restore(PersistedState(recovery=known))
     scene.holds.put(Hold("cam", "stop", scene.clock.mono() + 600.0, "an operator"))
     scene.armed = ArmedState.ARMED
-    world = HoldWorld(lambda: Armed(scene.armed, "armed"), lambda key: None, scene.agent.executor.acting_on)
+    world = HoldInputs(lambda: ArmedStatus(scene.armed, "armed"), lambda key: None, scene.agent.executor.acting_on)
     following = HoldService(
         scene.agent.settings, scene.holds, scene.agent.pipeline, scene.agent.bus.publish, scene.clock, world
     )
@@ -743,9 +746,9 @@ def test_only_a_take_off_ends_a_respected_stop(scene: Scene, before: bool, left:
 
 def carried(left_s: float, *, boot: str, now: Stamp) -> Hold:
     """A hold of so many seconds at (utc 1000, mono 500) as it is read back at another moment."""
-    holds = Holds()
+    holds = HoldRegistry()
     holds.put(Hold("app", "operator", 500.0 + left_s, BY, "why"))
-    state = State(recovery=RecoveryState(holds=holds.kept(500.0)))
+    state = PersistedState(recovery=RecoveryState(holds=holds.kept(500.0)))
     document = json.loads(json.dumps(encode(state, "boot", Stamp(1000.0, 500.0))))
     return decode(document, boot, now, 600.0).recovery.holds[0].hold
 
@@ -764,7 +767,7 @@ def test_after_a_reboot_what_was_left_counts(utc: float) -> None:
 
 def test_what_is_left_is_written_every_half_minute() -> None:
     """So that reboots cannot extend a hold for ever, and a disk is not written to at each look."""
-    holds = Holds()
+    holds = HoldRegistry()
     holds.put(Hold("app", "operator", 600.0, BY))
     assert holds.kept(0.0) == holds.kept(29.0) != holds.kept(31.0)
 
@@ -781,9 +784,9 @@ def test_a_damaged_hold_extends_nothing(body: dict[str, Any]) -> None:
         "reason": "",
         "occurrence": "",
     }
-    document = encode(State(), "boot", Stamp(1000.0, 500.0))
+    document = encode(PersistedState(), "boot", Stamp(1000.0, 500.0))
     document["holds"] = [{**good, **body}]
-    with contextlib.suppress(Unbelievable):
+    with contextlib.suppress(InvalidState):
         kept = decode(document, "other", Stamp(1000.0, 500.0), 600.0).recovery.holds
         assert all(entry.hold.until <= 500.0 + 86400.0 for entry in kept)
 

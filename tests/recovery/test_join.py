@@ -10,7 +10,7 @@ import pytest
 from phm import testing
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import NotPermitted
-from phm.recovery.actions.join import join
+from phm.recovery.actions.join_network import join_networks
 from phm.recovery.base import ActionContext
 
 APP = ContainerSettings(name="app", networks=["net"])
@@ -30,10 +30,10 @@ def context(attached: list[str]) -> ActionContext:
 
 def test_a_network_that_was_joined_meanwhile_is_no_refusal() -> None:
     """The engine says 403 both for `not allowed` and for `is on it already`; the network itself tells which."""
-    assert join(APP, context([testing.container("phm").id])) == ""
+    assert join_networks(APP, context([testing.container("phm").id])) == ""
 
 
 def test_a_real_refusal_is_told() -> None:
     """A socket proxy that allows reading alone: healing not permitted."""
     with pytest.raises(NotPermitted):
-        join(APP, context([]))
+        join_networks(APP, context([]))

@@ -8,18 +8,18 @@ import pytest
 
 from phm import testing
 from phm.facts import CannotTell, ContainerFact
-from phm.recovery.lives import (
+from phm.recovery.containers.container_generation import (
     COUNTED,
     ENGINE,
     FOUND,
     OTHERS,
     RECREATED,
     UNFINISHED_S,
-    Life,
-    Lives,
+    Generation,
+    GenerationTracker,
     by_phm,
-    counts_anew,
-    follow,
+    next_generation,
+    resets_attempts,
 )
 
 LASTING_S = 30.0
@@ -31,7 +31,7 @@ class Watch:
 
     def __init__(self, fact: ContainerFact | None = FIRST) -> None:
         self.clock, self.fact, self.silent = testing.FakeClock(), fact, False
-        self.lives = Lives(self._look, self.clock, LASTING_S)
+        self.lives = GenerationTracker(self._look, self.clock, LASTING_S)
 
     def _look(self, key: str) -> ContainerFact | None:
         if self.silent:
@@ -49,7 +49,7 @@ class Watch:
 
     def anew(self, after_s: float = 0.0) -> bool:
         self.clock.advance(after_s)
-        return self.lives.begun_anew("app") is not None
+        return self.lives.external_start("app") is not None
 
 
 def test_the_life_at_the_first_look_is_nobodys_doing() -> None:
@@ -66,7 +66,7 @@ def test_a_new_container_counts_at_once_and_once() -> None:
     watch.clock.advance(5)
     watch.change(id="two", started_at="t2")
     now = watch.clock.mono()
-    assert watch.lives.begun_anew("app") == now
+    assert watch.lives.external_start("app") == now
     assert not watch.anew()
     assert not watch.anew(after_s=LASTING_S)
     assert watch.by == COUNTED
@@ -93,7 +93,7 @@ def test_started_again_by_hand_counts_when_it_lasts() -> None:
     assert not watch.anew()
     assert not watch.anew(after_s=LASTING_S - 1)
     watch.clock.advance(1)
-    assert watch.lives.begun_anew("app") == begun
+    assert watch.lives.external_start("app") == begun
     assert not watch.anew(after_s=LASTING_S)
 
 
@@ -251,9 +251,9 @@ def test_over_a_restart_of_phm_a_life_goes_on() -> None:
 
 def test_the_record_does_not_change_while_the_life_goes_on() -> None:
     """It is written to the disk whenever it does."""
-    life = follow(None, FIRST, 5.0, LASTING_S)
-    assert follow(life, replace(FIRST, status="paused"), 50.0, LASTING_S) is life
-    assert not counts_anew(Life("one", "t1", None, None, OTHERS), FIRST, 1e9, LASTING_S)
+    life = next_generation(None, FIRST, 5.0, LASTING_S)
+    assert next_generation(life, replace(FIRST, status="paused"), 50.0, LASTING_S) is life
+    assert not resets_attempts(Generation("one", "t1", None, None, OTHERS), FIRST, 1e9, LASTING_S)
 
 
 def test_what_happened_while_nothing_counted_is_not_made_up_for() -> None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from phm.recovery.manual_stop import REMOVED_S, STOPPED_S, UNSURE_S, ManualStops, Verdict
+from phm.recovery.holds.manual_stop import REMOVED_S, STOPPED_S, UNSURE_S, ManualStopDetector, StopVerdict
 
 TERM, KILL = ("kill", "signal 15"), ("kill", "signal 9")
 DIE, STOP, DESTROY, START = ("die", "exit code 0"), ("stop", ""), ("destroy", ""), ("start", "")
 
 
-def verdicts(*events: tuple[str, str], gap_s: float = 0.05, own: bool = False) -> list[Verdict]:
+def verdicts(*events: tuple[str, str], gap_s: float = 0.05, own: bool = False) -> list[StopVerdict]:
     """What is decided a minute after these events, which came one after another."""
-    stops, now = ManualStops(), 100.0
+    stops, now = ManualStopDetector(), 100.0
     for action, detail in events:
         stops.event("app", action, detail, now, own=own)
         now += gap_s
@@ -23,19 +23,19 @@ def verdicts(*events: tuple[str, str], gap_s: float = 0.05, own: bool = False) -
 @pytest.mark.parametrize("events", [(TERM, DIE, STOP), (("kill", "signal 2"), DIE, STOP), (TERM, KILL, DIE, STOP)])
 def test_a_stop_is_a_stop(events: tuple[tuple[str, str], ...]) -> None:
     """Whatever the stop signal is, and also when the time until SIGKILL was over."""
-    assert verdicts(*events) == [Verdict.STOPPED]
+    assert verdicts(*events) == [StopVerdict.STOPPED]
 
 
 @pytest.mark.parametrize("events", [(KILL, DIE, DESTROY), (TERM, DIE, STOP, DESTROY), (DESTROY,)])
 def test_a_removal_is_a_removal(events: tuple[tuple[str, str], ...]) -> None:
     """`docker rm -f`, `docker compose down`, `docker rm` of what had ended before."""
-    assert verdicts(*events) == [Verdict.REMOVED]
+    assert verdicts(*events) == [StopVerdict.REMOVED]
 
 
 @pytest.mark.parametrize("events", [(KILL, DIE), (TERM, DIE)])
 def test_a_kill_is_a_crash(events: tuple[tuple[str, str], ...]) -> None:
     """`docker kill` is not how a container is stopped."""
-    assert verdicts(*events) == [Verdict.CRASHED]
+    assert verdicts(*events) == [StopVerdict.CRASHED]
 
 
 def test_an_end_without_any_kill_is_not_waited_for() -> None:
@@ -63,12 +63,12 @@ def test_a_stop_by_phm_itself_is_none() -> None:
 
 def test_a_restart_of_phm_that_the_engine_finishes_late_is_waited_for() -> None:
     """PHM's call has given up: the end of the container is no fault before its start is overdue, and never a stop by hand."""
-    stops = ManualStops()
+    stops = ManualStopDetector()
     for at, (action, detail) in enumerate((TERM, KILL, DIE, STOP)):
         stops.event("app", action, detail, at / 10, own=True, late=True)
     assert stops.undecided() == {"app"}
     assert stops.leave_until("app", 0.4) == pytest.approx(0.3 + STOPPED_S)
-    assert stops.due(0.3 + STOPPED_S) == [("app", Verdict.CRASHED)]
+    assert stops.due(0.3 + STOPPED_S) == [("app", StopVerdict.CRASHED)]
     stops.event("app", *DIE, 10.0, own=True, late=True)
     stops.event("app", *START, 10.1, own=True, late=True)
     assert not stops.undecided()
@@ -76,7 +76,7 @@ def test_a_restart_of_phm_that_the_engine_finishes_late_is_waited_for() -> None:
 
 def test_a_slow_recreation_is_waited_for() -> None:
     """Once Compose has made the replacement, the old one may take its time to end."""
-    stops = ManualStops()
+    stops = ManualStopDetector()
     for at, action in ((0.0, "replace"), (0.1, "kill"), (60.0, "die"), (60.1, "stop"), (70.0, "destroy")):
         assert stops.due(at) == []
         stops.event("app", action, "signal 15", at, own=False)
@@ -87,19 +87,19 @@ def test_a_slow_recreation_is_waited_for() -> None:
 
 def test_a_stop_whose_beginning_was_not_seen_is_a_stop() -> None:
     """PHM was started during `docker stop -t 60`: only a stop by the engine ends with `stop`."""
-    assert verdicts(DIE, STOP) == verdicts(STOP) == [Verdict.STOPPED]
+    assert verdicts(DIE, STOP) == verdicts(STOP) == [StopVerdict.STOPPED]
 
 
 def test_a_stop_may_take_its_time() -> None:
     """`docker stop -t 900`."""
-    stops = ManualStops()
+    stops = ManualStopDetector()
     stops.event("app", *TERM, 0.0, own=False)
     assert stops.due(890.0) == [] and stops.undecided() == {"app"}
 
 
 def test_a_container_is_left_alone_until_the_verdict() -> None:
     """Once it has ended, and from the making of a replacement on; a signal alone keeps nobody away."""
-    stops = ManualStops()
+    stops = ManualStopDetector()
     stops.event("app", *TERM, 0.0, own=False)
     assert stops.leave_until("app", 0.0) is None
     stops.event("app", *DIE, 1.0, own=False)
@@ -110,7 +110,7 @@ def test_a_container_is_left_alone_until_the_verdict() -> None:
 
 def test_a_kill_is_published_soon() -> None:
     """`docker kill` looks like `docker rm -f` for half a second only."""
-    stops = ManualStops()
+    stops = ManualStopDetector()
     stops.event("app", *KILL, 0.0, own=False)
     stops.event("app", *DIE, 1.0, own=False)
     assert stops.next_due() == 1.0 + REMOVED_S
@@ -118,8 +118,8 @@ def test_a_kill_is_published_soon() -> None:
 
 def test_an_end_whose_signal_may_have_been_missed_is_published_and_waited_on() -> None:
     """The event stream was interrupted: a `stop` makes it a stop by hand, and without one it was a crash."""
-    for then, verdict in ((STOP, Verdict.STOPPED), (None, Verdict.CRASHED)):
-        stops = ManualStops()
+    for then, verdict in ((STOP, StopVerdict.STOPPED), (None, StopVerdict.CRASHED)):
+        stops = ManualStopDetector()
         stops.event("app", *DIE, 0.0, own=False, missed=True)
         assert not stops.undecided()
         assert stops.leave_until("app", 0.0) == pytest.approx(UNSURE_S)

@@ -8,7 +8,10 @@ from typing import Any
 import pytest
 
 from phm import testing
-from phm.recovery.actions import Join, Reconnect, Restart, Start
+from phm.recovery.actions.join_network import JoinNetwork
+from phm.recovery.actions.reconnect import Reconnect
+from phm.recovery.actions.restart import Restart
+from phm.recovery.actions.start import Start
 from phm.recovery.base import Action, NotYet
 from phm.transport.docker import Engine
 from tests.fakes.engine import FakeEngine, Status, container
@@ -36,7 +39,7 @@ def waits(made: Bench, action: type[Action]) -> str:
     return action().waits_for(made.target("app"), OFF, made.context())
 
 
-@pytest.mark.parametrize("action", [Reconnect, Restart, Join])
+@pytest.mark.parametrize("action", [Reconnect, Restart, JoinNetwork])
 def test_what_needs_a_network_waits_until_it_is_there(fake: FakeEngine, ask: Engine, action: type[Action]) -> None:
     """Above all a restart, which brings no network back."""
     made = agent(fake, ask, exists=False)
@@ -135,4 +138,4 @@ def test_phm_joins_what_is_there(fake: FakeEngine, ask: Engine) -> None:
     fake.containers["phm"] = container("phm")
     me = testing.container("phm", id=fake.containers["phm"]["Id"])
     context = replace(made.context(), myself=lambda: me)
-    assert Join().run(made.target("app"), OFF, context) == "PHM joined network swarm"
+    assert JoinNetwork().run(made.target("app"), OFF, context) == "PHM joined network swarm"

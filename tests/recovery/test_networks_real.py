@@ -10,7 +10,7 @@ import pytest
 from docker.errors import APIError
 
 from phm.core.model import ActionEvent, FaultOpened, Phase
-from phm.recovery.actions import Start
+from phm.recovery.actions.start import Start
 from phm.transport.docker import Engine
 from tests.recovery.bench import bench, fault
 from tests.recovery.test_whole_real import RUN, Phm, Start as StartPhm, phm
@@ -75,7 +75,7 @@ def assert_only_connected(daemon: Phm, app: Any, network: Any, before: str) -> N
     assert started_at(app) == before
     acted = {event.action for event in daemon.events if isinstance(event, ActionEvent)}
     assert "reconnect" in acted
-    assert acted <= {"reconnect", "join"}
+    assert acted <= {"reconnect", "join_network"}
     assert daemon.count(Phase.ESCALATED) == 0
     assert daemon.daemon.pipeline.given_up() == ()
 
@@ -152,4 +152,7 @@ def test_phm_and_the_application_lose_the_network_together(real: Any, phm: Start
     started = [
         event.action for event in daemon.events if isinstance(event, ActionEvent) and event.phase is Phase.STARTED
     ]
-    assert list(dict.fromkeys(started)) == ["join", "reconnect"]  # an engine that answers late is asked to join again
+    assert list(dict.fromkeys(started)) == [
+        "join_network",
+        "reconnect",
+    ]  # an engine that answers late is asked to join again

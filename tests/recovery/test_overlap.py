@@ -145,7 +145,7 @@ def test_what_is_in_other_hands_is_not_acted_on(agents: list[Owners]) -> None:
     agent.bad["health/a"] = "broken"
     agent.rest(10.0)
     assert agent.steps("a") == []
-    agent.executor._shop.hands.let_go("a", other)
+    agent.executor._shop.hands.release_target("a", other)
     agent.until(lambda: Phase.VERIFIED in agent.steps("a"), "the repair")
     assert len(agent.runs) == 1
 

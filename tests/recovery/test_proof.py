@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from phm.api import Result, error
-from phm.recovery.proof import Proof, Proving
+from phm.recovery.verification import Verification, VerificationResult
 
 GRACE_S = 3.0
 
@@ -40,29 +40,33 @@ class Alone(Silent):
         return ("nodes/one",)
 
 
-def verdict(started: float, shows_s: float | None) -> Proof | None:
+def verdict(started: float, still_bad_after_s: float | None) -> VerificationResult | None:
     """0 is when the action was over."""
-    return Proving("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, shows_s).verdict(Silent(started), started + 2.0)
+    return Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, still_bad_after_s).verdict(
+        Silent(started), started + 2.0
+    )
 
 
 def test_what_works_at_once_or_never_is_not_waited_for() -> None:
     """A reconnected address that is silent after a second has failed, whatever grace the unit has."""
-    assert verdict(0.5, shows_s=1.0) is None
-    assert verdict(1.0, shows_s=1.0) == Proof(missing="network/app")
+    assert verdict(0.5, still_bad_after_s=1.0) is None
+    assert verdict(1.0, still_bad_after_s=1.0) == VerificationResult(missing="network/app")
 
 
 def test_other_actions_are_given_the_grace_of_the_unit() -> None:
     """A container that was started needs its time."""
-    assert verdict(4.5, shows_s=None) is None
-    assert verdict(5.0, shows_s=None) == Proof(missing="network/app")
+    assert verdict(4.5, still_bad_after_s=None) is None
+    assert verdict(5.0, still_bad_after_s=None) == VerificationResult(missing="network/app")
 
 
-@pytest.mark.parametrize(("follow_s", "longest_s"), [(6.0, 6.0), (None, GRACE_S + 4.0)])
-def test_what_needs_the_unit_is_waited_for_as_long_as_the_action_says(follow_s: float | None, longest_s: float) -> None:
+@pytest.mark.parametrize(("dependents_within_s", "longest_s"), [(6.0, 6.0), (None, GRACE_S + 4.0)])
+def test_what_needs_the_unit_is_waited_for_as_long_as_the_action_says(
+    dependents_within_s: float | None, longest_s: float
+) -> None:
     """After a reconnection nothing has to start: the nodes find each other soon, or not before they are restarted."""
-    proving = Proving("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, follow_s=follow_s)
+    proving = Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, dependents_within_s=dependents_within_s)
     assert proving.verdict(Alone(0.0), longest_s) is None
-    assert proving.verdict(Alone(0.0), longest_s + 0.1) == Proof(missing="nodes/one", partly=True)
+    assert proving.verdict(Alone(0.0), longest_s + 0.1) == VerificationResult(missing="nodes/one", partly=True)
 
 
 class Starved(Silent):
@@ -81,7 +85,7 @@ class Starved(Silent):
     def starving(self, unit: str) -> str:
         return "pressure/app" if self.now < self.until else ""
 
-    def say(self, proving: Proving, now: float) -> Proof | None:
+    def say(self, proving: Verification, now: float) -> VerificationResult | None:
         self.now = now
         return proving.verdict(self, now)
 
@@ -91,11 +95,11 @@ class Starved(Silent):
 def test_what_starts_while_it_is_starved_gets_more_time_and_is_not_to_blame(well: bool, until: float) -> None:
     """As long again as `recovery.verify`, also when the starvation has ended meanwhile; then the attempt has failed, excused."""
     starved = Starved(1000.0 if well else 36.0, well=well, until=until)
-    proving = Proving("container/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S)
+    proving = Verification("container/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S)
     ends = GRACE_S + 4.0 + 30.0 if well else GRACE_S + 2.0 + 30.0
     for now in (0.5, 10.0, 34.0):
         starved.started = now
         assert starved.say(proving, now) is None
     starved.started = ends
     late = starved.say(proving, ends + 0.1)
-    assert late is not None and late.excused and late.partly is well
+    assert late is not None and late.not_counted and late.partly is well

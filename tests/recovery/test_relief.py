@@ -11,9 +11,9 @@ import pytest
 from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
 from phm.recovery.actions.relieve import Relieve
 from phm.recovery.actions.unpause import Unpause
-from phm.recovery.base import Action, Unneeded
-from phm.recovery.relief import CALM_S, DEFAULT_SHARES, LOW_SHARES, Relief
-from phm.recovery.repair import Repair
+from phm.recovery.attempt import Repair
+from phm.recovery.base import Action, NotNeeded
+from phm.recovery.containers.cpu_weights import CALM_S, DEFAULT_SHARES, LOW_SHARES, CpuWeights
 from phm.testing import FakeClock, settings
 from phm.transport.docker import Engine
 from tests.recovery.bench import Bench, bench, fault
@@ -52,7 +52,7 @@ class Scene:
             mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14599", "leads_to": "autopilot"}]},
         )
         self.clock, self.published = FakeClock(), Published()
-        self.relief = Relief(self.bench.engine, self.bench.fact, self.published, self.clock)
+        self.relief = CpuWeights(self.bench.engine, self.bench.fact, self.published, self.clock)
 
     def relieve(self) -> str:
         context = replace(self.bench.context(), relief=self.relief)
@@ -78,7 +78,7 @@ def test_the_weight_is_lowered_in_the_air_and_put_back_when_it_is_no_longer_need
     scene.bench.armed = True
     assert scene.relieve() == f"lowered the CPU weight of other to {LOW_SHARES}"
     assert (scene.shares(scene.other), scene.shares(scene.app)) == (LOW_SHARES, 0)
-    assert isinstance(scene.relieve(), Unneeded)
+    assert isinstance(scene.relieve(), NotNeeded)
     scene.relief.tick()
     scene.calm(CALM_S - 1)
     assert scene.shares(scene.other) == LOW_SHARES
@@ -93,9 +93,9 @@ def test_the_next_phm_puts_back_what_the_last_one_lowered(real: Any, engine: Eng
     scene = Scene(engine, real)
     scene.relieve()
     kept = scene.relief.kept()
-    scene.relief = Relief(scene.bench.engine, scene.bench.fact, scene.published, scene.clock)
+    scene.relief = CpuWeights(scene.bench.engine, scene.bench.fact, scene.published, scene.clock)
     scene.relief.restore(kept)
-    assert isinstance(scene.relieve(), Unneeded), "the low weight is not taken for the container's own"
+    assert isinstance(scene.relieve(), NotNeeded), "the low weight is not taken for the container's own"
     scene.relief.end()
     assert scene.shares(scene.other) == DEFAULT_SHARES
 
@@ -140,13 +140,17 @@ def test_giving_way_holds_nothing_of_the_starved_container(kind: type[Action], h
     """What breaks there meanwhile does not follow from it, and is a fault as ever."""
     holds: list[str] = []
     hands = SimpleNamespace(
-        take=lambda key, owner: True, let_go=lambda key, owner: None, hold=lambda key, *more, **marks: holds.append(key)
+        take=lambda key, owner: True,
+        release_target=lambda key, owner: None,
+        hold=lambda key, *more, **marks: holds.append(key),
     )
     pipeline = SimpleNamespace(stopping=lambda key: False)
     named = settings(containers=[{"name": "app", "flight_critical": True}], recovery={"relieve": []})
     context = SimpleNamespace(settings=named, engine=None)
-    shop = SimpleNamespace(hands=hands, pipeline=pipeline, clock=FakeClock(), context=context, safeguard=None)
+    shop = SimpleNamespace(
+        hands=hands, pipeline=pipeline, clock=FakeClock(), context=context, flight_critical_guard=None
+    )
     repair = Repair(shop, named.containers[0], STARVED, kind, last=True)  # type: ignore[arg-type]
     assert repair.begin()
     assert holds == [held]
-    repair._acting.let_go()
+    repair._acting.release_target()

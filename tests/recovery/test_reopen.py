@@ -12,7 +12,7 @@ from phm.recovery.actions.reopen import Reopen
 from phm.recovery.base import ActionContext, ActionFailed
 from phm.recovery.history import History
 from phm.recovery.links import as_container, by_hand, name_of
-from phm.recovery.policy import Act, Leave, decide
+from phm.recovery.policy import Act, Skip, decide
 from phm.testing import settings
 
 
@@ -75,7 +75,7 @@ def test_it_is_decided_in_any_mode_and_while_armed(condition: str, mode: str) ->
         container=as_container("link:ground"),
         forbids=lambda action: "it is armed",
         settings=chosen,
-        free_actions=frozenset({"reopen"}),
+        unrestricted_actions=frozenset({"reopen"}),
     )
     assert decision == Act("reopen", 1)
 
@@ -90,6 +90,6 @@ def test_a_link_has_opted_in_to_nothing_else() -> None:
         container=as_container("link:ground"),
         forbids=lambda action: "",
         settings=chosen,
-        free_actions=frozenset({"reopen"}),
+        unrestricted_actions=frozenset({"reopen"}),
     )
-    assert isinstance(decision, Leave)
+    assert isinstance(decision, Skip)

@@ -16,10 +16,10 @@ from phm.checking.pipeline import Pipeline
 from phm.core.bus import Bus
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Note, Phase, Transition
 from phm.core.settings import ContainerSettings, Settings
-from phm.recovery.armed import Armed, State
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor, NotApprovable
-from phm.recovery.memory import Memory
+from phm.recovery.persistence.persistence_service import PersistenceService
+from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.shop import Shop
 from phm.tracker import Tracked, Tracker
 from tests.fakes.until import until
@@ -42,7 +42,7 @@ class Life:
         self.bus = Bus(clock)
         self.pipeline = Pipeline(Tracker(tracked, clock.stamp()), self.bus, clock)
         self.units = units
-        self.memory = Memory(settings, self.pipeline, self.bus, clock)
+        self.memory = PersistenceService(settings, self.pipeline, self.bus, clock)
         self.memory.restore()
         self.bus.subscribe("test", self.events.append)
         context = ActionContext(cast(Any, None), settings, lambda key: None, lambda: None, lambda a, b: None)
@@ -52,7 +52,7 @@ class Life:
             clock,
             {"restart": self._action()},
             context,
-            lambda: Armed(State.DISARMED, "the autopilot is disarmed"),
+            lambda: ArmedStatus(ArmedState.DISARMED, "the autopilot is disarmed"),
             lambda unit: 0.0,
         )
         self.executor = Executor(shop)

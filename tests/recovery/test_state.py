@@ -13,12 +13,21 @@ import pytest
 
 from phm import testing
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.armed import LastKnown
-from phm.recovery.history import Attempt
-from phm.recovery.lives import OTHERS, Life
-from phm.recovery.relief import Lowered
-from phm.recovery.state import Case, RecoveryState, State, Unbelievable, UnderWay, carry, decode, encode
-from phm.recovery.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
+from phm.recovery.containers.container_generation import OTHERS, Generation
+from phm.recovery.containers.cpu_weights import LoweredWeight
+from phm.recovery.history import AttemptRecord
+from phm.recovery.persistence.state import (
+    InvalidState,
+    PersistedCase,
+    PersistedState,
+    RecoveryState,
+    UnfinishedAction,
+    convert_time,
+    decode,
+    encode,
+)
+from phm.recovery.persistence.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
+from phm.recovery.safety.armed_state import LastArmedState
 from tests.recovery.agent import Agent, Containers, Of
 
 BOOT, OTHER = "boot-a", "boot-b"
@@ -42,27 +51,27 @@ def fault(name: str = "ab12-1", opened: Stamp | None = None) -> Fault:
     )
 
 
-def attempt(at: float = 95.0) -> Attempt:
-    return Attempt(at, "container/app", "exited", "start", worked=False)
+def attempt(at: float = 95.0) -> AttemptRecord:
+    return AttemptRecord(at, "container/app", "exited", "start", worked=False)
 
 
-FULL = State(
+FULL = PersistedState(
     (fault(),),
     (fault("ab12-2"),),
     RecoveryState(
-        {"app": (replace(attempt(90.0), eased=True, excused=True), attempt())},
-        {"ab12-1": Case(True, ("advised start",), "start")},
-        {"app": UnderWay("ab12-1", attempt(99.0))},
-        {"app": Life("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, OTHERS), "side": Life("id1", "t")},
-        LastKnown(True, 91.0),
+        {"app": (replace(attempt(90.0), backoff_reset=True, not_counted=True), attempt())},
+        {"ab12-1": PersistedCase(True, ("advised start",), "start")},
+        {"app": UnfinishedAction("ab12-1", attempt(99.0))},
+        {"app": Generation("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, OTHERS), "side": Generation("id1", "t")},
+        LastArmedState(True, 91.0),
         {"app": "app", "side": "app"},
-        lowered=(Lowered("other", "id3", 512, "pressure/app"),),
+        lowered=(LoweredWeight("other", "id3", 512, "pressure/app"),),
     ),
     ((900.0, 20.0), (910.0, 60.0)),
 )
 
 
-def through_json(state: State, now: Stamp) -> Any:
+def through_json(state: PersistedState, now: Stamp) -> Any:
     return json.loads(json.dumps(encode(state, BOOT, now)))
 
 
@@ -78,7 +87,7 @@ def test_on_another_boot_times_are_converted_through_utc() -> None:
     state = decode(document, OTHER, Stamp(1070.0, 20.0), WINDOW_S)
     assert state.clock == ()  # how the clock was set on another boot says nothing of this one
     assert state.recovery.attempts["app"][-1].at == pytest.approx(20.0 - 65.0)
-    life = state.recovery.lives["app"]
+    life = state.recovery.generations["app"]
     assert [life.since, life.made] == pytest.approx([20.0 - 63.0, 20.0 - 68.0])
     assert state.recovery.under_way["app"].attempt.at == pytest.approx(20.0 - 61.0)
     assert state.faults[0].opened == Stamp(1000.0, 20.0 - 70.0)
@@ -95,22 +104,7 @@ def test_a_clock_that_was_set_gives_no_impossible_age(boot: str, utc: float, age
 
 def test_a_moment_from_the_future_is_now() -> None:
     """Also on the same boot: a file may be older or newer than its clock says, never ahead of it."""
-    assert carry(Stamp(0.0, 500.0), Stamp(0.0, 100.0), same_boot=True, most_s=60.0).mono == 100.0
-
-
-def test_a_file_of_the_version_before_is_read() -> None:
-    """It knew of no lives and no attempts that do not count; an update of PHM must not forget what was given up."""
-    document = through_json(FULL, Stamp(1010.0, 100.0))
-    del document["lives"], document["armed"], document["cases"]["ab12-1"]["approved"]
-    document["v"] = 1
-    for made in document["attempts"]["app"]:
-        del made["eased"], made["excused"]
-    state = decode(document, BOOT, Stamp(5.0, 130.0), WINDOW_S)
-    cases = {"ab12-1": Case(True, ("advised start",))}
-    assert (state.faults, state.given_up, state.recovery.cases) == (FULL.faults, FULL.given_up, cases)
-    assert state.recovery.armed is None
-    assert state.recovery.attempts == {"app": (attempt(90.0), attempt())}
-    assert state.recovery.lives == {}
+    assert convert_time(Stamp(0.0, 500.0), Stamp(0.0, 100.0), same_boot=True, most_s=60.0).mono == 100.0
 
 
 def test_everything_is_capped() -> None:
@@ -118,8 +112,10 @@ def test_everything_is_capped() -> None:
     long = Result(Level.ERROR, "x" * 100_000, "y" * 100_000, "c", "app")
     faults = tuple(Fault(f"f{n}", f"u{n}", Slot.HOST, Layer.COMPANION, long, Stamp(0, 0)) for n in range(1000))
     attempts = {f"t{n}": tuple(attempt(float(m)) for m in range(300)) for n in range(300)}
-    lives = {f"t{n}": Life("i" * 100_000, "s" * 100_000) for n in range(300)}
-    data = json.dumps(encode(State(faults, (), RecoveryState(attempts, lives=lives)), BOOT, Stamp(0, 0)))
+    generations = {f"t{n}": Generation("i" * 100_000, "s" * 100_000) for n in range(300)}
+    data = json.dumps(
+        encode(PersistedState(faults, (), RecoveryState(attempts, generations=generations)), BOOT, Stamp(0, 0))
+    )
     assert len(data) < MAX_BYTES
     state = decode(json.loads(data), BOOT, Stamp(0, 0), WINDOW_S)
     assert (len(state.faults), len(state.recovery.attempts), len(state.recovery.attempts["t299"])) == (256, 64, 100)
@@ -133,7 +129,8 @@ def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
     "change",
     [
         lambda document: [document],
-        spoil("v", 3),
+        spoil("v", 2),
+        spoil("v", 4),
         spoil("v", None),
         spoil("faults", 3),
         spoil("faults", [{}]),
@@ -144,14 +141,14 @@ def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
         spoil("under_way", {"app": {"fault": "x"}}),
         spoil("armed", {"armed": True}),
         spoil("armed", []),
-        spoil("lives", {"app": {"id": "x", "started": "y", "by": "z", "made": None}}),
+        spoil("generations", {"app": {"id": "x", "started": "y", "by": "z", "made": None}}),
         lambda document: {key: value for key, value in document.items() if key != "boot"},
     ],
 )
 def test_a_document_that_is_not_ours_is_not_believed(change: Callable[[dict[str, Any]], Any]) -> None:
     """A wrong version or a wrong part anywhere makes the whole unbelievable; nothing else is raised."""
     document = through_json(FULL, Stamp(1010.0, 100.0))
-    with pytest.raises(Unbelievable):
+    with pytest.raises(InvalidState):
         decode(change(document), BOOT, Stamp(1010.0, 100.0), WINDOW_S)
 
 
@@ -161,8 +158,8 @@ def test_a_document_that_is_not_ours_is_not_believed(change: Callable[[dict[str,
 def test_it_is_written_whole_for_phm_alone_and_read_back(tmp_path: Path) -> None:
     """The folder is made, the file is 0600, no temporary file stays, and a leftover of a power cut is no obstacle."""
     file = StateFile(str(tmp_path / "a" / "b"), testing.FakeClock(), BOOT)
-    assert file.load(WINDOW_S) == (State(), "")
-    file.save(State())
+    assert file.load(WINDOW_S) == (PersistedState(), "")
+    file.save(PersistedState())
     (file.path.parent / "state.json.tmp").write_text("torn")
     file.save(FULL)
     assert [entry.name for entry in file.path.parent.iterdir()] == ["state.json"]
@@ -177,7 +174,7 @@ def test_a_broken_file_is_set_aside_with_a_warning(tmp_path: Path, data: bytes) 
     file = StateFile(str(tmp_path), testing.FakeClock(), BOOT)
     file.path.write_bytes(data)
     state, warning = file.load(WINDOW_S)
-    assert state == State()
+    assert state == PersistedState()
     assert "set aside as state.json.corrupt-" in warning
     assert not file.path.exists()
     assert next(tmp_path.glob("state.json.corrupt-*")).read_bytes() == data
@@ -215,7 +212,7 @@ def test_an_unreadable_state_is_a_sentence(tmp_path: Path) -> None:
     file = StateFile(str(tmp_path), testing.FakeClock(), BOOT)
     file.path.mkdir()
     state, warning = file.load(WINDOW_S)
-    assert state == State()
+    assert state == PersistedState()
     assert "cannot read" in warning
 
 

@@ -120,9 +120,9 @@ def test_several_units_are_several_alarms() -> None:
     both = injection(also=["files/ros_app"])
     verdict = only(trial(injections=[both], alarms=[alarm(0.4), alarm(2.0, "files/ros_app")]))
     assert (verdict.expected, verdict.count, verdict.healed_s) == (2, 2, None)
-    acts = [verified(4.0), verified(5.0, "files/ros_app", action="restore")]
+    acts = [verified(4.0), verified(5.0, "files/ros_app", action="restore_file")]
     verdict = only(trial(injections=[both], alarms=[alarm(0.4), alarm(2.0, "files/ros_app")], acts=acts))
-    assert (verdict.healed_s, verdict.by) == (pytest.approx(5.0), "restart, restore")
+    assert (verdict.healed_s, verdict.by) == (pytest.approx(5.0), "restart, restore_file")
 
 
 def test_compound_faults_each_keep_their_own_alarms() -> None:

@@ -37,7 +37,9 @@ def row(events: list[dict[str, Any]], *, healable: bool = False, expected: tuple
 def test_one_alarm_at_the_cause_holds() -> None:
     """What is STALE behind it, and what the machine says of itself, is no alarm."""
     stale = event("transition", 102.0, "rates/a", level="STALE", blocked_by=CAUSE)
-    made = row([opened(101.5), stale, opened(103.0, "host/cpu", "cpu_high"), action(104.0, "started", name="join")])
+    made = row(
+        [opened(101.5), stale, opened(103.0, "host/cpu", "cpu_high"), action(104.0, "started", name="join_network")]
+    )
     assert made.good
     assert (made.detected_s, made.blocked, made.beside, made.actions) == (1.5, ["rates/a"], ["host/cpu cpu_high"], [])
 

@@ -8,8 +8,8 @@ from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact
 from phm.recovery.base import ActionContext, ActionFailed
-from phm.recovery.critical import FlightCritical
-from phm.recovery.dependants import dependants
+from phm.recovery.containers.dependents import dependents
+from phm.recovery.safety.flight_critical import FlightCriticalError
 
 MOST_STOP_S = 120.0
 """A container that asks for more time to end gets this much when PHM restarts it: it has failed already."""
@@ -50,7 +50,7 @@ def restart_dependants(target: ContainerSettings, fault: Fault, context: ActionC
     dependant that stays broken is a fault of its own.
     """
     facts = _facts(context)
-    order = dependants(target.key, facts, context.settings.containers)
+    order = dependents(target.key, facts, context.settings.containers)
     if not order:
         return ""
     mended = facts.get(target.key)
@@ -77,7 +77,7 @@ def _follow(
     try:
         with context.holding(key, fault, "restart", stop_timeout_s(facts[key], context) + FOLLOW_S):
             left_alone = _restart_dependant(entry, "" if always else facts[key].life, context)
-    except FlightCritical as error:
+    except FlightCriticalError as error:
         return f"{key} depends on it: {error}; restart it by hand when that is safe", False
     except CannotTell as error:
         return f"{key} depends on it and could not be restarted: {error}", False

@@ -7,8 +7,8 @@ from phm.core.settings import ContainerSettings
 from phm.facts import ContainerFact
 from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import connect, missing, network_id, not_there
-from phm.recovery.base import Action, ActionContext, NotYet, Unneeded
-from phm.recovery.critical import Reach
+from phm.recovery.base import Action, ActionContext, NotNeeded, NotYet
+from phm.recovery.safety.flight_critical import Impact
 
 
 class Reconnect(Action):
@@ -20,14 +20,14 @@ class Reconnect(Action):
 
     name = "reconnect"
     starts = False
-    takes_down = Reach.NETWORK
+    impact = Impact.NETWORK
     # A node that has lost its network for good stays listed until its lease ends (1 s with config/fastdds.xml).
-    proof_s = 2.0
+    verify_after_s = 2.0
     # The kernel of an attached interface answers at once; one whose address is silent now stays so.
-    shows_s = 1.0
+    still_bad_after_s = 1.0
     # Its processes go on and find each other by the next announcement, 3 s apart by Fast DDS's default, or not at all: a socket
     # keeps its multicast membership on the interface that is gone.
-    follow_s = 6.0
+    dependents_within_s = 6.0
 
     def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         gone = missing(target.networks, context)
@@ -43,7 +43,7 @@ class Reconnect(Action):
         if gone and not done:
             raise NotYet(not_there(gone))
         if not done:
-            return Unneeded(f"{target.key} is connected already")
+            return NotNeeded(f"{target.key} is connected already")
         waits = f"; {not_there(gone)}" if gone else ""
         return f"reconnected {target.key} to {', '.join(done)}{waits}"
 

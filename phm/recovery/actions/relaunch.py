@@ -6,8 +6,8 @@ from phm.core.model import Fault
 from phm.core.settings import ContainerSettings, NodeSettings, Settings
 from phm.facts import CannotTell
 from phm.recovery.actions._common import present
-from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
-from phm.recovery.critical import Reach
+from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
+from phm.recovery.safety.flight_critical import Impact
 
 
 class Relaunch(Action):
@@ -19,9 +19,9 @@ class Relaunch(Action):
 
     name = "relaunch"
     starts = False
-    takes_down = Reach.NOTHING
+    impact = Impact.NOTHING
     # A node that cannot start computes for a moment, too, while the name of the dead one is still listed.
-    proof_s = 2.0
+    verify_after_s = 2.0
 
     @classmethod
     def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
@@ -34,7 +34,7 @@ class Relaunch(Action):
         name = f"/{node.name.lstrip('/')}"
         if self._listed(name, fault, context):
             if fault.result.condition == "node_missing":
-                return Unneeded(f"{name} is listed again")
+                return NotNeeded(f"{name} is listed again")
             raise ActionFailed(f"{name} is still running, and a second copy would disturb it: relaunch does not help")
         fact = present(target, context)
         if _runs(" ".join(node.relaunch), fact.id, context):

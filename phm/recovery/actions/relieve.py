@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings, Settings
-from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
-from phm.recovery.critical import Reach
-from phm.recovery.relief import LOW_SHARES
+from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
+from phm.recovery.containers.cpu_weights import LOW_SHARES
+from phm.recovery.safety.flight_critical import Impact
 
 
 class Relieve(Action):
     """For a flight-critical container that waits for a core because of others. `recovery.relieve` names who may give way."""
 
     name = "relieve"
-    takes_down = Reach.OTHERS
+    impact = Impact.OTHERS
     starts = False
-    shows_s = 10.0
-    proof_s = 1.0
+    still_bad_after_s = 10.0
+    verify_after_s = 1.0
 
     @classmethod
     def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
@@ -33,5 +33,5 @@ class Relieve(Action):
             if context.relief.lower(key, fact, fault.unit, context.engine):
                 lowered.append(key)
         if not lowered:
-            return Unneeded("no container is left that may give way: see recovery.relieve")
+            return NotNeeded("no container is left that may give way: see recovery.relieve")
         return f"lowered the CPU weight of {', '.join(lowered)} to {LOW_SHARES}"

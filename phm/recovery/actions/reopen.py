@@ -7,7 +7,7 @@ import threading
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
 from phm.facts import AutopilotFact
-from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
+from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
 from phm.recovery.links import name_of
 
 OPEN_S = 8.0
@@ -31,7 +31,7 @@ class Reopen(Action):
 
     name = "reopen"
     starts = False
-    on_myself = True
+    on_phm_itself = True
     deadline_s = OPEN_S + RADIO_S + 4.0
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class Reopen(Action):
                 f"reopen is for MAVLink endpoints, and {target.key} is a container: correct recovery.ladders"
             )
         if _flows(link, context, FLOWS_S):
-            return Unneeded(f"data come by {link} again")
+            return NotNeeded(f"data come by {link} again")
         self._began, self._pilot = context.clock.mono(), context.autopilot()
         if not context.reopen(link, OPEN_S):
             raise ActionFailed(
@@ -57,7 +57,7 @@ class Reopen(Action):
         self._prompt = self._answers(link, _prompt_s(fault, context), context)
         return f"reopened the MAVLink endpoint {link}"
 
-    def not_its_doing(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def other_cause(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         """A reboot, or a stall, of the autopilot explains its silence, and so does an answer that came late."""
         if not self._prompt:
             return "nothing came soon after it was opened, and the other side has come back by itself"

@@ -18,7 +18,7 @@ class Restart(Action):
 
     name = "restart"
     # An application that cannot start runs for a moment, too: seen 0.1 to 0.4 s.
-    proof_s = 2.0
+    verify_after_s = 2.0
     deadline_s = 240.0
 
     def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:

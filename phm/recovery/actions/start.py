@@ -6,17 +6,17 @@ from phm.core.model import Fault, Outcome
 from phm.core.settings import ContainerSettings
 from phm.recovery.actions._common import present, restart_dependants
 from phm.recovery.actions._networks import missing, not_there, reconnect_stopped, stale
-from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
-from phm.recovery.critical import Reach
+from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
+from phm.recovery.safety.flight_critical import Impact
 
 
 class Start(Action):
     """Start the container, then restart whoever depends on it."""
 
     name = "start"
-    takes_down = Reach.NOTHING
+    impact = Impact.NOTHING
     # An application that cannot start runs for a moment, too: seen 0.1 to 0.4 s.
-    proof_s = 2.0
+    verify_after_s = 2.0
     deadline_s = 120.0
 
     def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
@@ -29,10 +29,10 @@ class Start(Action):
         if fact.status == "paused":
             raise ActionFailed(f"{target.key} is paused, not stopped: unpause it")
         if fact.running:
-            return Unneeded(f"{target.key} runs already")
+            return NotNeeded(f"{target.key} runs already")
         reconnect_stopped(target, fact, context)
         if not context.engine.start(fact.id):
-            return Unneeded(f"{target.key} was started by somebody else meanwhile")
+            return NotNeeded(f"{target.key} was started by somebody else meanwhile")
         if (
             fault.outcome is Outcome.ESCALATED
         ):  # it has ended again and again: who depends on it is not restarted each time

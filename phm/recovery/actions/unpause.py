@@ -5,8 +5,8 @@ from __future__ import annotations
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
 from phm.recovery.actions._common import present
-from phm.recovery.base import Action, ActionContext, Unneeded
-from phm.recovery.critical import Reach
+from phm.recovery.base import Action, ActionContext, NotNeeded
+from phm.recovery.safety.flight_critical import Impact
 
 
 class Unpause(Action):
@@ -14,11 +14,11 @@ class Unpause(Action):
 
     name = "unpause"
     starts = False
-    takes_down = Reach.NOTHING
+    impact = Impact.NOTHING
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
         if fact.status != "paused":
-            return Unneeded(f"{target.key} is no longer paused")
+            return NotNeeded(f"{target.key} is no longer paused")
         context.engine.unpause(fact.id)
         return f"unpaused {target.key}"

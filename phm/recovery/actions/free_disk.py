@@ -13,12 +13,12 @@ from itertools import islice
 from pathlib import PurePosixPath
 
 from phm.core.model import Fault
-from phm.core.settings import ContainerSettings, RoomSettings, Settings
+from phm.core.settings import ContainerSettings, FreeDiskSettings, Settings
 from phm.facts.disk_space import space
 from phm.recovery.actions._paths import FOLDER, open_plain
-from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
-from phm.recovery.critical import Reach
+from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
 from phm.recovery.disks import path_of
+from phm.recovery.safety.flight_critical import Impact
 
 ENOUGH = 0.9
 """Files go until the disk is at this share of `host.disk.warn`: at the limit itself it would be full again at once."""
@@ -32,7 +32,7 @@ MOST_REFUSED = 3
 
 
 @dataclass(frozen=True, order=True)
-class Old:
+class OldFile:
     """A file that may be removed, at `path` below the folder of the configuration.
 
     changed: the latest monotonic moment at which it can have been changed last. It orders what was stamped while PHM watched
@@ -45,28 +45,28 @@ class Old:
     size: int
 
 
-class MakeRoom(Action):
-    """Remove files that `host.make_room` names, the oldest first, until the disk has room again.
+class FreeDisk(Action):
+    """Remove files that `host.free_disk` names, the oldest first, until the disk has room again.
 
     Applications write there, too, and may put a link in the place of a folder: nothing is followed, neither links nor mounts.
     """
 
-    name = "make_room"
+    name = "free_disk"
     starts = False
-    takes_down = Reach.NOTHING
+    impact = Impact.NOTHING
     deadline_s = 60.0
 
     @classmethod
     def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
-        return bool(path_of(target.key)) and bool(settings.host.make_room)
+        return bool(path_of(target.key)) and bool(settings.host.free_disk)
 
     def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        needed_s = min(place.older_than for place in context.settings.host.make_room)
+        needed_s = min(place.older_than for place in context.settings.host.free_disk)
         left_s = needed_s - (context.clock.mono() - context.clock.steps.known_since())
         if left_s <= 0:
             return ""
         return (
-            f"files unchanged for {needed_s:.0f} s (host.make_room, older_than) cannot be distinguished from newer ones for another "
+            f"files unchanged for {needed_s:.0f} s (host.free_disk, older_than) cannot be distinguished from newer ones for another "
             f"{math.ceil(left_s)} s: what the clock was set to before PHM started to watch it is unknown"
         )
 
@@ -74,15 +74,15 @@ class MakeRoom(Action):
         disk, host = path_of(target.key), context.settings.host
         goal = ENOUGH * host.disk.warn
         problems: list[str] = []
-        removed = [old for place in host.make_room for old in _clear(place, disk, goal, problems, context)]
+        removed = [old for place in host.free_disk for old in _clear(place, disk, goal, problems, context)]
         used = used_percent(disk)
         count, freed = len(removed), sum(old.size for old in removed)
         did = f"removed {count} old file{'' if count == 1 else 's'}, {freed / 1e6:.1f} MB"
         if used >= goal:
-            why = "; ".join(problems) or "nothing else that host.make_room names is old enough"
+            why = "; ".join(problems) or "nothing else that host.free_disk names is old enough"
             raise ActionFailed(f"{did}, and {disk} is at {used:.0f} % still, below {goal:.0f} % is the goal: {why}")
         said = f"{did}: {disk} is at {used:.0f} %"
-        return said if removed else Unneeded(said)
+        return said if removed else NotNeeded(said)
 
 
 def used_percent(path: str) -> float:
@@ -94,7 +94,9 @@ def used_percent(path: str) -> float:
     return max(fact.used_percent, fact.inodes_used_percent)
 
 
-def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str], context: ActionContext) -> Iterator[Old]:
+def _clear(
+    place: FreeDiskSettings, disk: str, goal: float, problems: list[str], context: ActionContext
+) -> Iterator[OldFile]:
     """Remove files of one folder until the goal is reached; those that are gone. Sentences about others go to `problems`."""
     refused = 0
     if used_percent(disk) < goal:
@@ -122,7 +124,7 @@ def _clear(place: RoomSettings, disk: str, goal: float, problems: list[str], con
         os.close(folder)
 
 
-def _old_files(folder: int, place: RoomSettings, context: ActionContext) -> Iterator[Old]:
+def _old_files(folder: int, place: FreeDiskSettings, context: ActionContext) -> Iterator[OldFile]:
     """What may be removed. A file that is still written, or was a moment ago, is not; nor one that only a step of the clock
     has made old, whether PHM has seen that step or not."""
     home = os.fstat(folder).st_dev
@@ -134,7 +136,7 @@ def _old_files(folder: int, place: RoomSettings, context: ActionContext) -> Iter
                 seen = entry.stat(follow_symlinks=False)
                 changed = context.clock.latest(seen.st_mtime)
                 if seen.st_dev == home and context.clock.mono() - changed >= place.older_than:
-                    yield Old(changed, seen.st_mtime, path, seen.st_blocks * 512)
+                    yield OldFile(changed, seen.st_mtime, path, seen.st_blocks * 512)
 
 
 def _named(path: str, patterns: list[str]) -> bool:

@@ -14,8 +14,8 @@ from phm.core.settings import ContainerSettings, FileSettings, Settings
 from phm.facts import ContainerFact
 from phm.recovery.actions._common import present
 from phm.recovery.actions._paths import open_plain
-from phm.recovery.base import Action, ActionContext, ActionFailed, Unneeded
-from phm.recovery.critical import Reach
+from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
+from phm.recovery.safety.flight_critical import Impact
 from phm.transport.docker import Engine, EngineMissing, FileCopy
 
 LIMIT = 16 << 20
@@ -27,15 +27,15 @@ _GO_NOT_REGULAR = _GO_DIRECTORY | _GO_LINK | 1 << 26 | 1 << 25 | 1 << 24 | 1 << 
 """Bits of Go's FileMode: folder, link, device, pipe, socket, character device, anything else."""
 
 
-class Restore(Action):
+class RestoreFile(Action):
     """Put back every file of the container that has a `restore` and is missing, not executable or altered.
 
     A copy whose SHA-256 is not the configured one is refused: a bad file is not replaced by another.
     """
 
-    name = "restore"
+    name = "restore_file"
     starts = False
-    takes_down = Reach.NOTHING
+    impact = Impact.NOTHING
     deadline_s = 90.0
 
     @classmethod
@@ -58,7 +58,7 @@ class Restore(Action):
         if problems:
             raise ActionFailed("; ".join([*problems, *(f"restored {words}" for words in done)]))
         if not done:
-            return Unneeded(f"the files of {target.key} are as they must be")
+            return NotNeeded(f"the files of {target.key} are as they must be")
         return f"restored in {target.key}: {', '.join(done)}"
 
 

@@ -51,14 +51,14 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True)
-class KeptHold:
+class PersistedHold:
     """For the state file: `left_s` is what was left, rounded up to KEPT_EVERY_S so that it does not change at each look."""
 
     hold: Hold
     left_s: float
 
 
-class Holds:
+class HoldRegistry:
     """All holds, at most one for each target and source. Thread-safe; `changed` is called after each change."""
 
     def __init__(self) -> None:
@@ -153,16 +153,16 @@ class Holds:
         """For the state file: target and occurrence of each maintenance window that is over, the oldest first."""
         return tuple(self._done)
 
-    def kept(self, now: float) -> tuple[KeptHold, ...]:
+    def kept(self, now: float) -> tuple[PersistedHold, ...]:
         return tuple(
-            KeptHold(hold, -(-(hold.until - now) // KEPT_EVERY_S) * KEPT_EVERY_S)
+            PersistedHold(hold, -(-(hold.until - now) // KEPT_EVERY_S) * KEPT_EVERY_S)
             for hold in self.all()
             if hold.until > now
         )
 
     def restore(
         self,
-        kept: Iterable[KeptHold],
+        kept: Iterable[PersistedHold],
         stops: Iterable[str],
         done: Iterable[tuple[str, str]] = (),
         *,

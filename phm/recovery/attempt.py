@@ -11,11 +11,11 @@ from phm.core.model import Fault, Phase
 from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell
 from phm.recovery.acting import Acting
-from phm.recovery.armed import State
 from phm.recovery.base import Action, ActionFailed
-from phm.recovery.critical import Reach
-from phm.recovery.proof import Meanwhile, prove
+from phm.recovery.safety.armed_state import ArmedState
+from phm.recovery.safety.flight_critical import Impact
 from phm.recovery.shop import Shop
+from phm.recovery.verification import VerificationHooks, prove
 
 logger = logging.getLogger(__name__)
 
@@ -24,7 +24,7 @@ MARGIN_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class AttemptOutcome:
     """What came of an attempt: whether it worked, and a sentence for the log.
 
     refused:   PHM was told that it may not; it is not tried again for this fault.
@@ -39,8 +39,8 @@ class Verdict:
     worked: bool
     detail: str
     refused: bool = False
-    overtaken: bool = False
-    excused: bool = False
+    superseded: bool = False
+    not_counted: bool = False
     forbidden: bool = False
     postponed: bool = False
     undecided: bool = False
@@ -57,7 +57,7 @@ class Verdict:
 
 
 class Repair:
-    """`begin`, then `run`, then `release`. Each repair is an owner of its own (`phm.recovery.hands`)."""
+    """`begin`, then `run`, then `release`. Each repair is an owner of its own (`phm.recovery.safety.target_locks`)."""
 
     def __init__(
         self,
@@ -67,12 +67,12 @@ class Repair:
         kind: type[Action],
         *,
         last: bool,
-        approved_at: State | None = None,
+        approved_at: ArmedState | None = None,
     ) -> None:
         """last: no rung of the ladder follows. approved_at: as of `Acting`."""
         self._shop, self._target, self._fault, self._kind, self._last = shop, target.key, fault, kind, last
         # What disturbs the target in nothing keeps nothing of it back either.
-        self._held = target.key if kind.takes_down is not Reach.OTHERS else f"{kind.name}:{target.key}"
+        self._held = target.key if kind.impact is not Impact.OTHERS else f"{kind.name}:{target.key}"
         self._began, self._credited = shop.clock.mono(), True
         action = kind()
         self._missing = partial(action.waits_for, target, fault, shop.context)
@@ -99,7 +99,7 @@ class Repair:
 
     def release(self, *, worked: bool) -> None:
         """End the hold, and let the target go if that has not happened."""
-        self._acting.let_go()
+        self._acting.release_target()
         if worked and not self._credited:
             self._shop.pipeline.discredit(self._fault.unit)
         self._shop.hands.release(self._held, self, worked=worked)
@@ -111,32 +111,41 @@ class Repair:
         tell: Callable[[Phase, str], None],
         stopping: Callable[[], bool],
         wanted: Callable[[], bool] = lambda: False,
-    ) -> Verdict:
-        """wanted: whether another fault of the container calls for an action (`phm.recovery.proof.Meanwhile`)."""
+    ) -> AttemptOutcome:
+        """wanted: whether another fault of the container calls for an action (`phm.recovery.verification.VerificationHooks`)."""
         name, unit = self._kind.name, self._fault.unit
         tell(Phase.STARTED, f"{name} {self._target} for: {self._fault.result.summary}")
         done = self._acting.run()
         if not done.ok:
             not_done = done.forbidden or done.postponed
-            return Verdict(
-                False, done.detail, done.refused, excused=not_done, forbidden=done.forbidden, postponed=done.postponed
+            return AttemptOutcome(
+                False,
+                done.detail,
+                done.refused,
+                not_counted=not_done,
+                forbidden=done.forbidden,
+                postponed=done.postponed,
             )
         tell(Phase.DONE, done.detail)
-        proof = prove(self._shop, self._fault, self._target, self._kind, Meanwhile(stopping, self._settle, wanted))
-        if proof.overtaken:
-            words = f"{self._target} was started again by {proof.overtaken} before {name} was proven"
-            return Verdict(False, words, overtaken=True, excused=proof.excused)
+        proof = prove(
+            self._shop, self._fault, self._target, self._kind, VerificationHooks(stopping, self._settle, wanted)
+        )
+        if proof.superseded_by:
+            words = f"{self._target} was started again by {proof.superseded_by} before {name} was proven"
+            return AttemptOutcome(False, words, superseded=True, not_counted=proof.not_counted)
         # On the last rung nothing more can be done for what has not come back: it is told as faults of its own.
         if not proof.missing or (self._last and proof.missing != unit):
             took_s = self._shop.clock.mono() - self._began
             words = f"{unit} is OK again {took_s:.1f} s after the action began"
-            other = "there was nothing to do for it" if done.unneeded else self._acting.not_its_doing()
+            other = "there was nothing to do for it" if done.unneeded else self._acting.other_cause()
             self._credited = not other
-            return Verdict(True, f"{words}, and not by {name}: {other}" if other else words)
+            return AttemptOutcome(True, f"{words}, and not by {name}: {other}" if other else words)
         if proof.undecided:
-            return Verdict(False, f"{name} of {self._target}: {unit} is not known yet, and PHM waits", undecided=True)
+            return AttemptOutcome(
+                False, f"{name} of {self._target}: {unit} is not known yet, and PHM waits", undecided=True
+            )
         words = f"{name} of {self._target} did not bring {proof.missing} back"
-        return Verdict(False, words, excused=proof.excused, partly=proof.partly)
+        return AttemptOutcome(False, words, not_counted=proof.not_counted, partly=proof.partly)
 
     def _settle(self) -> None:
         self._shop.hands.release(self._held, self, worked=True)

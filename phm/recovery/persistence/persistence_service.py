@@ -1,4 +1,4 @@
-"""Gives the parts of a new PHM what an earlier one knew, and keeps what this one knows (`phm.recovery.state_file`)."""
+"""Gives the parts of a new PHM what an earlier one knew, and keeps what this one knows (`phm.recovery.persistence.state_file`)."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from phm.core.bus import Bus
 from phm.core.clock import Clock
 from phm.core.model import Event
 from phm.core.settings import Settings
-from phm.recovery.armed import ArmedMonitor
 from phm.recovery.executor import Executor
-from phm.recovery.state import RecoveryState, State
-from phm.recovery.state_file import Keeper, StateFile
+from phm.recovery.persistence.state import PersistedState, RecoveryState
+from phm.recovery.persistence.state_file import StateFile, StateWriter
+from phm.recovery.safety.armed_state import ArmedMonitor
 
 
-class Memory:
+class PersistenceService:
     """`restore` goes before the reporters start, `resume` after them and before the first result."""
 
     def __init__(
@@ -25,12 +25,12 @@ class Memory:
         self._pipeline, self._bus, self._clock = pipeline, bus, clock
         self._window_s = settings.recovery.window
         self._file = StateFile(settings.state_dir, clock)
-        self._state, self._warning = State(), ""
+        self._state, self._warning = PersistedState(), ""
         self._events: tuple[Event, ...] = ()
-        self._keeper: Keeper | None = None
+        self._keeper: StateWriter | None = None
         self._given = False
 
-    def restore(self, given: State | None = None) -> None:
+    def restore(self, given: PersistedState | None = None) -> None:
         """Put open faults back, from the file or as `given` by the daemon that this one replaces; nothing is published yet."""
         self._given = given is not None
         self._state, self._warning = (given, "") if given is not None else self._file.load(self._window_s)
@@ -48,18 +48,18 @@ class Memory:
             self._bus.publish(event)
         if not self._given:
             self._note_restored()
-        for cut_short in executor.restore(self._state):
-            self._note(cut_short)
+        for interrupted in executor.restore(self._state):
+            self._note(interrupted)
 
         def kept() -> RecoveryState:
             return replace(executor.kept(), armed=self._armed.kept() if self._armed is not None else None)
 
-        keeper = self._keeper = Keeper(self._file, self._pipeline, kept, self._clock)
+        keeper = self._keeper = StateWriter(self._file, self._pipeline, kept, self._clock)
         self._bus.subscribe(
             "state", keeper.handle, kinds=keeper.kinds, key=keeper.key, tick=keeper.tick, period_s=keeper.period_s
         )
 
-    def state(self) -> State:
+    def state(self) -> PersistedState:
         """What this PHM knows now, for one that replaces it."""
         return self._keeper.state() if self._keeper is not None else self._state
 

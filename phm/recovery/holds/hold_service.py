@@ -18,10 +18,10 @@ from phm.core.maintenance import LABEL, parse
 from phm.core.model import Event, HoldChanged
 from phm.core.settings import Settings
 from phm.facts import COMPLETE, CannotTell, ContainerFact, EventStreamFact
-from phm.recovery.armed import Armed, State
-from phm.recovery.dependants import dependants
-from phm.recovery.holds import ALL, MAX_TEXT, OPERATOR, STOP, WINDOW, Hold, Holds
-from phm.recovery.manual_stop import ManualStops, Verdict
+from phm.recovery.containers.dependents import dependents
+from phm.recovery.holds.hold_registry import ALL, MAX_TEXT, OPERATOR, STOP, WINDOW, Hold, HoldRegistry
+from phm.recovery.holds.manual_stop import ManualStopDetector, StopVerdict
+from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.wire.report import iso
 from phm.wire.text import one_line
 
@@ -44,7 +44,7 @@ LOOK_S = 0.1
 """While the event stream is closed, it is looked at this often."""
 STOP_MAX_S = 121.0
 """The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.docker_events.STOP_S`)."""
-_DONE = {Verdict.STOPPED: "stopped", Verdict.REMOVED: "removed"}
+_DONE = {StopVerdict.STOPPED: "stopped", StopVerdict.REMOVED: "removed"}
 
 
 class HoldRefused(Exception):
@@ -52,7 +52,7 @@ class HoldRefused(Exception):
 
 
 @dataclass(frozen=True)
-class HoldWorld:
+class HoldInputs:
     """What holds depend on.
 
     armed:     the vehicle's armed state; what is not known counts as in the air.
@@ -61,7 +61,7 @@ class HoldWorld:
     own:       whether what the engine does to a container may be PHM's doing: an action at work, or a call without an answer.
     """
 
-    armed: Callable[[], Armed]
+    armed: Callable[[], ArmedStatus]
     container: Callable[[str], ContainerFact | None]
     own: Callable[[str], bool]
     stream: Callable[[], EventStreamFact] = lambda: COMPLETE
@@ -73,16 +73,16 @@ class HoldService:
     def __init__(
         self,
         settings: Settings,
-        holds: Holds,
+        holds: HoldRegistry,
         pipeline: Pipeline,
         publish: Callable[[Event], None],
         clock: Clock,
-        world: HoldWorld,
+        world: HoldInputs,
     ) -> None:
         self._settings, self._rules, self._holds, self._pipeline = settings, settings.recovery, holds, pipeline
         self._publish, self._clock, self._world = publish, clock, world
         self._keys = tuple(entry.key for entry in settings.containers)
-        self._stops = ManualStops()
+        self._stops = ManualStopDetector()
         holds.explained_until = self._explained_until
         self._flew: bool | None = None
         self._complained: set[tuple[str, str]] = set()
@@ -165,7 +165,7 @@ class HoldService:
         replaced = self._not_stopped(now)
         with self._lock:
             for key, verdict in self._stops.due(now):
-                self._stopped(key, Verdict.CRASHED if key in replaced else verdict)
+                self._stopped(key, StopVerdict.CRASHED if key in replaced else verdict)
             self._end([hold for hold in self._holds.all() if now >= hold.until], "its time is over")
             self._take_off()
             windows = self._look_at_windows(now)
@@ -235,8 +235,8 @@ class HoldService:
         self._holds.mark_stopped(key, False)
         self._end([hold for hold in self._of_source(STOP) if hold.target == key], "it was started again")
 
-    def _stopped(self, key: str, verdict: Verdict) -> None:
-        if verdict is not Verdict.CRASHED and self._holds.on(key, self._clock.mono()) is None:
+    def _stopped(self, key: str, verdict: StopVerdict) -> None:
+        if verdict is not StopVerdict.CRASHED and self._holds.on(key, self._clock.mono()) is None:
             self._judge_stop(key, _DONE[verdict])
         self._apply([key])
 
@@ -270,7 +270,7 @@ class HoldService:
 
     def _flying(self) -> bool:
         """Whether the vehicle is armed for certain."""
-        return self._world.armed().state is State.ARMED
+        return self._world.armed().state is ArmedState.ARMED
 
     def _take_off(self) -> None:
         """Nothing that was put on hold on the ground stays so in the air, but what an operator wants and can be missed."""
@@ -352,11 +352,11 @@ class HoldService:
             )
 
     def _critical(self, keys: Iterable[str]) -> bool:
-        """Whether one of these is flight-critical, or something is that it would take down (`phm.recovery.dependants`)."""
+        """Whether one of these is flight-critical, or something is that it would take down (`phm.recovery.containers.dependents`)."""
         entries = self._settings.containers
         critical = {entry.key for entry in entries if entry.flight_critical}
         facts = dict(self._facts)
-        return bool(critical) and any(critical & {key, *dependants(key, facts, entries)} for key in keys)
+        return bool(critical) and any(critical & {key, *dependents(key, facts, entries)} for key in keys)
 
     def _refuse_in_flight(self, container: str) -> None:
         keys = [key for key in self._keys if container in (ALL, key)]
@@ -372,7 +372,7 @@ class HoldService:
         It is not refused: a hold does nothing, and a bench has no autopilot. Armed includes a silence after armed.
         """
         armed, keys = self._world.armed(), [key for key in self._keys if container in (ALL, key)]
-        if armed.state is not State.UNKNOWN or not self._critical(keys):
+        if armed.state is not ArmedState.UNKNOWN or not self._critical(keys):
             return ""
         return f"; the vehicle is not known to be disarmed ({armed.why}): the hold ends when the autopilot is armed"
 

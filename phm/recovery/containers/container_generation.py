@@ -35,12 +35,12 @@ SETTLED_S = 0.5
 
 
 def by_phm(whose: str) -> str:
-    """`Life.by` of a life that PHM began for the sake of container `whose`."""
+    """`Generation.by` of a life that PHM began for the sake of container `whose`."""
     return f"phm:{whose}"
 
 
 @dataclass(frozen=True, slots=True)
-class Life:
+class Generation:
     """One life of a container, from one start to the next; `id` and `started` are the engine's and name it.
 
     since: when it was first seen in place of another (monotonic seconds), None when it was there at the first look.
@@ -65,24 +65,26 @@ class Life:
         name = self.by.removeprefix("phm:")
         return name if name != self.by else ""
 
-    def same(self, other: Life | None) -> bool:
+    def same(self, other: Generation | None) -> bool:
         return other is not None and (self.id, self.started) == (other.id, other.started)
 
 
-def follow(old: Life | None, fact: ContainerFact, now: float, lasting_s: float, phm_for: str = "") -> Life:
+def next_generation(
+    old: Generation | None, fact: ContainerFact, now: float, lasting_s: float, phm_for: str = ""
+) -> Generation:
     """The life that `fact` shows, after `old`. `phm_for`: the container for whose sake PHM is acting on this one."""
     if old is None:
-        return Life(fact.id, fact.started_at)
+        return Generation(fact.id, fact.started_at)
     if (old.id, old.started) == (fact.id, fact.started_at):
         return old
     if old.id != fact.id:
         replaced_s = float("inf") if old.made is None else now - old.made
-        return Life(fact.id, fact.started_at, now, now, RECREATED if replaced_s >= lasting_s else OTHERS)
+        return Generation(fact.id, fact.started_at, now, now, RECREATED if replaced_s >= lasting_s else OTHERS)
     by = by_phm(phm_for) if phm_for else ENGINE if fact.restart_count else OTHERS
-    return Life(fact.id, fact.started_at, now, old.made, by)
+    return Generation(fact.id, fact.started_at, now, old.made, by)
 
 
-def counts_anew(life: Life, fact: ContainerFact, now: float, lasting_s: float) -> bool:
+def resets_attempts(life: Generation, fact: ContainerFact, now: float, lasting_s: float) -> bool:
     """Whether attempts made before this life say nothing about it."""
     if life.since is None or life.by == RECREATED:
         return life.by == RECREATED
@@ -107,7 +109,7 @@ class _Actor:
         return self.unanswered <= 0 or now >= self.until
 
 
-class Lives:
+class GenerationTracker:
     """The newest known life of each container. Thread-safe.
 
     Invariant: a container's entries are changed with its own lock held, from the question to the engine until the answer
@@ -116,28 +118,28 @@ class Lives:
 
     def __init__(self, look: Callable[[str], ContainerFact | None], clock: Clock, lasting_s: float) -> None:
         self._ask, self._clock, self._lasting_s = look, clock, lasting_s
-        self._lives: dict[str, Life] = {}
+        self._lives: dict[str, Generation] = {}
         self._actors: dict[str, _Actor] = {}
         self._locks: dict[str, threading.Lock] = {}
 
-    def restore(self, known: Mapping[str, Life]) -> None:
+    def restore(self, known: Mapping[str, Generation]) -> None:
         """What an earlier run of PHM knew; before any look."""
         self._lives.update(known)
 
-    def kept(self) -> dict[str, Life]:
+    def kept(self) -> dict[str, Generation]:
         return dict(self._lives)
 
-    def look(self, key: str) -> Life | None:
+    def look(self, key: str) -> Generation | None:
         """The life at hand; the last known one when nobody can tell."""
         with self._lock(key):
             self._see(key)
             return self._lives.get(key)
 
-    def begun_anew(self, key: str) -> float | None:
+    def external_start(self, key: str) -> float | None:
         """When a life began that makes attempts count anew (monotonic seconds); said once for each such life."""
         with self._lock(key):
             fact, life = self._see(key), self._lives.get(key)
-            if life is None or fact is None or not counts_anew(life, fact, self._clock.mono(), self._lasting_s):
+            if life is None or fact is None or not resets_attempts(life, fact, self._clock.mono(), self._lasting_s):
                 return None
             self._lives[key] = replace(life, by=COUNTED)
             return life.since
@@ -195,7 +197,7 @@ class Lives:
             return None
         phm_for = actor.who if actor is not None else ""
         old = self._lives.get(key)
-        life = self._lives[key] = follow(old, fact, self._clock.mono(), self._lasting_s, phm_for)
+        life = self._lives[key] = next_generation(old, fact, self._clock.mono(), self._lasting_s, phm_for)
         if actor is not None:
             if life is not old and life.whose:
                 actor.unanswered -= 1

@@ -6,28 +6,28 @@ from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
 from phm.facts import NotPermitted
 from phm.recovery.actions._networks import missing, network_id, not_there
-from phm.recovery.base import Action, ActionContext, Unneeded
+from phm.recovery.base import Action, ActionContext, NotNeeded
 
 
-class Join(Action):
+class JoinNetwork(Action):
     """Connect PHM's own container to the networks of a container, so that it can see its nodes."""
 
-    name = "join"
+    name = "join_network"
     starts = False
-    on_myself = True
+    on_phm_itself = True
 
     # A network that PHM's container is on is there at once.
-    shows_s = 1.0
+    still_bad_after_s = 1.0
 
     def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
         gone = missing(target.networks, context)
         return not_there(gone) if gone and len(gone) == len(target.networks) else ""
 
     def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        return join(target, context) or Unneeded(f"PHM is on the networks of {target.key} already")
+        return join_networks(target, context) or NotNeeded(f"PHM is on the networks of {target.key} already")
 
 
-def join(target: ContainerSettings, context: ActionContext) -> str:
+def join_networks(target: ContainerSettings, context: ActionContext) -> str:
     """Join every network of `target` that exists and PHM's container is not on; what was joined, in words, or empty."""
     me = context.myself()
     if me is None or me.network_mode == "host":

@@ -2,7 +2,7 @@
 
 Pure: `encode` makes the document of `state.json` and `decode` reads it back. Times are kept on both clocks with the
 boot of the machine that they belong to: on the same boot the monotonic clock goes on; on another, ages are
-differences of UTC, never negative. On the disk it is `phm.recovery.state_file`'s.
+differences of UTC, never negative. On the disk it is `phm.recovery.persistence.state_file`'s.
 """
 
 from __future__ import annotations
@@ -13,47 +13,45 @@ from typing import Any
 
 from phm.core.clock import MAX_STEPS
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.armed import LastKnown
-from phm.recovery.history import CLEAN_S, KEPT, Attempt
-from phm.recovery.holds import MAX_DONE, MAX_HOLDS, Hold, KeptHold, carried
-from phm.recovery.lives import Life
-from phm.recovery.relief import Lowered
+from phm.recovery.containers.container_generation import Generation
+from phm.recovery.containers.cpu_weights import LoweredWeight
+from phm.recovery.history import CLEAN_S, KEPT, AttemptRecord
+from phm.recovery.holds.hold_registry import MAX_DONE, MAX_HOLDS, Hold, PersistedHold, carried
+from phm.recovery.safety.armed_state import LastArmedState
 
-VERSION = 2
-READ = (1, 2)
-"""1 knew of no lives, and of no attempts that do not count."""
+VERSION = 3
 MAX_FAULTS = 256
 MAX_TARGETS = 64
 MAX_TEXT = 2000
-MAX_TOLD = 32
+MAX_REPORTED = 32
 MAX_SHARES = 262144
 """The largest CPU weight that the kernel knows."""
 FAULT_AGE_S = 7 * 86400.0
 """A fault is never taken to be older than this: a clock that was set explains more."""
 
 
-class Unbelievable(Exception):
+class InvalidState(Exception):
     """The state file is not what PHM writes; the message says in what way."""
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
-    """What recovery knows of one open fault. `told` is what was said of it, so as not to say it twice.
+class PersistedCase:
+    """What recovery knows of one open fault. `reported` is what was published about it, so that it is not published twice.
 
     approved: the action that an operator has approved and that was not begun; empty: none.
     """
 
     refused: bool = False
-    told: tuple[str, ...] = ()
+    reported: tuple[str, ...] = ()
     approved: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class UnderWay:
+class UnfinishedAction:
     """An action that had started and not ended."""
 
     fault: str
-    attempt: Attempt
+    attempt: AttemptRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +61,24 @@ class RecoveryState:
     unfinished: containers on which PHM was acting, dependants included, with the container for whose sake.
     """
 
-    attempts: Mapping[str, tuple[Attempt, ...]] = field(default_factory=dict)
-    cases: Mapping[str, Case] = field(default_factory=dict)
-    under_way: Mapping[str, UnderWay] = field(default_factory=dict)
-    lives: Mapping[str, Life] = field(default_factory=dict)
-    armed: LastKnown | None = None
+    attempts: Mapping[str, tuple[AttemptRecord, ...]] = field(default_factory=dict)
+    cases: Mapping[str, PersistedCase] = field(default_factory=dict)
+    under_way: Mapping[str, UnfinishedAction] = field(default_factory=dict)
+    generations: Mapping[str, Generation] = field(default_factory=dict)
+    armed: LastArmedState | None = None
     """The last certain armed state of the vehicle."""
     unfinished: Mapping[str, str] = field(default_factory=dict)
-    holds: tuple[KeptHold, ...] = ()
+    holds: tuple[PersistedHold, ...] = ()
     stops: tuple[str, ...] = ()
     """Containers that an operator stopped, where PHM only advises then."""
     windows: tuple[tuple[str, str], ...] = ()
     """Maintenance windows that are over, by target and beginning."""
-    lowered: tuple[Lowered, ...] = ()
+    lowered: tuple[LoweredWeight, ...] = ()
     """CPU weights to put back."""
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class PersistedState:
     """All that is kept."""
 
     faults: tuple[Fault, ...] = ()
@@ -93,7 +91,7 @@ class State:
 # ---------------------------------------------------------------- to and from JSON
 
 
-def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
+def encode(state: PersistedState, boot: str, now: Stamp) -> dict[str, Any]:
     """The document; everything in it is capped. `boot` is the machine's boot id."""
     recovery = state.recovery
     newest = sorted(recovery.attempts.items(), key=lambda item: item[1][-1].at if item[1] else 0.0)[-MAX_TARGETS:]
@@ -107,7 +105,7 @@ def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
         "cases": {
             name: {
                 "refused": case.refused,
-                "told": [text[:MAX_TEXT] for text in case.told[:MAX_TOLD]],
+                "reported": [text[:MAX_TEXT] for text in case.reported[:MAX_REPORTED]],
                 "approved": case.approved[:MAX_TEXT],
             }
             for name, case in list(recovery.cases.items())[:MAX_FAULTS]
@@ -120,33 +118,33 @@ def encode(state: State, boot: str, now: Stamp) -> dict[str, Any]:
         "windows": [list(window) for window in recovery.windows[-MAX_DONE:]],
         "lowered": [asdict(entry) for entry in recovery.lowered[:MAX_TARGETS]],
         "holds": [_hold(kept) for kept in recovery.holds[:MAX_HOLDS]],
-        "lives": {target: _life(life, now) for target, life in list(recovery.lives.items())[:MAX_TARGETS]},
+        "generations": {target: _life(life, now) for target, life in list(recovery.generations.items())[:MAX_TARGETS]},
         "armed": None if recovery.armed is None else _last_known(recovery.armed, now),
         "unfinished": dict(list(recovery.unfinished.items())[:MAX_TARGETS]),
         "clock": [list(period) for period in state.clock[-MAX_STEPS:]],
     }
 
 
-def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
+def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedState:
     """The state of `document` with its times on the clocks of now. Raises Unbelievable.
 
     window_s: attempts are never taken to be older than this (their budget and back-off are over by then).
     """
     if not isinstance(document, dict):
-        raise Unbelievable("it holds no JSON object")
-    if document.get("v") not in READ:
-        raise Unbelievable(f"its version is {str(document.get('v'))[:20]!r}, this PHM writes {VERSION}")
+        raise InvalidState("it holds no JSON object")
+    if document.get("v") != VERSION:
+        raise InvalidState(f"its version is {str(document.get('v'))[:20]!r}, this PHM writes {VERSION}")
     try:
         same = bool(boot) and document["boot"] == boot
 
         def carried(stamp: Stamp, most_s: float) -> Stamp:
-            return carry(stamp, now, same_boot=same, most_s=most_s)
+            return convert_time(stamp, now, same_boot=same, most_s=most_s)
 
-        def attempt(body: Any) -> Attempt:
+        def attempt(body: Any) -> AttemptRecord:
             when = carried(_read_stamp(body["at"]), max(window_s, CLEAN_S))
             unit, condition, action = (str(body[key]) for key in ("unit", "condition", "action"))
-            flags = (body.get(key) is True for key in ("worked", "eased", "excused", "partly"))
-            return Attempt(when.mono, unit, condition, action, *flags)
+            flags = (body.get(key) is True for key in ("worked", "backoff_reset", "not_counted", "partly"))
+            return AttemptRecord(when.mono, unit, condition, action, *flags)
 
         def fault(body: Any) -> Fault:
             return _read_fault(body, carried(_read_stamp(body["opened"]), FAULT_AGE_S))
@@ -154,14 +152,14 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
         def moment(body: Any) -> float | None:
             return None if body is None else carried(_read_stamp(body), max(window_s, CLEAN_S)).mono
 
-        def last_known(body: Any) -> LastKnown | None:
+        def last_known(body: Any) -> LastArmedState | None:
             if body is None:
                 return None
-            return LastKnown(body["armed"] is True, carried(_read_stamp(body["since"]), FAULT_AGE_S).mono)
+            return LastArmedState(body["armed"] is True, carried(_read_stamp(body["since"]), FAULT_AGE_S).mono)
 
-        def life(body: Any) -> Life:
+        def life(body: Any) -> Generation:
             name, started, by = (str(body[key])[:MAX_TEXT] for key in ("id", "started", "by"))
-            return Life(name, started, moment(body["since"]), moment(body["made"]), by)
+            return Generation(name, started, moment(body["since"]), moment(body["made"]), by)
 
         recovery = RecoveryState(
             {
@@ -169,18 +167,18 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
                 for target, made in list(document["attempts"].items())[:MAX_TARGETS]
             },
             {
-                str(name): Case(
+                str(name): PersistedCase(
                     case["refused"] is True,
-                    tuple(str(text) for text in case["told"][:MAX_TOLD]),
-                    str(case.get("approved", ""))[:MAX_TEXT],
+                    tuple(str(text) for text in case["reported"][:MAX_REPORTED]),
+                    str(case["approved"])[:MAX_TEXT],
                 )
                 for name, case in list(document["cases"].items())[:MAX_FAULTS]
             },
             {
-                str(target): UnderWay(str(action["fault"]), attempt(action["attempt"]))
+                str(target): UnfinishedAction(str(action["fault"]), attempt(action["attempt"]))
                 for target, action in list(document["under_way"].items())[:MAX_TARGETS]
             },
-            {str(target): life(body) for target, body in list(document.get("lives", {}).items())[:MAX_TARGETS]},
+            {str(target): life(body) for target, body in list(document["generations"].items())[:MAX_TARGETS]},
             last_known(document.get("armed")),
             {
                 str(key)[:MAX_TEXT]: str(who)[:MAX_TEXT]
@@ -193,14 +191,14 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> State:
         )
         faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
         clock = tuple((float(offset), float(begin)) for offset, begin in document.get("clock", [])[-MAX_STEPS:])
-        return State(
+        return PersistedState(
             faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery, clock if same else ()
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise Unbelievable(f"a part of it is wrong: {type(error).__name__}: {str(error)[:80]}") from None
+        raise InvalidState(f"a part of it is wrong: {type(error).__name__}: {str(error)[:80]}") from None
 
 
-def carry(then: Stamp, now: Stamp, *, same_boot: bool, most_s: float) -> Stamp:
+def convert_time(then: Stamp, now: Stamp, *, same_boot: bool, most_s: float) -> Stamp:
     """A moment of an earlier run of PHM on the monotonic clock of now: never in the future, at most `most_s` ago."""
     age_s = now.mono - then.mono if same_boot else now.utc - then.utc
     return Stamp(then.utc, now.mono - min(max(age_s, 0.0), most_s))
@@ -222,7 +220,7 @@ def _moment(mono: float, now: Stamp) -> dict[str, float]:
     return {"utc": round(now.utc - (now.mono - mono), 2), "mono": mono}
 
 
-def _life(life: Life, now: Stamp) -> dict[str, Any]:
+def _life(life: Generation, now: Stamp) -> dict[str, Any]:
     return {
         "id": life.id[:MAX_TEXT],
         "started": life.started[:MAX_TEXT],
@@ -232,11 +230,11 @@ def _life(life: Life, now: Stamp) -> dict[str, Any]:
     }
 
 
-def _last_known(last: LastKnown, now: Stamp) -> dict[str, Any]:
+def _last_known(last: LastArmedState, now: Stamp) -> dict[str, Any]:
     return {"armed": last.armed, "since": _moment(last.since, now)}
 
 
-def _hold(kept: KeptHold) -> dict[str, Any]:
+def _hold(kept: PersistedHold) -> dict[str, Any]:
     hold = kept.hold
     return {
         "target": hold.target,
@@ -249,7 +247,7 @@ def _hold(kept: KeptHold) -> dict[str, Any]:
     }
 
 
-def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> KeptHold:
+def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> PersistedHold:
     target, source, by, reason, occurrence = (
         str(body[key])[:MAX_TEXT] for key in ("target", "source", "by", "reason", "occurrence")
     )
@@ -257,26 +255,26 @@ def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> KeptHold:
     if not (abs(until) < 1e12 and abs(left_s) < 1e12):
         raise ValueError("the end of a hold is not a time")
     hold = carried(Hold(target, source, until, by, reason, occurrence), left_s, now.mono, same_boot=same_boot)
-    return KeptHold(hold, hold.until - now.mono)
+    return PersistedHold(hold, hold.until - now.mono)
 
 
-def _read_lowered(body: Any) -> Lowered:
+def _read_lowered(body: Any) -> LoweredWeight:
     shares = int(body["shares"])
     if not 2 <= shares <= MAX_SHARES:
         raise ValueError("a CPU weight that no container has")
     key, container, unit = (str(body[part])[:MAX_TEXT] for part in ("key", "id", "unit"))
-    return Lowered(key, container, shares, unit)
+    return LoweredWeight(key, container, shares, unit)
 
 
-def _attempt(attempt: Attempt, now: Stamp) -> dict[str, Any]:
+def _attempt(attempt: AttemptRecord, now: Stamp) -> dict[str, Any]:
     return {
         "at": _moment(attempt.at, now),
         "unit": attempt.unit,
         "condition": attempt.condition,
         "action": attempt.action,
         "worked": attempt.worked,
-        "eased": attempt.eased,
-        "excused": attempt.excused,
+        "backoff_reset": attempt.backoff_reset,
+        "not_counted": attempt.not_counted,
         "partly": attempt.partly,
     }
 

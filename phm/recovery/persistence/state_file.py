@@ -18,7 +18,7 @@ from pathlib import Path
 from phm.checking.pipeline import Pipeline
 from phm.core.clock import Clock
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, HoldChanged
-from phm.recovery.state import RecoveryState, State, Unbelievable, decode, encode
+from phm.recovery.persistence.state import InvalidState, PersistedState, RecoveryState, decode, encode
 from phm.wire.status_file import place
 
 NAME = "state.json"
@@ -38,21 +38,24 @@ class StateFile:
         self._clock = clock
         self._boot = place()["machine_boot"] if boot is None else boot
 
-    def load(self, window_s: float) -> tuple[State, str]:
+    def load(self, window_s: float) -> tuple[PersistedState, str]:
         """The state, empty when there is none, and a sentence when a file had to be set aside or cannot be read."""
         try:
             with self.path.open("rb") as stream:
                 data = stream.read(MAX_BYTES + 1)
         except FileNotFoundError:
-            return State(), ""
+            return PersistedState(), ""
         except OSError as error:
-            return State(), f"cannot read {self.path}: {error.strerror or error}; PHM starts without what it knew"
+            return (
+                PersistedState(),
+                f"cannot read {self.path}: {error.strerror or error}; PHM starts without what it knew",
+            )
         try:
             return self._parse(data, window_s), ""
-        except Unbelievable as error:
-            return State(), self._set_aside(str(error))
+        except InvalidState as error:
+            return PersistedState(), self._set_aside(str(error))
 
-    def save(self, state: State) -> None:
+    def save(self, state: PersistedState) -> None:
         """Replace the file. Raises OSError."""
         data = json.dumps(encode(state, self._boot, self._clock.stamp()), separators=(",", ":")).encode("ascii")
         if len(data) > MAX_BYTES:
@@ -73,13 +76,13 @@ class StateFile:
         finally:
             os.close(folder)
 
-    def _parse(self, data: bytes, window_s: float) -> State:
+    def _parse(self, data: bytes, window_s: float) -> PersistedState:
         if len(data) > MAX_BYTES:
-            raise Unbelievable(f"it is larger than {MAX_BYTES} bytes")
+            raise InvalidState(f"it is larger than {MAX_BYTES} bytes")
         try:
             document = json.loads(data)
         except (ValueError, RecursionError):
-            raise Unbelievable("it is no JSON") from None
+            raise InvalidState("it is no JSON") from None
         return decode(document, self._boot, self._clock.stamp(), window_s)
 
     def _set_aside(self, reason: str) -> str:
@@ -96,7 +99,7 @@ class StateFile:
         return f"{self.path} is not believed ({reason}): set aside as {aside.name}, PHM starts without what it knew"
 
 
-class Keeper:
+class StateWriter:
     """A subscriber of the bus that keeps the file as things are. All but `problem` runs in the bus's thread."""
 
     kinds = (FaultOpened, FaultClosed, ActionEvent, HoldChanged)
@@ -106,7 +109,7 @@ class Keeper:
         self, file: StateFile, pipeline: Pipeline, recovery: Callable[[], RecoveryState], clock: Clock
     ) -> None:
         self._file, self._pipeline, self._recovery, self._clock = file, pipeline, recovery, clock
-        self._written: State | None = None
+        self._written: PersistedState | None = None
         self._tried_at = float("-inf")
         self._problem = ""
 
@@ -135,10 +138,10 @@ class Keeper:
         else:
             self._written, self._problem = state, ""
 
-    def state(self) -> State:
+    def state(self) -> PersistedState:
         """What is to be kept, as it is now; any thread may ask."""
         faults, given_up = plain(self._pipeline.open_faults()), plain(self._pipeline.given_up())
-        return State(faults, given_up, self._recovery(), self._clock.steps.kept())
+        return PersistedState(faults, given_up, self._recovery(), self._clock.steps.kept())
 
     def problem(self) -> str:
         return self._problem

@@ -21,11 +21,11 @@ from phm.facts import CannotTell
 POLL_S = 0.05
 
 
-class InOtherHands(CannotTell):
+class TargetBusy(CannotTell):
     """Another repair is at work on the container."""
 
 
-class Hands:
+class TargetLocks:
     """One for all workers. An owner is whatever stands for one repair; it is told from others by identity.
 
     Invariant: `_holder` has at most one owner for a container, `_wants` at most one container for an owner.
@@ -44,7 +44,7 @@ class Hands:
         with self._lock:
             return self._holder.setdefault(key, owner) is owner
 
-    def let_go(self, key: str, owner: object) -> None:
+    def release_target(self, key: str, owner: object) -> None:
         with self._lock:
             if self._holder.get(key) is owner:
                 del self._holder[key]
@@ -58,9 +58,9 @@ class Hands:
             yield
         finally:
             self._moved_at[key] = self._clock.mono()
-            self.let_go(key, owner)
+            self.release_target(key, owner)
 
-    def moved_at(self, key: str) -> float:
+    def dependent_restart_at(self, key: str) -> float:
         """When the container was last restarted for another's sake (monotonic seconds), infinite while it is, -inf: never.
 
         What was found before says nothing about how it is now.
@@ -74,9 +74,9 @@ class Hands:
                 with self._lock:
                     self._wants[owner] = key
                     if self._circle(key, owner):
-                        raise InOtherHands(f"{key} is in the hands of a repair that waits for this one")
+                        raise TargetBusy(f"{key} is in the hands of a repair that waits for this one")
                 if self._clock.mono() >= end:
-                    raise InOtherHands(f"another repair had {key} in hand for {at_most_s:g} s")
+                    raise TargetBusy(f"another repair had {key} in hand for {at_most_s:g} s")
                 self._clock.wait(threading.Event(), POLL_S)
         finally:
             with self._lock:

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from phm.core.model import Fault, Level, Result
 from phm.recovery.base import Action
-from phm.recovery.lives import ENGINE, Life, by_phm
+from phm.recovery.containers.container_generation import ENGINE, Generation, by_phm
 from phm.recovery.policy import OUTSIDE
 from phm.recovery.shop import Shop
 
@@ -19,7 +19,7 @@ STILL_BAD_S = 2.0
 """A run that began this long after the action (beyond the unit's grace) and is still ERROR ends the wait."""
 
 
-class Seen(Protocol):
+class CheckResults(Protocol):
     """What runs have found; `phm.checking.pipeline.Pipeline` is one."""
 
     def well_since(self, unit: str, mono: float) -> bool: ...
@@ -32,7 +32,7 @@ class Seen(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Proof:
+class VerificationResult:
     """How it ended. Proven when both are empty.
 
     missing:   the first unit that has not come back.
@@ -44,67 +44,71 @@ class Proof:
     """
 
     missing: str = ""
-    overtaken: str = ""
-    excused: bool = False
+    superseded_by: str = ""
+    not_counted: bool = False
     partly: bool = False
     undecided: bool = False
 
 
 @dataclass(slots=True)
-class Proving:
+class Verification:
     """The proof of one action that was over at `done` (monotonic seconds). Pure.
 
     The unit itself gets `verify_s`, less when it is surely still bad, more while its check says that only time can tell
-    (a HEALTHCHECK that is `starting`); what needs it gets its grace. Runs count that began `proof_s` after the action, which is
-    the action's own, as are `shows_s` and `follow_s` (`phm.recovery.base.Action`).
+    (a HEALTHCHECK that is `starting`); what needs it gets its grace. Runs count that began `verify_after_s` after the action, which is
+    the action's own, as are `still_bad_after_s` and `dependents_within_s` (`phm.recovery.base.Action`).
     """
 
     unit: str
     done: float
-    proof_s: float
+    verify_after_s: float
     verify_s: float
     grace_s: Callable[[str], float]
-    shows_s: float | None = None
-    follow_s: float | None = None
+    still_bad_after_s: float | None = None
+    dependents_within_s: float | None = None
     waiting: tuple[str, ...] = ()
     """Units that have not come back."""
     starved: bool = False
     """It was short of the processor, memory or the disk at some time since."""
 
-    def verdict(self, seen: Seen, now: float) -> Proof | None:
+    def verdict(self, seen: CheckResults, now: float) -> VerificationResult | None:
         """None: to be seen."""
         self.waiting = (self.unit,)
         self.starved = self.starved or bool(seen.starving(self.unit))
         # What starts without the processor or the disk that it needs gets as much more as recovery waits for anything.
         more_s = self.verify_s if self.starved else 0.0
         if not seen.well_since(self.unit, self.done):
-            late = self.done + (self.grace_s(self.unit) + STILL_BAD_S if self.shows_s is None else self.shows_s)
+            late = self.done + (
+                self.grace_s(self.unit) + STILL_BAD_S if self.still_bad_after_s is None else self.still_bad_after_s
+            )
             newest = seen.newest(self.unit, late + more_s)
             if newest is not None and newest.level is Level.ERROR:
-                return Proof(missing=self.unit, excused=newest.condition in OUTSIDE or self.starved)
+                return VerificationResult(missing=self.unit, not_counted=newest.condition in OUTSIDE or self.starved)
             decides_s = self.decides_s(seen)
             if now - self.done <= self.verify_s + decides_s + more_s:
                 return None
-            return Proof(missing=self.unit, undecided=decides_s > 0, excused=self.starved)
-        suffering = seen.suffering(self.unit, self.done + self.proof_s)
-        if not suffering and seen.well_since(self.unit, self.done + self.proof_s):
-            return Proof()
+            return VerificationResult(missing=self.unit, undecided=decides_s > 0, not_counted=self.starved)
+        suffering = seen.suffering(self.unit, self.done + self.verify_after_s)
+        if not suffering and seen.well_since(self.unit, self.done + self.verify_after_s):
+            return VerificationResult()
         self.waiting = suffering or self.waiting
-        longest_s = self.follow_s
+        longest_s = self.dependents_within_s
         if longest_s is None:
-            longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.proof_s
+            longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.verify_after_s
         if now - self.done <= longest_s + more_s:
             return None
-        return Proof(missing=self.waiting[0], partly=self.waiting[0] != self.unit, excused=self.starved)
+        return VerificationResult(
+            missing=self.waiting[0], partly=self.waiting[0] != self.unit, not_counted=self.starved
+        )
 
-    def decides_s(self, seen: Seen) -> float:
+    def decides_s(self, seen: CheckResults) -> float:
         """How long the unit's check needs from the start of the container, as it now says; 0: it does not wait for time."""
         newest = seen.newest(self.unit, self.done)
         return (newest.decides_s or 0.0) if newest is not None and newest.level is Level.STALE else 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Meanwhile:
+class VerificationHooks:
     """What a long verification must not hold back.
 
     stopping: PHM ends.
@@ -118,11 +122,21 @@ class Meanwhile:
     wanted: Callable[[], bool] = lambda: False
 
 
-def prove(shop: Shop, fault: Fault, target: str, kind: type[Action], meanwhile: Meanwhile) -> Proof:
+def prove(
+    shop: Shop, fault: Fault, target: str, kind: type[Action], meanwhile: VerificationHooks
+) -> VerificationResult:
     """Wait for the verdict. A life of the container that is not this action's doing ends the wait."""
     clock, pipeline = shop.clock, shop.pipeline
     verify_s = shop.context.settings.recovery.verify
-    proving = Proving(fault.unit, clock.mono(), kind.proof_s, verify_s, shop.grace_s, kind.shows_s, kind.follow_s)
+    proving = Verification(
+        fault.unit,
+        clock.mono(),
+        kind.verify_after_s,
+        verify_s,
+        shop.grace_s,
+        kind.still_bad_after_s,
+        kind.dependents_within_s,
+    )
     mine = shop.lives.look(target)
     asked, settled = float("-inf"), False
     while not meanwhile.stopping():
@@ -130,7 +144,7 @@ def prove(shop: Shop, fault: Fault, target: str, kind: type[Action], meanwhile: 
         look_again = now - asked >= LOOK_AGAIN_S
         if look_again:
             asked = now
-            taken = overtaken(shop.lives.look(target), mine, target)
+            taken = superseded(shop.lives.look(target), mine, target)
             if taken is not None:
                 return taken
         proof = proving.verdict(pipeline, now)
@@ -140,16 +154,18 @@ def prove(shop: Shop, fault: Fault, target: str, kind: type[Action], meanwhile: 
             settled = True
             meanwhile.settled()
         if look_again and settled and meanwhile.wanted():
-            return Proof(missing=fault.unit, undecided=True)
+            return VerificationResult(missing=fault.unit, undecided=True)
         if look_again:
             pipeline.look_again(fault.unit, *proving.waiting)
         clock.wait(threading.Event(), POLL_S)
-    return Proof(missing=fault.unit)
+    return VerificationResult(missing=fault.unit)
 
 
-def overtaken(now: Life | None, mine: Life | None, target: str) -> Proof | None:
+def superseded(now: Generation | None, mine: Generation | None, target: str) -> VerificationResult | None:
     """The engine's own restart policy overtakes nobody: whether the container is well then is what is to be proven."""
     if now is None or mine is None or now.same(mine) or now.by in (ENGINE, by_phm(target)):
         return None
     whose = now.whose
-    return Proof(overtaken=f"the repair of {whose}" if whose else "somebody else", excused=bool(whose))
+    return VerificationResult(
+        superseded_by=f"the repair of {whose}" if whose else "somebody else", not_counted=bool(whose)
+    )

@@ -17,7 +17,7 @@ class NotNow(Exception):
     """It is not done now and may be later; the message says why."""
 
 
-def permit(
+def check_permitted(
     container: ContainerSettings | None, history: History, now: float, *, forbidden: str, settings: RecoverySettings
 ) -> None:
     """Raises NotAllowed and NotNow. Mode `advise` does not bind: the operator has decided. Nor does back-off.
@@ -38,7 +38,7 @@ def permit(
         raise NotNow(f"the budget of {settings.budget} actions on {container.key} is used up for {left_s:.0f} s")
 
 
-def stand_in(state: UnitState, target: str, by: str, now: Stamp) -> Fault:
+def request_as_fault(state: UnitState, target: str, by: str, now: Stamp) -> Fault:
     """What the restart is done for, in the form that a repair takes: no fault is open, so it has no id."""
     result = Result(Level.ERROR, f"asked for by {by}", "restart asked", CONDITION, target)
     return Fault("", state.unit, state.slot, state.layer, result, now)

@@ -17,7 +17,7 @@ REBOOT_S = 30.0
 """An autopilot that rebooted while armed says disarmed at first, also in the air: not relied on for so long."""
 
 
-class State(str, Enum):
+class ArmedState(str, Enum):
     """ARMED also when the last that is known is armed; UNKNOWN: neither armed nor reliably disarmed."""
 
     DISARMED = "disarmed"
@@ -26,55 +26,59 @@ class State(str, Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Armed:
+class ArmedStatus:
     """The judged state, and the evidence in words, e.g. ``the autopilot has been silent for 5 s``."""
 
-    state: State
+    state: ArmedState
     why: str
 
     @property
     def shut(self) -> bool:
         """Whether what is flight-critical must be left alone."""
-        return self.state is not State.DISARMED
+        return self.state is not ArmedState.DISARMED
 
 
 @dataclass(frozen=True, slots=True)
-class LastKnown:
+class LastArmedState:
     """What survives a restart of PHM; `since`: when it was first found to be so (monotonic seconds)."""
 
     armed: bool
     since: float
 
 
-def judge(fact: AutopilotFact | None, timeout_s: float, last: LastKnown | None = None) -> Armed:
+def assess(fact: AutopilotFact | None, timeout_s: float, last: LastArmedState | None = None) -> ArmedStatus:
     """timeout_s: a heartbeat older than this proves nothing (`mavlink.autopilot_timeout`). Pure."""
     if fact is None:
         return _never_received(last)
     if _within(fact.armed_s, timeout_s):
         if _within(fact.disarmed_s, timeout_s):
             words = f"said armed {fact.armed_s:.1f} s ago and disarmed {fact.disarmed_s:.1f} s ago"
-            return Armed(State.ARMED, f"the autopilot {words}")
-        return Armed(State.ARMED, "the autopilot is armed")
+            return ArmedStatus(ArmedState.ARMED, f"the autopilot {words}")
+        return ArmedStatus(ArmedState.ARMED, "the autopilot is armed")
     if not _within(fact.disarmed_s, timeout_s):
         silent = f"the autopilot has been silent for {fact.age_s:.0f} s"
         if fact.armed:
-            return Armed(State.ARMED, f"{silent} and was armed")
-        return Armed(State.UNKNOWN, silent)
+            return ArmedStatus(ArmedState.ARMED, f"{silent} and was armed")
+        return ArmedStatus(ArmedState.UNKNOWN, silent)
     if _within(fact.stalled_s, timeout_s):
-        return Armed(State.UNKNOWN, "PHM was suspended and may have read old heartbeats of the autopilot")
+        return ArmedStatus(ArmedState.UNKNOWN, "PHM was suspended and may have read old heartbeats of the autopilot")
     if fact.rebooted_armed and _within(fact.rebooted_s, REBOOT_S):
-        return Armed(State.ARMED, f"the autopilot rebooted while armed {fact.rebooted_s:.0f} s ago")
+        return ArmedStatus(ArmedState.ARMED, f"the autopilot rebooted while armed {fact.rebooted_s:.0f} s ago")
     if last is not None and last.armed and not _landed(fact, timeout_s) and not _steadily_disarmed(fact, timeout_s):
         why = "was armed before a silence and may have rebooted in the air"
-        return Armed(State.ARMED, f"the autopilot {why}: its disarmed counts after {REBOOT_S:.0f} s")
-    return Armed(State.DISARMED, "the autopilot is disarmed")
+        return ArmedStatus(ArmedState.ARMED, f"the autopilot {why}: its disarmed counts after {REBOOT_S:.0f} s")
+    return ArmedStatus(ArmedState.DISARMED, "the autopilot is disarmed")
 
 
-def _never_received(last: LastKnown | None) -> Armed:
+def _never_received(last: LastArmedState | None) -> ArmedStatus:
     if last is None:
-        return Armed(State.UNKNOWN, "no heartbeat of the autopilot was received")
+        return ArmedStatus(ArmedState.UNKNOWN, "no heartbeat of the autopilot was received")
     silent = "no heartbeat of the autopilot was received since PHM started"
-    return Armed(State.ARMED, f"{silent}, and it was armed before") if last.armed else Armed(State.UNKNOWN, silent)
+    return (
+        ArmedStatus(ArmedState.ARMED, f"{silent}, and it was armed before")
+        if last.armed
+        else ArmedStatus(ArmedState.UNKNOWN, silent)
+    )
 
 
 def _landed(fact: AutopilotFact, timeout_s: float) -> bool:
@@ -100,21 +104,21 @@ class ArmedMonitor:
 
     def __init__(self, pilot: Callable[[], AutopilotFact | None], timeout_s: float, clock: Clock) -> None:
         self._pilot, self._timeout_s, self._clock = pilot, timeout_s, clock
-        self._last: LastKnown | None = None
+        self._last: LastArmedState | None = None
 
-    def restore(self, last: LastKnown | None) -> None:
+    def restore(self, last: LastArmedState | None) -> None:
         """What an earlier run of PHM knew last."""
         self._last = last
 
-    def now(self) -> Armed:
-        found = judge(self._pilot(), self._timeout_s, self._last)
-        armed = found.state is State.ARMED
-        certain = found.state is not State.UNKNOWN
+    def now(self) -> ArmedStatus:
+        found = assess(self._pilot(), self._timeout_s, self._last)
+        armed = found.state is ArmedState.ARMED
+        certain = found.state is not ArmedState.UNKNOWN
         if certain and (self._last is None or self._last.armed != armed):
-            self._last = LastKnown(armed, self._clock.mono())
+            self._last = LastArmedState(armed, self._clock.mono())
         return found
 
-    def kept(self) -> LastKnown | None:
+    def kept(self) -> LastArmedState | None:
         """For the state file; changes only when the state does."""
         self.now()
         return self._last

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from phm.recovery.armed import State
+from phm.recovery.safety.armed_state import ArmedState
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +16,7 @@ class Situation:
     """
 
     action: str
-    armed: State
+    armed: ArmedState
     generation: str
 
 
@@ -42,5 +42,5 @@ class Approval:
         return ""
 
 
-def _in_words(state: State) -> str:
-    return "neither reliably armed nor disarmed" if state is State.UNKNOWN else state.value
+def _in_words(state: ArmedState) -> str:
+    return "neither reliably armed nor disarmed" if state is ArmedState.UNKNOWN else state.value

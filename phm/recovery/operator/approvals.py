@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from phm.core.model import Fault, Phase
-from phm.recovery.approval import Approval, Situation
-from phm.recovery.cases import Case
+from phm.recovery.fault_cases import FaultCase
+from phm.recovery.operator.approval import Approval, Situation
 from phm.recovery.shop import Shop
 
 LOOK_S = 1.0
@@ -24,13 +24,13 @@ class Approvals:
         now = self._shop.clock.mono()
         return Approval(self._situation(action), now, now + self._shop.context.settings.recovery.approval)
 
-    def void(self, case: Case, action: str) -> str:
+    def void(self, case: FaultCase, action: str) -> str:
         """Why the case's approval does not hold for `action` now; empty: it does, or there is none."""
         if case.approval is None:
             return ""
         return case.approval.void(self._shop.clock.mono(), self._situation(action))
 
-    def check(self, case: Case, action: str) -> list[float]:
+    def check(self, case: FaultCase, action: str) -> list[float]:
         """End an approval that no longer holds; else in how many seconds to look again.
 
         action: what would be done now; empty: nothing, it waits.
@@ -44,7 +44,7 @@ class Approvals:
             return []
         return [min(LOOK_S, max(0.05, case.approval.until - self._shop.clock.mono()))]
 
-    def expire(self, case: Case, action: str, why: str) -> None:
+    def expire(self, case: FaultCase, action: str, why: str) -> None:
         """End the case's approval of `action`, and say so."""
         case.approval = None
         words = (

@@ -22,7 +22,7 @@ MOST_CALM_S = 600.0
 
 
 @dataclass(frozen=True, slots=True)
-class Lowered:
+class LoweredWeight:
     """One container whose CPU weight was `shares` before PHM lowered it for the sake of unit `unit`. id: the engine's."""
 
     key: str
@@ -31,7 +31,7 @@ class Lowered:
     unit: str
 
 
-class Pipeline(Protocol):
+class PublishedStates(Protocol):
     """What is published; `phm.checking.pipeline.Pipeline` is one."""
 
     def states(self) -> tuple[UnitState, ...]: ...
@@ -39,27 +39,27 @@ class Pipeline(Protocol):
     def note(self, kind: str, text: str) -> None: ...
 
 
-class Relief:
+class CpuWeights:
     """A subscriber of the bus, for its ticks. Thread-safe."""
 
     kinds = (FaultClosed,)
     period_s = 1.0
 
     def __init__(
-        self, engine: Engine, container: Callable[[str], ContainerFact | None], pipeline: Pipeline, clock: Clock
+        self, engine: Engine, container: Callable[[str], ContainerFact | None], pipeline: PublishedStates, clock: Clock
     ) -> None:
         self._engine, self._container, self._pipeline, self._clock = engine, container, pipeline, clock
-        self._lowered: dict[str, Lowered] = {}
+        self._lowered: dict[str, LoweredWeight] = {}
         self._calm_s: dict[str, float] = {}
         self._put_back_at: dict[str, float] = {}
         self._lock = threading.Lock()
 
-    def restore(self, lowered: Iterable[Lowered]) -> None:
+    def restore(self, lowered: Iterable[LoweredWeight]) -> None:
         """What an earlier run of PHM had lowered."""
         with self._lock:
             self._lowered.update({entry.key: entry for entry in lowered})
 
-    def kept(self) -> tuple[Lowered, ...]:
+    def kept(self) -> tuple[LoweredWeight, ...]:
         with self._lock:
             return tuple(self._lowered.values())
 
@@ -71,7 +71,7 @@ class Relief:
         if shares <= LOW_SHARES:
             return False
         with self._lock:  # noted before it is done: what PHM's own end interrupts is put back by the next PHM
-            self._lowered[key] = Lowered(key, fact.id, shares, unit)
+            self._lowered[key] = LoweredWeight(key, fact.id, shares, unit)
             again = self._clock.mono() - self._put_back_at.get(key, float("-inf")) < MOST_CALM_S
             self._calm_s[key] = min(2 * self._calm_s.get(key, CALM_S), MOST_CALM_S) if again else CALM_S
         engine.set_cpu_shares(fact.id, LOW_SHARES)
@@ -95,7 +95,7 @@ class Relief:
         for entry in self.kept():
             self._put_back(entry)
 
-    def _put_back(self, entry: Lowered) -> None:
+    def _put_back(self, entry: LoweredWeight) -> None:
         """A container that was made again since has the weight that it was made with."""
         try:
             fact = self._container(entry.key)

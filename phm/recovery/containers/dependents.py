@@ -8,7 +8,7 @@ from phm.core.settings import ContainerSettings
 from phm.facts import ContainerFact
 
 
-def dependants(
+def dependents(
     target: str,
     facts: Mapping[str, ContainerFact],
     containers: Sequence[ContainerSettings],

@@ -14,9 +14,9 @@ import pytest
 
 from phm import testing
 from phm.core.clock import Clock
-from phm.core.settings import RoomSettings, Settings
-from phm.recovery.actions import make_room
-from phm.recovery.actions.make_room import MakeRoom
+from phm.core.settings import FreeDiskSettings, Settings
+from phm.recovery.actions import free_disk
+from phm.recovery.actions.free_disk import FreeDisk
 from phm.recovery.base import ActionFailed
 from phm.recovery.disks import as_container, by_hand, path_of
 
@@ -31,7 +31,7 @@ def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def used(path: str) -> float:
         return 100.0 * sum(file.lstat().st_size for file in Path(path).rglob("*") if not file.is_dir()) / DISK_BYTES
 
-    monkeypatch.setattr(make_room, "used_percent", used)
+    monkeypatch.setattr(free_disk, "used_percent", used)
     return tmp_path
 
 
@@ -55,15 +55,15 @@ def settings_of(disk: Path, *rooms: dict[str, Any]) -> Settings:
     return Settings.model_validate(
         {
             "agent": {"name": "a", "id": 1},
-            "host": {"make_room": [{"path": str(disk / "bags"), **room} for room in rooms]},
+            "host": {"free_disk": [{"path": str(disk / "bags"), **room} for room in rooms]},
         }
     )
 
 
-def ask(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> tuple[MakeRoom, tuple[Any, ...]]:
+def ask(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> tuple[FreeDisk, tuple[Any, ...]]:
     target = as_container(f"disk:{disk}")
     assert target is not None
-    return MakeRoom(), (target, None, SimpleNamespace(settings=settings_of(disk, *rooms), clock=clock or watched()))
+    return FreeDisk(), (target, None, SimpleNamespace(settings=settings_of(disk, *rooms), clock=clock or watched()))
 
 
 def run(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> str:
@@ -131,7 +131,7 @@ def test_what_can_only_be_older_than_the_watching_goes_first_by_its_stamp(disk: 
 
 def test_a_folder_of_many_names_is_read_one_by_one(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The oldest of all go, wherever they are listed, and no more are held than MOST."""
-    monkeypatch.setattr(make_room, "MOST", 3)
+    monkeypatch.setattr(free_disk, "MOST", 3)
     files = [put(disk / f"bags/{number}.log", 1000, HOUR_S + 60 * (number * 37 % 100)) for number in range(99)]
     most: list[int] = []
     smallest = heapq.nsmallest
@@ -153,7 +153,7 @@ def test_no_list_of_names_is_made(disk: Path, monkeypatch: pytest.MonkeyPatch) -
     put(disk / "bags/one.log", 98_000)
     for number in range(50):
         (disk / f"bags/{number}.txt").touch()
-    monkeypatch.setattr(make_room, "MOST_SEEN", 5)
+    monkeypatch.setattr(free_disk, "MOST_SEEN", 5)
     taken: list[str] = []
 
     class Counting:
@@ -182,7 +182,7 @@ def test_no_list_of_names_is_made(disk: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_what_is_not_named_or_not_old_stays(disk: Path) -> None:
     other, fresh = put(disk / "bags/map.db", 50_000), put(disk / "bags/now.mcap", 48_000, age_s=0.0)
     with pytest.raises(
-        ActionFailed, match=r"removed 0 old files.*at 98 % still.*nothing else that host\.make_room names"
+        ActionFailed, match=r"removed 0 old files.*at 98 % still.*nothing else that host\.free_disk names"
     ):
         run(disk, {"files": ["*.mcap"]})
     assert other.exists() and fresh.exists()
@@ -218,7 +218,7 @@ def test_a_folder_put_in_place_of_another_meanwhile_is_not_entered(
     folder = os.open(disk / "bags", os.O_RDONLY)
     try:
         with pytest.raises(OSError):
-            make_room._unlink(folder, "run/a.mcap")
+            free_disk._unlink(folder, "run/a.mcap")
     finally:
         os.close(folder)
     assert elsewhere.exists()
@@ -245,15 +245,15 @@ def test_nothing_goes_while_there_is_room(disk: Path) -> None:
 
 def test_it_applies_to_disks_alone_and_only_where_something_may_go() -> None:
     without = Settings.model_validate({"agent": {"name": "a", "id": 1}})
-    room = RoomSettings(path="/data", files=["*.log"])
-    allowed = without.model_copy(update={"host": without.host.model_copy(update={"make_room": [room]})})
+    room = FreeDiskSettings(path="/data", files=["*.log"])
+    allowed = without.model_copy(update={"host": without.host.model_copy(update={"free_disk": [room]})})
     full, other = as_container("disk:/data"), as_container("ros_app")
     assert full is not None and full.recover and other is None and path_of("ros_app") == ""
-    assert MakeRoom.applies(full, None, allowed) and not MakeRoom.applies(full, None, without)  # type: ignore[arg-type]
+    assert FreeDisk.applies(full, None, allowed) and not FreeDisk.applies(full, None, without)  # type: ignore[arg-type]
     assert "make room on /data by hand" in by_hand("disk:/data")
 
 
 def test_a_real_disk_has_a_share() -> None:
-    assert 0.0 <= make_room.used_percent("/") <= 100.0
+    assert 0.0 <= free_disk.used_percent("/") <= 100.0
     with pytest.raises(ActionFailed, match="cannot be read"):
-        make_room.used_percent("/no/such/disk")
+        free_disk.used_percent("/no/such/disk")

@@ -10,7 +10,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any, cast
 
-from phm.recovery.critical import FlightCritical, Reach, Safeguard
+from phm.recovery.safety.flight_critical import FlightCriticalError, FlightCriticalGuard, Impact
 from phm.transport.docker import Engine, EngineNotConnected, EngineTimeout, EngineUnreachable
 
 READS = frozenset(
@@ -30,13 +30,13 @@ READS = frozenset(
 )
 """Calls that change nothing; every other one is asked about."""
 REACH = {
-    "start": Reach.NOTHING,
-    "unpause": Reach.NOTHING,
-    "exec_detached": Reach.NOTHING,
-    "put_file": Reach.NOTHING,
-    "set_cpu_shares": Reach.NOTHING,
-    "connect": Reach.NETWORK,
-    "disconnect": Reach.NETWORK,
+    "start": Impact.NOTHING,
+    "unpause": Impact.NOTHING,
+    "exec_detached": Impact.NOTHING,
+    "put_file": Impact.NOTHING,
+    "set_cpu_shares": Impact.NOTHING,
+    "connect": Impact.NETWORK,
+    "disconnect": Impact.NETWORK,
 }
 """What a call takes down; those that are not here: the container."""
 BRINGS_BACK = frozenset({"start", "unpause", "connect"})
@@ -44,16 +44,16 @@ BRINGS_BACK = frozenset({"start", "unpause", "connect"})
 STARTS = frozenset({"start", "restart"})
 """Calls that the engine may still carry out after it gave no answer: they start a container."""
 
-Forbids = Callable[[str, Reach], str]
+Forbids = Callable[[str, Impact], str]
 
 
 class GuardedEngine:
     """Has the methods of `Engine`, for one run of one action. Those that change a container raise FlightCritical while that
     is forbidden."""
 
-    def __init__(self, engine: Engine, safeguard: Safeguard, forbids: Forbids) -> None:
+    def __init__(self, engine: Engine, flight_critical_guard: FlightCriticalGuard, forbids: Forbids) -> None:
         """forbids: a container's key and what is taken down -> why not, empty: it may be done."""
-        self._engine, self._safeguard, self._forbids = engine, safeguard, forbids
+        self._engine, self._safeguard, self._forbids = engine, flight_critical_guard, forbids
         self._down: set[str] = set()
         self._unanswered = 0
 
@@ -86,13 +86,13 @@ class GuardedEngine:
             return
         if not self._safeguard.idle:
             key = self._safeguard.key_of(ref)
-            why = self._forbids(key, REACH.get(call, Reach.CONTAINER)) if key else ""
+            why = self._forbids(key, REACH.get(call, Impact.CONTAINER)) if key else ""
             if why:
-                raise FlightCritical(f"{call} of {key} was not done: {why}")
-        if REACH.get(call) is not Reach.NOTHING and call not in BRINGS_BACK:
+                raise FlightCriticalError(f"{call} of {key} was not done: {why}")
+        if REACH.get(call) is not Impact.NOTHING and call not in BRINGS_BACK:
             self._down.add(ref)
 
 
-def guarded(engine: Engine, safeguard: Safeguard, forbids: Forbids) -> Engine:
+def guarded(engine: Engine, flight_critical_guard: FlightCriticalGuard, forbids: Forbids) -> Engine:
     """The same engine to its users."""
-    return cast(Engine, GuardedEngine(engine, safeguard, forbids))
+    return cast(Engine, GuardedEngine(engine, flight_critical_guard, forbids))

@@ -33,7 +33,7 @@ ASKED_S = 3600.0
 SIGKILL = "signal 9"
 
 
-class Verdict(str, Enum):
+class StopVerdict(str, Enum):
     """CRASHED: it was no stop; the container is judged as ever."""
 
     STOPPED = "stopped"
@@ -46,7 +46,7 @@ class _Ending:
     """`until` is when the verdict is due (monotonic seconds)."""
 
     until: float
-    verdict: Verdict = Verdict.CRASHED
+    verdict: StopVerdict = StopVerdict.CRASHED
     killed: bool = False
     """By SIGKILL alone."""
     ended: bool = False
@@ -59,7 +59,7 @@ class _Ending:
     """Of the container that has ended; empty: not known."""
 
 
-class ManualStops:
+class ManualStopDetector:
     """By container. Not thread-safe: the caller's lock."""
 
     def __init__(self) -> None:
@@ -91,13 +91,13 @@ class ManualStops:
         elif action == "kill":
             self._kill(key, detail, now)
         elif action == "destroy":
-            self._of[key] = _Ending(now + RECREATED_S, Verdict.REMOVED, ended=True)
+            self._of[key] = _Ending(now + RECREATED_S, StopVerdict.REMOVED, ended=True)
         elif key in self._of and action in ("die", "stop"):
             self._end(self._of[key], action, now)
         elif action == "die" and missed:
             self._of[key] = _Ending(now + UNSURE_S, ended=True, unsure=True)
         elif action == "stop":  # its `kill` was before PHM looked; a crash has no `stop`
-            self._of[key] = _Ending(now + STOPPED_S, Verdict.STOPPED, ended=True)
+            self._of[key] = _Ending(now + STOPPED_S, StopVerdict.STOPPED, ended=True)
         if action in ("die", "stop", "destroy") and key in self._of:
             self._of[key].id = container_id
 
@@ -106,10 +106,10 @@ class ManualStops:
         return {
             key: ending.id
             for key, ending in self._of.items()
-            if now >= ending.until and ending.verdict is not Verdict.CRASHED
+            if now >= ending.until and ending.verdict is not StopVerdict.CRASHED
         }
 
-    def due(self, now: float) -> list[tuple[str, Verdict]]:
+    def due(self, now: float) -> list[tuple[str, StopVerdict]]:
         """What is decided by now; each is given once. A container that was asked to end and did not is forgotten."""
         found = [(key, ending) for key, ending in self._of.items() if now >= ending.until]
         for key, _ending in found:
@@ -145,5 +145,5 @@ class ManualStops:
             ending.ended = True
             wait_s = REMOVED_S if ending.killed and not ending.replaced else STOP_FOLLOWS_S
         else:
-            ending.verdict, ending.unsure, wait_s = Verdict.STOPPED, False, STOPPED_S
+            ending.verdict, ending.unsure, wait_s = StopVerdict.STOPPED, False, STOPPED_S
         ending.until = now + (RECREATED_S if ending.replaced else wait_s)

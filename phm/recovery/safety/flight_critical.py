@@ -7,17 +7,17 @@ from enum import Enum
 
 from phm.core.settings import Settings
 from phm.facts import CannotTell, ContainerFact
-from phm.recovery.armed import Armed, State
-from phm.recovery.dependants import dependants
+from phm.recovery.containers.dependents import dependents
+from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 
 
-class Reach(Enum):
+class Impact(Enum):
     """What an action takes down for a moment, beside what it does to its target.
 
     OTHERS:    not the target; what is done to other containers is asked about call by call.
     NOTHING:   no other container.
     NETWORK:   the network, also of the containers that share the target's network namespace.
-    CONTAINER: the target, and with it the containers that depend on it (`phm.recovery.dependants`).
+    CONTAINER: the target, and with it the containers that depend on it (`phm.recovery.containers.dependents`).
     """
 
     OTHERS = "others"
@@ -26,7 +26,7 @@ class Reach(Enum):
     CONTAINER = "container"
 
 
-class FlightCritical(CannotTell):
+class FlightCriticalError(CannotTell):
     """Not done, because something flight-critical would be disturbed while the vehicle may be armed."""
 
 
@@ -35,7 +35,7 @@ def critical_containers(settings: Settings) -> tuple[str, ...]:
     return tuple(entry.key for entry in settings.containers if entry.flight_critical and entry.when_armed == "advise")
 
 
-class Safeguard:
+class FlightCriticalGuard:
     """The one place that knows what is flight-critical now. armed: the state at the time of the call."""
 
     def __init__(
@@ -43,27 +43,27 @@ class Safeguard:
         settings: Settings,
         container: Callable[[str], ContainerFact | None],
         myself: Callable[[], ContainerFact | None],
-        armed: Callable[[], Armed],
+        armed: Callable[[], ArmedStatus],
     ) -> None:
         self._settings, self._container, self._myself, self.armed = settings, container, myself, armed
         self._critical = critical_containers(settings)
 
-    def forbids(self, target: str, reach: Reach, approved_at: State | None = None) -> str:
+    def forbids(self, target: str, reach: Impact, approved_at: ArmedState | None = None) -> str:
         """Why nothing of this reach may be done to `target` now; empty: it may.
 
         approved_at: the armed state at which an operator approved it, which holds as long as that is the state.
         """
-        if not self._critical or reach is Reach.OTHERS:
+        if not self._critical or reach is Impact.OTHERS:
             return ""
         armed = self.armed()
         if not armed.shut or armed.state is approved_at:
             return ""
         if target in self._critical:
             return f"flight-critical, and {armed.why}"
-        if reach is Reach.NOTHING:
+        if reach is Impact.NOTHING:
             return ""
         try:
-            below = self._below(target, network_only=reach is Reach.NETWORK)
+            below = self._below(target, network_only=reach is Impact.NETWORK)
         except CannotTell as error:
             return f"what it would take down is not known ({error}), and {armed.why}"
         hit = next((key for key in below if key in self._critical), "")
@@ -91,4 +91,4 @@ class Safeguard:
     def _below(self, target: str, *, network_only: bool) -> list[str]:
         facts = {entry.key: self._container(entry.key) for entry in self._settings.containers}
         seen = {key: fact for key, fact in facts.items() if fact is not None}
-        return dependants(target, seen, self._settings.containers, network_only=network_only)
+        return dependents(target, seen, self._settings.containers, network_only=network_only)

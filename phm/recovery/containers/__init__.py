@@ -1,0 +1,1 @@
+"""What recovery knows about containers: generations, dependents, external changes, lowered CPU weights."""

@@ -1,0 +1,1 @@
+"""What an operator asks recovery for, and what recovery reports to the operator."""

@@ -1,0 +1,1 @@
+"""What survives a restart of PHM: open faults, attempts, holds and actions under way."""
