@@ -17,14 +17,14 @@ from rich.console import Console
 
 from sitl.acceptance.plan import APART, MODES, ORDER, Play, configuration, plays
 from sitl.acceptance.table import Row, as_json, judged_words, rich_table, write_markdown
-from sitl.bench.main import Bench
-from sitl.demo.compose_stack import ROOT, Stack
-from sitl.demo.config_overrides import write
-from sitl.demo.console import screen
-from sitl.demo.log_follower import Event
-from sitl.demo.log_queries import closed, phase, relapses, world
 from sitl.faults import all_faults
 from sitl.faults.base import Agent, Fault
+from sitl.harness.compose_stack import ROOT, Stack
+from sitl.harness.config_overrides import write
+from sitl.harness.console import screen
+from sitl.harness.log_follower import Event
+from sitl.harness.log_queries import closed, phase, relapses, world
+from sitl.harness.stack_monitor import StackMonitor
 
 NOMINAL_S = 20.0
 SEEN_LIMIT_S = 30.0
@@ -42,8 +42,8 @@ class Proof:
 
     def __init__(self, stack: Stack, console: Console, config: Path) -> None:
         self.stack, self.console, self._config = stack, console, config
-        self.bench = Bench(stack, console)
-        self.record = self.bench.record
+        self.monitor = StackMonitor(stack)
+        self.record = self.monitor.record
         self.mode = "act"
         self._prepared: Fault | None = None
         self._given_up: set[str] = set()
@@ -59,7 +59,7 @@ class Proof:
             prepared.prepare(self.agent)
             more = dict(prepared.configuration(self.agent))
         write(configuration(mode, relaunch=relaunch, more=more), self._config)
-        mark = self._mark()
+        mark = self.monitor.mark()
         self.agent.container("phm").restart()
         if self.record.wait(lambda event: event["event"] == "start", SEEN_LIMIT_S, since=mark) is None:
             raise RuntimeError(f"PHM did not start again in mode {mode}; see {self.stack.logs}")
@@ -67,13 +67,13 @@ class Proof:
         if self._prepared is not None and self._prepared is not prepared:
             self._prepared.dismantle(self.agent)
         self._prepared = prepared
-        self.bench.wait_well()
+        self.monitor.wait_ok()
 
     def nominal(self) -> list[Row]:
         """Nothing is injected: no alarm and no action while everything starts, and none after."""
         starting = Row(self.mode, "start", "nothing, while all starts", "-")
-        self.bench.wait_well()
-        mark = self._mark()
+        self.monitor.wait_ok()
+        mark = self.monitor.mark()
         self._fill(starting, self.record.events)
         well = Row(self.mode, "nominal", f"nothing, for {NOMINAL_S:g} s", "-")
         self._watch(NOMINAL_S, mark)
@@ -87,7 +87,7 @@ class Proof:
         """Inject, watch until it is healed and verified (or given up), then whether everything is well again."""
         row = self._row(fault, title)
         self._wait_lasting(row)
-        mark = self._mark()
+        mark = self.monitor.mark()
         moment = fault.inject(self.agent)
         if fault.healable:
             for unit in row.expected:
@@ -99,7 +99,7 @@ class Proof:
         self._watch(AFTER_S, mark)
         self._fill(row, self.record.events[mark:], moment)
         row.problems += relapses(row.expected, self.record.events[mark:])
-        cleared = self._mark()
+        cleared = self.monitor.mark()
         fault.clear(self.agent)
         self._well_again(row, mark)
         judged_words(row, healable=fault.healable)
@@ -115,7 +115,7 @@ class Proof:
         """In `off` and `advise` the fault is told and the application container stays as the fault left it."""
         row = self._row(fault)
         self._wait_lasting(row)
-        mark = self._mark()
+        mark = self.monitor.mark()
         moment = fault.inject(self.agent)
         before = world(self.agent)
         self.record.wait(lambda event: event["event"] == "fault_opened", SEEN_LIMIT_S, since=mark)
@@ -146,7 +146,7 @@ class Proof:
         """What PHM gave up on before it tries again only after that was well for so long, as this run of PHM has seen it."""
         if row.unit not in self._given_up:
             return
-        mark = self._mark()
+        mark = self.monitor.mark()
         told = (
             event["mono"]
             for event in self.record.events
@@ -154,10 +154,6 @@ class Proof:
         )
         until = max(told, default=0.0) + LASTING_S
         self.record.wait(lambda event: event["mono"] > until, 2 * LASTING_S, since=mark)
-
-    def _mark(self) -> int:
-        self.record.update()
-        return len(self.record.events)
 
     def _watch(self, seconds: float, mark: int) -> None:
         """Let the record go on for so long; reports come every few seconds, so it does."""
@@ -203,7 +199,7 @@ class Proof:
     def _well_again(self, row: Row, mark: int) -> None:
         """Everything is well again, and neither healing nor clearing raised a further alarm."""
         try:
-            self.bench.wait_well()
+            self.monitor.wait_ok()
         except RuntimeError as error:
             row.problems.append(str(error))
         self.record.update()

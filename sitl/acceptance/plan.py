@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
-from sitl.demo.config_overrides import derived
 from sitl.faults.file_deleted import CONTENT
+from sitl.harness.config_overrides import derived
 
 MODES = ("act", "off", "advise")
 ORDER = (

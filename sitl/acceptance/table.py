@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from sitl.bench.main import machine
+from sitl.harness.machine import machine
 
 BEGIN, END = "<!-- proof: begin, written by scripts/proof --markdown -->", "<!-- proof: end -->"
 COLUMNS = ("mode", "fault", "alarms", "named", "seen after", "action", "healed and verified after", "outcome")

@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from phm.wire.fleet_status import FleetStatus
-from sitl.bench.main import machine
+from sitl.harness.machine import machine
 from sitl.simulation.fleet_agents import Crowd
 from sitl.simulation.fleet_router import Ground, Router, free_port
 

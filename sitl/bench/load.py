@@ -22,17 +22,17 @@ from rich.console import Console
 from rich.table import Table
 
 from sitl.acceptance.plan import configuration
-from sitl.bench.main import machine
 from sitl.bench.starvation import Trial, end_on_signal
 from sitl.bench.starvation_rows import Row, cells
-from sitl.demo.compose_stack import Stack
-from sitl.demo.config_overrides import write
-from sitl.demo.console import screen
-from sitl.demo.log_follower import Event
 from sitl.faults import all_faults
 from sitl.faults._cgroups import update
 from sitl.faults._overload import end_overload, overload
 from sitl.faults.base import Agent, Fault
+from sitl.harness.compose_stack import Stack
+from sitl.harness.config_overrides import write
+from sitl.harness.console import screen
+from sitl.harness.log_follower import Event
+from sitl.harness.machine import machine
 from sitl.simulation.ground import Ground
 
 FAULTS = ("container_killed", "node_killed", "topic_silent")

@@ -22,8 +22,8 @@ from rich.table import Table
 
 from phm.core.model import UnitState
 from phm.transport.priority import RADIO_BYTES_S, SWARM_BYTES_S, periods
-from sitl.bench.main import machine
 from sitl.bench.report_sizes import FORMS, Size, load, sizes
+from sitl.harness.machine import machine
 from sitl.simulation.fleet import Fleet
 
 REPORTS = Path(__file__).resolve().parents[1] / "recorded"

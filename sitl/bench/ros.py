@@ -25,8 +25,8 @@ from rich.console import Console
 from rich.table import Table
 
 from phm.probes.ros.protocol import Picture, ProtocolError, Wanted, WantedTopic, decode, encode_wanted
-from sitl.bench.main import machine
 from sitl.bench.ros_peers import Board, topic
+from sitl.harness.machine import machine
 
 WARM_S = 6.0
 """Discovery, and the sampler's first window."""

@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 from phm.probes.ros.protocol import Wanted, encode_wanted
-from sitl.bench.main import machine
 from sitl.bench.ros import ended
+from sitl.harness.machine import machine
 
 WARM_S = 8.0
 """Discovery of all nodes, and the first greetings."""

@@ -18,15 +18,15 @@ from typing import Any
 from rich.console import Console
 
 from sitl.acceptance.plan import STARVING
-from sitl.bench.main import machine
 from sitl.bench.starvation_rows import BEGIN, END, Row, as_json, cells, from_json, markdown, open_units, unwell
-from sitl.demo.compose_stack import ROOT, Stack
-from sitl.demo.config_overrides import derived, write
-from sitl.demo.console import screen
-from sitl.demo.log_follower import Event, Record
 from sitl.faults import all_faults
 from sitl.faults._overload import LASTS_S
 from sitl.faults.base import Agent, Fault
+from sitl.harness.compose_stack import ROOT, Stack
+from sitl.harness.config_overrides import derived, write
+from sitl.harness.console import screen
+from sitl.harness.log_follower import Event, Record
+from sitl.harness.machine import machine
 
 UP_LIMIT_S = 150.0
 STARVED_S = 45.0

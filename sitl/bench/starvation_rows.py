@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from sitl.acceptance.table import grouped
-from sitl.demo.log_follower import Event
-from sitl.demo.log_queries import phase
+from sitl.harness.log_follower import Event
+from sitl.harness.log_queries import phase
 
 BEGIN, END = (
     "<!-- starvation: begin, written by python -m sitl.bench.starvation --markdown -->",

@@ -1,4 +1,4 @@
-"""``python -m sitl.campaign`` is ``python -m sitl campaign``."""
+"""Run ``python -m sitl.campaign``."""
 
 import sys
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from sitl.campaign.trial import Act, Alarm, Start, Trial, Warned
-from sitl.demo.log_follower import Event
+from sitl.harness.log_follower import Event
 
 SHARED = "host/"
 """Units about the machine that all agents of a swarm share: how they are says nothing about one agent."""

@@ -15,7 +15,6 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from sitl.bench.main import machine
 from sitl.campaign import table
 from sitl.campaign.fault_catalog import CHANGES, chosen, class_of
 from sitl.campaign.metrics import figures
@@ -24,10 +23,12 @@ from sitl.campaign.report import Setting, as_html, as_json, as_markdown, between
 from sitl.campaign.run import Runner, Unwell
 from sitl.campaign.targets import short
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Trial, append, load
-from sitl.demo.compose_stack import ROOT
-from sitl.demo.console import screen
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
+from sitl.harness.compose_stack import ROOT
+from sitl.harness.console import screen
+from sitl.harness.machine import machine
+from sitl.swarm import startup
 from sitl.swarm.options import DEFAULT_NAME, Options
 from sitl.swarm.swarm import Swarm
 
@@ -137,7 +138,7 @@ def _swarm(asked: argparse.Namespace, console: Console) -> tuple[Swarm, bool]:
         )
         swarm = Swarm(options)
         console.print(f"starting {asked.agents} agents")
-        swarm.up(lambda words: console.print(words, highlight=False))
+        startup.up(swarm, lambda words: console.print(words, highlight=False))
         return swarm, True
     if len(swarm.agents) != asked.agents:
         raise LookupError(

@@ -16,8 +16,8 @@ from sitl.campaign.restore import restore
 from sitl.campaign.scoring import judge
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Injection, Trial
 from sitl.campaign.watch import Ear, Meter, Watch
-from sitl.demo.log_queries import world
 from sitl.faults.base import Fault
+from sitl.harness.log_queries import world
 from sitl.swarm import config
 from sitl.swarm.swarm import Swarm, SwarmAgent
 

@@ -12,11 +12,11 @@ from typing import Any
 import psutil
 from docker.errors import DockerException
 
-from sitl.bench.main import processes
 from sitl.campaign.collect import Levels, note
 from sitl.campaign.trial import Cost, Line, Trial
-from sitl.demo.log_follower import Record
 from sitl.faults.base import Agent
+from sitl.harness.log_follower import Record
+from sitl.harness.machine import processes
 from sitl.simulation.ground import Ground
 
 PHM_COMPONENT = 193

@@ -1,1 +1,1 @@
-"""The demonstration on Docker Compose, and what follows its containers and logs."""
+"""The demonstration: one agent on Docker Compose, four faults."""

@@ -1,6 +1,6 @@
 """The demonstration: one agent for real, four faults, each seen, told once at its cause, healed and proven.
 
-``python -m sitl.demo.main`` expects an engine and the images (`scripts/demo` makes both). Exit 0 only when every
+``python -m sitl.demo`` expects an engine and the images (`scripts/demo` makes both). Exit 0 only when every
 fault was opened exactly once, at the right check, was healed by PHM and verified, and the ground heard it.
 """
 
@@ -19,12 +19,12 @@ from rich.table import Table
 
 from phm.core.model import Slot
 from phm.gcs.statustext_parser import read
-from sitl.bench.main import machine
-from sitl.demo.compose_stack import Stack
-from sitl.demo.console import screen
-from sitl.demo.log_follower import Event, Record
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
+from sitl.harness.compose_stack import Stack
+from sitl.harness.console import screen
+from sitl.harness.log_follower import Event, Record
+from sitl.harness.machine import machine
 from sitl.simulation.ground import Ground, TextLine
 
 STORY = ("node_killed", "network_disconnected", "container_stopped", "unhealthy")

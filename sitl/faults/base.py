@@ -203,7 +203,7 @@ class Fault(ABC):
         )
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
-        """Changes to the shipped configuration without which it cannot be seen, for `sitl.demo.config_overrides`."""
+        """Changes to the shipped configuration without which it cannot be seen, for `sitl.harness.config_overrides`."""
         return {}
 
     def prepare(self, agent: Agent) -> None:

@@ -1,6 +1,6 @@
 """The air of a swarm: routers, simulated autopilots, radios to the ground and between agents, as one process.
 
-``python -m sitl.simulation.link_emulator --agents 8`` listens on fixed ports of its own container (`sitl.swarm.ports.INSIDE`): for each agent's PHM
+``python -m sitl.simulation.link_emulator --agents 8`` listens on fixed ports of its own container (`sitl.simulation.ports.INSIDE`): for each agent's PHM
 one to its router (TCP) and one to the agents' network (UDP), one where ground stations connect (TCP), and the control
 socket, which takes what `sitl.swarm.control.Air` sends: one JSON object a line.
 """
@@ -21,11 +21,11 @@ from collections.abc import Callable
 from typing import Any
 
 from sitl.simulation.autopilot_model import Pilot
+from sitl.simulation.frames import Frame
 from sitl.simulation.link import Port
-from sitl.swarm.frames import Frame
-from sitl.swarm.mesh import Mesh
-from sitl.swarm.ports import INSIDE, Ports
-from sitl.swarm.vehicle import Place, Vehicle
+from sitl.simulation.mesh import Mesh
+from sitl.simulation.ports import INSIDE, Ports
+from sitl.simulation.vehicle import Place, Vehicle
 
 REST_S = 0.25
 """Longest sleep of the loop: orders to stop are seen within it."""

@@ -38,7 +38,7 @@ class Air:
 
 
 FORGETS_S = 3.4
-"""As in `sitl.swarm.vehicle`."""
+"""As in `sitl.simulation.vehicle`."""
 
 
 class _End:

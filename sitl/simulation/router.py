@@ -1,6 +1,6 @@
 """The MAVLink router aboard one agent, as a program of its own: hands on what PHM and the agent's port of the air send each other.
 
-``python3 -I -S relay.py PORT HOST FAR_PORT`` listens on PORT while it is connected to FAR_PORT of HOST, where its radio and its autopilot
+``python3 -I -S router.py PORT HOST FAR_PORT`` listens on PORT while it is connected to FAR_PORT of HOST, where its radio and its autopilot
 are (`sitl.simulation.link_emulator`); else whoever connects is refused. Uses the standard library alone and imports little: there is one for each agent.
 """
 
@@ -107,7 +107,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 def main(arguments: list[str]) -> int:
     if len(arguments) != 3:
-        sys.stderr.write("relay.py: give PORT HOST FAR_PORT\n")
+        sys.stderr.write("router.py: give PORT HOST FAR_PORT\n")
         return 2
     # The first process of a container has no default signal handling.
     signal.signal(signal.SIGTERM, _leave)

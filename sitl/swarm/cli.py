@@ -1,9 +1,8 @@
-"""The commands of ``python -m sitl``: up, down, status, logs, inject, clear; `campaign` is handed on."""
+"""The commands of ``python -m sitl``: up, down, status, logs, inject, clear."""
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import signal
 import subprocess
@@ -15,9 +14,9 @@ from docker.errors import DockerException
 from rich import box
 from rich.table import Table
 
-from sitl.demo.console import screen
 from sitl.faults import all_faults
-from sitl.swarm import active_faults, cost
+from sitl.harness.console import screen
+from sitl.swarm import active_faults, cost, startup
 from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
 from sitl.swarm.swarm import Swarm
 
@@ -27,8 +26,6 @@ Verb = Callable[[argparse.Namespace], int]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code. 0: done, or all is well; 1: it failed, or something is not well; 2: wrong words."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if words[:1] == ["campaign"]:
-        return _campaign(words[1:])
     chosen = _parser().parse_args(words)
     verb: Verb = chosen.verb
     try:
@@ -110,7 +107,7 @@ def _up(chosen: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     try:
-        swarm.up(lambda words: print(words, flush=True))
+        startup.up(swarm, lambda words: print(words, flush=True))
     except KeyboardInterrupt:
         print("interrupted: removing what was started", file=sys.stderr)
         swarm.down()
@@ -214,8 +211,3 @@ def _clear(chosen: argparse.Namespace) -> int:
     cleared = active_faults.clear(swarm, chosen.agent)
     print(f"cleared: {', '.join(cleared) or 'nothing was injected'}; all links are as they were at the start")
     return 0
-
-
-def _campaign(words: list[str]) -> int:
-    # Here, since a campaign itself needs a swarm, and nobody else needs what it draws reports with.
-    return int(importlib.import_module("sitl.campaign.main").main(words))

@@ -9,10 +9,10 @@ from typing import Any
 import yaml
 
 from sitl.application.graph import NodePlan, read, ring
-from sitl.demo.config_overrides import derived
+from sitl.harness.config_overrides import derived
+from sitl.simulation.ports import INSIDE
 from sitl.swarm import external_autopilots
 from sitl.swarm.options import Options
-from sitl.swarm.ports import INSIDE
 
 AIR_HOST = "air"
 """Name of the air's container on the network that it shares with the sidecars."""
@@ -27,7 +27,7 @@ def graph(options: Options) -> list[NodePlan]:
 
 
 def text(options: Options, number: int, changes: Mapping[str, str] | None = None) -> str:
-    """The YAML for agent `number`. changes: further lines of the shipped file to be replaced, as `sitl.demo.config_overrides` has it."""
+    """The YAML for agent `number`. changes: further lines of the shipped file to be replaced, as `sitl.harness.config_overrides` has it."""
     tree = yaml.safe_load(derived({**options.changes, **(changes or {})}))
     agent = f"agent_{number}"
     plans = graph(options)

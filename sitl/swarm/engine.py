@@ -15,7 +15,7 @@ from pathlib import Path
 from docker import DockerClient
 from docker.errors import APIError, NotFound
 
-from sitl.demo.compose_stack import ROOT
+from sitl.harness.compose_stack import ROOT
 
 LABEL = "phm.sitl.swarm"
 """Everything that belongs to a swarm has it, with the swarm's name."""

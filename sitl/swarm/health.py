@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from sitl.demo.log_follower import Event, Record
+from sitl.harness.log_follower import Event, Record
 
 MOST_NAMED = 4
 MACHINE = "host/"

@@ -17,7 +17,7 @@ Autopilot = Literal["sim", "ardupilot", "px4"]
 @dataclass(frozen=True)
 class Options:
     """interval_s: PHM's. nodes, rate_hz: the application's ring, each node publishing one topic. graph: instead of the
-    ring, a file in YAML (docs/development/sitl.md). changes: lines of the shipped configuration to be replaced, for `sitl.demo.config_overrides`.
+    ring, a file in YAML (docs/development/sitl.md). changes: lines of the shipped configuration to be replaced, for `sitl.harness.config_overrides`.
     mode: `recovery.mode`. autopilot_path, autopilot_image, autopilot_command: where a real autopilot comes
     from and how it is started, see `sitl.swarm.external_autopilots`."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -13,17 +13,15 @@ from typing import Any
 
 from docker import DockerClient
 
-from sitl.demo.config_overrides import write
 from sitl.faults.base import Agent
-from sitl.swarm import config, engine, external_autopilots, start, workspace
+from sitl.harness.config_overrides import write
+from sitl.swarm import config, engine, workspace
 from sitl.swarm.control import Air
 from sitl.swarm.health import MACHINE, Watch
 from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
 
 __all__ = ["Air", "Options", "Swarm", "SwarmAgent"]
 
-Tell = Callable[[str], None]
-UP_LOCK_S = 0.0
 DOWN_LOCK_S = 200.0
 """Longer than a Compose command that lost its parent may take."""
 POLL_S = 0.2
@@ -84,23 +82,6 @@ class Swarm:
         swarm = cls(Options(**words["options"]), ground_url=words["ground_url"], took=words["took"])
         swarm.air.address = (words["control"][0], words["control"][1])
         return swarm
-
-    def up(self, tell: Tell = print) -> None:
-        """Start everything and wait until all is well. RuntimeError says what did not start; what was started stays for a
-        look at it, until `down`."""
-        # Mistakes are told before anything is made.
-        config.text(self.options, 1)
-        external_autopilots.check(self.options)
-        with workspace.locked(self.name, UP_LOCK_S) as lock:
-            if engine.belongings(self.docker, self.name):
-                raise RuntimeError(
-                    f"the swarm {self.name} is there already: `python -m sitl down --name {self.name}` first"
-                )
-            shutil.rmtree(self.folder, ignore_errors=True)
-            self.folder.mkdir(parents=True)
-            self.save()
-            self.took = start.bring_up(self, lock, tell)
-            self.save()
 
     def down(self, *, keep_logs: bool = False) -> int:
         """Remove all that belongs to a swarm of this name, also of one whose `up` was killed; how many things that were.

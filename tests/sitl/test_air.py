@@ -10,15 +10,15 @@ from typing import Any
 import pytest
 
 from sitl.simulation.autopilot_model import Pilot
+from sitl.simulation.channel_model import BUFFER_BYTES, Conditions, Losses, Pipe
+from sitl.simulation.frames import HEARTBEAT, RADIO_STATUS, Frame
 from sitl.simulation.ground import Ground
 from sitl.simulation.link import Port, mavlink, messages, parser
 from sitl.simulation.link_emulator import AirProcess
-from sitl.swarm.channel_model import BUFFER_BYTES, Conditions, Losses, Pipe
+from sitl.simulation.mesh import Mesh
+from sitl.simulation.ports import Ports
+from sitl.simulation.vehicle import Vehicle
 from sitl.swarm.control import Air
-from sitl.swarm.frames import HEARTBEAT, RADIO_STATUS, Frame
-from sitl.swarm.mesh import Mesh
-from sitl.swarm.ports import Ports
-from sitl.swarm.vehicle import Vehicle
 from tests.fakes.until import until
 
 

@@ -12,9 +12,9 @@ from sitl.campaign.main import main
 from sitl.campaign.plan import plan
 from sitl.campaign.report import BEGIN, END
 from sitl.campaign.trial import append
-from sitl.demo.compose_stack import ROOT
-from sitl.demo.config_overrides import derived
 from sitl.faults import all_faults
+from sitl.harness.compose_stack import ROOT
+from sitl.harness.config_overrides import derived
 from tests.fakes.campaign_trials import trial
 
 

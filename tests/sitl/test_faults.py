@@ -13,10 +13,10 @@ from phm.config import load
 from phm.recovery.policy import LADDERS
 from sitl import faults
 from sitl.acceptance import main, plan
-from sitl.demo.compose_stack import ROOT
-from sitl.demo.config_overrides import derived, write
 from sitl.demo.main import STORY
 from sitl.faults.base import LAYERS, Agent, Fault
+from sitl.harness.compose_stack import ROOT
+from sitl.harness.config_overrides import derived, write
 
 FILES = sorted(path.stem for path in Path(faults.__file__).parent.glob("[!_]*.py") if path.stem != "base")
 

@@ -12,8 +12,8 @@ import pytest
 from sitl.faults import all_faults
 from sitl.faults.base import Agent
 from sitl.simulation.link_emulator import AirProcess
+from sitl.simulation.ports import Ports
 from sitl.swarm.control import Air
-from sitl.swarm.ports import Ports
 
 LINKED = sorted(name for name, fault in all_faults().items() if "air" in fault.needs and name != "router_killed")
 """The router is a container of its own, which no air process has."""

@@ -14,9 +14,9 @@ import yaml
 from sitl.simulation.ground import Ground
 from sitl.simulation.link import Port, mavlink
 from sitl.simulation.link_emulator import AirProcess
+from sitl.simulation.ports import Ports
 from sitl.swarm import config, external_autopilots
 from sitl.swarm.options import Options
-from sitl.swarm.ports import Ports
 from tests.fakes.ardupilot import ArduPilot, decoded, read, record
 from tests.fakes.until import until
 

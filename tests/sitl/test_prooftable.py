@@ -7,8 +7,8 @@ import json
 import pytest
 
 from sitl.acceptance.table import BEGIN, END, Row, as_json, between_marks, grouped, judged_words, markdown
-from sitl.demo.compose_stack import ROOT
-from sitl.demo.log_queries import relapses
+from sitl.harness.compose_stack import ROOT
+from sitl.harness.log_queries import relapses
 
 
 def row(**changes: object) -> Row:

@@ -6,8 +6,8 @@ import json
 import threading
 from pathlib import Path
 
-from sitl.demo.compose_stack import Stack
-from sitl.demo.log_follower import Record
+from sitl.harness.compose_stack import Stack
+from sitl.harness.log_follower import Record
 
 
 def line(number: int) -> str:

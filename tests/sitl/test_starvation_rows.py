@@ -10,7 +10,7 @@ import pytest
 from sitl.acceptance.plan import STARVING
 from sitl.bench import starvation
 from sitl.bench.starvation_rows import BEGIN, END, Row, as_json, cells, count, from_json, levels, markdown, unwell
-from sitl.demo.compose_stack import ROOT
+from sitl.harness.compose_stack import ROOT
 
 CAUSE = "pressure/ros_app"
 

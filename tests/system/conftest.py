@@ -24,7 +24,7 @@ from docker import DockerClient
 from docker.errors import APIError, DockerException, ImageNotFound, NotFound
 from docker.models.containers import Container
 
-from sitl.demo.log_follower import Event, Record
+from sitl.harness.log_follower import Event, Record
 
 APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
 ROOT = Path(__file__).resolve().parents[2]

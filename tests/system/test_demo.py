@@ -11,9 +11,9 @@ import pytest
 from docker import DockerClient
 from rich.console import Console
 
-from sitl.demo.compose_stack import Stack
-from sitl.demo.log_follower import Record
 from sitl.demo.main import main
+from sitl.harness.compose_stack import Stack
+from sitl.harness.log_follower import Record
 from tests.system.conftest import poll
 
 

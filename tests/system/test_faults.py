@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from docker import DockerClient
 
-from sitl.demo.log_follower import Event
+from sitl.harness.log_follower import Event
 from tests.system.conftest import Aboard, Phm, config_for
 
 SETTLED_S = 10.0

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from sitl.demo.compose_stack import ROOT, SOCKET
+from sitl.harness.compose_stack import ROOT, SOCKET
 from tests.system.conftest import Aboard, poll
 
 LIMIT_S = 180.0

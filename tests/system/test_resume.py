@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from sitl.demo.log_follower import Event
+from sitl.harness.log_follower import Event
 from tests.system.conftest import Aboard, Phm, config_for, poll
 
 

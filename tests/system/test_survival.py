@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable
 from functools import partial
 
-from sitl.demo.log_follower import Event
+from sitl.harness.log_follower import Event
 from tests.system.conftest import Aboard, Phm, config_for, poll
 
 

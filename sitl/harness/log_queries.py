@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sitl.demo.log_follower import Event
 from sitl.faults.base import Agent
+from sitl.harness.log_follower import Event
 
 
 def world(agent: Agent) -> Mapping[str, Any]:

@@ -8,26 +8,24 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
 import statistics
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import psutil
 from rich.console import Console
 from rich.table import Table
 
-from sitl.demo.compose_stack import Stack
-from sitl.demo.config_overrides import derived, write
-from sitl.demo.log_follower import Event, Record
 from sitl.faults.base import Agent, mono_of
 from sitl.faults.node_killed import Injection as NodeKilled
+from sitl.harness.compose_stack import Stack
+from sitl.harness.config_overrides import derived, write
+from sitl.harness.log_follower import Event
+from sitl.harness.machine import machine, processes
+from sitl.harness.stack_monitor import StackMonitor
 
-WELL_LIMIT_S = 90.0
 SEEN_LIMIT_S = 30.0
-STEADY_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -49,34 +47,19 @@ class Bench:
 
     def __init__(self, stack: Stack, console: Console) -> None:
         self.stack, self.console = stack, console
-        self.record = Record(stack.record)
-
-    def wait_well(self) -> None:
-        """Until all reports of STEADY_S seconds have found everything well: what is measured is an agent at work."""
-        well_from: list[float] = []
-
-        def steady(event: Event) -> bool:
-            if event["event"] == "report":
-                if any(digit != 1 for digit in event["status_array"]):
-                    well_from.clear()
-                else:
-                    well_from.append(event["mono"])
-            return bool(well_from) and event["mono"] - well_from[0] >= STEADY_S
-
-        if self.record.wait(steady, WELL_LIMIT_S, since=self._mark()) is None:
-            raise RuntimeError(f"the agent did not become well within {WELL_LIMIT_S:g} s; see {self.stack.logs}")
+        self.monitor = StackMonitor(stack)
 
     def repeat(self, name: str, limit_s: float, runs: int, once: Callable[[], float]) -> Figure:
         values = []
         for number in range(1, runs + 1):
             with self.console.status(f"{name}: run {number} of {runs}"):
-                self.wait_well()
+                self.monitor.wait_ok()
                 values.append(once())
         return Figure(name, "s", limit_s, tuple(values))
 
     def container_death(self) -> float:
         app = self.stack.agent.app
-        mark = self._mark()
+        mark = self.monitor.mark()
         app.kill()
         app.reload()
         seen = self._seen(mark, "container/ros_app")["mono"] - mono_of(app.attrs["State"]["FinishedAt"])
@@ -84,7 +67,7 @@ class Bench:
         return float(seen)
 
     def node_death(self) -> float:
-        mark = self._mark()
+        mark = self.monitor.mark()
         agent = self.stack.agent
         moment = NodeKilled().inject(agent)
         seen = self._seen(mark, f"nodes/{self.stack.agent_name}/node_1")["mono"] - moment
@@ -103,12 +86,8 @@ class Bench:
             "sidecar, RSS", "MB", 140.0, tuple(memory)
         )
 
-    def _mark(self) -> int:
-        self.record.update()
-        return len(self.record.events)
-
     def _seen(self, mark: int, unit: str) -> Event:
-        event = self.record.wait(
+        event = self.monitor.record.wait(
             lambda event: event["event"] == "fault_opened" and event["unit"] == unit, SEEN_LIMIT_S, since=mark
         )
         if event is None:
@@ -116,20 +95,8 @@ class Bench:
         return event
 
 
-def processes(agent: Agent) -> list[psutil.Process]:
-    """PHM's processes on this machine: the daemon and its ROS child (the container's init is not PHM's)."""
-    top = agent.container("phm").top(ps_args="-eo pid,args")
-    return [psutil.Process(int(row[0])) for row in top["Processes"] if "python" in row[1]]
-
-
 def _cpu_s(agent: Agent) -> float:
     return sum(sum(process.cpu_times()[:2]) for process in processes(agent))
-
-
-def machine() -> str:
-    """What these figures were measured on."""
-    cores, memory = psutil.cpu_count(), psutil.virtual_memory().total / 2**30
-    return f"{platform.machine()}, {cores} cores, {memory:.0f} GiB, Linux {platform.release()}"
 
 
 def print_figures(figures: list[Figure], console: Console) -> None:
@@ -158,7 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
         with console.status("starting the agent"):
             stack.up()
         bench = Bench(stack, console)
-        bench.wait_well()
+        bench.monitor.wait_ok()
         figures = list(bench.cost(chosen.cost_seconds, 6))
         figures.append(bench.repeat("container death to log line", 0.3, chosen.runs, bench.container_death))
         figures.append(bench.repeat("node killed to log line", 2.0, chosen.runs, bench.node_death))

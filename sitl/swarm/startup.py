@@ -4,38 +4,57 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from threading import Event
-from typing import TYPE_CHECKING
 
 from docker.errors import APIError
 from docker.models.containers import Container
 
-from sitl.demo.compose_stack import ROOT
-from sitl.demo.config_overrides import write
-from sitl.swarm import config, engine, external_autopilots
+from sitl.harness.compose_stack import ROOT
+from sitl.harness.config_overrides import write
+from sitl.simulation.ports import INSIDE
+from sitl.swarm import config, engine, external_autopilots, workspace
 from sitl.swarm.health import Watch
-from sitl.swarm.ports import INSIDE
-
-if TYPE_CHECKING:
-    from sitl.swarm.swarm import Swarm, SwarmAgent
+from sitl.swarm.swarm import Swarm, SwarmAgent
 
 BUILD_LIMIT_S = 1200.0
 AIR_LIMIT_S = 30.0
 APP_LIMIT_S = 90.0
 PHM_LIMIT_S = 90.0
 WELL_LIMIT_S = 180.0
+LOCK_LIMIT_S = 0.0
 POLL_S = 0.4
 LAST_LINES = 5
 UP = b" is up"
 """What a node of the application prints when it is in the graph."""
 
 
-def bring_up(swarm: Swarm, lock: int, tell: Callable[[str], None]) -> dict[str, float]:
-    """Everything, until all is well; how long each phase took, in seconds. RuntimeError says what did not come up."""
+def up(swarm: Swarm, tell: Callable[[str], None] = print) -> None:
+    """Start everything and wait until all is OK. RuntimeError says what did not start.
+
+    What was started stays for inspection until `Swarm.down`.
+    """
+    # Report configuration errors before anything is made.
+    config.text(swarm.options, 1)
+    external_autopilots.check(swarm.options)
+    with workspace.locked(swarm.name, LOCK_LIMIT_S) as lock:
+        if engine.belongings(swarm.docker, swarm.name):
+            raise RuntimeError(
+                f"the swarm {swarm.name} already exists: `python -m sitl down --name {swarm.name}` first"
+            )
+        shutil.rmtree(swarm.folder, ignore_errors=True)
+        swarm.folder.mkdir(parents=True)
+        swarm.save()
+        swarm.took = _bring_up(swarm, lock, tell)
+        swarm.save()
+
+
+def _bring_up(swarm: Swarm, lock: int, tell: Callable[[str], None]) -> dict[str, float]:
+    """Start in phases and return the seconds of each phase."""
     at_once = max(1, os.cpu_count() or 1)
     took: dict[str, float] = {}
 

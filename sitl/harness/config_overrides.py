@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from sitl.demo.compose_stack import ROOT
+from sitl.harness.compose_stack import ROOT
 
 SHIPPED = ROOT / "config" / "phm.yaml"
 

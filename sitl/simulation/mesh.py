@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sitl.swarm.channel_model import Conditions, Losses, Pipe
+from sitl.simulation.channel_model import Conditions, Losses, Pipe
 
 DELAY_S = 0.01
 

@@ -17,9 +17,9 @@ from dataclasses import asdict
 from typing import Any, Literal
 
 from sitl.simulation.autopilot_model import AUTOPILOT, BOOT_S, Pilot
+from sitl.simulation.channel_model import Conditions, Pipe
+from sitl.simulation.frames import HEARTBEAT, RADIO_STATUS, Frame
 from sitl.simulation.link import mavlink
-from sitl.swarm.channel_model import Conditions, Pipe
-from sitl.swarm.frames import HEARTBEAT, RADIO_STATUS, Frame
 
 Place = Literal["phm", "pilot", "ground"]
 PLACES: tuple[Place, ...] = ("phm", "pilot", "ground")

@@ -1,0 +1,1 @@
+"""What the demonstration, the benches, the acceptance run and the campaign share: agents in Compose, and PHM's log."""
