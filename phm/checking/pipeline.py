@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from phm.core.bus import Bus
 from phm.core.clock import Clock
 from phm.core.model import Event, Fault, FaultClosed, Note, Report, ReportStarted, Result, Stamp, UnitState
-from phm.tracker import Step, Tracker
+from phm.tracker import Effects, Tracker
 
 WakeUnits = Callable[[Iterable[str], str], None]
 RECENT_FAULTS = 20
@@ -31,7 +31,7 @@ class Pipeline:
         self._overdue: set[str] = set()
         """Units whose check is past its deadline and has not come back since: no pass waits for them."""
         self._recent: list[Fault] = []
-        self.last_batch = clock.mono()
+        self.last_result_at = clock.mono()
         """When a check last came back by itself (monotonic seconds): the engine's sign of life."""
         self.complete = False
         """Whether a first report is done."""
@@ -58,7 +58,7 @@ class Pipeline:
             if overdue:
                 self._overdue.update(results)
             else:
-                self.last_batch = now.mono
+                self.last_result_at = now.mono
                 self._overdue.difference_update(results)
             changed = False
             for unit, result in results.items():
@@ -101,79 +101,79 @@ class Pipeline:
 
     # ------------------------------------------------------------ from recovery and from events
 
-    def hold(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
-        self._apply(lambda now: self._tracker.hold(target, owner, action, now, at_most_s, proving=proving))
+    def begin_action(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
+        self._apply(lambda now: self._tracker.begin_action(target, owner, action, now, at_most_s, proving=proving))
 
-    def release(self, target: str, *, worked: bool) -> None:
-        self._apply(lambda now: self._tracker.release(target, now, worked=worked))
+    def end_action(self, target: str, *, worked: bool) -> None:
+        self._apply(lambda now: self._tracker.end_action(target, now, worked=worked))
 
-    def discredit(self, unit: str) -> None:
-        self._apply(lambda now: self._tracker.discredit(unit))
+    def clear_action_credit(self, unit: str) -> None:
+        self._apply(lambda now: self._tracker.clear_action_credit(unit))
 
-    def acting_on(self, target: str) -> str:
+    def action_on(self, target: str) -> str:
         """The action of recovery that is at work on the target; empty: none."""
         with self._lock:
-            return self._tracker.acting_on(target)
+            return self._tracker.action_on(target)
 
-    def pause(self, target: str, words: str, conditions: frozenset[str] = frozenset()) -> None:
-        """The target is on hold: see `Tracker.pause`."""
-        self._apply(lambda now: self._tracker.pause(target, words, conditions, now))
+    def put_on_hold(self, target: str, words: str, conditions: frozenset[str] = frozenset()) -> None:
+        """The target is on hold: see `Tracker.put_on_hold`."""
+        self._apply(lambda now: self._tracker.put_on_hold(target, words, conditions, now))
 
-    def resume(self, target: str) -> None:
-        self._apply(lambda now: self._tracker.resume(target, now))
+    def end_hold(self, target: str) -> None:
+        self._apply(lambda now: self._tracker.end_hold(target, now))
 
-    def expect_end(self, target: str, at_most_s: float) -> None:
-        """The container has got a signal to end (`docker stop`): see `Tracker.expect_end`."""
-        self._apply(lambda now: self._tracker.expect_end(target, now, at_most_s))
+    def expect_stop(self, target: str, at_most_s: float) -> None:
+        """The container has got a signal to end (`docker stop`): see `Tracker.expect_stop`."""
+        self._apply(lambda now: self._tracker.expect_stop(target, now, at_most_s))
 
-    def ended(self, target: str) -> None:
-        """An event says that the container has ended: see `Tracker.ended`."""
-        self._apply(lambda now: self._tracker.ended(target, now))
+    def container_ended(self, target: str) -> None:
+        """An event says that the container has ended: see `Tracker.container_ended`."""
+        self._apply(lambda now: self._tracker.container_ended(target, now))
 
-    def stopping(self, target: str) -> bool:
+    def is_stopping(self, target: str) -> bool:
         """Whether the container has got a signal to end, is given time for it, and has not ended yet."""
         with self._lock:
-            return self._tracker.stopping(target, self._clock.mono())
+            return self._tracker.is_stopping(target, self._clock.mono())
 
-    def started(self, target: str) -> None:
-        """An event says that the container has been started: see `Tracker.started`."""
-        self._apply(lambda now: self._tracker.started(target, now))
+    def container_started(self, target: str) -> None:
+        """An event says that the container has been started: see `Tracker.container_started`."""
+        self._apply(lambda now: self._tracker.container_started(target, now))
 
     def escalate(self, fault_id: str) -> None:
         self._apply(lambda now: self._tracker.escalate(fault_id, now))
 
-    def judge_afresh(self, *units: str) -> None:
+    def clear_given_up(self, *units: str) -> None:
         """Recovery has a reason to try again on what it had given up: see `Tracker.judge_afresh`."""
-        self._apply(lambda now: self._tracker.judge_afresh(units, now))
+        self._apply(lambda now: self._tracker.clear_given_up(units, now))
 
-    def look_again(self, *units: str) -> None:
+    def recheck(self, *units: str) -> None:
         """Run these units' checks now, e.g. to verify an action."""
         self._wake_units(units, "verify")
 
-    def well_since(self, unit: str, mono: float) -> bool:
+    def ok_since(self, unit: str, mono: float) -> bool:
         """Whether a run that began after `mono` found the unit OK."""
         with self._lock:
-            return self._tracker.found_well(unit, mono)
+            return self._tracker.found_ok(unit, mono)
 
-    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+    def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         """Units that need `unit` and have not been found free of ERROR since `mono`: see `Tracker.suffering`."""
         with self._lock:
-            return self._tracker.suffering(unit, mono)
+            return self._tracker.failing_dependents(unit, mono)
 
     def bad_since(self, unit: str, mono: float) -> bool:
         """Whether the unit is still in ERROR by a run that began after `mono`: see `Tracker.found_bad`."""
         with self._lock:
-            return self._tracker.found_bad(unit, mono)
+            return self._tracker.confirmed_bad(unit, mono)
 
-    def starved(self, unit: str) -> str:
-        """The pressure unit that explains what is wrong with this one; empty: none does. See `Tracker.starved`."""
+    def starved_by(self, unit: str) -> str:
+        """The pressure unit that explains what is wrong with this one; empty: none does. See `Tracker.starved_by`."""
         with self._lock:
-            return self._tracker.starved(unit, self._clock.stamp())
+            return self._tracker.starved_by(unit, self._clock.stamp())
 
-    def starving(self, unit: str) -> str:
-        """The pressure unit by which this one is starved now: see `Tracker.starving`."""
+    def active_pressure(self, unit: str) -> str:
+        """The pressure unit by which this one is starved now: see `Tracker.active_pressure`."""
         with self._lock:
-            return self._tracker.starving(unit)
+            return self._tracker.active_pressure(unit)
 
     def newest(self, unit: str, mono: float) -> Result | None:
         """The unit's newest result, published or not, if its run began after `mono`."""
@@ -209,13 +209,13 @@ class Pipeline:
 
     # ------------------------------------------------------------ inside
 
-    def _apply(self, change: Callable[[Stamp], Step]) -> None:
+    def _apply(self, change: Callable[[Stamp], Effects]) -> None:
         with self._lock:
             rerun = self._publish(change(self._clock.stamp()))
         self._wake(rerun)
         self._wait()
 
-    def _publish(self, step: Step) -> set[str]:
+    def _publish(self, step: Effects) -> set[str]:
         for event in step.events:
             if isinstance(event, FaultClosed):
                 self._recent = [*self._recent, event.fault][-RECENT_FAULTS:]

@@ -6,22 +6,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from phm.api import Check
-from phm.checking.scheduler import Scheduled
-from phm.core.dependency_graph import Needs
+from phm.checking.scheduler import ScheduledCheck
+from phm.core.dependency_graph import DependencyGraph
 from phm.core.settings import CheckSettings, Settings
-from phm.tracker import Tracked, all_needs
+from phm.tracker import TrackedUnit, all_needs
 from phm.tracker.tracker import PRESSURE
 
 HOST_PRESSURE = ("host/cpu", "host/io", "host/memory")
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class CheckPlan:
     """`scheduled` runs in threads of its own, `tracked` is what the tracker publishes, in the same order."""
 
-    scheduled: tuple[Scheduled, ...]
-    tracked: tuple[Tracked, ...]
-    needs: Needs
+    scheduled: tuple[ScheduledCheck, ...]
+    tracked: tuple[TrackedUnit, ...]
+    needs: DependencyGraph
 
     def below(self, unit: str) -> Mapping[str, frozenset[str]]:
         """Units that need `unit` and belong to other containers, by container."""
@@ -38,7 +38,7 @@ class Plan:
         return max((entry.deadline_s for entry in self.scheduled), default=0.0) + 1.0
 
 
-def make(settings: Settings, checks: Mapping[str, type[Check]]) -> Plan:
+def build_plan(settings: Settings, checks: Mapping[str, type[Check]]) -> CheckPlan:
     """The plan for this configuration. Raises `NeedsLoop` when the needs run in a circle."""
     instances: list[tuple[Check, CheckSettings]] = []
     for name, check_class in sorted(checks.items(), key=lambda item: (item[1].slot, item[0])):
@@ -50,11 +50,13 @@ def make(settings: Settings, checks: Mapping[str, type[Check]]) -> Plan:
         by_check.setdefault(check.name, []).extend(unit.id for unit in check.units)
     scheduled = tuple(_schedule(check, override, settings) for check, override in instances)
     tracked = tuple(entry for check, override in instances for entry in _track(check, override, by_check))
-    needs = Needs({entry.unit.id: entry.needs for entry in tracked})
-    return Plan(scheduled, _with_starved_by(tracked, needs, settings), needs)
+    needs = DependencyGraph({entry.unit.id: entry.needs for entry in tracked})
+    return CheckPlan(scheduled, _with_starved_by(tracked, needs, settings), needs)
 
 
-def _with_starved_by(tracked: Sequence[Tracked], needs: Needs, settings: Settings) -> tuple[Tracked, ...]:
+def _with_starved_by(
+    tracked: Sequence[TrackedUnit], needs: DependencyGraph, settings: Settings
+) -> tuple[TrackedUnit, ...]:
     """Each unit with the pressure units that can explain its symptoms: its own container's, those of what it needs, the host's.
 
     The pressure of a container may follow from the host's, the host's from nothing. One that recovery can relieve has a
@@ -74,15 +76,15 @@ def _with_starved_by(tracked: Sequence[Tracked], needs: Needs, settings: Setting
     return tuple(replace(entry, starved_by=starved_by(entry.unit.id)) for entry in tracked)
 
 
-def _schedule(check: Check, override: CheckSettings, settings: Settings) -> Scheduled:
+def _schedule(check: Check, override: CheckSettings, settings: Settings) -> ScheduledCheck:
     """A check without a period runs at each pass; twice the interval is its own safety net."""
     period_s = override.period or check.period_s or 2.0 * settings.interval
-    return Scheduled(check, period_s, override.deadline or check.deadline_s)
+    return ScheduledCheck(check, period_s, override.deadline or check.deadline_s)
 
 
-def _track(check: Check, override: CheckSettings, by_check: Mapping[str, Sequence[str]]) -> list[Tracked]:
+def _track(check: Check, override: CheckSettings, by_check: Mapping[str, Sequence[str]]) -> list[TrackedUnit]:
     failures = override.failures or check.failures
     return [
-        Tracked(unit, check.name, check.slot, check.layer, failures, all_needs(unit, override.needs, by_check))
+        TrackedUnit(unit, check.name, check.slot, check.layer, failures, all_needs(unit, override.needs, by_check))
         for unit in check.units
     ]

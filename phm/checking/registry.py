@@ -17,7 +17,7 @@ CHECKS, REPORTERS, ACTIONS = "phm.checks", "phm.reporters", "phm.actions"
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Plugin:
     """One entry point: its name, who provides it, and the class or the reason why there is none."""
 
     name: str
@@ -28,7 +28,7 @@ class Found:
 
 
 @lru_cache(maxsize=8)
-def find(group: str, base: type) -> tuple[Found, ...]:
+def find(group: str, base: type) -> tuple[Plugin, ...]:
     """Everything declared in `group`, by name; each is loaded and must be a subclass of `base`.
 
     Looked for once in a process: it reads the metadata of every installed package, and PHM asks eight times while it starts.
@@ -42,16 +42,16 @@ def checks() -> dict[str, type[Check]]:
     return usable(find(CHECKS, Check))
 
 
-def usable(found: Iterable[Found]) -> dict[str, type]:
+def usable(found: Iterable[Plugin]) -> dict[str, type]:
     return {entry.name: entry.loaded for entry in found if entry.loaded is not None}
 
 
-def _load(point: EntryPoint, base: type) -> Found:
+def _load(point: EntryPoint, base: type) -> Plugin:
     """Three ways to fail, three sentences (after uvicorn's importer)."""
     source = _source(point.dist) if point.dist else "unknown distribution"
 
-    def failed(reason: str) -> Found:
-        return Found(point.name, source, None, reason)
+    def failed(reason: str) -> Plugin:
+        return Plugin(point.name, source, None, reason)
 
     try:
         loaded = point.load()
@@ -65,7 +65,7 @@ def _load(point: EntryPoint, base: type) -> Found:
         return failed(f"{point.value!r} is no subclass of {base.__module__}.{base.__name__}")
     if getattr(loaded, "name", None) != point.name:
         return failed(f"{point.value!r} is named {getattr(loaded, 'name', None)!r}, its entry point {point.name!r}")
-    return Found(point.name, source, loaded)
+    return Plugin(point.name, source, loaded)
 
 
 @lru_cache(maxsize=64)
@@ -74,18 +74,18 @@ def _source(package: Distribution) -> str:
     return f"{package.name} {package.version}"
 
 
-def _without_twins(found: list[Found]) -> list[Found]:
+def _without_twins(found: list[Plugin]) -> list[Plugin]:
     """Two packages with one name: neither can be trusted to be the one that is meant, so none is used."""
-    names: dict[str, list[Found]] = {}
+    names: dict[str, list[Plugin]] = {}
     for entry in found:
         names.setdefault(entry.name, []).append(entry)
-    result: list[Found] = []
+    result: list[Plugin] = []
     for name, entries in names.items():
         sources = sorted({entry.source for entry in entries})
         if len(sources) == 1:
             result.append(entries[0])
         else:
             result.append(
-                Found(name, ", ".join(sources), None, f"several packages provide {name!r}: remove all but one")
+                Plugin(name, ", ".join(sources), None, f"several packages provide {name!r}: remove all but one")
             )
     return result

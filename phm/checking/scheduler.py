@@ -25,7 +25,7 @@ WATCH_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Scheduled:
+class ScheduledCheck:
     """One check instance with what the configuration says about its running."""
 
     check: Check
@@ -38,7 +38,7 @@ class Scheduled:
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
+class CheckRun:
     """What one run gave: a result for every unit of the check. `started` is monotonic seconds."""
 
     units: Mapping[str, Result]
@@ -48,13 +48,13 @@ class Batch:
     overdue: bool = False
 
 
-Sink = Callable[[Batch], None]
+Sink = Callable[[CheckRun], None]
 
 
-class Worker:
+class CheckThread:
     """The thread of one check. `running_since` is None between runs; the watchdog reads it."""
 
-    def __init__(self, scheduled: Scheduled, world: World, clock: Clock, sink: Sink) -> None:
+    def __init__(self, scheduled: ScheduledCheck, world: World, clock: Clock, sink: Sink) -> None:
         self.scheduled = scheduled
         self.units = scheduled.units
         self._world, self._clock, self._sink = world, clock, sink
@@ -62,7 +62,7 @@ class Worker:
         self._reason = "start"
         self._stopping = False
         self.running_since: float | None = None
-        self.told_overdue = False
+        self.overdue_reported = False
         self._thread = threading.Thread(target=self._loop, name=f"phm-check-{self.units[0]}", daemon=True)
 
     def start(self) -> None:
@@ -104,16 +104,16 @@ class Worker:
 
     def _run(self, reason: str) -> None:
         started = self._clock.mono()
-        self.told_overdue = False
+        self.overdue_reported = False
         self.running_since = started
         try:
             results = self._judge()
         finally:
             self.running_since = None
         if not self._stopping:
-            self._deliver(Batch(results, started, self._clock.mono() - started, reason))
+            self._deliver(CheckRun(results, started, self._clock.mono() - started, reason))
 
-    def _deliver(self, batch: Batch) -> None:
+    def _deliver(self, batch: CheckRun) -> None:
         try:
             self._sink(batch)
         except Exception:  # a defect behind the sink: without this thread its units would never be looked at again
@@ -136,14 +136,14 @@ class Worker:
         return dict.fromkeys(self.units, result)
 
 
-class Engine:
+class CheckScheduler:
     """All workers and the watchdog over them. `sink` is called from worker threads and must be quick."""
 
-    def __init__(self, scheduled: Sequence[Scheduled], world: World, clock: Clock, sink: Sink) -> None:
+    def __init__(self, scheduled: Sequence[ScheduledCheck], world: World, clock: Clock, sink: Sink) -> None:
         self._clock, self._sink = clock, sink
-        self.workers = [Worker(entry, world, clock, sink) for entry in scheduled]
+        self.workers = [CheckThread(entry, world, clock, sink) for entry in scheduled]
         self._by_unit = {unit: worker for worker in self.workers for unit in worker.units}
-        self._by_subject: dict[str, list[Worker]] = {}
+        self._by_subject: dict[str, list[CheckThread]] = {}
         for worker in self.workers:
             for subject in worker.scheduled.check.wakes:
                 self._by_subject.setdefault(subject, []).append(worker)
@@ -170,15 +170,15 @@ class Engine:
         now, calm_s = self._clock.mono(), float("inf")
         for worker in self.workers:
             since = worker.running_since
-            if since is None or worker.told_overdue:
+            if since is None or worker.overdue_reported:
                 continue
             left_s, limit = worker.left_s(now), worker.scheduled.deadline_s
             if left_s is None or left_s >= 0:
                 calm_s = min(calm_s, calm_s if left_s is None else left_s)
                 continue
-            worker.told_overdue = True
+            worker.overdue_reported = True
             result = stale(f"the check has not come back within its deadline of {limit:g} s; it is left running")
-            self._sink(Batch(dict.fromkeys(worker.units, result), now, now - since, "overdue", overdue=True))
+            self._sink(CheckRun(dict.fromkeys(worker.units, result), now, now - since, "overdue", overdue=True))
         return calm_s
 
     def overdue(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import click
 from phm.cli.options import config_option, json_option, load_settings, loops_are_configuration_errors
 
 if TYPE_CHECKING:
-    from phm.checking.plan import Plan
+    from phm.checking.plan import CheckPlan
 
 
 @click.command(epilog="Example: phm checks --graph -c config/phm.yaml")
@@ -42,20 +42,20 @@ def command(ctx: click.Context, as_graph: bool, config: str | None, as_json: boo
     ctx.exit(0 if rows and not any(row["problem"] for row in rows) else 1)
 
 
-def _plan(config: str | None) -> Plan:
+def _plan(config: str | None) -> CheckPlan:
     settings = load_settings(config)
     from phm.checking import registry
-    from phm.checking.plan import make
+    from phm.checking.plan import build_plan
 
     with loops_are_configuration_errors():
-        return make(settings, registry.checks())
+        return build_plan(settings, registry.checks())
 
 
-def _graph_json(plan: Plan) -> list[dict[str, Any]]:
+def _graph_json(plan: CheckPlan) -> list[dict[str, Any]]:
     """One per unit, in slot order. `needs` is direct; `blocks` is everything that follows, with all between."""
-    from phm.core.dependency_graph import Needs
+    from phm.core.dependency_graph import DependencyGraph
 
-    needs = Needs({entry.unit.id: entry.needs for entry in plan.tracked})
+    needs = DependencyGraph({entry.unit.id: entry.needs for entry in plan.tracked})
     known = {entry.unit.id for entry in plan.tracked}
     return [
         {
@@ -75,11 +75,11 @@ def _graph_json(plan: Plan) -> list[dict[str, Any]]:
     ]
 
 
-def _tree(plan: Plan) -> Iterator[str]:
+def _tree(plan: CheckPlan) -> Iterator[str]:
     """Each unit once, indented below the last of its direct needs; further needs that are not above it are named."""
-    from phm.core.dependency_graph import Needs
+    from phm.core.dependency_graph import DependencyGraph
 
-    needs = Needs({entry.unit.id: entry.needs for entry in plan.tracked})
+    needs = DependencyGraph({entry.unit.id: entry.needs for entry in plan.tracked})
     entries = {entry.unit.id: entry for entry in plan.tracked}
     below: dict[str, list[str]] = {}
     for unit, entry in entries.items():

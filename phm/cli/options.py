@@ -65,12 +65,12 @@ def loops_are_configuration_errors() -> Iterator[None]:
     """What shows only once the daemon is built, needs that run in a circle and a key that cannot be used, ends like any bad
     configuration.
     """
-    from phm.core.dependency_graph import NeedsLoop
+    from phm.core.dependency_graph import DependencyCycle
     from phm.transport.mavlink_signing import KeyProblem
 
     try:
         yield
-    except NeedsLoop as error:
+    except DependencyCycle as error:
         click.echo(f"checks: {error}", err=True)
         raise click.exceptions.Exit(EX_CONFIG) from None
     except KeyProblem as error:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from graphlib import CycleError, TopologicalSorter
 
 
-class NeedsLoop(Exception):
+class DependencyCycle(Exception):
     """Units that need each other; `loop` lists them in order, the first again at the end."""
 
     def __init__(self, loop: list[str]) -> None:
@@ -14,7 +14,7 @@ class NeedsLoop(Exception):
         self.loop = loop
 
 
-class Needs:
+class DependencyGraph:
     """Answers in both directions, transitively. Immutable; needs that name no known unit are dropped.
 
     `upstream` lists the units that one depends on, causes first: the first failing entry is the root.
@@ -27,7 +27,7 @@ class Needs:
         try:
             order = tuple(TopologicalSorter(direct).static_order())
         except CycleError as error:
-            raise NeedsLoop(list(reversed(error.args[1]))) from error
+            raise DependencyCycle(list(reversed(error.args[1]))) from error
         place = {unit: index for index, unit in enumerate(order)}
         above: dict[str, frozenset[str]] = {}
         for unit in order:

@@ -223,9 +223,9 @@ class Fault:
     blocks: tuple[str, ...] = ()
     consequences: tuple[str, ...] = ()
     suspects: tuple[str, ...] = ()
-    well_s: float = 0.0
-    well_in_life_s: float = 0.0
-    life_seen: bool = False
+    ok_s: float = 0.0
+    ok_since_start_s: float = 0.0
+    start_seen: bool = False
     life: str = ""
 
 

@@ -34,7 +34,7 @@ TERMINAL = "terminal"
 """The guard's argument where PHM runs in a terminal: there the shell stops it (Ctrl-Z), and lets it go on."""
 
 
-class Guard:
+class DaemonWatchdog:
     """The daemon's end of the pipes. A guard that cannot be started, or has died, is no reason not to run: it is `problem`."""
 
     def __init__(self, command: tuple[str, ...] = (sys.executable, "-I", "-S", __file__)) -> None:

@@ -65,7 +65,7 @@ class Acting:
         not be killed before the time is over that it was given to end. False also when no thread can be started: an action
         that cannot even begin does not count as an attempt.
         """
-        if self._shop.pipeline.stopping(self._target.key) or not self._shop.hands.take(self._target.key, self):
+        if self._shop.pipeline.is_stopping(self._target.key) or not self._shop.hands.take(self._target.key, self):
             return False
         name = f"phm-act-{self._action.name}-{self._target.key}"
         if threads.start_now(threading.Thread(target=self._in_thread, name=name, daemon=True)):
@@ -149,7 +149,7 @@ class Acting:
         with hands.on(key, self, at_most_s):
             if self._given_up:
                 raise TargetBusy(f"{action} of {self._target.key} was given up meanwhile")
-            if self._shop.pipeline.stopping(key):
+            if self._shop.pipeline.is_stopping(key):
                 raise TargetBusy(f"{key} is being stopped")
             hands.hold(key, self, fault.unit, action, at_most_s)
             try:

@@ -101,10 +101,10 @@ class Repair:
         """End the hold, and let the target go if that has not happened."""
         self._acting.release_target()
         if worked and not self._credited:
-            self._shop.pipeline.discredit(self._fault.unit)
+            self._shop.pipeline.clear_action_credit(self._fault.unit)
         self._shop.hands.release(self._held, self, worked=worked)
         if not worked:
-            self._shop.pipeline.discredit(self._fault.unit)
+            self._shop.pipeline.clear_action_credit(self._fault.unit)
 
     def run(
         self,

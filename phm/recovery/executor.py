@@ -176,7 +176,7 @@ class Executor:
             raise NotApprovable(f"{fault_id} ({fault.unit}) is only reported: no container can be acted on for it")
         return worker.approve(fault_id)
 
-    def acting_on(self, target: str) -> bool:
+    def action_on(self, target: str) -> bool:
         """Whether what the engine does to it may be PHM's doing: an action at work, or a call without an answer."""
         return target in self._shop.lives.unfinished_now()
 

@@ -55,7 +55,7 @@ class Failures:
 
     def _counted(self) -> list[AttemptRecord]:
         """Newest first, without what was before a time in which the unit was OK for long."""
-        since = self.fault.opened.mono if self.fault.well_s > self.lasting_s else float("-inf")
+        since = self.fault.opened.mono if self.fault.ok_s > self.lasting_s else float("-inf")
         return [attempt for attempt in reversed(self._within()) if attempt.at >= since]
 
     def _own(self, attempt: AttemptRecord) -> bool:

@@ -261,9 +261,9 @@ def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings,
     condition = fault.result.condition
     if not ladder:
         return f"no action is known for {condition or 'this'}"
-    least_s = start_s + ONCE_WELL_S if fault.life_seen else FOUND_WELL_S
+    least_s = start_s + ONCE_WELL_S if fault.start_seen else FOUND_WELL_S
     known = fault.result.evidence.never_ok
-    never_ok = fault.well_in_life_s < least_s if known is None else known
+    never_ok = fault.ok_since_start_s < least_s if known is None else known
     if _once(condition, settings) and never_ok:
         return "it was not well before in this life of its container, so a restart would bring it back"
     return ""

@@ -28,7 +28,7 @@ class Shop:
 
     armed:   whether the vehicle is armed, as far as that is known now.
     grace_s: of a unit, seconds.
-    below:   units that need a unit and are other containers', by container (`phm.checking.plan.Plan.below`).
+    below:   units that need a unit and are other containers', by container (`phm.checking.plan.CheckPlan.below`).
     """
 
     pipeline: Pipeline

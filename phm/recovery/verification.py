@@ -22,13 +22,13 @@ STILL_BAD_S = 2.0
 class CheckResults(Protocol):
     """What runs have found; `phm.checking.pipeline.Pipeline` is one."""
 
-    def well_since(self, unit: str, mono: float) -> bool: ...
+    def ok_since(self, unit: str, mono: float) -> bool: ...
 
-    def suffering(self, unit: str, mono: float) -> tuple[str, ...]: ...
+    def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]: ...
 
     def newest(self, unit: str, mono: float) -> Result | None: ...
 
-    def starving(self, unit: str) -> str: ...
+    def active_pressure(self, unit: str) -> str: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +74,10 @@ class Verification:
     def verdict(self, seen: CheckResults, now: float) -> VerificationResult | None:
         """None: to be seen."""
         self.waiting = (self.unit,)
-        self.starved = self.starved or bool(seen.starving(self.unit))
+        self.starved = self.starved or bool(seen.active_pressure(self.unit))
         # What starts without the processor or the disk that it needs gets as much more as recovery waits for anything.
         more_s = self.verify_s if self.starved else 0.0
-        if not seen.well_since(self.unit, self.done):
+        if not seen.ok_since(self.unit, self.done):
             late = self.done + (
                 self.grace_s(self.unit) + STILL_BAD_S if self.still_bad_after_s is None else self.still_bad_after_s
             )
@@ -88,10 +88,10 @@ class Verification:
             if now - self.done <= self.verify_s + decides_s + more_s:
                 return None
             return VerificationResult(missing=self.unit, undecided=decides_s > 0, not_counted=self.starved)
-        suffering = seen.suffering(self.unit, self.done + self.verify_after_s)
-        if not suffering and seen.well_since(self.unit, self.done + self.verify_after_s):
+        failing = seen.failing_dependents(self.unit, self.done + self.verify_after_s)
+        if not failing and seen.ok_since(self.unit, self.done + self.verify_after_s):
             return VerificationResult()
-        self.waiting = suffering or self.waiting
+        self.waiting = failing or self.waiting
         longest_s = self.dependents_within_s
         if longest_s is None:
             longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.verify_after_s
@@ -141,8 +141,8 @@ def prove(
     asked, settled = float("-inf"), False
     while not meanwhile.stopping():
         now = clock.mono()
-        look_again = now - asked >= LOOK_AGAIN_S
-        if look_again:
+        recheck = now - asked >= LOOK_AGAIN_S
+        if recheck:
             asked = now
             taken = superseded(shop.lives.look(target), mine, target)
             if taken is not None:
@@ -153,10 +153,10 @@ def prove(
         if not settled and now - proving.done > verify_s and proving.decides_s(pipeline) > 0:
             settled = True
             meanwhile.settled()
-        if look_again and settled and meanwhile.wanted():
+        if recheck and settled and meanwhile.wanted():
             return VerificationResult(missing=fault.unit, undecided=True)
-        if look_again:
-            pipeline.look_again(fault.unit, *proving.waiting)
+        if recheck:
+            pipeline.recheck(fault.unit, *proving.waiting)
         clock.wait(threading.Event(), POLL_S)
     return VerificationResult(missing=fault.unit)
 

@@ -271,7 +271,7 @@ class TargetWorker:
         left_s = recheck_from - now
         if left_s > 0:
             return min(left_s, PROOF_S)
-        self._shop.pipeline.look_again(unit, *self._shop.pipeline.suffering(unit, recheck_from))
+        self._shop.pipeline.recheck(unit, *self._shop.pipeline.failing_dependents(unit, recheck_from))
         return PROOF_S
 
     def _decide(self, fault: Fault, *, approved: bool, given_up: bool = False) -> Decision:
@@ -290,7 +290,7 @@ class TargetWorker:
             approved=approved,
             given_up=given_up,
             container_actions=shop.container_actions,
-            starved=shop.pipeline.starved(fault.unit),
+            starved=shop.pipeline.starved_by(fault.unit),
             hold=(hold.until, hold.words(now)) if hold is not None else None,
             undecided=shop.holds.undecided(self._target, now.mono, ended=fault.result.condition == ENDED),
             stopped_by_hand=shop.holds.stopped_by_hand(self._target),

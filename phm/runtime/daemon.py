@@ -14,8 +14,8 @@ from typing import Any
 from phm.api import Check
 from phm.checking import registry
 from phm.checking.pipeline import Pipeline
-from phm.checking.plan import Plan, make
-from phm.checking.scheduler import WATCH_S, Batch, Engine
+from phm.checking.plan import CheckPlan, build_plan
+from phm.checking.scheduler import WATCH_S, CheckRun, CheckScheduler
 from phm.commands.control_server import ControlServer
 from phm.commands.handler import CommandHandler
 from phm.commands.services import CommandServices
@@ -27,7 +27,7 @@ from phm.core.model import ActionEvent, Event, Phase, Stamp, UnitState
 from phm.core.process_priority import oom_score_adj
 from phm.core.scheduling_delay import WINDOW_S
 from phm.core.settings import Settings
-from phm.core.watchdog import Guard
+from phm.core.watchdog import DaemonWatchdog
 from phm.facts import CannotTell, SelfFact
 from phm.probes.docker_events import DockerEvent
 from phm.recovery.actions.join_network import join_networks
@@ -73,7 +73,11 @@ class Daemon:
     """
 
     def __init__(
-        self, settings: Settings, clock: Clock | None = None, guard: Guard | None = None, before: Daemon | None = None
+        self,
+        settings: Settings,
+        clock: Clock | None = None,
+        guard: DaemonWatchdog | None = None,
+        before: Daemon | None = None,
     ) -> None:
         """before: the daemon whose place this one takes in `start`, with its links and what it knows (`phm.runtime.reload`)."""
         self.settings, self._before = settings, before
@@ -85,7 +89,7 @@ class Daemon:
         self._stood_still: tuple[float, float, bool] | None = None
         self.clock = clock or SystemClock()
         self.boot_id = uuid.uuid4().hex[:12]
-        self.plan: Plan = make(settings, registry.checks())
+        self.plan: CheckPlan = build_plan(settings, registry.checks())
         self.bus = Bus(self.clock)
         self._started = self.clock.stamp()
         self._beat = self._started.mono
@@ -101,7 +105,7 @@ class Daemon:
             self_look=self._look_at_self,
             hub=before.components.mavlink if before is not None else None,
         )
-        self.engine = Engine(self.plan.scheduled, self.components.world, self.clock, self._observe)
+        self.engine = CheckScheduler(self.plan.scheduled, self.components.world, self.clock, self._observe)
         self.pipeline.attach(self.engine.wake_units, self.beat_soon)
         self.reporters = Installed(self.bus)
         self.executor: Executor | None = None
@@ -227,7 +231,7 @@ class Daemon:
     def alive(self) -> bool:
         """The dead man's switch of heartbeats and of `phm status --healthy`: beating, and checks come back."""
         return self._quiet_s(self._beat, STALLED_BEAT_S) < STALLED_BEAT_S and (
-            self._quiet_s(self.pipeline.last_batch, STALLED_CHECKS_S) < STALLED_CHECKS_S
+            self._quiet_s(self.pipeline.last_result_at, STALLED_CHECKS_S) < STALLED_CHECKS_S
         )
 
     def _quiet_s(self, since: float, limit_s: float) -> float:
@@ -256,7 +260,7 @@ class Daemon:
 
     # ------------------------------------------------------------ wiring
 
-    def _observe(self, batch: Batch) -> None:
+    def _observe(self, batch: CheckRun) -> None:
         """What the engine reported before these results were there is applied first: it may explain them."""
         if not batch.overdue:  # STALE, and brought by the heart, which waits for nobody
             self.components.catch_up()
@@ -270,11 +274,11 @@ class Daemon:
         if event.kind == "container" and not event.harmless:
             self.holds.happened(event.key, "start" if event.begins_life else event.action, event.detail, event.id)
         if event.end_s:
-            self.pipeline.expect_end(event.key, event.end_s)
+            self.pipeline.expect_stop(event.key, event.end_s)
         if event.ends_life:
-            self.pipeline.ended(event.key)
+            self.pipeline.container_ended(event.key)
         if event.begins_life:
-            self.pipeline.started(event.key)
+            self.pipeline.container_started(event.key)
             self.components.begun(event.key)
         for subject in event.subjects:
             self._wake(subject)
@@ -357,7 +361,7 @@ class Daemon:
             pipeline.recent_faults,
             lambda: pipeline.complete,
             self.alive,
-            look=lambda: pipeline.look_again(*(state.unit for state in pipeline.states())),
+            look=lambda: pipeline.recheck(*(state.unit for state in pipeline.states())),
             approve=executor.approve,
             restart=executor.restart,
             note=pipeline.note,
@@ -394,7 +398,7 @@ class Daemon:
             self.components.renew_ros("PHM joined a network")
 
     def _acting_on(self, container: str) -> bool:
-        return self.executor is not None and self.executor.acting_on(container)
+        return self.executor is not None and self.executor.action_on(container)
 
     def _hold_words(self, container: str) -> str:
         return self._held.why_not_start(container, self.clock.stamp())

@@ -15,9 +15,9 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
 from phm.config import ConfigError, Problem
-from phm.core.dependency_graph import NeedsLoop
+from phm.core.dependency_graph import DependencyCycle
 from phm.core.settings import Settings
-from phm.core.watchdog import Guard
+from phm.core.watchdog import DaemonWatchdog
 from phm.runtime.daemon import Daemon
 
 logger = logging.getLogger(__name__)
@@ -67,7 +67,7 @@ class _Asked:
 class Reloader:
     """`ask` may be called by any thread; `run` by the main thread alone, which owns the daemon."""
 
-    def __init__(self, read: Read, guard: Guard) -> None:
+    def __init__(self, read: Read, guard: DaemonWatchdog) -> None:
         self._read, self._guard = read, guard
         self._lock = threading.Lock()
         self._waiting: list[_Asked] = []
@@ -116,7 +116,7 @@ class Reloader:
         usable = wanted.model_copy(update={name: getattr(old, name) for name in FIXED})
         try:
             new = Daemon(usable, daemon.clock, self._guard, before=daemon)
-        except NeedsLoop as error:
+        except DependencyCycle as error:
             daemon.keep_links()
             return daemon, ReloadOutcome(False, why=f"checks: {error}")
         except Exception:

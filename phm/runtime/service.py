@@ -11,7 +11,7 @@ from phm.core.instance_lock import InstanceLock
 from phm.core.process_priority import apply
 from phm.core.settings import Settings
 from phm.core.signals import Signals
-from phm.core.watchdog import Guard
+from phm.core.watchdog import DaemonWatchdog
 from phm.runtime.daemon import LOOK_S, STALLED_END_S, Daemon
 from phm.runtime.reload import Read, Reloader
 
@@ -27,7 +27,7 @@ def run(settings: Settings, read: Read | None = None) -> int:
     """
     lock = InstanceLock(settings.state_dir, settings.run_dir)
     lock.acquire()
-    guard = Guard()
+    guard = DaemonWatchdog()
     priority = apply(settings.process)
     clock = SystemClock()
     clock.measure()

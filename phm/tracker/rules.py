@@ -1,6 +1,6 @@
 """The rules by which a unit's newest result becomes what is told: pure judgement, nothing is changed here.
 
-`judge` applies them in the order in which they stand; the first that has a verdict decides.
+`decide` applies them in the order in which they stand; the first that has a verdict decides.
 
 So one cause raises one alarm, whatever order the evidence arrives in and whichever wake-up is lost, as long as
 the evidence of the cause can be seen within the dependent's `settle_s`.
@@ -13,17 +13,17 @@ from dataclasses import dataclass, replace
 
 from phm.core.model import ON_HOLD, Level, Result
 from phm.tracker import starvation
-from phm.tracker.units import Entry, Pending, Scene
+from phm.tracker.units import Pending, TrackerView, UnitRecord
 
-UNKNOWN_S = 10.0
+UNKNOWN_NEED_S = 10.0
 """How long a bad result waits for a need that is STALE at the moment."""
-SURE_S = 2.5
+GRACE_ENDS_AFTER_OK_S = 2.5
 """Grace ends early once a unit has been OK for this long: shorter could be the memory of what was there before (a killed
 node stays listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Decision:
     """What follows for one unit.
 
     tell:       the result to publish; None: what is published stays.
@@ -39,39 +39,39 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class RuleContext:
     """One unit's newest result at one moment (monotonic seconds), with all that the rules may look at."""
 
-    entry: Entry
+    entry: UnitRecord
     result: Result
-    scene: Scene
+    scene: TrackerView
     now: float
 
 
-KEEP = Verdict()
+NO_CHANGE = Decision()
 
 
-def judge(entry: Entry, scene: Scene, now: float) -> Verdict | None:
+def decide(entry: UnitRecord, scene: TrackerView, now: float) -> Decision | None:
     """The verdict on the unit's newest result; None when there has been none."""
     if entry.raw is None:
         return None
-    look = Look(entry, entry.raw, scene, now)
+    look = RuleContext(entry, entry.raw, scene, now)
     verdicts = (rule(look) for rule in RULES)
-    return next((verdict for verdict in verdicts if verdict is not None), KEEP)
+    return next((verdict for verdict in verdicts if verdict is not None), NO_CHANGE)
 
 
-def well(look: Look) -> Verdict | None:
+def recovered(look: RuleContext) -> Decision | None:
     """1. OK is told at once, and closes the unit's fault.
 
     Except while its own fault is under repair: it counts when the repair is proven, dependents included. Where it was not,
-    when these are back all the same, or `Entry.unproven_until` is over.
+    when these are back all the same, or `UnitRecord.unproven_until` is over.
     """
     if look.result.level is not Level.OK:
         return None
-    return KEEP if _unproven(look.entry, look) else Verdict(look.result)
+    return NO_CHANGE if _unproven(look.entry, look) else Decision(look.result)
 
 
-def repair_at_work(look: Look) -> Verdict | None:
+def action_in_progress(look: RuleContext) -> Decision | None:
     """2. A bad result while an action is at work on the unit's target follows from that action.
 
     The unit is STALE `blocked_by` the fault under repair; a unit whose own fault is open stays as it is.
@@ -81,22 +81,22 @@ def repair_at_work(look: Look) -> Verdict | None:
         return None
     if look.entry.fault is None and look.entry.id != hold.owner:
         return _blocked(look, hold.owner)
-    return KEEP
+    return NO_CHANGE
 
 
-def on_hold(look: Look) -> Verdict | None:
+def on_hold(look: RuleContext) -> Decision | None:
     """3. A bad result of a target on hold is STALE, with until when, by whom and why. An open fault stays open meanwhile."""
     pause = look.scene.pauses.get(look.entry.target)
     if pause is None or not look.result.level.bad:
         return None
-    known = look.entry.fault is not None or look.entry.told_given_up
+    known = look.entry.fault is not None or look.entry.published_given_up
     if pause.conditions and (known or look.result.condition not in pause.conditions):
         return None
     summary, brief = f"{pause.words}; {look.result.summary}", f"{look.entry.target} on hold"
-    return Verdict(replace(look.result, level=Level.STALE, summary=summary, brief=brief, condition=ON_HOLD))
+    return Decision(replace(look.result, level=Level.STALE, summary=summary, brief=brief, condition=ON_HOLD))
 
 
-def consequence(look: Look) -> Verdict | None:
+def blocked(look: RuleContext) -> Decision | None:
     """4. A result that is not OK while something the unit needs is bad is a consequence: STALE `blocked_by` the first cause.
 
     If it had been told as a fault of its own, that fault is closed as reattributed; to a symptom of which it is not decided
@@ -106,10 +106,10 @@ def consequence(look: Look) -> Verdict | None:
     if not cause:
         return None
     undecided = look.entry.fault is not None and starvation.undecided(look.scene.units[cause])
-    return KEEP if undecided or cause == look.entry.id else _blocked(look, cause)
+    return NO_CHANGE if undecided or cause == look.entry.id else _blocked(look, cause)
 
 
-def starved(look: Look) -> Verdict | None:
+def starved(look: RuleContext) -> Decision | None:
     """5. A symptom that starvation explains (`phm.tracker.starvation`) is STALE `blocked_by` the pressure unit while that is ERROR.
 
     When it is over, symptoms get time to go; what is still there then is a fault of its own. A fault that was open before
@@ -120,23 +120,23 @@ def starved(look: Look) -> Verdict | None:
     if cause is not None and starvation.outlasted(entry, look.now):
         return None
     if cause is not None:
-        return KEEP if starvation.before(entry, cause) else _blocked(look, cause.id)
+        return NO_CHANGE if starvation.predates(entry, cause) else _blocked(look, cause.id)
     if starvation.recovering(entry, look.now) and not _known(entry):
-        return Verdict(not_known_yet(look.result))
+        return Decision(as_unknown(look.result))
     if look.result.evidence.conclusive:
         return None
     above = _cause(look, by_starvation=True)
     if not above:
         return None
-    return KEEP if _known(entry) else _blocked(look, above)
+    return NO_CHANGE if _known(entry) else _blocked(look, above)
 
 
-def not_known(look: Look) -> Verdict | None:
+def unknown(look: RuleContext) -> Decision | None:
     """6. STALE is published immediately and closes nothing: unknown does not mean recovered."""
-    return Verdict(look.result) if look.result.level is Level.STALE else None
+    return Decision(look.result) if look.result.level is Level.STALE else None
 
 
-def being_stopped(look: Look) -> Verdict | None:
+def being_stopped(look: RuleContext) -> Decision | None:
     """7. What breaks in a container that was given a signal to end and time for it goes with it, and is not a fault.
 
     Until the container has ended, or its time for it is over. A fault that is open already goes on.
@@ -145,12 +145,12 @@ def being_stopped(look: Look) -> Verdict | None:
     if not look.scene.stopping(entry.target, look.now) or not look.scene.is_part(entry.id):
         return None
     if _known(entry):
-        return KEEP
+        return NO_CHANGE
     summary = f"{entry.target} is being stopped: {look.result.summary}"
-    return Verdict(replace(look.result, level=Level.STALE, summary=summary, brief="", condition=""))
+    return Decision(replace(look.result, level=Level.STALE, summary=summary, brief="", condition=""))
 
 
-def grace(look: Look) -> Verdict | None:
+def grace(look: RuleContext) -> Decision | None:
     """8. A bad result during grace is `not known yet`, unless its check is certain of it.
 
     Grace ends early when the unit has been OK for SURE_S, or its `memory_s` where that is longer.
@@ -159,12 +159,12 @@ def grace(look: Look) -> Verdict | None:
     bad meanwhile may follow from it; and once for each new life of a
     container (`phm.tracker.start_dedup`), for all that need it. A container that never comes well is told by its own check.
     """
-    if not too_early(look.entry, look.now):
+    if not in_grace(look.entry, look.now):
         return None
-    return Verdict(not_known_yet(look.result))
+    return Decision(as_unknown(look.result))
 
 
-def settled(look: Look) -> Verdict:
+def confirmed(look: RuleContext) -> Decision:
     """9. Otherwise everything that the unit needs is run again, and the pressure units that could explain a symptom.
 
     A bad result is told only when it was bad `failures` times in a row, has lasted `settle_s` (the result's own, or else
@@ -174,84 +174,84 @@ def settled(look: Look) -> Verdict:
     """
     entry, unit = look.entry, look.entry.spec.unit
     if entry.told.level is look.result.level and not entry.told.blocked_by and not entry.anew:
-        return Verdict(look.result)
-    upstream, symptom = look.scene.upstream(entry.id), starvation.explained(look.result)
+        return Decision(look.result)
+    upstream, symptom = look.scene.upstream(entry.id), starvation.explanation(look.result)
     pending, ask = entry.pending, frozenset[str]()
     if pending is None:
         pending, ask = Pending(look.now), frozenset(other.id for other in upstream)
     settle_s = unit.settle_s if look.result.settle_s is None else look.result.settle_s
     lasted = pending.since + (max(settle_s, symptom.settle_s) if symptom is not None else settle_s)
     if look.now < lasted:
-        return Verdict(pending=pending, ask=ask)
+        return Decision(pending=pending, ask=ask)
     witnesses = (entry, *upstream) if settle_s > 0 else upstream
     silent = frozenset(other.id for other in witnesses if other.started < lasted) | _unasked(look, lasted)
     if not pending.asked:
         pending, ask = replace(pending, asked=True), ask | silent
-    unknown = look.now - pending.since < UNKNOWN_S and any(other.unknown for other in upstream)
-    rising = look.now < lasted + starvation.RISING_S and starvation.may_follow(entry, look.scene)
+    unknown = look.now - pending.since < UNKNOWN_NEED_S and any(other.unknown for other in upstream)
+    rising = look.now < lasted + starvation.WARN_WAIT_S and starvation.may_become_explained(entry, look.scene)
     if any(other.told.since.mono > entry.started for other in upstream):
-        return Verdict(pending=pending, ask=ask | {entry.id})
+        return Decision(pending=pending, ask=ask | {entry.id})
     if silent or unknown or rising or entry.bad_in_a_row < entry.spec.failures:
-        return Verdict(pending=pending, ask=ask)
-    return Verdict(look.result, ask=ask)
+        return Decision(pending=pending, ask=ask)
+    return Decision(look.result, ask=ask)
 
 
-RULES: tuple[Callable[[Look], Verdict | None], ...] = (
-    well,
-    repair_at_work,
+RULES: tuple[Callable[[RuleContext], Decision | None], ...] = (
+    recovered,
+    action_in_progress,
     on_hold,
-    consequence,
+    blocked,
     starved,
-    not_known,
+    unknown,
     being_stopped,
     grace,
-    settled,
+    confirmed,
 )
 
 
-def not_known_yet(result: Result) -> Result:
+def as_unknown(result: Result) -> Result:
     """A bad result that may be incomplete."""
     return replace(result, level=Level.STALE, summary=f"not known yet: {result.summary}", brief="", condition="")
 
 
-def too_early(entry: Entry, now: float) -> bool:
+def in_grace(entry: UnitRecord, now: float) -> bool:
     """Whether the unit has grace. An open or given-up fault goes on meanwhile."""
-    known = entry.fault is not None or (entry.told_given_up and not entry.anew)
+    known = entry.fault is not None or (entry.published_given_up and not entry.anew)
     certain = entry.raw is not None and entry.raw.evidence.certain
-    return not known and ((now < entry.quiet_until and not certain) or entry.started < entry.counts_from)
+    return not known and ((now < entry.grace_until and not certain) or entry.started < entry.valid_from)
 
 
-def _unproven(entry: Entry, look: Look) -> bool:
+def _unproven(entry: UnitRecord, look: RuleContext) -> bool:
     """Whether the unit's fault, open or given up, is still being proven to be healed, or was not: its OK is kept back."""
     if entry.fault is None and not entry.escalated:
         return False
     hold = look.scene.holds.get(entry.target)
     proving = hold is not None and hold.proving and hold.owner == entry.id
-    return proving or (look.now < entry.unproven_until and not _all_back(entry, look.scene))
+    return proving or (look.now < entry.unverified_until and not _all_back(entry, look.scene))
 
 
-def _all_back(entry: Entry, scene: Scene) -> bool:
+def _all_back(entry: UnitRecord, scene: TrackerView) -> bool:
     """Whether all of its target that needs the unit has been found OK since its repair was not proven: late, but back."""
     below = (other for other in scene.downstream(entry.id) if other.target == entry.target and not _known(other))
     return all(
-        other.raw is not None and other.raw.level is Level.OK and other.started >= entry.unproven_from
+        other.raw is not None and other.raw.level is Level.OK and other.started >= entry.unverified_from
         for other in below
     )
 
 
-def _unasked(look: Look, lasted: float) -> frozenset[str]:
+def _unasked(look: RuleContext, lasted: float) -> frozenset[str]:
     """Pressure units that could explain the result, and have not answered since."""
-    if look.now >= lasted + UNKNOWN_S:
+    if look.now >= lasted + UNKNOWN_NEED_S:
         return frozenset()
-    return frozenset(other.id for other in starvation.witnesses(look.entry, look.scene) if other.started < lasted)
+    return frozenset(other.id for other in starvation.pressure_units(look.entry, look.scene) if other.started < lasted)
 
 
-def _known(entry: Entry) -> bool:
+def _known(entry: UnitRecord) -> bool:
     """Published as a fault: open, or given up."""
-    return entry.fault is not None or entry.told_given_up
+    return entry.fault is not None or entry.published_given_up
 
 
-def _cause(look: Look, *, by_starvation: bool = False) -> str:
+def _cause(look: RuleContext, *, by_starvation: bool = False) -> str:
     """The first unit upstream that is failing, by starvation alone or not, or whose OK is kept back: grace for what needs it
     begins when that is told.
 
@@ -264,12 +264,12 @@ def _cause(look: Look, *, by_starvation: bool = False) -> str:
     return ""
 
 
-def _merely_starved(other: Entry, look: Look) -> bool:
+def _merely_starved(other: UnitRecord, look: RuleContext) -> bool:
     if _known(other):
         return False
     return starvation.cause(other, look.scene) is not None or starvation.recovering(other, look.now)
 
 
-def _blocked(look: Look, cause: str) -> Verdict:
+def _blocked(look: RuleContext, cause: str) -> Decision:
     summary = f"blocked by {cause}: {look.result.summary}"
-    return Verdict(replace(look.result, level=Level.STALE, summary=summary), blocked_by=cause)
+    return Decision(replace(look.result, level=Level.STALE, summary=summary), blocked_by=cause)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 
-class Saw(Enum):
+class StartSeen(Enum):
     """What a run has seen: the life that was known, one that an event had announced, or one that no event has reported."""
 
     KNOWN = "known"
@@ -31,7 +31,7 @@ class _Life:
     """A check saw it; its event has not come, or never will."""
 
 
-class Lives:
+class StartDedup:
     """By target. An event that never came swallows at most the next one, whose life the check then tells."""
 
     def __init__(self) -> None:
@@ -51,12 +51,12 @@ class Lives:
         life.heard_at = now
         return True
 
-    def saw(self, target: str, unit: str, seen: str, started: float) -> Saw:
+    def saw(self, target: str, unit: str, seen: str, started: float) -> StartSeen:
         """A run that began at `started` saw this life. The first one ever seen is no news."""
         life = self._of.setdefault(target, _Life())
         life.teller = life.teller or unit
         if unit != life.teller:
-            return Saw.KNOWN
+            return StartSeen.KNOWN
         changed, heard = life.seen not in ("", seen), life.heard_at is not None
         life.seen = seen
         if life.heard_at is not None and (changed or started >= life.heard_at):
@@ -64,5 +64,5 @@ class Lives:
         if changed and not heard:
             life.unheard = True
         if not changed:
-            return Saw.KNOWN
-        return Saw.ANNOUNCED if heard else Saw.NEWS
+            return StartSeen.KNOWN
+        return StartSeen.ANNOUNCED if heard else StartSeen.NEWS

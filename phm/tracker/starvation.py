@@ -11,23 +11,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from phm.core.model import Level, Result
-from phm.tracker.units import Entry, Scene, Starving
+from phm.tracker.units import Starvation, TrackerView, UnitRecord
 
 WAITING = frozenset({"cpu_throttled", "cpu_starved", "cpu_high", "memory_pressure", "io_pressure"})
 """Conditions of pressure units that mean: tasks stand still. A memory that is used up and not waited for (`memory_high`) is none."""
 OF_HOST = frozenset({"cpu_high", "memory_pressure", "io_pressure"})
-LAST_WORD_S = 10.0
+UNKNOWN_PRESSURE_S = 10.0
 """A pressure unit that cannot tell any more (STALE) explains what it explained for so long: an overloaded engine gives no figures."""
-LATE_S = 5.0
+BEFORE_PRESSURE_S = 5.0
 """A symptom may be published so long before the figures show the starvation that it follows from. What is older goes on."""
-RISING_S = 3.0
+WARN_WAIT_S = 3.0
 """While a pressure unit is WARN, what it may soon explain waits for so long. WARN explains nothing: it raises no alarm."""
-OVER_S = 5.0
+RECOVERY_S = 5.0
 """After starvation symptoms get this long to go, or the `grace_s` of their unit where that is longer."""
 
 
 @dataclass(frozen=True, slots=True)
-class Explained:
+class Explanation:
     """evidence: why starvation can produce the symptom. by: the conditions of pressure units that do. settle_s: how long it must
     last at least, where its cause shows later than it does. most_s: what lasts for longer is not explained; None: no limit."""
 
@@ -40,104 +40,108 @@ class Explained:
 UNREAD_S = 15.0
 """PHM knows how much of a silence it was late itself and leaves that out, so that little more than this can be late frames of a
 router on this machine. A link, an autopilot or a peer that is silent for longer is lost, however busy the machine is."""
-_SLOW = Explained("its publisher is not scheduled at each period")
-_LEASE = Explained(
+_SLOW = Explanation("its publisher is not scheduled at each period")
+_LEASE = Explanation(
     "participants that do not announce themselves in time are dropped from the graph, with all their endpoints"
 )
-_LATE = Explained("its beacon or its executor is not scheduled, so the beat is late")
-_UNREAD = Explained("PHM, or a router on this machine, passes frames on late", most_s=UNREAD_S)
-_HEARD = Explained("the neighbours' beats are late, or read late")
+_LATE = Explanation("its beacon or its executor is not scheduled, so the beat is late")
+_UNREAD = Explanation("PHM, or a router on this machine, passes frames on late", most_s=UNREAD_S)
+_HEARD = Explanation("the neighbours' beats are late, or read late")
 
-EXPLAINED: Mapping[str, Explained] = {
+EXPLAINED: Mapping[str, Explanation] = {
     "rate_low": _SLOW,
     "silent": _SLOW,
-    "not_received": Explained("a publisher that is starved from its start has not sent yet"),
-    "transport_blocked": Explained("publishers that are starved from their start are found, and have not sent yet"),
+    "not_received": Explanation("a publisher that is starved from its start has not sent yet"),
+    "transport_blocked": Explanation("publishers that are starved from their start are found, and have not sent yet"),
     "topic_missing": _LEASE,
     "publisher_missing": _LEASE,
     "subscriber_missing": _LEASE,
     "publisher_lost": _LEASE,
     "subscriber_lost": _LEASE,
-    "node_missing": Explained(f"by the graph or the beacon alone: {_LEASE.evidence}; not where its process is gone"),
+    "node_missing": Explanation(f"by the graph or the beacon alone: {_LEASE.evidence}; not where its process is gone"),
     "node_unreachable": _LEASE,
-    "node_hung": Explained(f"{_LATE.evidence}; not where its process or container is stopped"),
+    "node_hung": Explanation(f"{_LATE.evidence}; not where its process or container is stopped"),
     "node_unanswering": _LATE,
     "node_busy": _LATE,
     "beacon_missing": _LATE,
     "dissent": _HEARD,
     "split": _HEARD,
-    "diagnostic_stale": Explained("its publisher is not scheduled in time"),
-    "unhealthy": Explained(
+    "diagnostic_stale": Explanation("its publisher is not scheduled in time"),
+    "unhealthy": Explanation(
         "the probe of the health check takes longer than its time-out, or cannot be started", WAITING | {"pids_limit"}
     ),
     "autopilot_silent": _UNREAD,
     "gcs_lost": _UNREAD,
     "radio_silent": _UNREAD,
     "link_silent": _UNREAD,
-    "frames_lost": Explained("frames that PHM does not read in time are dropped by the kernel"),
-    "peer_lost": Explained(
+    "frames_lost": Explanation("frames that PHM does not read in time are dropped by the kernel"),
+    "peer_lost": Explanation(
         "this agent reads the peer's heartbeats late; not where another agent has lost it, too", most_s=UNREAD_S
     ),
     "peer_partly": _UNREAD,
     "alone": _UNREAD,
-    "cpu_starved": Explained("all containers wait when the machine has no core to spare", OF_HOST, settle_s=RISING_S),
-    "memory_pressure": Explained(
-        "the machine reclaims memory from all containers", frozenset({"memory_pressure"}), settle_s=RISING_S
+    "cpu_starved": Explanation(
+        "all containers wait when the machine has no core to spare", OF_HOST, settle_s=WARN_WAIT_S
     ),
-    "io_pressure": Explained("all containers wait for the same disk", frozenset({"io_pressure"}), settle_s=RISING_S),
+    "memory_pressure": Explanation(
+        "the machine reclaims memory from all containers", frozenset({"memory_pressure"}), settle_s=WARN_WAIT_S
+    ),
+    "io_pressure": Explanation(
+        "all containers wait for the same disk", frozenset({"io_pressure"}), settle_s=WARN_WAIT_S
+    ),
 }
 """What starvation explains, by condition; nothing else. docs/reference/recovery.md has it as a table, and a test compares them."""
 
 
-def explained(result: Result) -> Explained | None:
+def explanation(result: Result) -> Explanation | None:
     """What can explain this bad result; None: starvation cannot."""
     if not result.level.bad or result.evidence.certain or result.evidence.conclusive:
         return None
     return EXPLAINED.get(result.condition)
 
 
-def witnesses(entry: Entry, scene: Scene) -> list[Entry]:
+def pressure_units(entry: UnitRecord, scene: TrackerView) -> list[UnitRecord]:
     """The pressure units whose figures decide whether the unit's newest result is a fault of its own."""
-    if entry.raw is None or explained(entry.raw) is None:
+    if entry.raw is None or explanation(entry.raw) is None:
         return []
     return [scene.units[name] for name in entry.spec.starved_by]
 
 
-def cause(entry: Entry, scene: Scene) -> Entry | None:
+def cause(entry: UnitRecord, scene: TrackerView) -> UnitRecord | None:
     """The pressure unit that starves this one and so explains its newest result; the host's, where it starves that one too."""
-    symptom = explained(entry.raw) if entry.raw is not None else None
+    symptom = explanation(entry.raw) if entry.raw is not None else None
     if symptom is None:
         return None
-    for other in witnesses(entry, scene):
+    for other in pressure_units(entry, scene):
         if other.starving is not None and other.starving.condition in symptom.by:
             return cause(other, scene) or other
     return None
 
 
-def undecided(entry: Entry) -> bool:
+def undecided(entry: UnitRecord) -> bool:
     """Whether the unit's newest result is a symptom that waits to be published."""
     waits = entry.pending is not None and entry.told.level is not Level.ERROR
-    return waits and entry.raw is not None and explained(entry.raw) is not None
+    return waits and entry.raw is not None and explanation(entry.raw) is not None
 
 
-def may_follow(entry: Entry, scene: Scene) -> bool:
+def may_become_explained(entry: UnitRecord, scene: TrackerView) -> bool:
     """Whether a pressure unit is at WARN, and may be on its way to ERROR."""
-    return any(other.raw is not None and other.raw.level is Level.WARN for other in witnesses(entry, scene))
+    return any(other.raw is not None and other.raw.level is Level.WARN for other in pressure_units(entry, scene))
 
 
-def before(entry: Entry, starver: Entry) -> bool:
+def predates(entry: UnitRecord, starver: UnitRecord) -> bool:
     """Whether the unit's fault is another one: older than the starvation, or opened for what that does not explain."""
     if entry.fault is None:
-        return entry.told_given_up
-    since, symptom = starver.starving.since if starver.starving is not None else 0.0, explained(entry.fault.result)
+        return entry.published_given_up
+    since, symptom = starver.starving.since if starver.starving is not None else 0.0, explanation(entry.fault.result)
     if symptom is None or (symptom.most_s is not None and entry.fault.opened.mono >= since + symptom.most_s):
         return True
-    return entry.fault.opened.mono < since - LATE_S
+    return entry.fault.opened.mono < since - BEFORE_PRESSURE_S
 
 
-def outlasted(entry: Entry, now: float) -> bool:
+def outlasted(entry: UnitRecord, now: float) -> bool:
     """Whether the unit's newest result is a symptom that lasts for longer than starvation can explain."""
-    symptom = explained(entry.raw) if entry.raw is not None else None
+    symptom = explanation(entry.raw) if entry.raw is not None else None
     if symptom is None or symptom.most_s is None:
         return False
     return (
@@ -147,26 +151,26 @@ def outlasted(entry: Entry, now: float) -> bool:
     )
 
 
-def observe(entry: Entry, now: float) -> bool:
+def observe(entry: UnitRecord, now: float) -> bool:
     """Take note of the newest result of a pressure unit; whether it has begun to starve others, or ceased to."""
     was, raw = entry.starving, entry.raw
     assert raw is not None
     if raw.level is Level.ERROR and raw.condition in WAITING | {"pids_limit"}:
-        entry.starving = Starving(was.since if was is not None else now, now, raw.condition)
-    elif raw.level is not Level.STALE or (was is not None and now - was.seen >= LAST_WORD_S):
+        entry.starving = Starvation(was.since if was is not None else now, now, raw.condition)
+    elif raw.level is not Level.STALE or (was is not None and now - was.seen >= UNKNOWN_PRESSURE_S):
         entry.starving = None
     return (was is None) != (entry.starving is None)
 
 
-def over(entry: Entry, starver: str, now: float) -> None:
+def ended(entry: UnitRecord, starver: str, now: float) -> None:
     """This pressure unit no longer starves the other: symptoms seen before prove nothing, and need time to go."""
-    entry.starver, entry.symptoms_from = starver, now
-    entry.symptoms_quiet = now + max(entry.spec.unit.grace_s, OVER_S)
-    entry.pending = entry.well_since = None
+    entry.starver, entry.symptoms_count_from = starver, now
+    entry.symptom_grace_until = now + max(entry.spec.unit.grace_s, RECOVERY_S)
+    entry.pending = entry.ok_since = None
 
 
-def recovering(entry: Entry, now: float) -> bool:
+def recovering(entry: UnitRecord, now: float) -> bool:
     """Whether the unit's newest result is a symptom that may still follow from a starvation that is over."""
-    if entry.raw is None or explained(entry.raw) is None:
+    if entry.raw is None or explanation(entry.raw) is None:
         return False
-    return now < entry.symptoms_quiet or entry.started - entry.raw.age_s < entry.symptoms_from
+    return now < entry.symptom_grace_until or entry.started - entry.raw.age_s < entry.symptoms_count_from

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from phm.api import Unit
-from phm.core.dependency_graph import Needs
+from phm.core.dependency_graph import DependencyGraph
 from phm.core.model import Event, Fault, Layer, Level, Result, Slot, UnitState
 
 NEVER = float("-inf")
 
 
 @dataclass(frozen=True, slots=True)
-class Tracked:
+class TrackedUnit:
     """A unit with what its check says about it."""
 
     unit: Unit
@@ -29,7 +29,7 @@ class Tracked:
 
 
 @dataclass(slots=True)
-class Step:
+class Effects:
     """What follows from one call: events for the bus, in order, and units whose checks must run again."""
 
     events: list[Event] = field(default_factory=list)
@@ -39,7 +39,7 @@ class Step:
 
 
 @dataclass(slots=True)
-class Hold:
+class ActionInProgress:
     """An action is at work on a target; `until` ends the hold even if its owner has died."""
 
     owner: str
@@ -50,7 +50,7 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True)
-class Pause:
+class TargetHold:
     """A target is on hold: what is bad there is STALE with these words, and opens no fault.
 
     conditions: only these are, and only where no fault is open: an end that may be part of a restart. Empty: all are.
@@ -70,7 +70,7 @@ class Pending:
 
 
 @dataclass(frozen=True, slots=True)
-class Starving:
+class Starvation:
     """A pressure unit finds that tasks stand still: since when, as of when (monotonic seconds), and in which way."""
 
     since: float
@@ -79,40 +79,40 @@ class Starving:
 
 
 @dataclass(slots=True)
-class Entry:
+class UnitRecord:
     """Everything known about one unit. `raw` is its newest result, `told` what is published."""
 
-    spec: Tracked
+    spec: TrackedUnit
     told: UnitState
     raw: Result | None = None
     started: float = NEVER
     bad_in_a_row: int = 0
     pending: Pending | None = None
-    harmed: bool = False
+    had_error: bool = False
     """It has been ERROR, told or not, since it was last OK: what needs it may have suffered."""
-    counts_from: float = NEVER
+    valid_from: float = NEVER
     """Runs that began earlier prove nothing bad any more."""
-    quiet_until: float = 0.0
+    grace_until: float = 0.0
     """Grace: until then a bad result is `not known yet`."""
-    well_since: float | None = None
-    born: float = NEVER
+    ok_since: float | None = None
+    container_started: float = NEVER
     """When the container of its target was last seen to be started; nothing is known before."""
-    was_well_s: float = 0.0
+    ok_before_s: float = 0.0
     """Told as OK for so long in this life of it, but for the present spell."""
-    unproven_from: float = NEVER
-    unproven_until: float = NEVER
+    unverified_from: float = NEVER
+    unverified_until: float = NEVER
     """Its repair did not bring back what needs it; until then it is not believed to be well."""
     fault: Fault | None = None
     escalated: bool = False
     given_up: Fault | None = None
     """The fault that recovery gave up on, while `escalated`."""
-    starving: Starving | None = None
+    starving: Starvation | None = None
     """Of a pressure unit: it explains the symptoms of those that it starves."""
     starver: str = ""
     """The pressure unit that starved it last."""
-    symptoms_from: float = NEVER
+    symptoms_count_from: float = NEVER
     """When starvation last ended: symptoms of which the evidence is older prove nothing."""
-    symptoms_quiet: float = NEVER
+    symptom_grace_until: float = NEVER
     """Until then symptoms may still follow from it."""
     conditions: set[str] = field(default_factory=set)
     """Those that its faults have had since it was last OK: giving up on one of them must not hide another."""
@@ -127,11 +127,11 @@ class Entry:
 
     def grant(self, now: float, until: float) -> None:
         """Grace until then; what was seen before `now` no longer counts."""
-        self.pending = self.well_since = None
-        self.bad_in_a_row, self.counts_from = 0, now
-        self.quiet_until = max(self.quiet_until, until)
+        self.pending = self.ok_since = None
+        self.bad_in_a_row, self.valid_from = 0, now
+        self.grace_until = max(self.grace_until, until)
 
-    def reword(self, result: Result) -> None:
+    def update_condition(self, result: Result) -> None:
         """What is wrong has changed: the fault that is open, or was given up, now says so."""
         self.conditions.add(result.condition)
         if self.fault is not None:
@@ -139,22 +139,22 @@ class Entry:
         elif self.given_up is not None:
             self.given_up = replace(self.given_up, result=result)
 
-    def reconsider(self) -> None:
+    def clear_given_up(self) -> None:
         """It is OK, or there is a reason to try again: nothing is given up any more."""
         self.escalated, self.given_up = False, None
         self.conditions.clear()
 
-    def begin_life(self, now: float) -> None:
+    def record_start(self, now: float) -> None:
         """Its container has been started: what was well before says nothing about this life."""
-        self.born, self.was_well_s = now, 0.0
+        self.container_started, self.ok_before_s = now, 0.0
 
-    def well_in_life_s(self, now: float) -> float:
+    def ok_since_start_s(self, now: float) -> float:
         """Told as OK for so long, in all, in this life of its container."""
-        spell_s = now - max(self.told.since.mono, self.born) if self.told.level is Level.OK else 0.0
-        return self.was_well_s + spell_s
+        spell_s = now - max(self.told.since.mono, self.container_started) if self.told.level is Level.OK else 0.0
+        return self.ok_before_s + spell_s
 
     @property
-    def told_given_up(self) -> bool:
+    def published_given_up(self) -> bool:
         """Known as a fault that PHM has given up on: grace after a restart of PHM does not make it unknown again."""
         return self.escalated and self.told.level is Level.ERROR
 
@@ -169,18 +169,18 @@ class Entry:
         return self.raw is not None and self.raw.level is Level.ERROR
 
     @property
-    def untold(self) -> bool:
+    def unpublished(self) -> bool:
         """It is bad and not told so yet, or well while its fault is still open: time may end that."""
         if self.raw is None:
             return False
         if self.raw.level is Level.OK:
-            return self.fault is not None or self.told_given_up
+            return self.fault is not None or self.published_given_up
         return self.raw.level.bad and (self.told.level is not self.raw.level or self.anew)
 
     @property
     def waiting(self) -> bool:
         """Whether time alone may change what is told, or how soon it is looked at again."""
-        return self.pending is not None or self.untold
+        return self.pending is not None or self.unpublished
 
     @property
     def unknown(self) -> bool:
@@ -188,15 +188,15 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Scene:
+class TrackerView:
     """All units, who needs whom, by target the actions at work, until when it is given time to end (monotonic seconds), and
     the pauses. The tracker fills it, the rules only look."""
 
-    units: Mapping[str, Entry]
-    needs: Needs
-    holds: Mapping[str, Hold]
+    units: Mapping[str, UnitRecord]
+    needs: DependencyGraph
+    holds: Mapping[str, ActionInProgress]
     stops: Mapping[str, float] = field(default_factory=dict)
-    pauses: Mapping[str, Pause] = field(default_factory=dict)
+    pauses: Mapping[str, TargetHold] = field(default_factory=dict)
 
     def stopping(self, target: str, now: float) -> bool:
         return now < self.stops.get(target, NEVER)
@@ -207,19 +207,19 @@ class Scene:
         return bool(entry.target) and any(other.target == entry.target for other in self.upstream(unit))
 
     @cached_property
-    def starved(self) -> Mapping[str, tuple[Entry, ...]]:
+    def starved(self) -> Mapping[str, tuple[UnitRecord, ...]]:
         """By pressure unit, those whose symptoms it can explain."""
-        found: dict[str, list[Entry]] = {}
+        found: dict[str, list[UnitRecord]] = {}
         for entry in self.units.values():
             for name in entry.spec.starved_by:
                 found.setdefault(name, []).append(entry)
         return {name: tuple(entries) for name, entries in found.items()}
 
-    def upstream(self, unit: str) -> list[Entry]:
+    def upstream(self, unit: str) -> list[UnitRecord]:
         """What the unit depends on, causes first."""
         return [self.units[name] for name in self.needs.upstream(unit)]
 
-    def downstream(self, unit: str) -> list[Entry]:
+    def downstream(self, unit: str) -> list[UnitRecord]:
         return [self.units[name] for name in self.needs.downstream(unit)]
 
 

@@ -18,7 +18,7 @@ import phm
 from phm.cli import VERBS, group
 from phm.cli.reading import Read
 from phm.core.clock import SystemClock
-from phm.core.dependency_graph import NeedsLoop
+from phm.core.dependency_graph import DependencyCycle
 from phm.core.model import Level, Outcome, Slot, UnitState
 from phm.core.settings import Settings
 from phm.reporters.status import Status
@@ -457,7 +457,7 @@ def test_needs_in_a_circle_end_like_a_bad_configuration(verb: str, monkeypatch: 
     """They show only when the checks are known: one sentence that names the circle, exit code 78."""
 
     def loop(settings: Settings, read: object = None) -> int:
-        raise NeedsLoop(["a", "b", "a"])
+        raise DependencyCycle(["a", "b", "a"])
 
     with_daemon(monkeypatch, once=loop)
     monkeypatch.setattr("phm.runtime.service.run", loop)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 import pytest
 
 from phm import api, testing
-from phm.checking.scheduler import Batch, Engine, Scheduled
+from phm.checking.scheduler import CheckRun, CheckScheduler, ScheduledCheck
 from tests.fakes.until import until
 
 
@@ -37,12 +37,12 @@ class Rig:
 
     def __init__(self) -> None:
         self.clock = testing.FakeClock()
-        self.batches: list[Batch] = []
-        self.engines: list[Engine] = []
+        self.batches: list[CheckRun] = []
+        self.engines: list[CheckScheduler] = []
 
-    def start(self, *checks: api.Check, period_s: float = 20.0, deadline_s: float = 5.0) -> Engine:
-        scheduled = [Scheduled(check, period_s, deadline_s) for check in checks]
-        engine = Engine(scheduled, testing.world(), self.clock, self.batches.append)
+    def start(self, *checks: api.Check, period_s: float = 20.0, deadline_s: float = 5.0) -> CheckScheduler:
+        scheduled = [ScheduledCheck(check, period_s, deadline_s) for check in checks]
+        engine = CheckScheduler(scheduled, testing.world(), self.clock, self.batches.append)
         self.engines.append(engine)
         engine.start()
         return engine
@@ -161,13 +161,15 @@ def test_a_hung_check_makes_only_itself_stale(rig: Rig) -> None:
 
 def test_a_defect_behind_the_sink_does_not_end_the_thread(rig: Rig) -> None:
     """A lost result must not mean that the unit is never looked at again."""
-    calls: list[Batch] = []
+    calls: list[CheckRun] = []
 
-    def sink(batch: Batch) -> None:
+    def sink(batch: CheckRun) -> None:
         calls.append(batch)
         raise RuntimeError("defect")
 
-    engine = Engine([Scheduled(Scripted(lambda: api.ok("well")), 20.0, 5.0)], testing.world(), rig.clock, sink)
+    engine = CheckScheduler(
+        [ScheduledCheck(Scripted(lambda: api.ok("well")), 20.0, 5.0)], testing.world(), rig.clock, sink
+    )
     rig.engines.append(engine)
     engine.start()
     until(lambda: len(calls) == 1, "the first call")

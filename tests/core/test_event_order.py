@@ -33,7 +33,7 @@ def agent() -> Bench:
 
 
 def died(bench: Bench) -> set[str]:
-    return bench.take(bench.tracker.ended("app", bench.stamp()))
+    return bench.take(bench.tracker.container_ended("app", bench.stamp()))
 
 
 def test_a_look_from_before_the_reported_end_is_no_witness_after_it() -> None:
@@ -91,7 +91,7 @@ def test_a_node_that_is_dead_apart_from_the_end_is_reported_by_fresh_runs() -> N
 def test_results_of_the_life_before_an_announced_one_prove_nothing() -> None:
     """The event of a start came, and a run shows that the container has been started once more since."""
     bench = agent()
-    bench.take(bench.tracker.started("app", bench.stamp()))
+    bench.take(bench.tracker.container_started("app", bench.stamp()))
     for _ in range(18):
         bench.later(0.5)
         bench.see("nodes", OK)

@@ -19,7 +19,7 @@ from phm.facts import NotPermitted
 from phm.recovery.base import Action, ActionContext, ActionFailed
 from phm.recovery.executor import Executor, Shop
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
-from phm.tracker import Tracked, Tracker
+from phm.tracker import TrackedUnit, Tracker
 from tests.fakes.until import until
 
 
@@ -38,8 +38,8 @@ class World:
         self.nodes_well = True
         nodes = Unit("nodes/app", ("health/app",), target="app")
         tracked = [
-            Tracked(unit, "health", Slot.CONTAINER, Layer.DOCKER),
-            Tracked(nodes, "nodes", Slot.NODES, Layer.ROS, 1, nodes.needs),
+            TrackedUnit(unit, "health", Slot.CONTAINER, Layer.DOCKER),
+            TrackedUnit(nodes, "nodes", Slot.NODES, Layer.ROS, 1, nodes.needs),
         ]
         tracker = Tracker(tracked, self.clock.stamp())
         self.bus = Bus(self.clock)

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from phm.core import watchdog as guard_module
-from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, Guard, state_of, watch
+from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, DaemonWatchdog, state_of, watch
 from phm.runtime.shutdown_marker import ShutdownMarker
 from tests.fakes.until import until
 
@@ -137,8 +137,8 @@ def test_a_starved_daemon_is_let_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 BEATING = """
 import time
-from phm.core.watchdog import Guard
-guard = Guard()
+from phm.core.watchdog import DaemonWatchdog
+guard = DaemonWatchdog()
 guard.start()
 print("beats", flush=True)
 while not guard.beat():
@@ -166,7 +166,7 @@ def test_a_daemon_that_was_let_go_on_knows_it() -> None:
 
 def test_the_guard_goes_with_the_daemon() -> None:
     """Closed pipe, no process left."""
-    guard = Guard()
+    guard = DaemonWatchdog()
     guard.start()
     process = guard._process
     assert process is not None
@@ -179,11 +179,11 @@ def test_the_guard_goes_with_the_daemon() -> None:
 
 def test_a_guard_that_cannot_start_or_dies_is_a_problem_and_no_crash(monkeypatch: pytest.MonkeyPatch) -> None:
     """PHM runs without it and says so; switched off it is no problem."""
-    guard = Guard(("/nonexistent/python",))
+    guard = DaemonWatchdog(("/nonexistent/python",))
     guard.start()
     guard.beat()
     assert "cannot be started" in guard.problem
-    dead = Guard((sys.executable, "-S", "-c", ""))
+    dead = DaemonWatchdog((sys.executable, "-S", "-c", ""))
     dead.start()
 
     def noticed() -> str:
@@ -194,7 +194,7 @@ def test_a_guard_that_cannot_start_or_dies_is_a_problem_and_no_crash(monkeypatch
     until(noticed, "the problem")
     assert "has ended" in dead.problem
     monkeypatch.setenv("PHM_GUARD", "off")
-    off = Guard(("/nonexistent/python",))
+    off = DaemonWatchdog(("/nonexistent/python",))
     off.start()
     assert off.problem == ""
 

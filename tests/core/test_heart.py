@@ -11,7 +11,7 @@ import pytest
 
 from phm.api import Level
 from phm.core.model import UnitState
-from phm.core.watchdog import Guard
+from phm.core.watchdog import DaemonWatchdog
 from phm.runtime.daemon import CALM_S, Daemon
 from phm.testing import settings
 from tests.fakes.until import until
@@ -19,7 +19,7 @@ from tests.fakes.until import until
 LIMIT_S = 20.0
 
 
-class Told(Guard):
+class Told(DaemonWatchdog):
     """A guard that has let PHM go on when the test says so; counts the beats that it hears."""
 
     def __init__(self) -> None:

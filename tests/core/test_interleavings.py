@@ -18,7 +18,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from phm.api import error, stale
 from phm.core.model import FaultClosed, FaultOpened, Level, Outcome
-from phm.tracker.starvation import LATE_S
+from phm.tracker.starvation import BEFORE_PRESSURE_S
 from tests.fakes.agent_world import CAUSES, HIDDEN, NODES, STARVING, TARGET, Sim, shipped
 from tests.fakes.healer import Healer
 
@@ -138,16 +138,16 @@ def test_a_fault_older_than_starvation_goes_on(starving: str, kind: str, seed: i
     sim.world.inject(kind, sim.now + 1.5)
     sim.run(5.0)
     sim.ask(unit)
-    sim.run(6.0 + LATE_S)
+    sim.run(6.0 + BEFORE_PRESSURE_S)
     assert sim.opened == [unit]
     sim.world.inject(starving, sim.now + 1.5)
     sim.run(8.0)
     assert_attributed(sim, {cause, unit})
-    assert sim.tracker.starved(unit, sim.stamp()) in {cause, f"pressure/{TARGET}"}
+    assert sim.tracker.starved_by(unit, sim.stamp()) in {cause, f"pressure/{TARGET}"}
     sim.world.repair(starving, sim.now)
     sim.ask(cause)
     sim.run(40.0 if kind == "unhealthy" else 20.0)
-    assert sim.tracker.starved(unit, sim.stamp()) == ""
+    assert sim.tracker.starved_by(unit, sim.stamp()) == ""
     sim.world.repair(kind, sim.now)
     sim.ask(unit)
     sim.run(14.0)

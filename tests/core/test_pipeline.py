@@ -9,7 +9,7 @@ from phm.api import Layer, Level, Slot, Unit, error, ok, stale
 from phm.checking.pipeline import Pipeline
 from phm.core.bus import Bus
 from phm.core.model import Event, Report, ReportStarted, Result
-from phm.tracker import Tracked, Tracker
+from phm.tracker import TrackedUnit, Tracker
 
 BAD = error("broken", brief="broken", condition="broken")
 
@@ -22,8 +22,8 @@ class Rig:
         self.events: list[Event] = []
         self.wakes: list[tuple[frozenset[str], str]] = []
         tracked = [
-            Tracked(Unit("container", target=target), "container", Slot.CONTAINER, Layer.DOCKER),
-            Tracked(Unit("nodes", ("container",)), "nodes", Slot.NODES, Layer.ROS, 1, ("container",)),
+            TrackedUnit(Unit("container", target=target), "container", Slot.CONTAINER, Layer.DOCKER),
+            TrackedUnit(Unit("nodes", ("container",)), "nodes", Slot.NODES, Layer.ROS, 1, ("container",)),
         ]
         bus = Bus(self.clock)
         bus.publish = self.events.append  # type: ignore[method-assign]
@@ -65,12 +65,12 @@ def test_a_pass_ends_even_if_a_check_does_not_come_back() -> None:
 def test_an_overdue_check_counts_for_the_pass_but_not_as_a_sign_of_life() -> None:
     """What the watchdog says about a hung check must not keep the heartbeat going."""
     rig = Rig()
-    alive = rig.pipeline.last_batch
+    alive = rig.pipeline.last_result_at
     rig.pipeline.begin_pass()
     rig.clock.advance(5)
     rig.pipeline.observe({"container": stale("hung"), "nodes": stale("hung")}, rig.clock.mono(), 0.0, overdue=True)
     assert len(rig.reports()) == 1
-    assert rig.pipeline.last_batch == alive
+    assert rig.pipeline.last_result_at == alive
 
 
 def test_a_check_that_hangs_for_ever_does_not_end_the_periodic_report() -> None:
@@ -125,7 +125,7 @@ def test_a_start_has_what_needs_the_container_looked_at_anew() -> None:
     rig.clock.advance(1)
     rig.pipeline.observe({"nodes": BAD}, rig.clock.mono(), 0.0)
     rig.clock.advance(1)
-    rig.pipeline.started("app")
+    rig.pipeline.container_started("app")
     rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
     assert rig.wakes[-1] == (frozenset({"nodes"}), "confirm")
     assert rig.pipeline.open_faults() == ()
@@ -136,10 +136,10 @@ def test_verification_counts_only_runs_that_began_after_the_action() -> None:
     rig = Rig()
     rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
     done = rig.clock.mono() + 1
-    assert not rig.pipeline.well_since("container", done)
+    assert not rig.pipeline.ok_since("container", done)
     rig.clock.advance(2)
     rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
-    assert rig.pipeline.well_since("container", done)
+    assert rig.pipeline.ok_since("container", done)
 
 
 def test_closed_faults_are_remembered_up_to_a_cap() -> None:
@@ -180,7 +180,7 @@ def test_time_is_waited_for_only_while_it_may_change_something() -> None:
     assert observe("nodes", BAD), "it waits for what it needs to be looked at"
     assert not observe("nodes", BAD), "told"
     assert observe("nodes", ok("well"))
-    rig.pipeline.hold("app", "container", "restart", 30.0)
+    rig.pipeline.begin_action("app", "container", "restart", 30.0)
     rig.pipeline.tick()
     assert rig.pipeline.waiting, "an action that does not end is ended by time"
     rig.clock.advance(31)

@@ -24,7 +24,7 @@ CONFIG: dict[str, Any] = {
 
 def starved_by(**recovery: Any) -> dict[str, tuple[str, ...]]:
     settings: Settings = testing.settings(**CONFIG, recovery=recovery)
-    made = plan.make(settings, registry.checks())
+    made = plan.build_plan(settings, registry.checks())
     return {entry.unit.id: entry.starved_by for entry in made.tracked}
 
 

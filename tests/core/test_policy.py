@@ -16,9 +16,9 @@ APP = ContainerSettings(name="app", recover=True)
 RULES = RecoverySettings()
 
 
-def fault(condition: str = "unhealthy", opened: float = 1000.0, well_s: float = 0.0) -> Fault:
+def fault(condition: str = "unhealthy", opened: float = 1000.0, ok_s: float = 0.0) -> Fault:
     result = Result(Level.ERROR, "it is broken", "broken", condition, "app")
-    return Fault("F1", "health/app", Slot.CONTAINER, Layer.DOCKER, result, Stamp(0.0, opened), well_s=well_s)
+    return Fault("F1", "health/app", Slot.CONTAINER, Layer.DOCKER, result, Stamp(0.0, opened), ok_s=ok_s)
 
 
 def attempts(*at: float, worked: bool = False, condition: str = "unhealthy") -> History:
@@ -76,7 +76,7 @@ ONCE = ("transport_blocked", "qos_mismatch", "node_duplicate")
 
 def was_well(condition: str, seconds: float) -> Fault:
     """Opened long ago, so that patience is over."""
-    return replace(fault(condition, opened=900.0), well_in_life_s=seconds, life_seen=True)
+    return replace(fault(condition, opened=900.0), ok_since_start_s=seconds, start_seen=True)
 
 
 @pytest.mark.parametrize("condition", ONCE)
@@ -98,7 +98,7 @@ def test_what_was_never_well_in_this_life_is_left_alone(condition: str) -> None:
 @pytest.mark.parametrize(("seconds", "expected"), [(4.0, Skip), (6.0, Act)])
 def test_a_container_that_ran_before_phm_has_come_up_already(seconds: float, expected: type) -> None:
     """A PHM that was started again need not wait for the grace of a start that was long ago."""
-    assert isinstance(say(fault=replace(was_well("node_duplicate", seconds), life_seen=False)), expected)
+    assert isinstance(say(fault=replace(was_well("node_duplicate", seconds), start_seen=False)), expected)
 
 
 @pytest.mark.parametrize(("never", "seconds", "expected"), [(True, 60.0, Skip), (False, 0.0, Act)])
@@ -120,7 +120,7 @@ def test_a_ladder_of_the_users_own_does_not_ask_whether_it_was_well() -> None:
 @pytest.mark.parametrize("condition", ["qos_mismatch", "node_duplicate"])
 def test_ends_and_copies_that_may_go_by_themselves_are_given_time(condition: str) -> None:
     """A node that is relieved by another overlaps with it for a moment."""
-    new = replace(fault(condition), well_in_life_s=60.0)
+    new = replace(fault(condition), ok_since_start_s=60.0)
     assert say(fault=new, now=1009.0) == Wait(1010.0, "it may come back by itself")
     assert say(fault=new, now=1010.0) == Act("restart", 1)
 
@@ -181,14 +181,14 @@ def test_help_that_does_not_last_counts_as_failure() -> None:
 def test_given_up_and_mended_for_good_it_is_tried_again() -> None:
     """An operator mended what PHM gave up on: when it breaks minutes later, earlier attempts say nothing about it."""
     history = attempts(900.0, 910.0, 920.0)
-    assert say(history, fault=fault(well_s=RULES.verify + 1)) == Act("restart", 1)
-    assert isinstance(say(history, fault=fault(well_s=RULES.verify - 1)), GiveUp), "it was well for a moment only"
+    assert say(history, fault=fault(ok_s=RULES.verify + 1)) == Act("restart", 1)
+    assert isinstance(say(history, fault=fault(ok_s=RULES.verify - 1)), GiveUp), "it was well for a moment only"
 
 
 def test_attempts_on_the_fault_itself_count_however_well_it_was_before() -> None:
     """Three attempts that did not help are three, also on what had never broken before."""
     history = attempts(1001.0, 1003.0, 1006.0)
-    assert isinstance(say(history, fault=fault(well_s=3600.0), now=1020.0), GiveUp)
+    assert isinstance(say(history, fault=fault(ok_s=3600.0), now=1020.0), GiveUp)
 
 
 def marked(history: History, *, backoff_reset: bool = False, not_counted: bool = False) -> History:
@@ -308,7 +308,7 @@ def test_what_helped_others_or_was_before_a_long_good_time_does_not_count() -> N
     """A restart that healed another fault speaks for the action; a unit that was OK for long has a new fault."""
     helped = History([*elsewhere(900.0, 910.0).attempts, *elsewhere(950.0, worked=True).attempts])
     assert say(helped, container_actions=SHARED, settings=replace_rules(same_failure=2)) == Act("restart", 1)
-    fresh = fault(well_s=RULES.verify + 1)
+    fresh = fault(ok_s=RULES.verify + 1)
     assert say(elsewhere(900.0, 910.0, 950.0), fault=fresh, container_actions=SHARED) == Act("restart", 1)
 
 

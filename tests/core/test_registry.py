@@ -28,7 +28,7 @@ def test_each_way_to_fail_has_its_own_sentence(value: str, words: str) -> None:
 
 def test_two_packages_with_one_name_are_both_refused() -> None:
     """Neither can be trusted to be the one that is meant."""
-    twins = [registry.Found("x", "one 1.0", Check), registry.Found("x", "two 1.0", Check)]
+    twins = [registry.Plugin("x", "one 1.0", Check), registry.Plugin("x", "two 1.0", Check)]
     (merged,) = registry._without_twins(twins)
     assert merged.loaded is None
     assert "one 1.0, two 1.0" in merged.source

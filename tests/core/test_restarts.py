@@ -98,7 +98,7 @@ def tell_starts(sim: Sim, world: LivingWorld, arrives_s: Callable[[], float | No
             delay_s = due.setdefault(span, arrives_s())
             if delay_s is not None and sim.now >= span.up + delay_s:
                 due[span] = None
-                sim.take(sim.tracker.started(TARGET, sim.stamp()))
+                sim.take(sim.tracker.container_started(TARGET, sim.stamp()))
                 sim.ask(UNIT)
 
     sim.watch.append(look)

@@ -12,7 +12,7 @@ import time
 import pytest
 
 from phm import api
-from phm.checking.scheduler import Batch, Engine, Scheduled
+from phm.checking.scheduler import CheckRun, CheckScheduler, ScheduledCheck
 from phm.core.clock import SystemClock
 from phm.core.scheduling_delay import NOISE_S, PERIOD_S, Lateness
 from phm.probes.adaptive_timeout import Cadence
@@ -114,7 +114,7 @@ def test_a_process_that_was_stopped_knows_for_how_long() -> None:
 def test_a_check_is_overdue_only_by_time_in_which_phm_ran() -> None:
     """A run that could not go on because PHM was not scheduled is not reported; one that hangs is."""
     clock = FakeClock()
-    found: list[Batch] = []
+    found: list[CheckRun] = []
 
     class Hangs(api.Check):
         name, slot, layer = "hangs", api.Slot.HOST, api.Layer.COMPANION
@@ -122,7 +122,7 @@ def test_a_check_is_overdue_only_by_time_in_which_phm_ran() -> None:
         def run(self, world: api.World) -> api.Result:
             raise AssertionError
 
-    engine = Engine([Scheduled(Hangs(), 5.0, 2.0)], world(), clock, found.append)
+    engine = CheckScheduler([ScheduledCheck(Hangs(), 5.0, 2.0)], world(), clock, found.append)
     engine.workers[0].running_since = clock.mono()
     clock.be_late(5.0)
     engine.look_for_overdue()

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm.checking.scheduler import Batch, Engine, Scheduled
+from phm.checking.scheduler import CheckRun, CheckScheduler, ScheduledCheck
 from phm.core import threads
 from phm.core.bus import Bus
 from phm.core.model import Event, Note, Phase, Stamp
-from phm.core.watchdog import Guard
+from phm.core.watchdog import DaemonWatchdog
 from phm.facts import CannotTell
 from phm.probes.blocking_call import Worker
 from phm.runtime.daemon import Daemon
@@ -92,9 +92,11 @@ def test_events_wait_for_the_thread_of_their_subscriber(limit: Full) -> None:
 
 def test_a_check_without_a_thread_runs_when_there_is_room(limit: Full) -> None:
     """The other checks run meanwhile, and stopping does not raise."""
-    clock, batches = testing.FakeClock(), list[Batch]()
+    clock, batches = testing.FakeClock(), list[CheckRun]()
     checks = [Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b")]
-    engine = Engine([Scheduled(check, 20.0, 5.0) for check in checks], testing.world(), clock, batches.append)
+    engine = CheckScheduler(
+        [ScheduledCheck(check, 20.0, 5.0) for check in checks], testing.world(), clock, batches.append
+    )
     limit.full, limit.names = True, "phm-check-a"
     engine.start()
     until(lambda: any("b" in batch.units for batch in batches), "the check that has a thread")
@@ -155,7 +157,7 @@ def test_a_name_is_looked_up_again_after_the_limit(limit: Full) -> None:
 
 def test_a_guard_that_could_not_be_started_is_started_again() -> None:
     """`problem` stands as long as there is none."""
-    guard = Guard(("/nonexistent",))
+    guard = DaemonWatchdog(("/nonexistent",))
     guard.start()
     assert guard.problem
     guard.revive()

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from phm.api import Layer, Level, Slot, Unit, error, stale, warn
 from phm.core.model import FaultClosed, FaultOpened, Outcome, Transition
-from phm.tracker import Tracked
+from phm.tracker import TrackedUnit
 from tests.fakes.tracker_bench import BAD, OK, Bench, chain, unit
 
 
@@ -282,9 +282,9 @@ def test_a_fault_lists_what_it_blocks() -> None:
 
 def test_a_fault_names_its_consequences_when_it_opens() -> None:
     """Which checks cannot be well follows from the graph, in slot order, before any of them has been seen bad."""
-    rates = Tracked(Unit("rates/t"), "rates", Slot.RATES, Layer.ROS, needs=("topics/t",))
-    topics = Tracked(Unit("topics/t"), "topics", Slot.TOPICS, Layer.ROS, needs=("nodes/a", "nodes/b"))
-    nodes = [Tracked(Unit(f"nodes/{n}"), "nodes", Slot.NODES, Layer.ROS, needs=("container",)) for n in "ab"]
+    rates = TrackedUnit(Unit("rates/t"), "rates", Slot.RATES, Layer.ROS, needs=("topics/t",))
+    topics = TrackedUnit(Unit("topics/t"), "topics", Slot.TOPICS, Layer.ROS, needs=("nodes/a", "nodes/b"))
+    nodes = [TrackedUnit(Unit(f"nodes/{n}"), "nodes", Slot.NODES, Layer.ROS, needs=("container",)) for n in "ab"]
     bench = Bench([rates, topics, *nodes, unit("container"), unit("files")])
     bench.see("container", BAD)
     [event] = [event for event in bench.events if isinstance(event, FaultOpened)]
@@ -315,7 +315,7 @@ def test_events_come_in_the_order_in_which_they_are_told() -> None:
 
 def test_a_suspect_is_named_and_blocks_nobody() -> None:
     """A full disk can be behind a dead node but need not be: the fault is told, with the disk as a hint."""
-    disk = Tracked(Unit("host/disk", suspect=True), "host", Slot.HOST, Layer.COMPANION)
+    disk = TrackedUnit(Unit("host/disk", suspect=True), "host", Slot.HOST, Layer.COMPANION)
     bench = Bench([disk, unit("nodes")])
     bench.all_well()
     bench.see("host/disk", warn("nearly full", brief="disk 90%"))

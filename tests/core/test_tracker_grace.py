@@ -135,7 +135,7 @@ def test_what_goes_before_its_stopped_container_is_no_fault() -> None:
     """`docker stop`: nodes say goodbye before the container has exited, and the container alone is told."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app", settle_s=0.3)])
     bench.all_well()
-    bench.take(bench.tracker.expect_end("app", bench.stamp(), 11.0))
+    bench.take(bench.tracker.expect_stop("app", bench.stamp(), 11.0))
     bench.now += 0.1
     bench.see("nodes", BAD)
     bench.later(2.0)
@@ -148,7 +148,7 @@ def test_a_stop_that_does_not_come_about_masks_nothing_for_long() -> None:
     """The signal was caught and only a node ended: it is told when the time for stopping is over."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app")])
     bench.all_well()
-    bench.take(bench.tracker.expect_end("app", bench.stamp(), 11.0))
+    bench.take(bench.tracker.expect_stop("app", bench.stamp(), 11.0))
     bench.see("nodes", BAD)
     for _ in range(12):
         bench.later(1.0)
@@ -161,7 +161,7 @@ def stopping() -> Bench:
     """A container that was given a minute to end, and whose parts go on for a while."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app", settle_s=0.3)])
     bench.all_well()
-    bench.take(bench.tracker.expect_end("app", bench.stamp(), 60.0))
+    bench.take(bench.tracker.expect_stop("app", bench.stamp(), 60.0))
     for _ in range(8):
         bench.later(1.0)
         bench.see("container", OK)
@@ -179,7 +179,7 @@ def test_a_stop_that_takes_its_time_is_no_fault() -> None:
     assert bench.opened == []
     assert bench.level("nodes") is Level.STALE
     assert "app is being stopped" in bench.tracker.state("nodes").result.summary
-    bench.take(bench.tracker.ended("app", bench.stamp()))
+    bench.take(bench.tracker.container_ended("app", bench.stamp()))
     bench.see("container", BAD)
     assert (bench.opened, bench.blocked_by("nodes")) == (["container"], "container")
 
@@ -187,12 +187,12 @@ def test_a_stop_that_takes_its_time_is_no_fault() -> None:
 def test_a_container_that_was_started_again_is_no_longer_stopping() -> None:
     """`docker restart`: what fails in the new one is a fault, however much time the old one had."""
     bench = stopping()
-    bench.take(bench.tracker.started("app", bench.stamp()))
+    bench.take(bench.tracker.container_started("app", bench.stamp()))
     for _ in range(5):
         bench.later(1.0)
         bench.see("container", OK)
         bench.see("nodes", BAD)
-    assert not bench.tracker.stopping("app", bench.now)
+    assert not bench.tracker.is_stopping("app", bench.now)
     assert bench.opened == ["nodes"]
 
 

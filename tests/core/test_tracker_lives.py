@@ -37,7 +37,7 @@ def all_missing(bench: Bench, seconds: float, life: int) -> None:
 
 
 def heard(bench: Bench) -> None:
-    bench.take(bench.tracker.started("app", bench.stamp()))
+    bench.take(bench.tracker.container_started("app", bench.stamp()))
 
 
 def test_a_new_life_gives_grace_to_all_that_need_the_container() -> None:
@@ -168,8 +168,8 @@ def test_a_memory_of_what_was_there_does_not_end_grace() -> None:
     assert bench.opened == []
 
 
-def well_in_life_s(bench: Bench) -> list[float]:
-    return [round(event.fault.well_in_life_s, 3) for event in bench.events if isinstance(event, FaultOpened)]
+def ok_since_start_s(bench: Bench) -> list[float]:
+    return [round(event.fault.ok_since_start_s, 3) for event in bench.events if isinstance(event, FaultOpened)]
 
 
 def test_a_fault_knows_how_long_its_unit_was_well_in_this_life() -> None:
@@ -188,7 +188,7 @@ def test_a_fault_knows_how_long_its_unit_was_well_in_this_life() -> None:
         bench.see("container", lived(2))
         bench.later(0.2)
     assert bench.opened == ["nodes"]
-    (seconds,) = well_in_life_s(bench)
+    (seconds,) = ok_since_start_s(bench)
     assert 10.0 <= seconds <= 11.0
 
 
@@ -198,7 +198,7 @@ def test_what_was_never_told_well_in_this_life_counts_nothing() -> None:
     bench.later(30)
     bench.see("nodes", BAD)
     all_missing(bench, 10.0, life=2)
-    assert well_in_life_s(bench) == [0.0]
+    assert ok_since_start_s(bench) == [0.0]
 
 
 def test_a_fault_knows_whether_its_container_was_started_before_phm_looked() -> None:
@@ -211,4 +211,4 @@ def test_a_fault_knows_whether_its_container_was_started_before_phm_looked() -> 
         bench.later(0.2)
     all_missing(bench, 2.0, life=1)
     (fault,) = [event.fault for event in bench.events if isinstance(event, FaultOpened)]
-    assert (fault.life_seen, fault.well_in_life_s > 0) == (False, True)
+    assert (fault.start_seen, fault.ok_since_start_s > 0) == (False, True)

@@ -21,7 +21,7 @@ def holding() -> Bench:
     bench.now += 1
     bench.see("nodes", BAD)
     bench.see("container", OK)
-    bench.take(bench.tracker.hold("app", "nodes", "restart", bench.stamp(), 60.0))
+    bench.take(bench.tracker.begin_action("app", "nodes", "restart", bench.stamp(), 60.0))
     bench.now += 1
     return bench
 
@@ -44,7 +44,7 @@ def test_a_verified_repair_is_credited_to_the_action() -> None:
     bench.now += 1
     bench.see("container", OK)
     bench.see("nodes", OK)
-    bench.take(bench.tracker.release("app", bench.stamp(), worked=True))
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
     bench.now += 1
     bench.see("topics", BAD)
     bench.later(2)
@@ -56,7 +56,7 @@ def test_a_verified_repair_is_credited_to_the_action() -> None:
 def test_a_repair_that_did_not_help_gets_no_credit() -> None:
     """What comes back later has healed by itself."""
     bench = holding()
-    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
     bench.later(60)
     bench.see("nodes", OK)
     assert bench.closed == [("nodes", Outcome.RESOLVED, "itself")]
@@ -81,7 +81,7 @@ def test_a_fault_says_for_how_long_its_unit_was_well() -> None:
     bench.see("container", OK)
     bench.see("container", stale("not known"))
     bench.see("container", BAD)
-    opened = [event.fault.well_s for event in bench.events if isinstance(event, FaultOpened)]
+    opened = [event.fault.ok_s for event in bench.events if isinstance(event, FaultOpened)]
     assert opened == [0.0, 40.0, 0.0]
 
 
@@ -107,7 +107,7 @@ def repairing() -> Bench:
     bench.all_well()
     bench.now += 1
     bench.see("network", BAD)
-    bench.take(bench.tracker.hold("app", "network", "reconnect", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", "network", "reconnect", bench.stamp(), 60.0, proving=True))
     bench.now += 1
     return bench
 
@@ -120,11 +120,11 @@ def test_a_repair_is_not_believed_before_it_is_proven() -> None:
     bench.see("nodes", BAD)
     bench.later(1.0)
     assert bench.closed == []
-    assert bench.tracker.found_well("network", done)
-    assert bench.tracker.suffering("network", done) == ("nodes",)
+    assert bench.tracker.found_ok("network", done)
+    assert bench.tracker.failing_dependents("network", done) == ("nodes",)
     bench.see("nodes", OK)
-    assert bench.tracker.suffering("network", done) == ()
-    bench.take(bench.tracker.release("app", bench.stamp(), worked=True))
+    assert bench.tracker.failing_dependents("network", done) == ()
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
     assert bench.closed == [("network", Outcome.RESOLVED, "reconnect")]
     assert bench.opened == ["network"]
 
@@ -134,13 +134,13 @@ def test_a_repair_that_did_not_bring_all_back_leaves_the_fault_to_the_next_actio
     bench = repairing()
     bench.see("network", OK)
     bench.see("nodes", BAD)
-    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
     bench.later(1.0)
     assert bench.closed == []
-    bench.take(bench.tracker.hold("app", "network", "restart", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", "network", "restart", bench.stamp(), 60.0, proving=True))
     bench.see("network", OK)
     bench.see("nodes", OK)
-    bench.take(bench.tracker.release("app", bench.stamp(), worked=True))
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
     assert bench.closed == [("network", Outcome.RESOLVED, "restart")]
     assert bench.opened == ["network"]
 
@@ -150,7 +150,7 @@ def test_an_unproven_repair_is_believed_once_all_that_needs_it_has_come_back() -
     bench = repairing()
     bench.see("network", OK)
     bench.see("nodes", BAD)
-    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
     bench.later(1.0)
     bench.see("network", OK)
     assert bench.closed == []
@@ -166,9 +166,9 @@ def test_a_late_repair_of_what_nothing_needs_is_believed_as_soon_as_it_is_ok() -
     bench.later(10)
     bench.all_well()
     bench.see("topics", BAD)
-    bench.take(bench.tracker.hold("app", "topics", "restart", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", "topics", "restart", bench.stamp(), 60.0, proving=True))
     bench.later(12.0)
-    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
     bench.later(1.0)
     bench.see("topics", OK)
     assert bench.closed == [("topics", Outcome.RESOLVED, "itself")]
@@ -178,7 +178,7 @@ def test_an_unproven_repair_is_believed_in_the_end() -> None:
     """When nothing more is done, a unit that is well does not stay ERROR for ever."""
     bench = repairing()
     bench.see("network", OK)
-    bench.take(bench.tracker.release("app", bench.stamp(), worked=False))
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
     for _ in range(31):
         bench.later(1.0)
         bench.see("network", OK)
@@ -192,7 +192,7 @@ def test_what_lies_behind_another_target_waits_for_the_proof() -> None:
     bench.later(10)
     bench.all_well()
     bench.see("radio", BAD)
-    bench.take(bench.tracker.hold("link", "radio", "reopen", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("link", "radio", "reopen", bench.stamp(), 60.0, proving=True))
     bench.see("gcs", BAD)
     bench.see("radio", OK)
     bench.see("gcs", BAD)
@@ -200,7 +200,7 @@ def test_what_lies_behind_another_target_waits_for_the_proof() -> None:
     bench.see("gcs", BAD)
     bench.see("radio", OK)
     assert bench.blocked_by("gcs") == "radio"
-    bench.take(bench.tracker.release("link", bench.stamp(), worked=True))
+    bench.take(bench.tracker.end_action("link", bench.stamp(), worked=True))
     bench.see("gcs", BAD)
     bench.later(1)
     bench.see("gcs", OK)

@@ -9,7 +9,7 @@ import pytest
 
 from phm.api import Level, Result, error, ok, stale, warn
 from phm.core.model import Evidence, Outcome, Transition
-from phm.tracker.starvation import EXPLAINED, LAST_WORD_S, LATE_S, OVER_S, RISING_S, UNREAD_S
+from phm.tracker.starvation import BEFORE_PRESSURE_S, EXPLAINED, RECOVERY_S, UNKNOWN_PRESSURE_S, UNREAD_S, WARN_WAIT_S
 from tests.fakes.tracker_bench import OK, Bench, unit
 
 HOST = ("host/cpu",)
@@ -124,7 +124,7 @@ def test_a_warning_of_pressure_explains_nothing_but_is_waited_for() -> None:
     answered(made, "container/app", "nodes/n", "host/cpu")
     made.see("pressure/app", warn("app throttled 30 %", brief="throttled", condition="cpu_throttled"))
     assert made.opened == []
-    made.later(RISING_S)
+    made.later(WARN_WAIT_S)
     assert made.opened == ["rates/x"]
 
 
@@ -180,7 +180,7 @@ def test_a_symptom_published_just_before_is_reattributed() -> None:
     made.later(0.1)
     made.see("rates/x", SLOW)
     answered(made, "container/app", "nodes/n", *BOTH)
-    made.later(LATE_S - 0.5)
+    made.later(BEFORE_PRESSURE_S - 0.5)
     made.see("pressure/app", THROTTLED)
     assert made.closed == [("rates/x", Outcome.REATTRIBUTED, "pressure/app")]
     assert made.blocked_by("rates/x") == "pressure/app"
@@ -192,18 +192,18 @@ def test_a_fault_that_was_open_before_goes_on_and_is_left_alone() -> None:
     made.later(0.1)
     made.see("rates/x", SLOW)
     answered(made, "container/app", "nodes/n", *BOTH)
-    assert made.tracker.starved("rates/x", made.stamp()) == ""
-    made.later(LATE_S + 0.5)
+    assert made.tracker.starved_by("rates/x", made.stamp()) == ""
+    made.later(BEFORE_PRESSURE_S + 0.5)
     made.see("pressure/app", THROTTLED)
     made.see("rates/x", SLOW)
     assert made.level("rates/x") is Level.ERROR
     assert made.closed == []
-    assert made.tracker.starved("rates/x", made.stamp()) == "pressure/app"
+    assert made.tracker.starved_by("rates/x", made.stamp()) == "pressure/app"
     over(made, "pressure/app")
-    assert made.tracker.starved("rates/x", made.stamp()) == "pressure/app"
-    made.later(OVER_S + 0.1)
+    assert made.tracker.starved_by("rates/x", made.stamp()) == "pressure/app"
+    made.later(RECOVERY_S + 0.1)
     made.see("rates/x", SLOW)
-    assert made.tracker.starved("rates/x", made.stamp()) == ""
+    assert made.tracker.starved_by("rates/x", made.stamp()) == ""
     assert made.level("rates/x") is Level.ERROR
 
 
@@ -230,7 +230,7 @@ def test_a_symptom_that_stays_after_starvation_is_a_fault_of_its_own() -> None:
     made.see("rates/x", SLOW)
     made.later(1.0)
     over(made, "pressure/app")
-    made.later(OVER_S + 0.1)
+    made.later(RECOVERY_S + 0.1)
     made.see("rates/x", SLOW)
     answered(made, "container/app", "nodes/n", *BOTH)
     assert made.opened == ["pressure/app", "rates/x"]
@@ -292,7 +292,7 @@ def test_a_busy_processor_explains_neither_tight_memory_nor_a_slow_disk(conditio
     made = bench()
     made.see("host/cpu", OVERLOADED)
     made.see("pressure/app", error("app waits", brief="app waits", condition=condition))
-    made.later(RISING_S)
+    made.later(WARN_WAIT_S)
     made.see("host/cpu", OVERLOADED)
     made.see("pressure/app", error("app waits", brief="app waits", condition=condition))
     made.see("container/app", OK)
@@ -304,7 +304,7 @@ def test_a_container_that_waits_while_the_machine_is_not_overloaded_is_the_cause
     made = bench()
     made.see("pressure/app", WAITS)
     made.see("rates/x", SLOW)
-    made.later(RISING_S + 0.1)
+    made.later(WARN_WAIT_S + 0.1)
     answered(made, "container/app", "host/cpu")
     made.see("pressure/app", WAITS)
     answered(made, "container/app", "host/cpu")
@@ -319,7 +319,7 @@ def test_the_last_word_of_a_pressure_unit_holds_for_a_while() -> None:
     made.see("rates/x", SLOW)
     made.later(1.0)
     made.see("pressure/app", stale("the engine does not answer"))
-    made.later(LAST_WORD_S - 1.5)
+    made.later(UNKNOWN_PRESSURE_S - 1.5)
     assert made.blocked_by("rates/x") == "pressure/app"
     made.later(1.5)
     made.see("rates/x", SLOW)
@@ -410,9 +410,9 @@ def test_only_published_starvation_excuses_attempts() -> None:
     """The burst of a start, which the pressure unit's own grace keeps back, is not starvation."""
     made = bench()
     made.see("pressure/app", THROTTLED)
-    assert made.tracker.starving("nodes/n") == "pressure/app"
+    assert made.tracker.active_pressure("nodes/n") == "pressure/app"
     over(made, "pressure/app")
-    assert made.tracker.starving("nodes/n") == ""
+    assert made.tracker.active_pressure("nodes/n") == ""
 
 
 def test_a_repair_is_proven_without_the_pressure_of_its_container() -> None:
@@ -421,4 +421,4 @@ def test_a_repair_is_proven_without_the_pressure_of_its_container() -> None:
     made.all_well()
     made.later(3.0)
     made.see("pressure/app", THROTTLED)
-    assert made.tracker.suffering("container/app", 0.0) == ()
+    assert made.tracker.failing_dependents("container/app", 0.0) == ()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.checking.scheduler import Batch
+from phm.checking.scheduler import CheckRun
 from phm.core.clock import SystemClock
 from phm.probes.docker_events import DockerEvent, Watch
 from phm.runtime.daemon import Daemon
@@ -127,7 +127,9 @@ def test_results_and_time_wait_for_the_events_before_them(
         until(lambda: daemon._beat > beats, "a beat of the heart")  # noqa: B023
     monkeypatch.setattr(daemon.pipeline, "observe", result)
     monkeypatch.setattr(daemon.pipeline, "tick", lambda: order.append("time"))
-    run = Batch(dict.fromkeys(["container/app"], daemon.pipeline.states()[0].result), daemon.clock.mono(), 0.0, "test")
+    run = CheckRun(
+        dict.fromkeys(["container/app"], daemon.pipeline.states()[0].result), daemon.clock.mono(), 0.0, "test"
+    )
     bring = threading.Thread(target=daemon._observe, args=(run,), daemon=True)
     bring.start()
     bring.join(0.3)

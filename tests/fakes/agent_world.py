@@ -29,12 +29,12 @@ from random import Random
 
 from phm import testing
 from phm.checking import plan, registry
-from phm.checking.plan import Plan
+from phm.checking.plan import CheckPlan
 from phm.config import load
 from phm.core.model import Event, Evidence, FaultClosed, FaultOpened, Level, Result, Stamp, Transition
 from phm.core.settings import Settings
 from phm.facts import ContainerFact
-from phm.tracker import SURE_S, Step, Tracker
+from phm.tracker import GRACE_ENDS_AFTER_OK_S, Effects, Tracker
 from phm.tracker.starvation import UNREAD_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,10 +83,10 @@ BY_ENGINE = ("container/", "health/", "files/", "network/")
 
 
 @cache
-def shipped() -> tuple[Settings, Plan]:
+def shipped() -> tuple[Settings, CheckPlan]:
     """The shipped configuration and its plan, made from the installed checks."""
     settings = load(str(ROOT / "config" / "phm.yaml"), environ={})
-    return settings, plan.make(settings, registry.checks())
+    return settings, plan.build_plan(settings, registry.checks())
 
 
 @cache
@@ -210,10 +210,10 @@ class World:
         if by == "policy":
             self.active["container"][0].condition = "restarting"
         self.repair("container", up)
-        self.begin_life(up, by)
+        self.record_start(up, by)
         return up
 
-    def begin_life(self, at: float, by: str = "phm") -> None:
+    def record_start(self, at: float, by: str = "phm") -> None:
         last = self.lives[-1]
         restarts = last.restarts + 1 if by == "policy" else 0
         self.lives.append(Life(at, last.number + 1, last.made + (by == "recreate"), restarts))
@@ -336,7 +336,7 @@ class Sim:
         for _ in range(2):
             for unit in self._of_unit:
                 self._observe(unit, OK, self.now)
-            self.now += SURE_S + 0.1
+            self.now += GRACE_ENDS_AFTER_OK_S + 0.1
         self._next = [self.now + self.random.uniform(0, period) for period in self._periods]
         for unit in self._of_unit:
             self._observe(unit, OK, self.now)
@@ -396,7 +396,7 @@ class Sim:
                 self._wake(index, 0.1)
         for life in self.world.lives:
             if begin <= life.at < end and self.random.random() >= self.wakes_lost:
-                self.take(self.tracker.started(TARGET, self.stamp()))
+                self.take(self.tracker.container_started(TARGET, self.stamp()))
 
     def _wake(self, index: int, within_s: float) -> None:
         after = self.now + self.random.uniform(0.0, within_s)
@@ -412,13 +412,13 @@ class Sim:
 
     def _observe(self, unit: str, result: Result, started: float) -> None:
         if result.level is Level.OK:
-            if self.now - self.well_from.setdefault(unit, self.now) >= SURE_S:
+            if self.now - self.well_from.setdefault(unit, self.now) >= GRACE_ENDS_AFTER_OK_S:
                 self.sure[unit] = self.now
         else:
             self.well_from.pop(unit, None)
         self.take(self.tracker.observe(unit, result, started, self.stamp()))
 
-    def take(self, step: Step) -> None:
+    def take(self, step: Effects) -> None:
         for event in step.events:
             self.hear(event)
         self.wake(step.rerun, 0.9)

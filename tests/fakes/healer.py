@@ -63,20 +63,20 @@ class SimPipeline(Pipeline):
         super().__init__(sim.tracker, bus, clock)
         self._sim = sim
 
-    def hold(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
+    def begin_action(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
         self._sim.held = owner
-        super().hold(target, owner, action, at_most_s, proving=proving)
+        super().begin_action(target, owner, action, at_most_s, proving=proving)
 
-    def release(self, target: str, *, worked: bool) -> None:
+    def end_action(self, target: str, *, worked: bool) -> None:
         self._sim.held = ""
         self._sim.grant(self._sim.touched)
-        super().release(target, worked=worked)
+        super().end_action(target, worked=worked)
 
-    def judge_afresh(self, *units: str) -> None:
+    def clear_given_up(self, *units: str) -> None:
         given_up = {fault.unit for fault in self.given_up()}.intersection(units)
         self._sim.afresh += sorted(given_up)
         self._sim.grant(given_up)
-        super().judge_afresh(*units)
+        super().clear_given_up(*units)
 
 
 class SimBus:

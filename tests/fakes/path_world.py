@@ -14,7 +14,7 @@ from phm import api, testing
 from phm.checking import plan, registry
 from phm.core.model import Event, FaultClosed, FaultOpened, Result, Transition
 from phm.facts import AutopilotFact, LinkFact, RadioFact, SenderFact
-from phm.tracker import Step, Tracker
+from phm.tracker import Effects, Tracker
 
 STEP_S = 0.25
 CHECKS = ("companion", "link", "gcs", "radio", "autopilot", "path", "nodes", "devices")
@@ -41,7 +41,7 @@ class PathWorld:
             clock=self.clock, links=self.links, ros=self.ros, devices=self.devices, docker=self.docker
         )
         installed = {name: check for name, check in registry.checks().items() if name in CHECKS}
-        self.plan = plan.make(self.settings, installed)
+        self.plan = plan.build_plan(self.settings, installed)
         self.tracker = Tracker(self.plan.tracked, self.clock.stamp())
         self.events: list[Event] = []
         self.down: set[str] = set()
@@ -97,7 +97,7 @@ class PathWorld:
             rerun |= self._take(self.tracker.observe(unit, result, now.mono, now))
         return rerun
 
-    def _take(self, step: Step) -> set[str]:
+    def _take(self, step: Effects) -> set[str]:
         self.events += step.events
         return step.rerun
 

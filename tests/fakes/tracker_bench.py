@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from phm.api import Layer, Level, Result, Slot, Unit, error, ok
 from phm.core.model import Event, FaultClosed, FaultOpened, Outcome, Stamp
-from phm.tracker import Step, Tracked, Tracker
+from phm.tracker import Effects, TrackedUnit, Tracker
 
 OK = ok("well")
 BAD = error("broken", brief="broken", condition="broken")
@@ -16,7 +16,7 @@ BAD = error("broken", brief="broken", condition="broken")
 class Bench:
     """A tracker with a hand-driven clock that collects events."""
 
-    tracked: list[Tracked]
+    tracked: list[TrackedUnit]
     now: float = 100.0
     events: list[Event] = field(default_factory=list)
 
@@ -26,7 +26,7 @@ class Bench:
     def stamp(self) -> Stamp:
         return Stamp(1e9 + self.now, self.now)
 
-    def take(self, step: Step) -> set[str]:
+    def take(self, step: Effects) -> set[str]:
         self.events += step.events
         return step.rerun
 
@@ -58,9 +58,11 @@ class Bench:
         return [(fault.unit, fault.outcome, fault.by) for fault in faults]
 
 
-def unit(name: str, *needs: str, failures: int = 1, starved_by: tuple[str, ...] = (), **more: float | str) -> Tracked:
+def unit(
+    name: str, *needs: str, failures: int = 1, starved_by: tuple[str, ...] = (), **more: float | str
+) -> TrackedUnit:
     about = Unit(name, needs, **more)  # type: ignore[arg-type]
-    return Tracked(about, name, Slot.CONTAINER, Layer.DOCKER, failures, needs, starved_by)
+    return TrackedUnit(about, name, Slot.CONTAINER, Layer.DOCKER, failures, needs, starved_by)
 
 
 def chain(**more: float | str) -> Bench:

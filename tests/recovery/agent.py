@@ -12,9 +12,9 @@ from typing import Any, cast
 from phm import testing
 from phm.api import Layer, Result, Slot, Unit, error, ok
 from phm.checking.pipeline import Pipeline
-from phm.checking.plan import Plan
+from phm.checking.plan import CheckPlan
 from phm.core.bus import Bus
-from phm.core.dependency_graph import Needs
+from phm.core.dependency_graph import DependencyGraph
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Note, Phase
 from phm.core.settings import ContainerSettings, Settings
 from phm.recovery.base import Action, ActionContext, NotNeeded
@@ -22,7 +22,7 @@ from phm.recovery.executor import Executor
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState, ArmedStatus
 from phm.recovery.shop import Shop
-from phm.tracker import Tracked, Tracker
+from phm.tracker import TrackedUnit, Tracker
 from phm.transport.docker import EngineError
 from tests.fakes.until import until
 
@@ -123,7 +123,7 @@ class Agent:
         base: dict[str, Any] = {"containers": entries, "recovery": {"ladders": {"broken": ["restart"]}, **recovery}}
         self.settings = Settings.model_validate({**base, **({"state_dir": str(folder)} if folder else {})})
         tracked = tuple(
-            Tracked(
+            TrackedUnit(
                 Unit(name, of.needs, target=of.target, grace_s=of.grace_s, settle_s=of.settle_s),
                 name,
                 Slot.CONTAINER,
@@ -144,7 +144,7 @@ class Agent:
         context = ActionContext(
             cast(Any, self.engine), self.settings, containers.facts.get, lambda: None, lambda a, b: None
         )
-        plan = Plan((), tracked, Needs({entry.unit.id: entry.needs for entry in tracked}))
+        plan = CheckPlan((), tracked, DependencyGraph({entry.unit.id: entry.needs for entry in tracked}))
         graces = {name: of.grace_s for name, of in units.items()}
         shop = Shop(
             self.pipeline,

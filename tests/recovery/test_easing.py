@@ -9,10 +9,10 @@ import pytest
 
 from phm import testing
 from phm.api import Layer, Slot, Unit
-from phm.checking.plan import Plan
-from phm.core.dependency_graph import Needs
+from phm.checking.plan import CheckPlan
+from phm.core.dependency_graph import DependencyGraph
 from phm.core.model import Outcome, Phase
-from phm.tracker import Tracked
+from phm.tracker import TrackedUnit
 from tests.recovery.agent import Agent, Containers, Of
 
 UNITS = {"net/base": Of("base"), "health/app": Of("app", ("net/base",)), "files/app": Of("app")}
@@ -153,10 +153,10 @@ def test_what_is_below_a_unit_in_other_containers() -> None:
         "f/three": ("three", ("e",)),
     }
     tracked = tuple(
-        Tracked(Unit(name, needs, target=target), name, Slot.CONTAINER, Layer.DOCKER, 1, needs)
+        TrackedUnit(Unit(name, needs, target=target), name, Slot.CONTAINER, Layer.DOCKER, 1, needs)
         for name, (target, needs) in units.items()
     )
-    plan = Plan((), tracked, Needs({name: needs for name, (_, needs) in units.items()}))
+    plan = CheckPlan((), tracked, DependencyGraph({name: needs for name, (_, needs) in units.items()}))
     assert plan.below("a/one") == {"two": {"c/two"}, "three": {"f/three"}}
     assert plan.below("e") == {"three": {"f/three"}}
     assert plan.below("d/two") == plan.below("no such unit") == {}

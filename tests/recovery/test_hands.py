@@ -22,11 +22,11 @@ class Told:
     def __init__(self) -> None:
         self.calls: list[tuple[str, ...]] = []
 
-    def hold(self, key: str, unit: str, action: str, at_most_s: float, *, proving: bool) -> None:
-        self.calls.append(("hold", key, unit))
+    def begin_action(self, key: str, unit: str, action: str, at_most_s: float, *, proving: bool) -> None:
+        self.calls.append(("begin_action", key, unit))
 
-    def release(self, key: str, *, worked: bool) -> None:
-        self.calls.append(("release", key))
+    def end_action(self, key: str, *, worked: bool) -> None:
+        self.calls.append(("end_action", key))
 
 
 @pytest.fixture
@@ -130,7 +130,7 @@ def test_a_hold_is_ended_by_who_began_it_last(hands: TargetLocks, told: Told) ->
     hands.hold("side", own, "health/side", "restart", 60.0, proving=True)
     hands.hold("side", other, "container/app", "restart", 60.0)
     hands.release("side", own, worked=True)
-    assert told.calls == [("hold", "side", "health/side"), ("hold", "side", "container/app")]
+    assert told.calls == [("begin_action", "side", "health/side"), ("begin_action", "side", "container/app")]
     hands.release("side", other, worked=True)
     hands.release("side", other, worked=True)
-    assert told.calls[2:] == [("release", "side")]
+    assert told.calls[2:] == [("end_action", "side")]

@@ -53,12 +53,12 @@ class Scene:
             **{"ladders": LADDERS, **recovery},
         )
         self.holds: HoldRegistry = self.agent.executor._shop.holds
-        acting_on = self.agent.executor.acting_on
+        action_on = self.agent.executor.action_on
         self.stream = COMPLETE
         world = HoldInputs(
             lambda: ArmedStatus(self.armed, "as the test says"),
             self.containers.facts.get,
-            acting_on,
+            action_on,
             lambda: self.stream,
         )
         self.service = HoldService(
@@ -671,7 +671,7 @@ def test_while_on_hold_no_check_is_run_for_the_sake_of_recovery(
     first.agent.stop()
     second = scenes(tmp_path, first.clock, bad={"container/app": "broken"}, **PATIENT)
     looks: list[str] = []
-    monkeypatch.setattr(second.agent.pipeline, "look_again", lambda *units: looks.extend(units))
+    monkeypatch.setattr(second.agent.pipeline, "recheck", lambda *units: looks.extend(units))
     second.agent.rest(60)
     assert looks == []
     second.agent.until(lambda: looks, "the fresh run")
@@ -736,7 +736,7 @@ def test_only_a_take_off_ends_a_respected_stop(scene: Scene, before: bool, left:
     scene.agent.executor.restore(PersistedState(recovery=known))
     scene.holds.put(Hold("cam", "stop", scene.clock.mono() + 600.0, "an operator"))
     scene.armed = ArmedState.ARMED
-    world = HoldInputs(lambda: ArmedStatus(scene.armed, "armed"), lambda key: None, scene.agent.executor.acting_on)
+    world = HoldInputs(lambda: ArmedStatus(scene.armed, "armed"), lambda key: None, scene.agent.executor.action_on)
     following = HoldService(
         scene.agent.settings, scene.holds, scene.agent.pipeline, scene.agent.bus.publish, scene.clock, world
     )

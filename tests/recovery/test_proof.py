@@ -16,27 +16,27 @@ class Silent:
     def __init__(self, started: float) -> None:
         self.started = started
 
-    def well_since(self, unit: str, mono: float) -> bool:
+    def ok_since(self, unit: str, mono: float) -> bool:
         return False
 
-    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+    def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         return ()
 
     def newest(self, unit: str, mono: float) -> Result | None:
         found = error("silent", brief="silent", condition="address_silent")
         return found if self.started >= mono else None
 
-    def starving(self, unit: str) -> str:
+    def active_pressure(self, unit: str) -> str:
         return ""
 
 
 class Alone(Silent):
     """The unit is well, and what needs it stays away."""
 
-    def well_since(self, unit: str, mono: float) -> bool:
+    def ok_since(self, unit: str, mono: float) -> bool:
         return True
 
-    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+    def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         return ("nodes/one",)
 
 
@@ -76,13 +76,13 @@ class Starved(Silent):
         super().__init__(started)
         self.well, self.until, self.now = well, until, 0.0
 
-    def well_since(self, unit: str, mono: float) -> bool:
+    def ok_since(self, unit: str, mono: float) -> bool:
         return self.well
 
-    def suffering(self, unit: str, mono: float) -> tuple[str, ...]:
+    def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         return ("nodes/one",)
 
-    def starving(self, unit: str) -> str:
+    def active_pressure(self, unit: str) -> str:
         return "pressure/app" if self.now < self.until else ""
 
     def say(self, proving: Verification, now: float) -> VerificationResult | None:

@@ -144,7 +144,7 @@ def test_giving_way_holds_nothing_of_the_starved_container(kind: type[Action], h
         release_target=lambda key, owner: None,
         hold=lambda key, *more, **marks: holds.append(key),
     )
-    pipeline = SimpleNamespace(stopping=lambda key: False)
+    pipeline = SimpleNamespace(is_stopping=lambda key: False)
     named = settings(containers=[{"name": "app", "flight_critical": True}], recovery={"relieve": []})
     context = SimpleNamespace(settings=named, engine=None)
     shop = SimpleNamespace(

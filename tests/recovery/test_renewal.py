@@ -352,7 +352,7 @@ def test_only_a_start_that_was_sent_and_not_answered_leaves_the_container_phms_o
     agent.bad["health/app"] = "broken"
     agent.until(lambda: Phase.FAILED in agent.steps(), "the deadline")
     agent.rest(3.0)
-    assert agent.executor.acting_on("app") is own
+    assert agent.executor.action_on("app") is own
 
 
 @pytest.mark.parametrize("action", ["relaunch", "restart"])
@@ -361,7 +361,7 @@ def test_what_happens_while_an_action_is_at_work_that_starts_nothing_is_not_phms
     agent = yard.phm(actions=(action,), ladders={"broken": [action]})
     agent.rest(3.0)
     seen: list[bool] = []
-    agent.behave = lambda key, context, fault: seen.append(agent.executor.acting_on("app"))
+    agent.behave = lambda key, context, fault: seen.append(agent.executor.action_on("app"))
     agent.bad["health/app"] = "broken"
     agent.until(lambda: seen, "the action")
     assert seen[0] is (action == "restart")
@@ -378,4 +378,4 @@ def test_only_an_action_that_starts_leaves_the_container_phms_own_when_cut_short
     first.until(lambda: first.runs, "the action")
     first.stop()
     second = yard.phm(**ladder)
-    assert second.executor.acting_on("app") is (action == "restart")
+    assert second.executor.action_on("app") is (action == "restart")

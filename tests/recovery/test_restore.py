@@ -21,7 +21,7 @@ from phm.recovery.executor import Executor, NotApprovable
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.shop import Shop
-from phm.tracker import Tracked, Tracker
+from phm.tracker import TrackedUnit, Tracker
 from tests.fakes.until import until
 
 APP = "health/app"
@@ -38,7 +38,7 @@ class Life:
         recovery = {"ladders": {"unhealthy": ["restart"]}, "same_failure": 2, **more}
         app = ContainerSettings(name="app", recover=True)
         settings = Settings.model_validate({"containers": [app], "recovery": recovery, "state_dir": str(folder)})
-        tracked = [Tracked(Unit(unit, target="app"), "health", Slot.CONTAINER, Layer.DOCKER) for unit in units]
+        tracked = [TrackedUnit(Unit(unit, target="app"), "health", Slot.CONTAINER, Layer.DOCKER) for unit in units]
         self.bus = Bus(clock)
         self.pipeline = Pipeline(Tracker(tracked, clock.stamp()), self.bus, clock)
         self.units = units

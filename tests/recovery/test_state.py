@@ -45,9 +45,9 @@ def fault(name: str = "ab12-1", opened: Stamp | None = None) -> Fault:
         result,
         when,
         blocks=("files/app",),
-        well_s=61.5,
-        well_in_life_s=90.5,
-        life_seen=True,
+        ok_s=61.5,
+        ok_since_start_s=90.5,
+        start_seen=True,
     )
 
 

@@ -27,18 +27,18 @@ def agent() -> Iterator[Agent]:
 
 def test_a_fault_of_a_container_that_is_being_stopped_waits(agent: Agent) -> None:
     """A restart would cut the time short that it was given, here a minute; when it has ended, or had it, it is acted on."""
-    agent.pipeline.expect_end("app", 60.0)
+    agent.pipeline.expect_stop("app", 60.0)
     agent.bad["health/app"] = "broken"
     agent.until(lambda: agent.opened() == ["health/app"], "the fault")
     agent.rest(30.0)
     assert agent.runs == []
-    agent.pipeline.ended("app")
+    agent.pipeline.container_ended("app")
     agent.until(lambda: agent.runs == [("app", "health/app")], "the action")
 
 
 def test_a_stop_that_does_not_come_about_holds_nothing_for_ever(agent: Agent) -> None:
     """The signal was caught, or the stop's SIGKILL was lost with the event stream."""
-    agent.pipeline.expect_end("app", 60.0)
+    agent.pipeline.expect_stop("app", 60.0)
     agent.bad["health/app"] = "broken"
     agent.rest(55.0)
     assert agent.runs == []
@@ -60,7 +60,7 @@ def test_a_dependant_that_is_being_stopped_is_not_restarted(agent: Agent) -> Non
 
     agent.behave = act
     before = agent.containers.facts["side"]
-    agent.pipeline.expect_end("side", 60.0)
+    agent.pipeline.expect_stop("side", 60.0)
     agent.bad["health/app"] = "broken"
     agent.until(lambda: Phase.VERIFIED in agent.steps("app"), "the repair")
     assert refused == ["side is being stopped"]

@@ -7,7 +7,7 @@ from typing import ClassVar
 import pytest
 
 from phm.checking import registry
-from phm.checking.registry import Found
+from phm.checking.registry import Plugin
 from phm.core.bus import Bus
 from phm.core.clock import SystemClock
 from phm.core.closing import Closing
@@ -61,8 +61,8 @@ def test_a_reporter_that_fails_costs_the_others_nothing(
 ) -> None:
     """Not loaded, not built, not wanted, not closed: whoever is left is built, told, asked and closed."""
     kinds = {"a_broken": Unbuildable, "b_unwanted": Unwanted, "c_stuck": Unclosable, "plain": Plain}
-    found = [Found(name, "test 1.0", kind) for name, kind in kinds.items()]
-    monkeypatch.setattr(registry, "find", lambda group, base: [Found("x", "test 1.0", None, "no module"), *found])
+    found = [Plugin(name, "test 1.0", kind) for name, kind in kinds.items()]
+    monkeypatch.setattr(registry, "find", lambda group, base: [Plugin("x", "test 1.0", None, "no module"), *found])
     bus = Bus(SystemClock())
     reporters = Installed(bus)
     reporters.start(context(Settings()))

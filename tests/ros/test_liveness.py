@@ -12,13 +12,13 @@ import pytest
 from phm import testing
 from phm.checking import plan
 from phm.checking.pipeline import Pipeline
-from phm.checking.scheduler import Batch, Engine
+from phm.checking.scheduler import CheckRun, CheckScheduler
 from phm.core.bus import Bus
 from phm.core.clock import SystemClock
 from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Level, Transition, UnitState
 from phm.facts import CannotTell, ProcessFact
 from phm.probes.docker_processes import FORMS, processes
-from phm.tracker import SURE_S, Tracker
+from phm.tracker import GRACE_ENDS_AFTER_OK_S, Tracker
 from phm_checks.nodes import Nodes
 from phm_checks.rates import Rates
 from phm_checks.topics import Topics
@@ -57,17 +57,17 @@ class Agent:
         settings = testing.settings(containers=[{"name": APP}], ros={**ros, "silence": "1s"})
         self.probe = bench.probe(topics, nodes=ros["nodes"], silence="1s")
         self.clock, self.events = SystemClock(), list[Event]()
-        made = plan.make(settings, {"nodes": Nodes, "topics": Topics, "rates": Rates})
+        made = plan.build_plan(settings, {"nodes": Nodes, "topics": Topics, "rates": Rates})
         self.bus = Bus(self.clock)
         self.pipeline = Pipeline(Tracker(made.tracked, self.clock.stamp()), self.bus, self.clock)
         world = testing.world(clock=self.clock, ros=self.probe, docker=self.docker)
-        self.engine = Engine(made.scheduled, world, self.clock, self._take)
+        self.engine = CheckScheduler(made.scheduled, world, self.clock, self._take)
         self.pipeline.attach(self.engine.wake_units)
         bench.on_change = lambda: self.engine.wake_subject("ros")
         self.bus.subscribe("test", self.events.append, kinds=(Transition, FaultOpened, FaultClosed))
         self.engine.start()
 
-    def _take(self, batch: Batch) -> None:
+    def _take(self, batch: CheckRun) -> None:
         self.pipeline.observe(dict(batch.units), batch.started, batch.duration_s, overdue=batch.overdue)
 
     def start(self, name: str = "node_1", *arguments: str, **more: Any) -> subprocess.Popen[bytes]:
@@ -89,7 +89,7 @@ class Agent:
 
     def well(self) -> None:
         """Until the node and its topic have been well for so long that grace is over."""
-        self.until(lambda: self._well_s() > SURE_S + 0.5, "a node and a rate that are OK, and stay so")
+        self.until(lambda: self._well_s() > GRACE_ENDS_AFTER_OK_S + 0.5, "a node and a rate that are OK, and stay so")
         self.events.clear()
 
     def _well_s(self) -> float:

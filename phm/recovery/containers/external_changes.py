@@ -36,7 +36,7 @@ class ExternalChanges:
             recovered, self._recovered_dependencies = self._recovered_dependencies, []
         for units, down_from in recovered:
             reset = self._history.reset_backoff(units, down_from).intersection(given_up)
-            pipeline.judge_afresh(*reset)
+            pipeline.clear_given_up(*reset)
         if not given_up and not self._history.within(self._shop.clock.mono() - CLEAN_S):
             lives.forget(self._target)
             self._life = None
@@ -44,7 +44,7 @@ class ExternalChanges:
         since = lives.external_start(self._target)
         if since is not None and (self._history.discount_before(since) or given_up):
             pipeline.note("PHM", f"{self._target} was started again by somebody else: recovery counts anew")
-            pipeline.judge_afresh(*given_up)
+            pipeline.clear_given_up(*given_up)
         self._look_at_life(cases)
         return True
 

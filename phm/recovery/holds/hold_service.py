@@ -121,7 +121,7 @@ class HoldService:
         with self._lock:
             self._begin(hold)  # first: an action that begins from now on finds it
             at_work = sorted(
-                f"{action} of {key}" for key in self._of(hold) if (action := self._pipeline.acting_on(key))
+                f"{action} of {key}" for key in self._of(hold) if (action := self._pipeline.action_on(key))
             )
         finishing = f"; {', '.join(at_work)}, which is under way, is finished first" if at_work else ""
         return f"{_name(hold)} is {hold.words(now)}{finishing}{unsure}", self._json(hold)
@@ -148,7 +148,7 @@ class HoldService:
         """An event of a configured container, before anybody is woken for it; actions as in `phm.probes.docker_events`."""
         with self._lock:
             now, own = self._clock.mono(), self._world.own(container)
-            late = own and not self._pipeline.acting_on(container)
+            late = own and not self._pipeline.action_on(container)
             missed = now - self._world.stream().complete_since < STOP_MAX_S
             self._stops.event(
                 container, action, detail, now, own=own, late=late, missed=missed, container_id=container_id
@@ -224,11 +224,11 @@ class HoldService:
             self._holds.leave(key, self._stops.leave_until(key, now.mono))
             hold = self._holds.on(key, now.mono)
             if hold is not None:
-                self._pipeline.pause(key, hold.words(now))
+                self._pipeline.put_on_hold(key, hold.words(now))
             elif key in undecided:
-                self._pipeline.pause(key, WAITING, ENDINGS)
+                self._pipeline.put_on_hold(key, WAITING, ENDINGS)
             else:
-                self._pipeline.resume(key)
+                self._pipeline.end_hold(key)
 
     def _runs(self, key: str) -> None:
         """It was started, also while PHM did not: a stop by hand is over."""

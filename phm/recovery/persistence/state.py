@@ -290,9 +290,9 @@ def _fault(fault: Fault) -> dict[str, Any]:
         "by": fault.by,
         "blocks": list(fault.blocks[:MAX_FAULTS]),
         "consequences": list(fault.consequences[:MAX_FAULTS]),
-        "well_s": fault.well_s,
-        "well_in_life_s": fault.well_in_life_s,
-        "life_seen": fault.life_seen,
+        "well_s": fault.ok_s,
+        "well_in_life_s": fault.ok_since_start_s,
+        "life_seen": fault.start_seen,
         "result": {
             "summary": result.summary[:MAX_TEXT],
             "brief": result.brief[:MAX_TEXT],
@@ -313,9 +313,9 @@ def _read_fault(body: Any, opened: Stamp) -> Fault:
         by=str(body["by"]),
         blocks=tuple(str(unit) for unit in body["blocks"]),
         consequences=tuple(str(name) for name in body["consequences"]),
-        well_s=float(body.get("well_s", 0.0)),
-        well_in_life_s=float(body.get("well_in_life_s", 0.0)),
-        life_seen=bool(body.get("life_seen", False)),
+        ok_s=float(body.get("well_s", 0.0)),
+        ok_since_start_s=float(body.get("well_in_life_s", 0.0)),
+        start_seen=bool(body.get("life_seen", False)),
     )
 
 

@@ -100,7 +100,7 @@ class TargetLocks:
         """From now on, what breaks in the container follows from the repair of `unit`: see `Tracker.hold`."""
         with self._lock:
             self._held_by[key] = owner
-            self._pipeline.hold(key, unit, action, at_most_s, proving=proving)
+            self._pipeline.begin_action(key, unit, action, at_most_s, proving=proving)
 
     def release(self, key: str, owner: object, *, worked: bool) -> None:
         """End the hold, if it is still this owner's."""
@@ -108,4 +108,4 @@ class TargetLocks:
             if self._held_by.get(key) is not owner:
                 return
             del self._held_by[key]
-            self._pipeline.release(key, worked=worked)
+            self._pipeline.end_action(key, worked=worked)
