@@ -20,11 +20,11 @@ def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
     78: the configuration is bad.
     """
     settings = load_settings(config)
-    from phm.runtime import daemon
+    from phm.runtime.single_pass import run_once
     from phm.wire.report import report_json
 
     with loops_are_configuration_errors():
-        units = daemon.once(settings)
+        units = run_once(settings)
     report = report_json(settings.agent.name, units)
     if as_json:
         click.echo(json.dumps(report, indent=2))

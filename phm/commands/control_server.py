@@ -50,17 +50,15 @@ class ControlServer:
     def __init__(
         self,
         run_dir: str,
-        approve: Callable[[str], str],
-        note: Callable[[str, str], None],
+        approve: Callable[[str], str] = lambda fault: "",
+        note: Callable[[str, str], None] = lambda kind, text: None,
         holds: HoldController | None = None,
     ) -> None:
         self._run_dir, self._approve, self._note, self._holds = run_dir, approve, note, holds
-        self._selector = selectors.DefaultSelector()
         self._connections: dict[socket.socket, tuple[bytearray, float]] = {}
         self._listener: socket.socket | None = None
-        self._waker, self._woken = socket.socketpair()
-        self._selector.register(self._woken, selectors.EVENT_READ)
         self._inode = 0
+        self._started = False
         self._problem = ""
         self.reload: Callable[[], str] | None = None
         """Reloads the configuration; what came of it, as JSON. Other requests wait meanwhile."""
@@ -74,6 +72,10 @@ class ControlServer:
         self._approve, self._note, self._holds = approve, note, holds
 
     def start(self) -> None:
+        self._selector = selectors.DefaultSelector()
+        self._waker, self._woken = socket.socketpair()
+        self._selector.register(self._woken, selectors.EVENT_READ)
+        self._started = True
         threads.start(self._thread)
 
     def problem(self) -> str:
@@ -81,6 +83,8 @@ class ControlServer:
 
     def close(self) -> None:
         """End the thread and remove the socket; waits at most CLOSING_S."""
+        if not self._started:
+            return
         self._stop.set()
         with contextlib.suppress(OSError):  # closed before
             self._waker.send(b"x")

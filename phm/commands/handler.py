@@ -56,7 +56,7 @@ CLOSING_S = 2.0
 
 
 class CommandHandler:
-    """See the module. Making it listens; `start` begins to answer."""
+    """See the module."""
 
     def __init__(self, port: MavlinkPort, services: CommandServices, settings: Settings, clock: Clock) -> None:
         self._port, self._services, self._settings, self._clock = port, services, settings, clock
@@ -72,11 +72,15 @@ class CommandHandler:
         self._looked = self._beat = float("-inf")
         self._lock = threading.Lock()
         self._wake, self._stop = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="phm-inbound", daemon=True)
-        port.listen(self.hear, (COMMAND_LONG, COMMAND_INT))
+        self._thread = threading.Thread(target=self._loop, name="phm-commands", daemon=True)
 
     def start(self) -> None:
+        self.listen()
         threads.start(self._thread)
+
+    def listen(self) -> None:
+        """Queue what arrives from now on."""
+        self._port.listen(self.hear, (COMMAND_LONG, COMMAND_INT))
 
     def close(self) -> None:
         """End the thread; waits at most CLOSING_S."""

@@ -1,7 +1,7 @@
-"""Reloading the configuration: validated first, then a new daemon takes the place of the old one in the same process.
+"""Reloads the configuration: it is validated first, then a new daemon replaces the old one in the same process.
 
-Links, control socket and guard go on, open faults, attempts and budgets are handed over in memory, and heartbeats go on until the
-new daemon sends its own. A configuration that is not valid changes nothing.
+Links, control socket and watchdog stay open; open faults, attempts and budgets are handed over in memory; HEARTBEATs continue until
+the new daemon sends its own. An invalid configuration changes nothing.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from dataclasses import asdict, dataclass, field
 from phm.config import ConfigError, Problem
 from phm.core.dependency_graph import DependencyCycle
 from phm.core.settings import Settings
-from phm.core.watchdog import DaemonWatchdog
 from phm.runtime.daemon import Daemon
 
 logger = logging.getLogger(__name__)
 
 FIXED = ("agent", "mavlink", "process", "state_dir", "run_dir")
-"""Sections that cannot change at run time: who the agent is, its links, its priority, and the directories that are locked."""
+"""Sections that need a restart: the agent's identity, its links, its priority, and the directories that are locked."""
 ANSWER_S = 30.0
 MAX_PROBLEMS = 100
 
@@ -33,7 +32,7 @@ Read = Callable[[], Settings]
 
 @dataclass(frozen=True, slots=True)
 class ReloadOutcome:
-    """What came of it. `changed`: sections that apply now; `restart`: those that need a restart of PHM and stay as they were."""
+    """changed: sections that apply now. restart: changed sections that apply after a restart of PHM. why: the reason when not ok."""
 
     ok: bool
     changed: tuple[str, ...] = ()
@@ -42,12 +41,12 @@ class ReloadOutcome:
     why: str = ""
 
     def text(self) -> str:
-        """In a sentence, for the log."""
+        """One sentence, for the log."""
         if not self.ok:
             detail = self.why or "; ".join(str(problem) for problem in self.problems[:3])
-            return f"configuration not reloaded, the old one stays: {detail}"
-        applied = ", ".join(self.changed) or "nothing has changed"
-        later = f"; a restart of PHM is needed for: {', '.join(self.restart)}" if self.restart else ""
+            return f"configuration not reloaded, the old one remains active: {detail}"
+        applied = ", ".join(self.changed) or "no changes"
+        later = f"; restart PHM to apply: {', '.join(self.restart)}" if self.restart else ""
         return f"configuration reloaded: {applied}{later}"
 
     def as_json(self) -> str:
@@ -57,33 +56,33 @@ class ReloadOutcome:
 
 
 @dataclass
-class _Asked:
-    """One `phm reload` that waits for its answer."""
+class _Request:
+    """One `phm reload` that waits for its outcome."""
 
     done: threading.Event = field(default_factory=threading.Event)
     outcome: ReloadOutcome | None = None
 
 
 class Reloader:
-    """`ask` may be called by any thread; `run` by the main thread alone, which owns the daemon."""
+    """Any thread may call `request`; only the main thread, which owns the daemon, may call `run`."""
 
-    def __init__(self, read: Read, guard: DaemonWatchdog) -> None:
-        self._read, self._guard = read, guard
+    def __init__(self, read: Read) -> None:
+        self._read = read
         self._lock = threading.Lock()
-        self._waiting: list[_Asked] = []
+        self._waiting: list[_Request] = []
 
-    def ask(self) -> str:
-        """Have the main thread reload; the outcome as JSON. Waits for it."""
-        asked = _Asked()
+    def request(self) -> str:
+        """Have the main thread reload, wait for it, and return the outcome as JSON."""
+        request = _Request()
         with self._lock:
-            self._waiting.append(asked)
+            self._waiting.append(request)
         os.kill(os.getpid(), signal.SIGHUP)
-        if not asked.done.wait(ANSWER_S) or asked.outcome is None:
-            return ReloadOutcome(False, why=f"PHM has not come to it within {ANSWER_S:g} s").as_json()
-        return asked.outcome.as_json()
+        if not request.done.wait(ANSWER_S) or request.outcome is None:
+            return ReloadOutcome(False, why=f"PHM did not answer within {ANSWER_S:g} s").as_json()
+        return request.outcome.as_json()
 
     def run(self, daemon: Daemon) -> Daemon:
-        """Reload; the daemon that runs from now on. Never raises."""
+        """Reload; returns the daemon that runs from now on. Never raises."""
         with self._lock:
             waiting, self._waiting = self._waiting, []
         try:
@@ -95,9 +94,9 @@ class Reloader:
             for problem in outcome.problems:
                 logger.error("%s", problem)
         daemon.pipeline.note("PHM", outcome.text())
-        for asked in waiting:
-            asked.outcome = outcome
-            asked.done.set()
+        for request in waiting:
+            request.outcome = outcome
+            request.done.set()
         return daemon
 
     def _reload(self, daemon: Daemon) -> tuple[Daemon, ReloadOutcome]:
@@ -111,16 +110,18 @@ class Reloader:
         changed = tuple(name for name in sections if name not in FIXED)
         if not changed:
             return daemon, ReloadOutcome(True, restart=restart)
-        if busy := daemon.acting():
-            return daemon, ReloadOutcome(False, why=f"an action is under way ({busy}): reload again when it has ended")
+        if busy := daemon.action_in_progress():
+            return daemon, ReloadOutcome(
+                False, why=f"an action is in progress ({busy}): reload again when it is finished"
+            )
         usable = wanted.model_copy(update={name: getattr(old, name) for name in FIXED})
         try:
-            new = Daemon(usable, daemon.clock, self._guard, before=daemon)
+            new = daemon.successor(usable)
         except DependencyCycle as error:
-            daemon.keep_links()
+            daemon.cancel_handover()
             return daemon, ReloadOutcome(False, why=f"checks: {error}")
         except Exception:
-            daemon.keep_links()
+            daemon.cancel_handover()
             raise
         new.start()
         return new, ReloadOutcome(True, changed, restart)

@@ -1,4 +1,4 @@
-"""The process of `phm run`: one PHM for its directories, signals, and an end within the time that Docker gives."""
+"""The process of `phm run`: one instance per directory, signals, and an end within the time that Docker allows."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import logging
 import os
 import signal
 
+from phm.core import threads
 from phm.core.clock import SystemClock
 from phm.core.instance_lock import InstanceLock
 from phm.core.process_priority import apply
 from phm.core.settings import Settings
 from phm.core.signals import Signals
 from phm.core.watchdog import DaemonWatchdog
-from phm.runtime.daemon import LOOK_S, STALLED_END_S, Daemon
+from phm.runtime.daemon import STALLED_END_S, SUPERVISE_S, Daemon
 from phm.runtime.reload import Read, Reloader
 
 logger = logging.getLogger(__name__)
@@ -21,43 +22,41 @@ ENDING = frozenset((signal.SIGTERM, signal.SIGINT))
 
 
 def run(settings: Settings, read: Read | None = None) -> int:
-    """Run until SIGTERM or SIGINT; 0 after an orderly end. SIGHUP has `read` give the configuration again. Raises AlreadyRunning.
+    """Run until SIGTERM or SIGINT; 0 after an orderly end. read: reads the configuration again, on SIGHUP. Raises AlreadyRunning.
 
-    Ends the process with 70 (EX_SOFTWARE) when the engine has stalled: restart policies act on that.
+    Exits with 70 (EX_SOFTWARE) when the scheduler has stalled: restart policies act on that.
     """
     lock = InstanceLock(settings.state_dir, settings.run_dir)
     lock.acquire()
-    guard = DaemonWatchdog()
+    watchdog = DaemonWatchdog()
     priority = apply(settings.process)
     clock = SystemClock()
     clock.measure()
-    daemon = Daemon(settings, clock, guard)
-    daemon.own_problems += [lambda: lock.problem, lambda: priority.problem]
-    reloader = Reloader(read or (lambda: settings), guard)
+    reloader = Reloader(read or (lambda: settings))
+    problems = (threads.problem, lambda: lock.problem, lambda: priority.problem)
+    daemon = Daemon(settings, clock, watchdog, problems=problems, reload=reloader.request)
     with Signals(*ENDING, signal.SIGCONT, signal.SIGHUP) as signals:
         daemon.start()
-        guard.start()
-        if daemon.control is not None:
-            daemon.control.reload = reloader.ask
+        watchdog.start()
         daemon = _serve(daemon, signals, reloader)
         hung = daemon.stop()
         lock.release()
         if hung:
-            logger.critical("PHM ends without waiting any longer for: %s", ", ".join(hung))
+            logger.critical("PHM exits although these parts still hang: %s", ", ".join(hung))
     return os.EX_OK
 
 
 def _serve(daemon: Daemon, signals: Signals, reloader: Reloader) -> Daemon:
-    """Until a signal ends it; the daemon that runs then."""
+    """Supervise until a signal ends it; returns the daemon that runs then."""
     while True:
-        if not daemon.look():
+        if not daemon.supervise():
             logger.critical("PHM has stalled for %.0f s and exits so that it is restarted", STALLED_END_S)
             logging.shutdown()
-            os._exit(os.EX_SOFTWARE)  # an orderly end would wait for what hangs
-        for number in signals.wait(LOOK_S):
+            os._exit(os.EX_SOFTWARE)  # an orderly stop would wait for what hangs
+        for number in signals.wait(SUPERVISE_S):
             if number in ENDING:
                 return daemon
             if number == signal.SIGCONT:
-                daemon.beat_soon()
+                daemon.wake()
             if number == signal.SIGHUP:
                 daemon = reloader.run(daemon)

@@ -1,4 +1,4 @@
-"""Whether the PHM before this one ended in good order: a file in `state_dir` that only an orderly end removes."""
+"""Detects that the previous PHM terminated unexpectedly: a file in `state_dir` that only an orderly stop removes."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ NAME = "running"
 
 
 class ShutdownMarker:
-    """The machine's boot id stands in the file: a power cut is no crash of PHM, and vehicles are switched off like that.
+    """The file contains the machine's boot id: switching the vehicle off is not a crash of PHM.
 
-    A folder that cannot be written is told by whoever keeps more there (`phm.recovery.persistence.state_file`).
+    Errors of the directory are reported by `phm.recovery`, which keeps its state there.
     """
 
     def __init__(self, directory: str, boot: str | None = None) -> None:
@@ -21,7 +21,7 @@ class ShutdownMarker:
         self._boot = place()["machine_boot"] if boot is None else boot
 
     def begin(self) -> bool:
-        """Note that PHM runs. True when an earlier one of this boot of the machine has not ended in good order."""
+        """Write the file. True when an earlier PHM terminated unexpectedly since the machine was booted."""
         try:
             left = self._file.read_text("ascii", errors="replace").strip()
         except OSError:
@@ -32,6 +32,6 @@ class ShutdownMarker:
         return bool(left) and left == self._boot
 
     def end(self) -> None:
-        """PHM ends because it was told to."""
+        """Remove the file: PHM stops in order."""
         with contextlib.suppress(OSError):
             self._file.unlink(missing_ok=True)

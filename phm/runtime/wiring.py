@@ -1,187 +1,232 @@
-"""Makes the parts that touch the outside: the engine's client, probes, MAVLink endpoints, the ROS child.
+"""Builds one daemon in the order of the data flow: probes, scheduler, tracker, recovery, health, reporters, operator commands.
 
-One place knows which class stands behind which protocol of `phm.facts`; the daemon only holds `Components`.
-Nothing is opened by making the parts: that is `start`'s doing.
+Building opens nothing and starts no thread; `phm.runtime.daemon` starts and stops what is built here. What flows back (a probe
+that wakes a check, an action that restarts ROS) is passed as a function, since its receiver is built later.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+import uuid
+from collections.abc import Callable, Sequence
 
+from phm.checking import registry
+from phm.checking.pipeline import Pipeline
+from phm.checking.plan import build_plan
+from phm.checking.scheduler import CheckRun, CheckScheduler
+from phm.commands.control_server import ControlServer
+from phm.commands.handler import CommandHandler
+from phm.commands.services import CommandServices
+from phm.core.bus import Bus
 from phm.core.clock import Clock
+from phm.core.model import ActionEvent, Event, Phase, Stamp
 from phm.core.settings import Settings
-from phm.facts import COMPLETE, Attachment, CannotTell, EventStreamFact, LinkFact, RosFact, RosProbe, SelfFact, World
-from phm.probes.attachment_cache import RememberingDocker
-from phm.probes.devices import Devices
-from phm.probes.docker import Docker
-from phm.probes.docker_events import DockerEvent, Watch
-from phm.probes.files import Files
-from phm.probes.host import Host, clock_synchronized
-from phm.probes.inotify import Notices
-from phm.probes.links import Links
-from phm.probes.pressure import Pressure
-from phm.probes.reachability_monitor import Pulse
-from phm.probes.ros.supervisor import RosProcess
-from phm.probes.swarm import Swarm
-from phm.transport.docker import Engine
+from phm.core.watchdog import DaemonWatchdog
+from phm.facts import SelfFact
+from phm.probes.docker_events import DockerEvent
+from phm.recovery.base import Action, ActionContext
+from phm.recovery.containers.cpu_weights import CpuWeights
+from phm.recovery.executor import Executor, NotNow
+from phm.recovery.holds.hold_registry import HoldRegistry
+from phm.recovery.holds.hold_service import HoldInputs, HoldService
+from phm.recovery.persistence.persistence_service import PersistenceService
+from phm.recovery.safety.armed_state import ArmedMonitor
+from phm.recovery.safety.flight_critical import critical_containers
+from phm.recovery.shop import Shop
+from phm.reporters.base import ReporterContext
+from phm.reporters.reporter_manager import Installed
+from phm.runtime.docker_events import DockerEventRouter
+from phm.runtime.health import DaemonHealth
+from phm.runtime.main_loop import MainLoop
+from phm.runtime.probe_set import build_probes
+from phm.tracker import Tracker
 from phm.transport.mavlink import MavlinkHub
 
-ReadSelf = Callable[[], SelfFact]
-"""What the daemon knows of itself."""
 
-
-class RosNotConfigured:
-    """Stands in where the configuration names no node and no topic: no child process is started."""
-
-    def look(self) -> RosFact:
-        raise CannotTell("no ROS node or topic is configured")
-
-
-@dataclass(frozen=True)
-class SelfProbe:
-    """PHM as a probe of itself: the daemon's own knowledge and the ROS child's restarts."""
-
-    self_look: ReadSelf
-    ros: RosProcess | None
-    links: Links
-
-    def look(self) -> SelfFact:
-        fact = self.self_look()
-        if self.ros is not None:
-            fact = replace(fact, problems=(*fact.problems, *self.ros.problems()), ros_restarts=self.ros.restarts)
-        return replace(fact, problems=(*fact.problems, *self.links.problems()))
-
-
-@dataclass(frozen=True)
 class Components:
-    """Everything that has threads or sockets of its own, and the world made of it."""
+    """Everything that one daemon consists of.
 
-    engine: Engine
-    docker: RememberingDocker
-    watch: Watch | None
-    pulse: Pulse | None
-    notices: Notices
-    mavlink: MavlinkHub | None
-    ros: RosProcess | None
-    world: World
+    watchdog:          the watchdog process, if one is used.
+    problems:          what else may be wrong with this process; each gives a sentence or an empty text.
+    reload:            reloads the configuration for `phm reload`; the outcome as JSON.
+    since, hub, control: of the daemon that this one replaces (`phm.runtime.reload`); they stay open.
+    """
 
-    def start(self, *, links: bool = True) -> None:
-        """Links, unless they run already, and the event stream; the ROS child starts separately, after networks are joined."""
-        if links and self.mavlink is not None:
-            self.mavlink.start()
-        if self.watch is not None:
-            self.watch.start()
-        if self.pulse is not None:
-            self.pulse.start()
+    def __init__(
+        self,
+        settings: Settings,
+        clock: Clock,
+        *,
+        watchdog: DaemonWatchdog | None = None,
+        problems: Sequence[Callable[[], str]] = (),
+        reload: Callable[[], str] | None = None,
+        since: Stamp | None = None,
+        hub: MavlinkHub | None = None,
+        control: ControlServer | None = None,
+    ) -> None:
+        self.clock, self.boot_id = clock, uuid.uuid4().hex[:12]
+        started = clock.stamp()
+        self.plan = build_plan(settings, registry.checks())
+        self.bus = Bus(clock)
+        tracker = Tracker(self.plan.tracked, started, fault_prefix=f"{self.boot_id[:4]}-")
+        self.pipeline = Pipeline(tracker, self.bus, clock, self.plan.pass_limit_s)
+        self.probes = build_probes(
+            settings,
+            clock,
+            wake=self._wake,
+            docker_event=self._docker_event,
+            note=lambda text: self.pipeline.note("PHM", text),
+            read_self=self._self_fact,
+            hub=hub,
+        )
+        self.scheduler = CheckScheduler(self.plan.scheduled, self.probes.world, clock, self._observe)
+        self.loop = MainLoop(
+            settings.interval,
+            clock,
+            self.scheduler,
+            self.pipeline,
+            self.probes.caught_up,
+            lambda: self._wake("myself"),
+            watchdog,
+        )
+        self.pipeline.attach(self.scheduler.wake_units, self.loop.wake)
+        self._build_recovery(settings)
+        self.docker_events = DockerEventRouter(self.pipeline, self.scheduler, self.holds, self.probes.container_started)
+        self.control = control or ControlServer(settings.run_dir)
+        self.reporters = Installed(self.bus)
+        own = (
+            self.memory.problem,
+            self.control.problem,
+            *((self.probes.mavlink.problem,) if self.probes.mavlink else ()),
+        )
+        guard = (lambda: watchdog.problem,) if watchdog is not None else ()
+        self.health = DaemonHealth(
+            since or started,
+            clock,
+            self.loop,
+            self.scheduler,
+            self.pipeline,
+            self.bus,
+            self.probes,
+            self.reporters,
+            self.armed,
+            critical_containers(settings),
+            (*own, *guard, *problems),
+        )
+        self.reporter_context = self._reporter_context(settings)
+        self.reload = reload
+        self.commands = self._build_commands(settings)
 
-    def event_stream(self) -> EventStreamFact:
-        """The engine's event stream now; complete when no container is configured."""
-        return self.watch.fact if self.watch is not None else COMPLETE
+    # ------------------------------------------------------------ recovery
 
-    def start_ros(self) -> None:
-        if self.ros is not None:
-            self.ros.start()
+    def _build_recovery(self, settings: Settings) -> None:
+        pipeline, clock, docker = self.pipeline, self.clock, self.probes.world.docker
+        self.armed = ArmedMonitor(self.probes.world.links.autopilot, settings.mavlink.autopilot_timeout, clock)
+        held = HoldRegistry()
+        world = HoldInputs(self.armed.now, docker.container, self._acting_on, self.probes.event_stream)
+        self.holds = HoldService(settings, held, pipeline, self.bus.publish, clock, world)
+        self.relief = CpuWeights(self.probes.engine, docker.container, pipeline, clock)
+        self.memory = PersistenceService(settings, pipeline, self.bus, clock, self.armed)
+        self.action_context = ActionContext(
+            self.probes.engine,
+            settings,
+            docker.container,
+            docker.myself,
+            self.probes.remembered,
+            listed_nodes=lambda: self.probes.world.ros.look().nodes,
+            link=self.probes.link,
+            autopilot=self.probes.world.links.autopilot,
+            clock=clock,
+            reopen=self.probes.reopen,
+            on_hold=lambda key: held.why_not_start(key, clock.stamp()),
+            relief=self.relief,
+        )
+        graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
+        shop = Shop(
+            pipeline,
+            self._publish_action,
+            clock,
+            registry.usable(registry.find(registry.ACTIONS, Action)),
+            self.action_context,
+            self.armed.now,
+            lambda unit: graces.get(unit, 0.0),
+            self.plan.below,
+            held,
+        )
+        self.executor = Executor(shop)
 
-    def renew_ros(self, reason: str) -> None:
-        """A DDS participant keeps the interfaces it found at its start: after a change it is made anew."""
-        if self.ros is not None:
-            self.ros.renew(reason)
+    # ------------------------------------------------------------ what flows back
 
-    def links(self) -> tuple[LinkFact, ...]:
-        return self.mavlink.links() if self.mavlink is not None else ()
+    def _wake(self, subject: str) -> None:
+        self.scheduler.wake_subject(subject)
 
-    def link(self, name: str) -> LinkFact | None:
-        """The MAVLink endpoint of this name, with its traffic."""
-        return next((link for link in self.world.links.links() if link.name == name), None)
+    def _docker_event(self, event: DockerEvent) -> None:
+        self.docker_events.apply(event)
 
-    def reopen(self, link: str, timeout_s: float) -> bool:
-        """See `MavlinkHub.reopen`."""
-        return self.mavlink is not None and self.mavlink.reopen(link, timeout_s)
+    def _self_fact(self) -> SelfFact:
+        return self.health.fact()
 
-    def begun(self, container: str) -> None:
-        """A configured container has been started: see `MavlinkHub.hurry`."""
-        if self.mavlink is not None:
-            self.mavlink.hurry(container)
+    def _acting_on(self, container: str) -> bool:
+        return self.executor.action_on(container)
 
-    def link_reports(self) -> list[dict[str, Any]]:
-        """The MAVLink endpoints for `phm status`, see `MavlinkHub.report`."""
-        return self.mavlink.report() if self.mavlink is not None else []
+    def _publish_action(self, event: Event) -> None:
+        self.bus.publish(event)
+        if isinstance(event, ActionEvent) and event.phase is Phase.DONE and event.action == "join_network":
+            self.probes.restart_ros("PHM joined a network")
 
-    def remembered(self, container: str, network: str) -> Attachment | None:
-        return self.docker.remembered(container, network)
+    def _observe(self, batch: CheckRun) -> None:
+        """Docker events that arrived before these results are applied first, because they may explain them."""
+        if not batch.overdue:  # an overdue check's STALE comes from the main loop, which must not wait
+            self.probes.catch_up()
+        self.pipeline.observe(dict(batch.units), batch.started, batch.duration_s, overdue=batch.overdue)
 
-    def caught_up(self) -> bool:
-        """Whether all that the engine has reported is applied: see `Watch.caught_up`."""
-        return self.watch is None or self.watch.caught_up()
+    # ------------------------------------------------------------ reporters
 
-    def catch_up(self) -> None:
-        """Wait until it is."""
-        if self.watch is not None:
-            self.watch.catch_up()
+    def _reporter_context(self, settings: Settings) -> ReporterContext:
+        links, pipeline, mavlink = self.probes.world.links, self.pipeline, settings.mavlink
 
-    def closers(self, *, links: bool = True) -> tuple[tuple[str, Callable[[], None]], ...]:
-        """What ends each part, by name: those that have somebody to say goodbye to come first. `links`: these as well."""
-        found: list[tuple[str, Callable[[], None]]] = []
-        if links and self.mavlink is not None:
-            found.append(("mavlink", self.mavlink.close))
-        if self.ros is not None:
-            found.append(("ros", self.ros.close))
-        if self.pulse is not None:
-            found.append(("pulse", self.pulse.stop))
-        found += [("notices", self.notices.close), ("engine", self.engine.close)]
-        if self.watch is not None:
-            found.append(("watch", self.watch.stop))
-        return tuple(found)
+        def autopilot_received() -> bool:
+            pilot = links.autopilot()
+            return pilot is not None and pilot.silent_s <= mavlink.autopilot_timeout
 
-    def close(self) -> None:
-        for _name, close in self.closers():
-            close()
+        def radio_received() -> bool:  # by the same rule as the radio check: 2.5 of the radio's own periods
+            return any(radio.silent_s <= max(mavlink.radio_timeout, 2.5 * radio.due_s) for radio in links.radios())
 
+        return ReporterContext(
+            settings,
+            self.clock,
+            self.boot_id,
+            pipeline.states,
+            self.health.alive,
+            self.health.document,
+            self.probes.mavlink,
+            ros=self.probes.ros,
+            swarm=self.probes.world.swarm,
+            pilot=autopilot_received,
+            radio=radio_received,
+            open_faults=pipeline.open_faults,
+            given_up=pipeline.given_up,
+            holds=self.holds.snapshot,
+        )
 
-def build_components(
-    settings: Settings,
-    clock: Clock,
-    *,
-    wake: Callable[[str], None],
-    docker_event: Callable[[DockerEvent], None],
-    note: Callable[[str], None],
-    self_look: ReadSelf,
-    hub: MavlinkHub | None = None,
-) -> Components:
-    """Make the parts that this configuration needs; see `Components.start` for when they begin. `hub`: one that runs already."""
-    engine = Engine(settings.docker.socket, settings.docker.timeout, clock)
-    asked = Docker(engine, settings, clock)
-    docker = RememberingDocker(asked)
+    # ------------------------------------------------------------ operator commands
 
-    def happened(event: DockerEvent) -> None:
-        asked.invalidate()  # what was read a moment ago is old before anybody is woken to read it
-        docker_event(event)
-
-    watch = Watch(engine, settings, clock, happened, lambda: wake("engine")) if settings.containers else None
-    pulse = Pulse(clock, asked.answering, asked.knock, lambda: wake("network")) if _addressed(settings) else None
-    notices = Notices(clock)
-    hub = hub or MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir, clock_synchronized)
-    links = Links(hub, settings, clock, lambda: wake("link"))
-    swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"), links.deaf)
-    ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None
-    probe: RosProbe = ros if ros is not None else RosNotConfigured()
-    world = World(
-        clock=clock,
-        docker=docker,
-        files=Files(docker, engine, settings, clock, notices, lambda: wake("file")),
-        devices=Devices(settings, clock, notices, lambda: wake("device")),
-        host=Host(settings, clock),
-        ros=probe,
-        links=links,
-        swarm=swarm,
-        myself=SelfProbe(self_look, ros, links),
-        pressure=Pressure(engine, docker, settings, clock),
-    )
-    return Components(engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, world)
-
-
-def _addressed(settings: Settings) -> bool:
-    """Whether some container's address must answer."""
-    return any(entry.networks and entry.address for entry in settings.containers)
+    def _build_commands(self, settings: Settings) -> CommandHandler | None:
+        """What an operator may request by MAVLink; None without endpoints."""
+        hub, pipeline = self.probes.mavlink, self.pipeline
+        if hub is None:
+            return None
+        services = CommandServices(
+            pipeline.states,
+            pipeline.open_faults,
+            pipeline.recent_faults,
+            lambda: pipeline.complete,
+            self.health.alive,
+            look=lambda: pipeline.recheck(*(state.unit for state in pipeline.states())),
+            approve=self.executor.approve,
+            restart=self.executor.restart,
+            note=pipeline.note,
+            later=NotNow,
+            remember=hub.remember,
+            clock_problem=hub.clock_problem,
+        )
+        return CommandHandler(hub, services, settings, self.clock)

@@ -396,12 +396,12 @@ def with_daemon(monkeypatch: pytest.MonkeyPatch, **functions: Any) -> None:
     """Settings without a file, and the daemon's functions replaced."""
     monkeypatch.setattr("phm.cli.reading.read", lambda path: Read("phm.yaml", Settings(), {}))
     for name, function in functions.items():
-        monkeypatch.setattr(f"phm.runtime.daemon.{name}", function)
+        monkeypatch.setattr(f"phm.runtime.single_pass.{name}", function)
 
 
 def test_once_prints_the_report_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
     """The keys of the issue, first of all; exit code 1 since a check says ERROR."""
-    with_daemon(monkeypatch, once=lambda settings: (DEAD, BLOCKED, WELL))
+    with_daemon(monkeypatch, run_once=lambda settings: (DEAD, BLOCKED, WELL))
     result = invoke("once", "--json")
     assert result.exit_code == 1
     seen = json.loads(result.stdout)
@@ -414,7 +414,7 @@ def test_once_prints_the_report_as_json(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
     """Slots in order, level words, array; exit code 0 when nothing says ERROR, though something is not known."""
-    with_daemon(monkeypatch, once=lambda settings: (WELL, BLOCKED))
+    with_daemon(monkeypatch, run_once=lambda settings: (WELL, BLOCKED))
     result = invoke("once")
     assert result.exit_code == 0, result.output
     assert result.stdout.index("blocked by") < result.stdout.index("Host is calm")
@@ -459,7 +459,7 @@ def test_needs_in_a_circle_end_like_a_bad_configuration(verb: str, monkeypatch: 
     def loop(settings: Settings, read: object = None) -> int:
         raise DependencyCycle(["a", "b", "a"])
 
-    with_daemon(monkeypatch, once=loop)
+    with_daemon(monkeypatch, run_once=loop)
     monkeypatch.setattr("phm.runtime.service.run", loop)
     result = invoke(verb)
     assert (result.exit_code, result.stderr) == (78, "checks: needs run in a circle: a -> b -> a\n")

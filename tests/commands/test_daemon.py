@@ -48,7 +48,7 @@ class Agent:
         )
         self.folder, self.events = folder, list[Event]()
         self.daemon = Daemon(made)
-        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
         self.ground: Any = mavutil.mavlink_connection(
             f"udpout:127.0.0.1:{port}", source_system=255, source_component=190

@@ -46,6 +46,7 @@ class Scene:
         )
         chosen = settings(agent={"id": 7}, containers=[{"name": "app"}], mavlink={"commands": ALL})
         self.handler = CommandHandler(self, services, chosen, self.clock)
+        self.handler.listen()
 
     def _do(self, what: str) -> str:
         self.did.append(what)

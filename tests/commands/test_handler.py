@@ -73,6 +73,7 @@ class Scene:
             agent={"id": 7}, containers=[{"name": "app"}, {"name": "db"}], mavlink={"commands": list(allowed)}
         )
         self.handler = CommandHandler(self, services, chosen, self.clock)
+        self.handler.listen()
         self.ground = Sender(255, 190)
 
     def _do(self, what: str) -> str:

@@ -43,7 +43,7 @@ class Agent:
         self.events: list[Event] = []
         self.lines: list[tuple[int, str]] = []
         self.daemon = Daemon(made)
-        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
         self.ground: Any = mavutil.mavlink_connection(
             f"udpout:127.0.0.1:{port}", source_system=255, source_component=190

@@ -183,10 +183,10 @@ def test_a_daemon_that_starts_at_the_limit_becomes_complete(limit: Full, tmp_pat
     limit.full = True
     daemon = Daemon(quiet(tmp_path))
     daemon.start()
-    assert "threads cannot be started" in " ".join(daemon.health()["problems"])
+    assert "threads cannot be started" in " ".join(daemon.components.health.document()["problems"])
     limit.full = False
-    until(lambda: daemon.look() and daemon.pipeline.complete, "a first report")
-    until(lambda: daemon.look() and not threads.problem(), "every thread")
+    until(lambda: daemon.supervise() and daemon.pipeline.complete, "a first report")
+    until(lambda: daemon.supervise() and not threads.problem(), "every thread")
     assert daemon.stop() == ()
 
 
@@ -199,8 +199,8 @@ def test_ros_is_started_whatever_joining_a_network_comes_to(tmp_path: Path, monk
     def odd(target: object, context: object) -> str:
         raise AttributeError("'list' object has no attribute 'get'")
 
-    monkeypatch.setattr("phm.runtime.daemon.join_networks", odd)
-    monkeypatch.setattr(type(daemon.components), "start_ros", lambda parts: started.set())
+    monkeypatch.setattr("phm.runtime.network_join.join_networks", odd)
+    monkeypatch.setattr(type(daemon.components.probes), "start_ros", lambda probes: started.set())
     monkeypatch.setattr(daemon.pipeline, "note", lambda kind, text: notes.append(text))
     thread = threading.Thread(target=daemon._join_networks)
     thread.start()

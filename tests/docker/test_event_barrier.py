@@ -106,7 +106,7 @@ def test_results_and_time_wait_for_the_events_before_them(
     fake: FakeEngine, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While an event is not applied no result is judged, and nothing is published because time has passed; the heart goes on."""
-    until(lambda: daemon.pipeline.complete and daemon.components.caught_up(), "the first report")
+    until(lambda: daemon.pipeline.complete and daemon.components.probes.caught_up(), "the first report")
     taken, go, order = threading.Event(), threading.Event(), list[str]()
 
     def late(*event: str) -> None:
@@ -118,12 +118,12 @@ def test_results_and_time_wait_for_the_events_before_them(
         if started == run.started:
             order.append("result")
 
-    monkeypatch.setattr(daemon.holds, "happened", late)
+    monkeypatch.setattr(daemon.components.holds, "happened", late)
     fake.set("app", status="exited", exit_code=1)
     assert taken.wait(20)
     for _ in range(2):  # one that was under way when the event came is over after the second
         beats = daemon._beat
-        daemon.beat_soon()
+        daemon.wake()
         until(lambda: daemon._beat > beats, "a beat of the heart")  # noqa: B023
     monkeypatch.setattr(daemon.pipeline, "observe", result)
     monkeypatch.setattr(daemon.pipeline, "tick", lambda: order.append("time"))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from phm.recovery.holds.hold_service import HoldService
 from phm.wire import control as wire
 from phm.wire.control import MAX_REQUEST
-from tests.core.test_control import Daemon
+from tests.commands.test_control_server import Daemon
 from tests.fakes.until import until
 from tests.fuzz.hostile import messages
 from tests.fuzz.targets import folder, fuzzed

@@ -162,7 +162,7 @@ def test_two_real_agents_are_found_and_shown(scene: Scene, tmp_path: Path) -> No
     assert all(abs(body["utc_s"] - now) < 600 for body in scene.seen)
     scene.agents[8].stop()
     until(lambda: scene.of(8)["how"] == "LEFT", "the farewell")
-    hub = scene.agents[7].components.mavlink
+    hub = scene.agents[7].components.probes.mavlink
     assert hub is not None
     hub.close()  # as a killed process: no farewell
     until(lambda: scene.of(7)["how"] == "LOST", "the loss")

@@ -84,7 +84,7 @@ class Vehicle:
         """System and component of everyone whom PHM hears."""
         return {
             (sender.system, sender.component)
-            for link in self.daemon.components.world.links.links()
+            for link in self.daemon.components.probes.world.links.links()
             for sender in link.senders
         }
 

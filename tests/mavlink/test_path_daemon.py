@@ -52,7 +52,7 @@ class Flight:
         )
         self.events: list[Event] = []
         self.daemon = Daemon(made)
-        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
 
     def new_ground(self) -> Ground:
@@ -184,10 +184,12 @@ def test_a_silent_autopilot_is_told_to_the_ground(flight: Flight) -> None:
 def test_a_reboot_is_told_to_the_ground(flight: Flight, armed: bool, line: str) -> None:
     """Quicker than any silence could show; gravely when it was armed."""
     flight.pilot.armed = armed
-    fact = until(lambda: (fact := flight.daemon.components.world.links.autopilot()) and fact.armed is armed and fact)
+    fact = until(
+        lambda: (fact := flight.daemon.components.probes.world.links.autopilot()) and fact.armed is armed and fact
+    )
     # It has booted half a second before it says so: by then it must have been heard as armed.
     since_s = max(4.0, (fact.boot_s or 0) + 1.0)
-    until(lambda: (flight.daemon.components.world.links.autopilot().boot_s or 0) > since_s)
+    until(lambda: (flight.daemon.components.probes.world.links.autopilot().boot_s or 0) > since_s)
     flight.pilot.reboot(boot_s=0.5)
     until(lambda: line in flight.lines(), "the line")
     assert {state.unit for state in flight.daemon.pipeline.states() if state.level.bad} == {"autopilot"}

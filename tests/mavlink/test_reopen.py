@@ -171,11 +171,11 @@ class Aboard:
             recovery=recovery,
         )
         self.daemon = Daemon(made)
-        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
 
     def heard(self) -> bool:
-        return self.daemon.components.world.links.autopilot() is not None
+        return self.daemon.components.probes.world.links.autopilot() is not None
 
     def phases(self) -> list[Phase]:
         return [event.phase for event in list(self.events) if isinstance(event, ActionEvent)]
@@ -214,7 +214,7 @@ def test_only_what_a_reopening_has_helped_is_credited_to_it(
     aboard = Aboard(tmp_path, stale.port)
     try:
         until(aboard.heard)
-        until(lambda: (aboard.daemon.components.world.links.autopilot() or PILOT_FACT).boot_s)
+        until(lambda: (aboard.daemon.components.probes.world.links.autopilot() or PILOT_FACT).boot_s)
         stale.mute(deaf=what == "came back late")
         if what == "rebooted":
             stale.booted = time.monotonic()
@@ -241,7 +241,7 @@ def test_what_does_not_help_is_given_up(tmp_path: Path, stale: Stale) -> None:
         assert "look at what is behind fc by hand" in said
         assert "docker" not in said
         stale.deaf = False
-        assert aboard.daemon.components.reopen("fc", 5.0)
+        assert aboard.daemon.components.probes.reopen("fc", 5.0)
         until(lambda: not aboard.daemon.pipeline.given_up(), "being well again")
     finally:
         aboard.daemon.stop()

@@ -96,7 +96,7 @@ class Vehicle:
             self._door.open(made)
             self._opened = True
         self.daemon = Daemon(made)
-        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
 
     def stop(self) -> None:
@@ -116,7 +116,7 @@ class Vehicle:
 
     def gate(self) -> str:
         assert self.daemon is not None
-        return self.daemon.armed.now().why
+        return self.daemon.components.armed.now().why
 
     def passes(self, number: int) -> None:
         """PHM looks at everything again so many times, longer than any repeated decision takes."""
@@ -149,7 +149,7 @@ def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehi
     until(lambda: "silent" in vehicle.gate() and "was armed" in vehicle.gate(), "the silence")
     vehicle.beats["ground"].says = False
     until(
-        lambda: any("come by ground" in text for text in vehicle.daemon.components.world.links.problems()),
+        lambda: any("come by ground" in text for text in vehicle.daemon.components.probes.world.links.problems()),
         "the stranger",
     )  # type: ignore[union-attr]
     vehicle.passes(3)
@@ -160,7 +160,7 @@ def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehi
     why = "no heartbeat of the autopilot was received since PHM started, and it was armed before"
     expected = {"containers": ("pilot",), "armed": "armed", "why": why}
     assert vehicle.daemon is not None
-    assert vehicle.daemon.health()["flight_critical"] == expected
+    assert vehicle.daemon.components.health.document()["flight_critical"] == expected
     vehicle.passes(3)
     assert vehicle.started() == before
     assert [phase for phase, _ in vehicle.actions() if phase is Phase.STARTED] == []

@@ -41,7 +41,7 @@ class Phm:
         )
         self.unit = f"container/{container}"
         self.daemon = Daemon(made)
-        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
 
     def until(self, condition: Any, what: str) -> None:
@@ -67,7 +67,7 @@ class Phm:
 
     def decided(self) -> bool:
         """PHM has seen the stop and the time in which it might have been a restart is over."""
-        return not self.daemon.holds._stops.undecided()
+        return not self.daemon.components.holds._stops.undecided()
 
 
 class Project:
@@ -187,7 +187,7 @@ def test_a_stop_while_the_event_stream_is_interrupted_is_not_undone(
     """PHM sees that the container has ended before it hears why: the alarm is raised, and the engine's replay is waited for."""
     monkeypatch.setattr("phm.recovery.holds.hold_service.CLOSED_S", 10 * LIMIT_S)
     agent = phm(**RESPECT)
-    engine, watch = agent.daemon.components.engine, agent.daemon.components.watch
+    engine, watch = agent.daemon.components.probes.engine, agent.daemon.components.probes.watch
     agent.until(lambda: watch.fact.open, "the event stream to be open")
     with monkeypatch.context() as closed:
 
@@ -262,14 +262,14 @@ def test_an_operator_holds_and_releases(phm: Any, project: Project) -> None:
 def test_a_hold_survives_a_restart_of_phm(phm: Any, project: Project, tmp_path: Path) -> None:
     """The next PHM leaves alone what was on hold when the one before ended, until the same end."""
     agent = phm(**HEAL)
-    agent.daemon.holds.hold(project.container, 600.0, "swapping firmware", "operator (uid 0)")
-    before = agent.daemon.holds.snapshot()[0]
+    agent.daemon.components.holds.hold(project.container, 600.0, "swapping firmware", "operator (uid 0)")
+    before = agent.daemon.components.holds.snapshot()[0]
     agent.daemon.stop()
     project.docker("kill", project.container)
     following = Phm(tmp_path, project.container, **HEAL)
     try:
         following.until(lambda: following.level() is Level.STALE and following.daemon.pipeline.complete, "the hold")
-        after = following.daemon.holds.snapshot()[0]
+        after = following.daemon.components.holds.snapshot()[0]
         assert after["left_s"] < before["left_s"] and after["reason"] == "swapping firmware"
         assert following.faults() == [] and following.phases() == []
     finally:

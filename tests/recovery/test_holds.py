@@ -797,6 +797,6 @@ def test_a_signal_that_ends_nothing_is_no_stop(tmp_path: Path) -> None:
     daemon = Daemon(made)
     for number, end_s, undecided in (("1", 0.0, frozenset()), ("15", 121.0, frozenset({"app"}))):
         event = DockerEvent("container", "app", "kill", f"signal {number}", daemon.clock.stamp(), end_s=end_s)
-        daemon._docker_event(event)
-        assert daemon.holds._stops.undecided() == undecided
-    daemon.bus.close()
+        daemon.components.docker_events.apply(event)
+        assert daemon.components.holds._stops.undecided() == undecided
+    daemon.components.bus.close()

@@ -29,7 +29,7 @@ def entry(app: Any, network: Any) -> dict[str, Any]:
 def take_away(daemon: Phm, network: Any, app: Any) -> None:
     """As `docker compose down` of the project that the network belongs to: the network goes in the moment in which PHM connects
     the application to it again."""
-    original, gone = daemon.daemon.components.engine.connect, threading.Event()
+    original, gone = daemon.daemon.components.probes.engine.connect, threading.Event()
 
     def connect(network_: str, container: str, aliases: Any, address: str) -> None:
         if not gone.is_set():
@@ -51,7 +51,7 @@ def patch(daemon: Phm, connect: Callable[[str, str, Any, str], None]) -> None:
     def named(network: str, container: str, aliases: Any = (), address: str = "") -> None:
         connect(network, container, aliases, address)
 
-    daemon.daemon.components.engine.connect = named  # type: ignore[method-assign]
+    daemon.daemon.components.probes.engine.connect = named  # type: ignore[method-assign]
 
 
 def attached(app: Any) -> list[str]:
@@ -134,7 +134,7 @@ def test_phm_and_the_application_lose_the_network_together(real: Any, phm: Start
     app, own = real.container(RUN, network=network.name), real.container(RUN, network=network.name)
     daemon = phm([entry(app, network)], docker={"container": own.name}, verify="10s")
     before, lost = started_at(app), threading.Event()
-    original = daemon.daemon.components.engine.connect
+    original = daemon.daemon.components.probes.engine.connect
 
     def connect(network_: str, container: str, aliases: Any, address: str) -> None:
         original(network_, container, aliases, address)

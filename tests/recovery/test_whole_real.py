@@ -57,7 +57,7 @@ class Phm:
         )
         door.open(made)
         self.daemon = Daemon(made)
-        self.daemon.bus.subscribe("test", self.events.append)
+        self.daemon.components.bus.subscribe("test", self.events.append)
 
     def start(self) -> None:
         self.daemon.start()
@@ -162,7 +162,7 @@ class Restarts:
 
     def __init__(self, daemon: Daemon, container: str) -> None:
         self.made, self.at_once, self._now = 0, 0, 0
-        self._lock, engine = threading.Lock(), daemon.components.engine
+        self._lock, engine = threading.Lock(), daemon.components.probes.engine
         original = engine.restart
 
         def restart(ref: str, stop_timeout_s: float = 5.0) -> None:

@@ -60,7 +60,7 @@ class Fleet:
         self.mesh.close()
 
     def sees(self, name: str) -> SwarmFact:
-        return self.daemons[name].components.world.swarm.look()
+        return self.daemons[name].components.probes.world.swarm.look()
 
     def states(self, name: str) -> dict[int, str]:
         return {agent: peer.state for agent, peer in self.sees(name).peers.items()}
@@ -144,6 +144,6 @@ def test_two_agents_with_one_id_are_found_out(fleet: Fleet) -> None:
     fleet.start("clone", 3, off=OFF[1:])
     fleet.until(lambda: fleet.sees("a1").clashing == fleet.sees("a5").clashing == (3,), "the clash")
     for name in ("a3", "clone"):
-        problems = fleet.daemons[name].components.world.links.problems  # type: ignore[attr-defined]
+        problems = fleet.daemons[name].components.probes.world.links.problems  # type: ignore[attr-defined]
         fleet.until(lambda ask=problems: any("another program" in words for words in ask()), f"{name} to notice")
     fleet.stop("clone")

@@ -242,7 +242,7 @@ def test_an_end_that_was_asked_for_is_marked_before_anything_can_hang(tmp_path: 
         marked.append((tmp_path / "state" / MARKER).exists())
         released.wait()
 
-    daemon.memory.close = hang  # type: ignore[method-assign]
+    daemon.components.memory.close = hang  # type: ignore[method-assign]
     assert daemon.stop() == ("state",)
     assert marked == [False]
     released.set()

@@ -12,7 +12,8 @@ import pytest
 from phm.api import Level
 from phm.core.model import UnitState
 from phm.core.watchdog import DaemonWatchdog
-from phm.runtime.daemon import CALM_S, Daemon
+from phm.runtime.daemon import Daemon
+from phm.runtime.main_loop import IDLE_S
 from phm.testing import settings
 from tests.fakes.until import until
 
@@ -45,7 +46,7 @@ def daemon(tmp_path: Path) -> Iterator[tuple[Daemon, Told]]:
         containers=[],
         ros={"nodes": [], "topics": []},
     )
-    daemon = Daemon(made, guard=guard)
+    daemon = Daemon(made, watchdog=guard)
     daemon.start()
     yield daemon, guard
     daemon.stop()
@@ -72,12 +73,12 @@ def test_the_heart_rests_while_nothing_waits_and_beats_when_called(daemon: tuple
     until(lambda: made.pipeline.complete and not made.pipeline.waiting, "nothing to wait for")
     began, before = time.monotonic(), guard.beats
     until(lambda: guard.beats >= before + 4, "four beats")
-    assert time.monotonic() - began > 2 * CALM_S, "more than ten times a second: it does not rest"
+    assert time.monotonic() - began > 2 * IDLE_S, "more than ten times a second: it does not rest"
     before = guard.beats
 
     def called() -> bool:
-        made.beat_soon()
+        made.wake()
         return guard.beats >= before + 50
 
     until(called, "fifty beats, which its rests alone would make 25 s", limit_s=LIMIT_S)
-    assert made.alive()
+    assert made.components.health.alive()

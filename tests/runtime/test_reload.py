@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from phm.wire import control, json_log, status_file
-from tests.core.test_service import LIMIT_S, ROOT
 from tests.fakes.mavlink import free_port
 from tests.fakes.until import until
+from tests.runtime.test_service import LIMIT_S, ROOT
 
 HEARTBEAT, POWEROFF = 0, 8
 
@@ -107,7 +107,7 @@ def test_a_good_configuration_applies_and_faults_stay_open(agent: Agent) -> None
     agent.heard()
     done = agent.reload()
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == "configuration reloaded: interval; a restart of PHM is needed for: agent\n"
+    assert done.stdout == "configuration reloaded: interval; restart PHM to apply: agent\n"
     until(lambda: agent.status().get("interval_s") == 3.0, "the new interval")
     until(lambda: agent.faults() == 1, "the fault")
     after = agent.status()
@@ -146,7 +146,7 @@ def test_a_bad_configuration_is_rejected_and_the_old_one_stays(agent: Agent) -> 
     done = agent.reload()
     assert (done.returncode, done.stdout) == (78, "")
     assert f"{agent.file}:1: interval" in done.stderr and f"{agent.file}:2: agent.id" in done.stderr
-    assert "the old configuration stays" in done.stderr
+    assert "the old configuration remains active" in done.stderr
     seen = json.loads(agent.reload("--json").stdout)
     assert (seen["ok"], [each["line"] for each in seen["problems"]]) == (False, [1, 2])
     assert agent.status()["boot_id"] == boot
@@ -171,7 +171,7 @@ def test_what_has_not_changed_is_not_touched(agent: Agent) -> None:
     """Reloading the same configuration replaces nothing."""
     boot = agent.status()["boot_id"]
     done = agent.reload()
-    assert (done.returncode, done.stdout) == (0, "configuration reloaded: nothing has changed\n")
+    assert (done.returncode, done.stdout) == (0, "configuration reloaded: no changes\n")
     assert agent.status()["boot_id"] == boot
 
 

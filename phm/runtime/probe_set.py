@@ -1,0 +1,187 @@
+"""Builds everything that reads from the outside: Docker client, probes, MAVLink endpoints and the ROS child process.
+
+This is the only module that knows which class implements which protocol of `phm.facts`. Building opens nothing; `start` does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from phm.core.clock import Clock
+from phm.core.settings import Settings
+from phm.facts import COMPLETE, Attachment, CannotTell, EventStreamFact, LinkFact, RosFact, RosProbe, SelfFact, World
+from phm.probes.attachment_cache import RememberingDocker
+from phm.probes.devices import Devices
+from phm.probes.docker import Docker
+from phm.probes.docker_events import DockerEvent, Watch
+from phm.probes.files import Files
+from phm.probes.host import Host, clock_synchronized
+from phm.probes.inotify import Notices
+from phm.probes.links import Links
+from phm.probes.pressure import Pressure
+from phm.probes.reachability_monitor import Pulse
+from phm.probes.ros.supervisor import RosProcess
+from phm.probes.swarm import Swarm
+from phm.transport.docker import Engine
+from phm.transport.mavlink import MavlinkHub
+
+ReadSelf = Callable[[], SelfFact]
+"""Reads the daemon's own condition."""
+
+
+class RosNotConfigured:
+    """Used when no node and no topic is configured: no child process is needed."""
+
+    def look(self) -> RosFact:
+        raise CannotTell("no ROS node or topic is configured")
+
+
+@dataclass(frozen=True)
+class SelfProbe:
+    """Probe of PHM itself: the daemon's condition and that of its ROS child process."""
+
+    read_self: ReadSelf
+    ros: RosProcess | None
+    links: Links
+
+    def look(self) -> SelfFact:
+        fact = self.read_self()
+        if self.ros is not None:
+            fact = replace(fact, problems=(*fact.problems, *self.ros.problems()), ros_restarts=self.ros.restarts)
+        return replace(fact, problems=(*fact.problems, *self.links.problems()))
+
+
+@dataclass(frozen=True)
+class ProbeSet:
+    """The probes with their connections; `world` is what checks see of them."""
+
+    engine: Engine
+    docker: RememberingDocker
+    watch: Watch | None
+    pulse: Pulse | None
+    notices: Notices
+    mavlink: MavlinkHub | None
+    ros: RosProcess | None
+    world: World
+
+    def start(self, *, links: bool = True) -> None:
+        """Open the links (unless they are open already) and the event stream. ROS starts later, see `start_ros`."""
+        if links and self.mavlink is not None:
+            self.mavlink.start()
+        if self.watch is not None:
+            self.watch.start()
+        if self.pulse is not None:
+            self.pulse.start()
+
+    def event_stream(self) -> EventStreamFact:
+        """State of Docker's event stream; complete when no container is configured."""
+        return self.watch.fact if self.watch is not None else COMPLETE
+
+    def start_ros(self) -> None:
+        """To be called after PHM has joined its networks: DDS chooses its interfaces when a participant is created."""
+        if self.ros is not None:
+            self.ros.start()
+
+    def restart_ros(self, reason: str) -> None:
+        """Replace the ROS child process: a DDS participant keeps the interfaces that it found when it was created."""
+        if self.ros is not None:
+            self.ros.renew(reason)
+
+    def links(self) -> tuple[LinkFact, ...]:
+        return self.mavlink.links() if self.mavlink is not None else ()
+
+    def link(self, name: str) -> LinkFact | None:
+        """The MAVLink endpoint of this name, with its traffic."""
+        return next((link for link in self.world.links.links() if link.name == name), None)
+
+    def reopen(self, link: str, timeout_s: float) -> bool:
+        """See `MavlinkHub.reopen`."""
+        return self.mavlink is not None and self.mavlink.reopen(link, timeout_s)
+
+    def container_started(self, container: str) -> None:
+        """Retry the links to this container immediately: see `MavlinkHub.hurry`."""
+        if self.mavlink is not None:
+            self.mavlink.hurry(container)
+
+    def link_reports(self) -> list[dict[str, Any]]:
+        """The MAVLink endpoints for `phm status`, see `MavlinkHub.report`."""
+        return self.mavlink.report() if self.mavlink is not None else []
+
+    def remembered(self, container: str, network: str) -> Attachment | None:
+        return self.docker.remembered(container, network)
+
+    def caught_up(self) -> bool:
+        """Whether every reported Docker event is applied: see `Watch.caught_up`."""
+        return self.watch is None or self.watch.caught_up()
+
+    def catch_up(self) -> None:
+        """Wait until every reported Docker event is applied."""
+        if self.watch is not None:
+            self.watch.catch_up()
+
+    def closers(self, *, links: bool = True) -> tuple[tuple[str, Callable[[], None]], ...]:
+        """What closes each part, by name, in order: links first, because they send a farewell. links: close them, too."""
+        found: list[tuple[str, Callable[[], None]]] = []
+        if links and self.mavlink is not None:
+            found.append(("mavlink", self.mavlink.close))
+        if self.ros is not None:
+            found.append(("ros", self.ros.close))
+        if self.pulse is not None:
+            found.append(("pulse", self.pulse.stop))
+        found += [("notices", self.notices.close), ("engine", self.engine.close)]
+        if self.watch is not None:
+            found.append(("watch", self.watch.stop))
+        return tuple(found)
+
+    def close(self) -> None:
+        for _name, close in self.closers():
+            close()
+
+
+def build_probes(
+    settings: Settings,
+    clock: Clock,
+    *,
+    wake: Callable[[str], None],
+    docker_event: Callable[[DockerEvent], None],
+    note: Callable[[str], None],
+    read_self: ReadSelf,
+    hub: MavlinkHub | None = None,
+) -> ProbeSet:
+    """Build the probes that this configuration needs. hub: MAVLink endpoints that are open already (after a reload)."""
+    engine = Engine(settings.docker.socket, settings.docker.timeout, clock)
+    fresh = Docker(engine, settings, clock)
+    docker = RememberingDocker(fresh)
+
+    def happened(event: DockerEvent) -> None:
+        fresh.invalidate()  # before a check is woken to read it again
+        docker_event(event)
+
+    watch = Watch(engine, settings, clock, happened, lambda: wake("engine")) if settings.containers else None
+    pulse = Pulse(clock, fresh.answering, fresh.knock, lambda: wake("network")) if _addressed(settings) else None
+    notices = Notices(clock)
+    hub = hub or MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir, clock_synchronized)
+    links = Links(hub, settings, clock, lambda: wake("link"))
+    swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"), links.deaf)
+    ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None
+    probe: RosProbe = ros if ros is not None else RosNotConfigured()
+    world = World(
+        clock=clock,
+        docker=docker,
+        files=Files(docker, engine, settings, clock, notices, lambda: wake("file")),
+        devices=Devices(settings, clock, notices, lambda: wake("device")),
+        host=Host(settings, clock),
+        ros=probe,
+        links=links,
+        swarm=swarm,
+        myself=SelfProbe(read_self, ros, links),
+        pressure=Pressure(engine, docker, settings, clock),
+    )
+    return ProbeSet(engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, world)
+
+
+def _addressed(settings: Settings) -> bool:
+    """Whether the address of a container is to be checked."""
+    return any(entry.networks and entry.address for entry in settings.containers)
