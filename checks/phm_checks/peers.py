@@ -57,9 +57,9 @@ class Peers(api.Check):
         if not found:
             others = sorted(settled.difference(self._agents))
             found = [result for agent in others if (result := _agent(agent, fact)).level.bad]
-        values: dict[str, api.Value] = {"members": fact.members, "living": fact.living, "speaker": fact.speaker}
-        if fact.strangers:
-            values["not_listed"] = _names(fact.strangers)
+        values: dict[str, api.Value] = {"members": fact.members, "living": fact.living, "leader": fact.leader}
+        if fact.unlisted:
+            values["not_listed"] = _names(fact.unlisted)
         if found:
             first = api.worst(found)
             words = joined([result.summary for result in found])
@@ -127,12 +127,12 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
 
 
 def _clashes(fact: api.SwarmFact) -> list[api.Result]:
-    if not fact.clashing:
+    if not fact.duplicate_ids:
         return []
     return [
         api.error(
-            f"two agents use the id of {_names(fact.clashing)}: their reports mix; give each agent.id a number of its own",
-            brief=brief(_names(fact.clashing, 3), "id used twice"),
+            f"two agents use the id of {_names(fact.duplicate_ids)}: their reports mix; give each agent.id a number of its own",
+            brief=brief(_names(fact.duplicate_ids, 3), "id used twice"),
             condition="id_clash",
         )
     ]

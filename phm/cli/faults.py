@@ -42,7 +42,7 @@ def command(
     if not json_log.files(directory) and not running:
         click.echo(f"there is no phm.jsonl in {directory}: PHM has not run here, or see --log-dir", err=True)
         ctx.exit(1)
-    found = fault_timeline.gather(json_log.read(directory), opened if running else None)
+    found = fault_timeline.build_timelines(json_log.read(directory), opened if running else None)
     if fault is not None:
         found = [episode for episode in found if episode["fault"] == fault]
         if not found:

@@ -20,8 +20,8 @@ from phm.core.signals import Signals
 if TYPE_CHECKING:
     from phm.core.clock import Clock
     from phm.core.settings import MavlinkSettings
-    from phm.gcs.serve import Server
-    from phm.gcs.station import Station
+    from phm.gcs.server import GcsServer
+    from phm.gcs.station import GroundStation
 
 DEFAULT = "udpin:0.0.0.0:14551"
 IDS = (251, 254)
@@ -126,13 +126,13 @@ def command(
     """
     from phm.cli import render
     from phm.core.clock import SystemClock
-    from phm.gcs.console import Show
-    from phm.gcs.recorder import Record
+    from phm.gcs.console import ConsoleView
+    from phm.gcs.recorder import Recorder
 
     clock = SystemClock()
     clock.measure()
     station = _station(_settings(urls or (DEFAULT,), baud, key, unsigned), system, expect, clock, silent=silent)
-    book = Record(record, station, clock) if record else None
+    book = Recorder(record, station, clock) if record else None
     server = _server(serve, station, clock) if serve else None
 
     def notes() -> list[str]:
@@ -143,7 +143,7 @@ def command(
 
     good = True
     with _ending() as stop:
-        show, console = Show(station, clock, _patient(stop), notes, warn), render.console()
+        show, console = ConsoleView(station, clock, _patient(stop), notes, warn), render.console()
         with _running(station, book, server):
             _tried(station)
             limit_s = seconds if seconds is not None else ONCE_S if once else None
@@ -182,7 +182,7 @@ class _Part(Protocol):
 
 
 @contextmanager
-def _running(station: Station, *others: _Part | None) -> Iterator[None]:
+def _running(station: GroundStation, *others: _Part | None) -> Iterator[None]:
     parts = [part for part in others if part is not None]
     for part in parts:
         part.start()
@@ -241,17 +241,19 @@ def _settings(urls: tuple[str, ...], baud: int, key: str | None, unsigned: str) 
         ) from None
 
 
-def _station(settings: MavlinkSettings, system: int, expect: tuple[int, ...], clock: Clock, *, silent: bool) -> Station:
-    from phm.gcs.station import Station
-    from phm.transport.mavlink_signing import KeyProblem
+def _station(
+    settings: MavlinkSettings, system: int, expect: tuple[int, ...], clock: Clock, *, silent: bool
+) -> GroundStation:
+    from phm.gcs.station import GroundStation
+    from phm.transport.mavlink_signing import InvalidKey
 
     try:
-        return Station(settings, system, clock, expect, silent=silent)
-    except KeyProblem as problem:
+        return GroundStation(settings, system, clock, expect, silent=silent)
+    except InvalidKey as problem:
         raise click.UsageError(str(problem).replace("mavlink.signing.key:", "--key:")) from None
 
 
-def _tried(station: Station) -> None:
+def _tried(station: GroundStation) -> None:
     """Ends the program when a port that it should listen at is taken."""
     taken = station.taken(TRY_S)
     if taken:
@@ -261,11 +263,11 @@ def _tried(station: Station) -> None:
         )
 
 
-def _server(address: tuple[str, int], station: Station, clock: Clock) -> Server:
-    from phm.gcs.serve import Server
+def _server(address: tuple[str, int], station: GroundStation, clock: Clock) -> GcsServer:
+    from phm.gcs.server import GcsServer
 
     try:
-        server = Server(*address, station, clock)
+        server = GcsServer(*address, station, clock)
     except OSError as error:
         reason = (error.strerror or str(error)).partition(" (while ")[0]
         raise click.ClickException(f"--serve {address[0]}:{address[1]}: {reason}") from None

@@ -66,13 +66,13 @@ def loops_are_configuration_errors() -> Iterator[None]:
     configuration.
     """
     from phm.core.dependency_graph import DependencyCycle
-    from phm.transport.mavlink_signing import KeyProblem
+    from phm.transport.mavlink_signing import InvalidKey
 
     try:
         yield
     except DependencyCycle as error:
         click.echo(f"checks: {error}", err=True)
         raise click.exceptions.Exit(EX_CONFIG) from None
-    except KeyProblem as error:
+    except InvalidKey as error:
         click.echo(str(error), err=True)
         raise click.exceptions.Exit(EX_CONFIG) from None

@@ -21,7 +21,7 @@ from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import Clock
 from phm.core.model import Fault
 from phm.core.settings import Settings
-from phm.transport.priority import Class
+from phm.transport.priority import MessagePriority
 from phm.wire.command import (
     COMMAND_INT,
     COMMAND_LONG,
@@ -169,7 +169,9 @@ class CommandHandler:
         # Where the link has room for few answers, those to senders that anybody can make up come last.
         urgency = UNSIGNED_LAST if self._port.signs and not command.signed else 0
         key = f"ack {command.sender} {command.command} {command.signed}"
-        self._port.send(responses.ack(command, result), Class.REQUEST, key=key, urgency=urgency, link=command.link)
+        self._port.send(
+            responses.ack(command, result), MessagePriority.REQUEST, key=key, urgency=urgency, link=command.link
+        )
 
     def _carry_out(self, request: Request, command: Command) -> tuple[CommandResult, str]:
         """Do it; the result and what to note. Whatever goes wrong is FAILED, with the reason."""
@@ -228,7 +230,7 @@ class CommandHandler:
         others = [fault.id for fault in open_now if fault.id != found[-1].id]
         for part, message in enumerate(responses.details(found[-1], command, others)):
             key = f"detail {command.sender} {found[-1].id} {part}"
-            self._port.send(message, Class.REQUEST, key=key, urgency=2, link=command.link)
+            self._port.send(message, MessagePriority.REQUEST, key=key, urgency=2, link=command.link)
         return CommandResult.ACCEPTED, f"details of {found[-1].id} are sent"
 
     # ------------------------------------------------------------ status, once or again and again
@@ -252,7 +254,7 @@ class CommandHandler:
             mono=now,
             utc=self._clock.utc(),
         )
-        self._port.send(built, Class.REQUEST, key=f"asked {message}", urgency=1, link=link)
+        self._port.send(built, MessagePriority.REQUEST, key=f"asked {message}", urgency=1, link=link)
         return CommandResult.ACCEPTED, f"message {message} is sent"
 
     def _keep_sending(self, request: RepeatMessage, command: Command) -> tuple[CommandResult, str]:

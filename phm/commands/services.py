@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from phm.core.model import Fault, UnitState
-from phm.transport.priority import Class
+from phm.transport.priority import MessagePriority
 
 
 class MavlinkPort(Protocol):
@@ -21,7 +21,13 @@ class MavlinkPort(Protocol):
         """Signing is on: only what is signed is obeyed."""
 
     def send(
-        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+        self,
+        message: Any,
+        kind: MessagePriority = MessagePriority.TRANSITION,
+        *,
+        key: str = "",
+        urgency: int = 0,
+        link: str = "",
     ) -> None: ...
 
     def listen(self, callback: Callable[[Any, str], None], ids: Iterable[int]) -> None: ...

@@ -31,8 +31,8 @@ class SwarmFact:
     """The swarm as this agent computes it from all views, its own included.
 
     peers: by agent id, without this agent. members, living: how many, with it. split: agents that vanished together.
-    deaf: living agents that hear no ground station while others do. clashing: ids that two agents use. speaker: who
-    speaks for the swarm; None while nobody hears the ground.
+    no_gcs: living agents that hear no ground station while others do. duplicate_ids: ids that two agents use. leader: who
+    leads for the swarm; None while nobody hears the ground.
     """
 
     own: int
@@ -40,15 +40,15 @@ class SwarmFact:
     living: int
     peers: Mapping[int, PeerFact] = field(default_factory=dict)
     split: tuple[int, ...] = ()
-    deaf: tuple[int, ...] = ()
-    clashing: tuple[int, ...] = ()
-    speaker: int | None = None
+    no_gcs: tuple[int, ...] = ()
+    duplicate_ids: tuple[int, ...] = ()
+    leader: int | None = None
     gcs: bool = False
     up_s: float = 0.0
     """How long this agent has listened: absence proves nothing before."""
     links: tuple[str, ...] = ()
     """Names of the links on which another agent was heard lately."""
-    strangers: tuple[int, ...] = ()
+    unlisted: tuple[int, ...] = ()
     """Ids heard lately that are not among `swarm.agents`, where that is set: they count for nothing."""
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 
 from phm.core.duplicate_filter import DuplicateFilter
 from phm.core.model import Level, Slot, Stamp
-from phm.gcs.frames import BOOT, Beat
-from phm.gcs.presence import Presence, State
-from phm.gcs.statustext_parser import Kind, Line, same
+from phm.gcs.frames import BOOT, Heartbeat
+from phm.gcs.presence import Presence, PresenceState
+from phm.gcs.statustext_parser import LineKind, ParsedLine, matches
 from phm.wire import status_word
 from phm.wire.status_line import agent_name
-from phm.wire.tunnel import Detail, View
+from phm.wire.tunnel import FaultDetail, PeerView
 
 PHM_COMPONENT = 193
 MAX_BAD = 4
@@ -25,7 +25,7 @@ _RANK = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ReceivedText:
     """A line, with its severity, when it came, and which agent said it where that is another."""
 
     text: str
@@ -35,7 +35,7 @@ class Told:
 
 
 @dataclass(frozen=True, slots=True)
-class Bad:
+class ReportedProblem:
     """A unit that was told as WARN or ERROR, in its own words."""
 
     level: Level
@@ -64,20 +64,20 @@ class Agent:
     """Its last refresh said that not everything is known."""
     on_hold: bool = False
     """By its lines: what is not known is on hold, or a hold has begun and is not over."""
-    told: Told | None = None
-    bad: dict[int, OrderedDict[str, Bad]] = field(default_factory=dict)
+    told: ReceivedText | None = None
+    bad: dict[int, OrderedDict[str, ReportedProblem]] = field(default_factory=dict)
     """By slot, then by text, oldest first."""
-    view: View | None = None
+    view: PeerView | None = None
     view_at: Stamp | None = None
     deaf: bool | None = None
     """It does not hear the ground, by its own view or as another agent says."""
     restarts: int = 0
-    shown: State = State.NEVER
+    shown: PresenceState = PresenceState.NEVER
     """As it was told in the news last."""
     hop: object = None
     """The same of its first broken hop."""
-    details: OrderedDict[str, dict[int, Detail]] = field(default_factory=OrderedDict)
-    refreshed: dict[Kind, str] = field(default_factory=dict)
+    details: OrderedDict[str, dict[int, FaultDetail]] = field(default_factory=OrderedDict)
+    refreshed: dict[LineKind, str] = field(default_factory=dict)
     """The newest line of each kind that repeats."""
     changes: DuplicateFilter[str, bool] = field(default_factory=lambda: DuplicateFilter(MAX_CHANGES, AGAIN_S))
     """Lines about changes that were received a short time ago."""
@@ -94,7 +94,7 @@ class Agent:
         known = max(self.levels.values(), key=_RANK.__getitem__, default=None)
         return Level.STALE if known is Level.OK and self.partial else known
 
-    def beat(self, beat: Beat) -> dict[Slot, tuple[Level, Level]]:
+    def beat(self, beat: Heartbeat) -> dict[Slot, tuple[Level, Level]]:
         """Take over its status word; what changed by slot, from and to."""
         if beat.state == BOOT and self.state not in (BOOT, None):
             self.restarts += 1
@@ -111,9 +111,9 @@ class Agent:
         pairs = {slot: (old.get(slot, Level.STALE), levels.get(slot, Level.STALE)) for slot in Slot}
         return {slot: pair for slot, pair in pairs.items() if pair[0] is not pair[1]}
 
-    def line(self, line: Line, at: Stamp) -> None:
+    def line(self, line: ParsedLine, at: Stamp) -> None:
         """Take over a line of its own."""
-        if line.kind is Kind.REFRESH:
+        if line.kind is LineKind.REFRESH:
             self.partial = line.word in ("STALE", "HOLD")
             if line.level is None:
                 self.on_hold = line.word == "HOLD"
@@ -127,15 +127,15 @@ class Agent:
             if line.over.startswith("GCS:"):
                 self.deaf = False
             units = self.bad.get(line.slot, OrderedDict())
-            for text in [text for text in units if same(text, line.over)]:
+            for text in [text for text in units if matches(text, line.over)]:
                 del units[text]
 
-    def _worse(self, line: Line, level: Level, at: Stamp) -> None:
+    def _worse(self, line: ParsedLine, level: Level, at: Stamp) -> None:
         """A unit is bad. A refresh repeats the worst one, of which the line may have been lost, and may know of no other."""
         units = self.bad.setdefault(line.slot, OrderedDict())
-        known = next((text for text in units if same(text, line.text)), None)
-        old = units[known] if known is not None and line.kind is Kind.REFRESH else None
-        told = old or Bad(level, line.text, at)
+        known = next((text for text in units if matches(text, line.text)), None)
+        old = units[known] if known is not None and line.kind is LineKind.REFRESH else None
+        told = old or ReportedProblem(level, line.text, at)
         units.pop(told.text, None)
         units[told.text] = told
         while len(units) > MAX_BAD:
@@ -143,21 +143,21 @@ class Agent:
         if line.alone:
             self.bad = {line.slot: OrderedDict({told.text: told})}
 
-    def repeats(self, line: Line, text: str, now: float) -> bool:
+    def repeats(self, line: ParsedLine, text: str, now: float) -> bool:
         """Whether this line says nothing that it has not said before."""
-        if line.kind is not Kind.CHANGE:
+        if line.kind is not LineKind.CHANGE:
             old, self.refreshed[line.kind] = self.refreshed.get(line.kind), text
             return old == text
         again = self.changes.get(text, now) is not None
         self.changes.add(text, True, now)
         return again
 
-    def newest(self, slot: int, level: Level) -> Bad | None:
+    def newest(self, slot: int, level: Level) -> ReportedProblem | None:
         """The newest unit of this level that was told for a slot."""
         found = [bad for bad in self.bad.get(slot, {}).values() if bad.level is level]
         return found[-1] if found else None
 
-    def part(self, detail: Detail) -> str | None:
+    def part(self, detail: FaultDetail) -> str | None:
         """A piece of the text about a fault; the whole text when this was its last missing piece."""
         parts = self.details.pop(detail.fault, {})
         if any(other.parts != detail.parts for other in parts.values()):

@@ -12,8 +12,8 @@ from rich.live import Live
 
 from phm.core.clock import Clock
 from phm.gcs import table
-from phm.gcs.events import timed
-from phm.gcs.station import Station
+from phm.gcs.events import describe_with_time
+from phm.gcs.station import GroundStation
 from phm.gcs.subscriber_queue import SubscriberQueue
 
 REDRAW_S = 0.5
@@ -24,20 +24,20 @@ NOT_WELL = frozenset(("ERROR", "LOST", "UNKNOWN"))
 Print = Callable[[str], None]
 
 
-class Show:
+class ConsoleView:
     """All of it runs in the thread that calls.
 
     notes: what the program has to say about itself; `warn` prints one where there is no table to show it in.
     """
 
     def __init__(
-        self, station: Station, clock: Clock, echo: Print, notes: Callable[[], list[str]], warn: Print
+        self, station: GroundStation, clock: Clock, echo: Print, notes: Callable[[], list[str]], warn: Print
     ) -> None:
         self._station, self._clock, self._echo, self._notes, self._warn = station, clock, echo, notes, warn
         self._warned: set[str] = set()
-        self._outlet = SubscriberQueue(clock)
+        self._queue = SubscriberQueue(clock)
         self._lines: deque[str] = deque(maxlen=KEPT_LINES)
-        station.subscribe(self._outlet)
+        station.subscribe(self._queue)
 
     def lines(self, stop: threading.Event, end: float | None, *, as_json: bool) -> None:
         """A line for each piece of news until `stop`, or until the clock is at `end`."""
@@ -47,8 +47,8 @@ class Show:
 
     def rest(self, timeout_s: float, *, as_json: bool) -> None:
         """What waits to be shown, or comes within the time."""
-        for item in self._outlet.take(timeout_s):
-            text = item.line.decode("ascii") if as_json else timed(item.news)
+        for item in self._queue.take(timeout_s):
+            text = item.line.decode("ascii") if as_json else describe_with_time(item.news)
             if text:
                 self._echo(text)
 
@@ -65,7 +65,7 @@ class Show:
         if as_json:
             self._echo(self._station.line(number, news).decode("ascii"))
         else:
-            console.print(table.whole(news.body, notes=self._notes()))
+            console.print(table.render(news.body, notes=self._notes()))
         hows = {agent["how"] for agent in news.body["agents"]}
         return bool(hows) and not hows & NOT_WELL
 
@@ -77,9 +77,9 @@ class Show:
         self._warned = set(notes)
 
     def _table(self, console: Console) -> RenderableType:
-        self._lines.extend(text for item in self._outlet.take(0.0) if (text := timed(item.news)))
+        self._lines.extend(text for item in self._queue.take(0.0) if (text := describe_with_time(item.news)))
         body = self._station.snapshot()[1].body
-        return table.whole(body, list(self._lines), height=console.height, notes=self._notes())
+        return table.render(body, list(self._lines), height=console.height, notes=self._notes())
 
     def _over(self, stop: threading.Event, end: float | None) -> bool:
         return stop.is_set() or (end is not None and self._clock.mono() >= end)

@@ -23,7 +23,7 @@ _QUIET = {"OK": "OK", "STALE": "unknown"}
 
 
 @dataclass(frozen=True, slots=True)
-class News:
+class GcsEvent:
     """at: when it came, by the ground's clocks. body: JSON-able."""
 
     at: Stamp
@@ -31,7 +31,7 @@ class News:
     body: Mapping[str, Any]
 
 
-def encode(news: News, run: str, number: int) -> bytes:
+def encode(news: GcsEvent, run: str, number: int) -> bytes:
     """One line of JSON, without its end. run: id of this run; number: counts its news up from 1."""
     when = {"utc": iso(news.at.utc), "utc_s": round(news.at.utc, 6), "mono": round(news.at.mono, 6)}
     whole = {"v": VERSION, "run": run, "seq": number, **when, "event": news.event, **news.body}
@@ -42,15 +42,15 @@ def severity_name(severity: int) -> str:
     return SEVERITIES[severity] if 0 <= severity < len(SEVERITIES) else str(severity)
 
 
-def words(news: News) -> str:
+def describe(news: GcsEvent) -> str:
     """For people, without the time; empty for what only repeats itself."""
     told = _WORDS.get(news.event)
     return told(news.body) if told is not None else ""
 
 
-def timed(news: News) -> str:
-    """`words` with UTC before them; empty when they are."""
-    said = words(news)
+def describe_with_time(news: GcsEvent) -> str:
+    """`describe` with UTC before them; empty when they are."""
+    said = describe(news)
     return f"{clock_text(news.at.utc)} {said}" if said else ""
 
 

@@ -13,12 +13,12 @@ from typing import TypeVar
 
 from phm.core.model import Stamp
 from phm.gcs.agent import PHM_COMPONENT, Agent
-from phm.gcs.frames import Radio
-from phm.gcs.hops import Around, Hop, first_broken
-from phm.gcs.presence import Presence, State
+from phm.gcs.frames import RadioStatus
+from phm.gcs.hops import BrokenHop, HopEvidence, first_broken
+from phm.gcs.presence import Presence, PresenceState
 from phm.swarm.peers import LOST_PERIODS, VIEW_LATE_PERIODS
-from phm.transport.priority import periods
-from phm.wire.tunnel import Digest, Seen, View
+from phm.transport.priority import default_periods
+from phm.wire.tunnel import PeerState, PeerView, SwarmDigest
 
 MAX_AGENTS, MAX_PILOTS, MAX_STATIONS, MAX_RADIOS = 256, 256, 16, 16
 PILOT_GUESS_S = 1.0
@@ -26,13 +26,13 @@ PILOT_GUESS_S = 1.0
 STATION_S = RADIO_S = 10.0
 FULL_S = 1.0
 """When all agents are there, it is not looked at once more before: a flood of new ones must cost little."""
-_THERE = (Seen.ALIVE, Seen.LATE)
+_THERE = (PeerState.ALIVE, PeerState.LATE)
 K = TypeVar("K")
 V = TypeVar("V")
 
 
 @dataclass(slots=True)
-class Pilot:
+class Autopilot:
     """The autopilot of a vehicle, by its HEARTBEAT."""
 
     presence: Presence = field(default_factory=Presence)
@@ -40,17 +40,17 @@ class Pilot:
     mode: int = 0
     """custom_mode, whose meaning is the autopilot's own."""
     state: int | None = None
-    shown: State = State.NEVER
+    shown: PresenceState = PresenceState.NEVER
 
-    def seen(self, now: float) -> State:
+    def phase(self, now: float) -> PresenceState:
         return self.presence.state(now, PILOT_GUESS_S)
 
 
 @dataclass(slots=True)
-class Swarm:
-    """What the elected speaker said last: its digest, and its line in words."""
+class SwarmState:
+    """What the elected leader said last: its digest, and its line in words."""
 
-    digest: Digest | None = None
+    digest: SwarmDigest | None = None
     digest_by: int = 0
     digest_at: Stamp | None = None
     line: str = ""
@@ -64,12 +64,12 @@ class Fleet:
     def __init__(self, expected: Iterable[int] = ()) -> None:
         self.expected = frozenset(expected)
         self.agents: dict[tuple[int, int], Agent] = {}
-        self.pilots: dict[int, Pilot] = {}
+        self.pilots: dict[int, Autopilot] = {}
         self.stations: OrderedDict[tuple[int, int], float] = OrderedDict()
-        self.swarm = Swarm()
+        self.swarm = SwarmState()
         self.links: Mapping[str, tuple[bool, str]] = {}
         """The ground's own, by name: whether open, and if not why."""
-        self.radios: OrderedDict[str, tuple[float, Radio]] = OrderedDict()
+        self.radios: OrderedDict[str, tuple[float, RadioStatus]] = OrderedDict()
         """What the radio on each of the ground's links said last, and when."""
         self.began: float | None = None
         """Since when the ground listens."""
@@ -82,9 +82,9 @@ class Fleet:
     @property
     def guess_s(self) -> float:
         """Heartbeat period of an agent that was not heard often enough: PHM's default for a swarm of this size."""
-        return periods(len(self.agents))[0]
+        return default_periods(len(self.agents))[0]
 
-    def state(self, agent: Agent, now: float) -> State:
+    def state(self, agent: Agent, now: float) -> PresenceState:
         return agent.presence.state(now, self.guess_s)
 
     def agent(self, system: int, component: int, now: float) -> Agent | None:
@@ -98,11 +98,11 @@ class Fleet:
             self.agents[key] = Agent(system, component)
         return self.agents[key]
 
-    def pilot(self, system: int, now: float) -> Pilot | None:
+    def pilot(self, system: int, now: float) -> Autopilot | None:
         if system not in self.pilots:
-            if not _room(self.pilots, MAX_PILOTS, lambda one: one.seen(now).there):
+            if not _room(self.pilots, MAX_PILOTS, lambda one: one.phase(now).there):
                 return None
-            self.pilots[system] = Pilot()
+            self.pilots[system] = Autopilot()
         return self.pilots[system]
 
     def station(self, system: int, component: int, now: float) -> None:
@@ -112,20 +112,20 @@ class Fleet:
         while len(self.stations) > MAX_STATIONS:
             self.stations.popitem(last=False)
 
-    def radio(self, link: str, said: Radio, now: float) -> None:
+    def radio(self, link: str, said: RadioStatus, now: float) -> None:
         self.radios.pop(link, None)
         self.radios[link] = (now, said)
         while len(self.radios) > MAX_RADIOS:
             self.radios.popitem(last=False)
 
-    def look(self, now: float) -> Look:
-        return Look(self, now)
+    def look(self, now: float) -> FleetSnapshot:
+        return FleetSnapshot(self, now)
 
     def _stays(self, agent: Agent, now: float) -> bool:
         return agent.system in self.expected or self.state(agent, now).there
 
 
-class Look:
+class FleetSnapshot:
     """How everybody is at `now`, monotonic seconds. Made for one moment, and asked before the fleet changes again."""
 
     def __init__(self, fleet: Fleet, now: float) -> None:
@@ -140,11 +140,11 @@ class Look:
         heard = [self._states[key] for key, agent in fleet.agents.items() if agent.first is not None]
         self._all_silent = (
             len(heard) > 1
-            and all(state is State.LOST for state in heard)
-            and not any(pilot.seen(now).there for pilot in fleet.pilots.values())
+            and all(state is PresenceState.LOST for state in heard)
+            and not any(pilot.phase(now).there for pilot in fleet.pilots.values())
         )
 
-    def state(self, agent: Agent) -> State:
+    def state(self, agent: Agent) -> PresenceState:
         return self._states[agent.system, agent.component]
 
     def heard_by(self, agent: Agent) -> tuple[list[int], list[int]]:
@@ -155,18 +155,18 @@ class Look:
                 sides[view.peers.get(agent.system) not in _THERE].add(other.system)
         return sorted(sides[0]), sorted(sides[1])
 
-    def hop(self, agent: Agent) -> Hop | None:
+    def hop(self, agent: Agent) -> BrokenHop | None:
         """Where its way is broken first."""
         state = self.state(agent)
-        if state.there or state is State.LEFT:
-            return first_broken(agent, state, None, Around())
-        if state is State.NEVER and self._early:
+        if state.there or state is PresenceState.LEFT:
+            return first_broken(agent, state, None, HopEvidence())
+        if state is PresenceState.NEVER and self._early:
             return None
         pilot = self._fleet.pilots.get(agent.system)
-        around = Around(
+        around = HopEvidence(
             self._closed,
             self._all_silent,
-            pilot is not None and pilot.seen(self._now).there,
+            pilot is not None and pilot.phase(self._now).there,
             self.heard_by(agent)[0],
             any(self._now - heard <= RADIO_S for heard, _ in self._fleet.radios.values()),
         )
@@ -176,7 +176,7 @@ class Look:
         """MAVLink ids of the other ground stations that are there."""
         return sorted(ids for ids, heard in self._fleet.stations.items() if self._now - heard <= STATION_S)
 
-    def _counts(self, key: tuple[int, int], agent: Agent) -> View | None:
+    def _counts(self, key: tuple[int, int], agent: Agent) -> PeerView | None:
         """Its view, while it lives and the view is young enough."""
         if agent.view is None or agent.view_at is None or not self._states[key].there:
             return None

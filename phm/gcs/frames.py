@@ -26,7 +26,7 @@ MAX_TEXT = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Beat:
+class Heartbeat:
     """A HEARTBEAT."""
 
     system: int
@@ -40,7 +40,7 @@ class Beat:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class StatusText:
     """A STATUSTEXT, safe to print."""
 
     system: int
@@ -51,7 +51,7 @@ class Said:
 
 
 @dataclass(frozen=True, slots=True)
-class Payload:
+class TunnelPayload:
     """A TUNNEL."""
 
     system: int
@@ -61,7 +61,7 @@ class Payload:
 
 
 @dataclass(frozen=True, slots=True)
-class Radio:
+class RadioStatus:
     """A RADIO_STATUS, by which a radio tells of itself and of its other end (`rem...`). Signal and noise in its own units, None
     where it does not know; txbuf: percent of its transmit buffer that is free."""
 
@@ -74,14 +74,14 @@ class Radio:
     txbuf: int
 
 
-Frame = Beat | Said | Payload | Radio
+Frame = Heartbeat | StatusText | TunnelPayload | RadioStatus
 
 
-def read(message: Any) -> Frame | None:
+def parse(message: Any) -> Frame | None:
     """A decoded pymavlink message; None for one that is none of IDS."""
     number, system, component = message.get_msgId(), message.get_srcSystem(), message.get_srcComponent()
     if number == HEARTBEAT:
-        return Beat(
+        return Heartbeat(
             system,
             component,
             message.type,
@@ -92,15 +92,15 @@ def read(message: Any) -> Frame | None:
             bool(message.get_signed()),
         )
     if number == STATUSTEXT:
-        return Said(
+        return StatusText(
             system, component, message.severity, one_line(_text(message.text))[:MAX_TEXT], bool(message.get_signed())
         )
     if number == TUNNEL:
-        return Payload(system, component, message.payload_type, bytes(message.payload[: message.payload_length]))
+        return TunnelPayload(system, component, message.payload_type, bytes(message.payload[: message.payload_length]))
     if number == RADIO_STATUS:
         levels = (message.rssi, message.remrssi, message.noise, message.remnoise)
         rssi, remrssi, noise, remnoise = (None if level == _UNKNOWN else level for level in levels)
-        return Radio(system, component, rssi, remrssi, noise, remnoise, message.txbuf)
+        return RadioStatus(system, component, rssi, remrssi, noise, remnoise, message.txbuf)
     return None
 
 

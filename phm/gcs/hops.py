@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from phm.core.model import Level, Slot
 from phm.gcs.agent import Agent
-from phm.gcs.presence import State
+from phm.gcs.presence import PresenceState
 from phm.wire.status_line import agent_name
 
 _PLACES = ("port", "router", "link", "radio", "autopilot", "GCS")
@@ -19,7 +19,7 @@ _PLACES = ("port", "router", "link", "radio", "autopilot", "GCS")
 
 
 @dataclass(frozen=True, slots=True)
-class Hop:
+class BrokenHop:
     """certain: it follows from what was heard; else it is where to look first."""
 
     name: str
@@ -28,7 +28,7 @@ class Hop:
 
 
 @dataclass(frozen=True, slots=True)
-class Around:
+class HopEvidence:
     """What else is known on the ground while one agent is judged.
 
     closed: why no link of the ground is open, else empty. all_silent: nobody at all is heard any more. pilot: the
@@ -42,47 +42,47 @@ class Around:
     radio: bool = False
 
 
-def first_broken(agent: Agent, state: State, silent_s: float | None, around: Around) -> Hop | None:
+def first_broken(agent: Agent, state: PresenceState, silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
     """None: no hop is known to be broken."""
-    if state is State.LEFT:
+    if state is PresenceState.LEFT:
         return None
     return _told(agent) if state.there else _unheard(silent_s, around)
 
 
-def _unheard(silent_s: float | None, around: Around) -> Hop | None:
+def _unheard(silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
     since = "never heard" if silent_s is None else f"silent {silent_s:.0f} s"
     if around.closed:
-        return Hop("ground link", around.closed)
+        return BrokenHop("ground link", around.closed)
     if around.pilot:
-        return Hop("companion", f"PHM {since}, autopilot heard")
+        return BrokenHop("companion", f"PHM {since}, autopilot heard")
     if around.heard_by:
-        return Hop("radio", f"{since} here, heard by {' '.join(map(agent_name, around.heard_by))}")
+        return BrokenHop("radio", f"{since} here, heard by {' '.join(map(agent_name, around.heard_by))}")
     if around.all_silent and around.radio:
-        return Hop("radio", "everybody is silent, the ground's radio answers", certain=False)
+        return BrokenHop("radio", "everybody is silent, the ground's radio answers", certain=False)
     if around.all_silent:
-        return Hop("ground link", "everybody is silent", certain=False)
-    return Hop("radio or vehicle", since, certain=False)
+        return BrokenHop("ground link", "everybody is silent", certain=False)
+    return BrokenHop("radio or vehicle", since, certain=False)
 
 
-def _told(agent: Agent) -> Hop | None:
+def _told(agent: Agent) -> BrokenHop | None:
     """From the ground to the autopilot, by what the agent says of itself."""
     ground, radio = _bad(agent, Slot.COMPANION), _bad(agent, Slot.RADIO)
     name = _place(ground)
     if ground is not None and name == "GCS":
-        return Hop(name, _rest(ground))
+        return BrokenHop(name, _rest(ground))
     if radio is not None:
-        return Hop(_place(radio) or "radio", _rest(radio))
+        return BrokenHop(_place(radio) or "radio", _rest(radio))
     if ground is not None:
-        return Hop(name or "companion", _rest(ground), certain=bool(name))
+        return BrokenHop(name or "companion", _rest(ground), certain=bool(name))
     if agent.deaf:
-        return Hop("radio", "it does not hear the ground", certain=False)
+        return BrokenHop("radio", "it does not hear the ground", certain=False)
     for slot in (Slot.CONTAINER, Slot.NODES):
         # Whether what is dead passes commands on is known aboard alone.
         application = _bad(agent, slot)
         if application is not None:
-            return Hop("application", application, certain=False)
+            return BrokenHop("application", application, certain=False)
     pilot = _bad(agent, Slot.AUTOPILOT)
-    return None if pilot is None else Hop(_place(pilot) or "autopilot", _rest(pilot))
+    return None if pilot is None else BrokenHop(_place(pilot) or "autopilot", _rest(pilot))
 
 
 def _bad(agent: Agent, slot: Slot) -> str | None:

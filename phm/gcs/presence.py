@@ -18,7 +18,7 @@ COPY_S = 0.1
 LONGEST_S = 150.0
 
 
-class State(str, Enum):
+class PresenceState(str, Enum):
     NEVER = "never heard"
     ALIVE = "alive"
     LATE = "late"
@@ -28,7 +28,7 @@ class State(str, Enum):
 
     @property
     def there(self) -> bool:
-        return self in (State.ALIVE, State.LATE)
+        return self in (PresenceState.ALIVE, PresenceState.LATE)
 
 
 class Presence:
@@ -56,13 +56,13 @@ class Presence:
     def silent_s(self, now: float) -> float | None:
         return None if self.heard_s is None else max(0.0, now - self.heard_s)
 
-    def state(self, now: float, guess_s: float) -> State:
+    def state(self, now: float, guess_s: float) -> PresenceState:
         silent_s = self.silent_s(now)
         if silent_s is None:
-            return State.NEVER
+            return PresenceState.NEVER
         if self.leaving:
-            return State.LEFT
+            return PresenceState.LEFT
         period_s = self.period_s(guess_s)
         if silent_s > LOST_PERIODS * period_s:
-            return State.LOST
-        return State.LATE if silent_s > LATE_PERIODS * period_s else State.ALIVE
+            return PresenceState.LOST
+        return PresenceState.LATE if silent_s > LATE_PERIODS * period_s else PresenceState.ALIVE

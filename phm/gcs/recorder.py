@@ -12,9 +12,9 @@ import threading
 from phm.core import threads
 from phm.core.clock import Clock
 from phm.gcs.events import VERSION
-from phm.gcs.station import Station
+from phm.gcs.station import GroundStation
 from phm.gcs.subscriber_queue import SubscriberQueue
-from phm.reporters.rotating_file import RotatingLines
+from phm.reporters.rotating_file import RotatingFile
 
 MAX_SIZE, FILES = 20_000_000, 5
 """120 MB in all."""
@@ -23,31 +23,31 @@ LOOK_S = 0.5
 CLOSE_LIMIT_S = 3.0
 
 
-class Record:
+class Recorder:
     """Has a thread of its own, since a dying disk keeps its writer waiting. `start` subscribes; `close` writes what waits."""
 
     def __init__(
-        self, path: str, station: Station, clock: Clock, *, max_size: int = MAX_SIZE, files: int = FILES
+        self, path: str, station: GroundStation, clock: Clock, *, max_size: int = MAX_SIZE, files: int = FILES
     ) -> None:
-        self._station, self._clock, self._outlet = station, clock, SubscriberQueue(clock)
-        self._lines = RotatingLines(path, max_size=max_size, files=files, clock=clock, lost_line=_lost)
+        self._station, self._clock, self._queue = station, clock, SubscriberQueue(clock)
+        self._lines = RotatingFile(path, max_size=max_size, files=files, clock=clock, lost_line=_lost)
         self._stop = threading.Event()
         self._snapshot_at = clock.mono() + SNAPSHOT_S
         self._thread = threading.Thread(target=self._loop, name="phm-gcs-record", daemon=True)
-        station.subscribe(self._outlet)
+        station.subscribe(self._queue)
 
     def start(self) -> None:
         threads.start(self._thread)
 
     def about(self) -> str:
         """A sentence while the record is not complete, else empty."""
-        dropped, path = self._outlet.dropped, self._lines.path
+        dropped, path = self._queue.dropped, self._lines.path
         problem = self._lines.problem() or (f"{dropped} lines are missing in {path}" if dropped else "")
         return f"record: {problem}" if problem else ""
 
     def close(self) -> None:
         self._stop.set()
-        self._outlet.wake()
+        self._queue.wake()
         if self._thread.ident is not None:
             self._thread.join(CLOSE_LIMIT_S)
 
@@ -55,7 +55,7 @@ class Record:
         last = False
         while not last:
             last = self._stop.is_set()
-            for item in self._outlet.take(0.0 if last else LOOK_S):
+            for item in self._queue.take(0.0 if last else LOOK_S):
                 self._lines.write(item.line)
             self._lines.retry()
             if self._clock.mono() >= self._snapshot_at or last:

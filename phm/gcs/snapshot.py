@@ -11,13 +11,13 @@ from typing import Any
 from phm.core.model import Level, Stamp
 from phm.gcs.agent import Agent
 from phm.gcs.events import severity_name
-from phm.gcs.fleet import Fleet, Look, Pilot, Swarm
-from phm.gcs.frames import BOOT, Said, state_name
-from phm.gcs.hops import Hop
-from phm.gcs.presence import State
-from phm.gcs.statustext_parser import Line
+from phm.gcs.fleet import Autopilot, Fleet, FleetSnapshot, SwarmState
+from phm.gcs.frames import BOOT, StatusText, state_name
+from phm.gcs.hops import BrokenHop
+from phm.gcs.presence import PresenceState
+from phm.gcs.statustext_parser import ParsedLine
 from phm.wire.report import iso
-from phm.wire.tunnel import Digest, View
+from phm.wire.tunnel import PeerView, SwarmDigest
 
 UNKNOWN = "UNKNOWN"
 _RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
@@ -37,13 +37,13 @@ def slots(agent: Agent) -> dict[str, str]:
     return {str(int(slot)): level.name for slot, level in sorted(agent.levels.items())}
 
 
-def hop(found: Hop | None) -> dict[str, Any] | None:
+def hop(found: BrokenHop | None) -> dict[str, Any] | None:
     return None if found is None else asdict(found)
 
 
-def pilot(found: Pilot, now: float) -> dict[str, Any]:
+def pilot(found: Autopilot, now: float) -> dict[str, Any]:
     return {
-        "presence": found.seen(now).value,
+        "presence": found.phase(now).value,
         "armed": found.armed,
         "mode": found.mode,
         "state": state_name(found.state),
@@ -51,7 +51,7 @@ def pilot(found: Pilot, now: float) -> dict[str, Any]:
     }
 
 
-def text(said: Said, line: Line | None) -> dict[str, Any]:
+def text(said: StatusText, line: ParsedLine | None) -> dict[str, Any]:
     """line: what PHM says with it; None: it is somebody else's."""
     body: dict[str, Any] = {
         "system": said.system,
@@ -67,20 +67,20 @@ def text(said: Said, line: Line | None) -> dict[str, Any]:
     return body
 
 
-def view(said: View) -> dict[str, Any]:
+def view(said: PeerView) -> dict[str, Any]:
     peers = {str(number): seen.name.lower() for number, seen in sorted(said.peers.items())}
     return {"gcs": said.gcs, "autopilot": said.autopilot, "radio": said.radio, "peers": peers}
 
 
-def digest(said: Digest) -> dict[str, Any]:
+def digest(said: SwarmDigest) -> dict[str, Any]:
     levels = {str(number): level.name for number, level in sorted(said.levels.items())}
     return {"members": said.members, "alive": said.alive, "levels": levels}
 
 
-def how(agent: Agent, state: State) -> str:
+def agent_status(agent: Agent, state: PresenceState) -> str:
     """One word for an agent: OK, WARN, ERROR, STALE, HOLD, BOOT, LOST, LEFT, UNKNOWN."""
     if not state.there:
-        return {State.LOST: "LOST", State.LEFT: "LEFT"}.get(state, UNKNOWN)
+        return {PresenceState.LOST: "LOST", PresenceState.LEFT: "LEFT"}.get(state, UNKNOWN)
     worst = agent.worst
     if agent.state == BOOT and worst not in (Level.WARN, Level.ERROR):
         return "BOOT"
@@ -89,7 +89,7 @@ def how(agent: Agent, state: State) -> str:
     return UNKNOWN if worst is None else worst.name
 
 
-def whole(fleet: Fleet, at: Stamp) -> dict[str, Any]:
+def fleet_json(fleet: Fleet, at: Stamp) -> dict[str, Any]:
     """Everybody at one moment."""
     look = fleet.look(at.mono)
     agents = sorted(fleet.agents.values(), key=lambda agent: (agent.system, agent.component))
@@ -111,7 +111,7 @@ def seconds(value: float | None) -> float | None:
     return None if value is None else round(value, 1)
 
 
-def _agent(fleet: Fleet, look: Look, agent: Agent, now: float) -> dict[str, Any]:
+def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, now: float) -> dict[str, Any]:
     state = look.state(agent)
     heard_by, unheard_by = look.heard_by(agent)
     said = fleet.swarm.digest
@@ -122,7 +122,7 @@ def _agent(fleet: Fleet, look: Look, agent: Agent, now: float) -> dict[str, Any]
         **who(agent),
         "component": agent.component,
         "link": agent.link or None,
-        "how": how(agent, state),
+        "how": agent_status(agent, state),
         "presence": state.value,
         "age_s": seconds(agent.presence.silent_s(now)),
         "period_s": seconds(agent.presence.period_s(fleet.guess_s)) if learned else None,
@@ -169,7 +169,7 @@ def _view(agent: Agent, now: float) -> dict[str, Any] | None:
     return {**view(agent.view), "age_s": seconds(now - agent.view_at.mono)}
 
 
-def _swarm(swarm: Swarm, now: float) -> dict[str, Any] | None:
+def _swarm(swarm: SwarmState, now: float) -> dict[str, Any] | None:
     if swarm.digest is None and not swarm.line:
         return None
     ages = {

@@ -22,11 +22,11 @@ from phm.core.model import Stamp
 from phm.core.scheduling_delay import WINDOW_S
 from phm.core.settings import MavlinkSettings
 from phm.gcs import frames
-from phm.gcs.events import News, encode
-from phm.gcs.fleet_state import Store
+from phm.gcs.events import GcsEvent, encode
+from phm.gcs.fleet_state import FleetState
 from phm.gcs.frames import Frame
 from phm.gcs.ingress_filter import IngressFilter
-from phm.gcs.subscriber_queue import Item, SubscriberQueue
+from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 
@@ -54,8 +54,8 @@ class _Heard:
     at: Stamp
 
 
-class Station:
-    """Making it opens nothing; `start` does. Raises KeyProblem."""
+class GroundStation:
+    """Making it opens nothing; `start` does. Raises InvalidKey."""
 
     def __init__(
         self,
@@ -72,10 +72,10 @@ class Station:
         self._urls, self._clock, self._silent = [entry.key for entry in settings.endpoints], clock, silent
         # Each PHM with the key signs all that it sends.
         signed = settings.signing.key is not None and settings.signing.unsigned != "all"
-        self._store, self._hub = Store(expected, self.ids, signed=signed), MavlinkHub(settings, system, clock)
+        self._store, self._hub = FleetState(expected, self.ids, signed=signed), MavlinkHub(settings, system, clock)
         self._filter = IngressFilter()
         self._frames: BoundedQueue[_Heard] = BoundedQueue(clock, MAX_WAITING, refuse_new=True)
-        self._outlets: tuple[SubscriberQueue, ...] = ()
+        self._queues: tuple[SubscriberQueue, ...] = ()
         self._number = 0
         self._problems: tuple[str, ...] = ()
         self._twin = ""
@@ -88,7 +88,7 @@ class Station:
     def start(self) -> None:
         body = {"version": __version__, "system": self.ids[0], "component": self.ids[1], "links": self._urls}
         with self._lock:
-            self._publish([News(self._clock.stamp(), "start", body)])
+            self._publish([GcsEvent(self._clock.stamp(), "start", body)])
         self._hub.start()
         threads.start(self._thread)
 
@@ -100,7 +100,7 @@ class Station:
             self._thread.join(CLOSE_LIMIT_S)
         self._hub.close()
         with self._lock:
-            self._publish([News(self._clock.stamp(), "end", {})])
+            self._publish([GcsEvent(self._clock.stamp(), "end", {})])
 
     def taken(self, timeout_s: float) -> str:
         """Why one of the listening ports can never open, empty when all do; waits until each was tried."""
@@ -118,9 +118,9 @@ class Station:
     def subscribe(self, outlet: SubscriberQueue) -> None:
         """Have all news put there from now on."""
         with self._lock:
-            self._outlets = (*self._outlets, outlet)
+            self._queues = (*self._queues, outlet)
 
-    def snapshot(self) -> tuple[int, News]:
+    def snapshot(self) -> tuple[int, GcsEvent]:
         """How everybody is, and the number of the last news that is in it."""
         with self._lock:
             at = self._clock.stamp()
@@ -131,9 +131,9 @@ class Station:
                 "problems": list(self._problems),
                 "frames_refused": self._filter.refused + self._frames.dropped,
             }
-            return self._number, News(at, "snapshot", body)
+            return self._number, GcsEvent(at, "snapshot", body)
 
-    def line(self, number: int, news: News) -> bytes:
+    def line(self, number: int, news: GcsEvent) -> bytes:
         """As one line of JSON, without its end."""
         return encode(news, self.run, number)
 
@@ -149,7 +149,7 @@ class Station:
                     "two: give this one another id (--id)"
                 )
             return
-        frame = frames.read(message)
+        frame = frames.parse(message)
         if frame is None:
             return
         with self._limits:
@@ -190,7 +190,7 @@ class Station:
         with self._lock:
             at = self._clock.stamp()
             news = self._store.links(links, at)
-            news += [News(at, "problem", {"text": text}) for text in problems if text not in self._problems]
+            news += [GcsEvent(at, "problem", {"text": text}) for text in problems if text not in self._problems]
             self._problems = problems
             self._publish([*news, *(replace(one, at=at) for one in self._store.tick(self._judged_at(at)))])
 
@@ -199,10 +199,10 @@ class Station:
         meanwhile may not be read yet, and an agent that was received since is there in any case."""
         return Stamp(at.utc, at.mono - self._clock.late_s(at.mono - WINDOW_S, LATE_MOST_S))
 
-    def _publish(self, news: Iterable[News]) -> None:
+    def _publish(self, news: Iterable[GcsEvent]) -> None:
         """With the lock held, so that a snapshot and the news that follow it leave no gap."""
         for one in news:
             self._number += 1
-            item = Item(self._number, one, encode(one, self.run, self._number))
-            for outlet in self._outlets:
+            item = QueuedEvent(self._number, one, encode(one, self.run, self._number))
+            for outlet in self._queues:
                 outlet.put(item)

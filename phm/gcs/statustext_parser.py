@@ -23,7 +23,7 @@ _NAMED = re.compile(r"A([0-9]{2,3}):")
 LEVELS = {"FAIL": Level.ERROR, "GAVE UP": Level.ERROR, "WARN": Level.WARN}
 
 
-class Kind(str, Enum):
+class LineKind(str, Enum):
     """REFRESH repeats how the whole agent is; RELAY is about an agent that does not reach the ground."""
 
     CHANGE = "change"
@@ -33,10 +33,10 @@ class Kind(str, Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class ParsedLine:
     """agent: whom it is about, 0 for the swarm. slot: 0 where the line has none. text: what stands behind the head."""
 
-    kind: Kind
+    kind: LineKind
     agent: int
     word: str
     slot: int
@@ -47,40 +47,50 @@ class Line:
     @property
     def level(self) -> Level | None:
         """What it says a unit is: ERROR or WARN, else None."""
-        return LEVELS.get(self.word) if self.kind in (Kind.CHANGE, Kind.REFRESH) and self.text else None
+        return LEVELS.get(self.word) if self.kind in (LineKind.CHANGE, LineKind.REFRESH) and self.text else None
 
     @property
     def over(self) -> str:
         """The words of what is over, empty when the line does not say so."""
-        match = _OVER.fullmatch(self.text) if self.kind is Kind.CHANGE and self.word == "OK" else None
+        match = _OVER.fullmatch(self.text) if self.kind is LineKind.CHANGE and self.word == "OK" else None
         return match["brief"] if match else ""
 
 
-def read(text: str) -> Line | None:
+def parse(text: str) -> ParsedLine | None:
     """None: not a line of PHM's."""
-    for kind, form in ((Kind.REFRESH, _REFRESH), (Kind.CHANGE, _CHANGE), (Kind.RELAY, _RELAY), (Kind.SWARM, _SWARM)):
+    for kind, form in (
+        (LineKind.REFRESH, _REFRESH),
+        (LineKind.CHANGE, _CHANGE),
+        (LineKind.RELAY, _RELAY),
+        (LineKind.SWARM, _SWARM),
+    ):
         match = form.fullmatch(text)
         if match is None:
             continue
         found = match.groupdict()
         agent, slot = int(found.get("agent") or 0), int(found.get("slot") or 0)
-        if agent > 250 or slot > 15 or (kind is not Kind.SWARM and agent < 1) or (kind is Kind.CHANGE and slot < 1):
+        if (
+            agent > 250
+            or slot > 15
+            or (kind is not LineKind.SWARM and agent < 1)
+            or (kind is LineKind.CHANGE and slot < 1)
+        ):
             return None
         word, rest = found.get("word") or "", found.get("text") or ""
-        if kind is Kind.REFRESH:
-            return Line(kind, agent, word, slot, _MORE.sub("", rest), word in LEVELS and not _MORE.search(rest))
-        return Line(kind, agent, word, slot, rest)
+        if kind is LineKind.REFRESH:
+            return ParsedLine(kind, agent, word, slot, _MORE.sub("", rest), word in LEVELS and not _MORE.search(rest))
+        return ParsedLine(kind, agent, word, slot, rest)
     return None
 
 
-def named(line: Line) -> frozenset[int] | None:
+def unhealthy_agents(line: ParsedLine) -> frozenset[int] | None:
     """Who is not well by a SWARM line; None when it had no room for all."""
     if _MORE.search(f" {line.text}"):
         return None
     return frozenset(int(found) for found in _NAMED.findall(line.text))
 
 
-def same(brief: str, cut: str) -> bool:
+def matches(brief: str, cut: str) -> bool:
     """Whether `cut` is `brief`, be it cut in its middle to fit a longer line."""
     if brief == cut:
         return True

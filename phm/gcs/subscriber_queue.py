@@ -6,21 +6,21 @@ from dataclasses import dataclass
 
 from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import Clock
-from phm.gcs.events import News
+from phm.gcs.events import GcsEvent
 
 SIZE = 5000
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class QueuedEvent:
     """number: counts up by one. line: the news as JSON, without the line's end."""
 
     number: int
-    news: News
+    news: GcsEvent
     line: bytes
 
 
-class SubscriberQueue(BoundedQueue[Item]):
+class SubscriberQueue(BoundedQueue[QueuedEvent]):
     """One thread puts, one takes."""
 
     def __init__(self, clock: Clock, size: int = SIZE) -> None:

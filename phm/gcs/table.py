@@ -38,7 +38,7 @@ _OTHERS = 8
 """Lines beside the rows of agents: header, legend, swarm, links, problems."""
 
 
-def whole(snapshot: Json, news: Sequence[str] = (), *, height: int | None = None, notes: Sequence[str] = ()) -> Group:
+def render(snapshot: Json, news: Sequence[str] = (), *, height: int | None = None, notes: Sequence[str] = ()) -> Group:
     """The table and what belongs to it.
 
     news: the newest lines, oldest first. height: rows of the terminal, None for no limit. notes: what the program says

@@ -16,7 +16,7 @@ from phm.facts import CannotTell, ContainerFact, ProcessFact
 from phm.probes import ping
 from phm.probes.docker_facts import Budget, container_fact, find
 from phm.probes.docker_processes import Processes
-from phm.transport.docker import Engine, EngineMissing
+from phm.transport.docker import DockerEngine, EngineMissing
 
 FRESH_S = 0.2
 """An answer this young serves where it only leads to another question, and for PHM's own container."""
@@ -40,7 +40,7 @@ class _Entry:
 class Docker:
     """Implements `phm.facts.DockerProbe`. Thread-safe; each method ends within the engine's time-out."""
 
-    def __init__(self, engine: Engine, settings: Settings, clock: Clock, proc: Path = Path("/proc/self")) -> None:
+    def __init__(self, engine: DockerEngine, settings: Settings, clock: Clock, proc: Path = Path("/proc/self")) -> None:
         self._engine, self._settings, self._clock, self._proc = engine, settings, clock, proc
         self._entries = {key: _Entry() for key in (_MYSELF, *(entry.key for entry in settings.containers))}
         self._generations = itertools.count(1)

@@ -22,7 +22,7 @@ from phm.core.settings import ContainerSettings, Settings
 from phm.facts import CannotTell, EventStreamFact
 from phm.probes.docker_facts import Budget, find
 from phm.probes.docker_reconcile import Expected, after, differences
-from phm.transport.docker import Engine, EngineTimeout, EventStream
+from phm.transport.docker import DockerEngine, EngineTimeout, EventStream
 
 logger = logging.getLogger(__name__)
 
@@ -127,7 +127,7 @@ class Watch:
 
     def __init__(
         self,
-        engine: Engine,
+        engine: DockerEngine,
         settings: Settings,
         clock: Clock,
         on_event: Callable[[DockerEvent], None],

@@ -10,7 +10,7 @@ from phm.core.clock import Clock
 from phm.core.maintenance import LABEL
 from phm.core.settings import ContainerSettings
 from phm.facts import Attachment, CannotTell, ContainerFact, DeviceMapping, HealthcheckFact, Mount
-from phm.transport.docker import Engine, EngineMissing
+from phm.transport.docker import DockerEngine, EngineMissing
 
 _OUTPUT_CHARS = 200
 _ALIVE = ("running", "paused", "restarting")
@@ -31,7 +31,7 @@ class Budget:
         return max(_LEAST_S, self._until - self._clock.mono())
 
 
-def find(engine: Engine, entry: ContainerSettings, budget: Budget) -> ContainerFact | None:
+def find(engine: DockerEngine, entry: ContainerSettings, budget: Budget) -> ContainerFact | None:
     """The container that `entry` names, or None. Raises CannotTell when a label names several."""
     ref = entry.name or _by_label(engine, entry.label or "", budget)
     if not ref:
@@ -44,7 +44,7 @@ def find(engine: Engine, entry: ContainerSettings, budget: Budget) -> ContainerF
     return None if entry.name and fact.name != entry.name else fact
 
 
-def _by_label(engine: Engine, label: str, budget: Budget) -> str:
+def _by_label(engine: DockerEngine, label: str, budget: Budget) -> str:
     """Id of the container with that label, or empty. One that lives wins over the stopped ones it replaced."""
     found = [
         entry

@@ -11,7 +11,7 @@ from typing import Any
 
 from phm.core.clock import Clock
 from phm.facts import CannotTell, ProcessFact
-from phm.transport.docker import Engine, EngineBroken
+from phm.transport.docker import DockerEngine, EngineBroken
 
 LIMIT_S = 1.0
 """A container that hangs in the kernel can hang questions about its processes."""
@@ -29,7 +29,7 @@ _ENDED = ("Z", "X")
 class Processes:
     """Asks for process lists, in the form that the host's `ps` understands."""
 
-    def __init__(self, engine: Engine, clock: Clock) -> None:
+    def __init__(self, engine: DockerEngine, clock: Clock) -> None:
         self._engine, self._clock = engine, clock
         self._best_from, self._wait_s = float("-inf"), AGAIN_S
 

@@ -19,7 +19,7 @@ from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
 from phm.probes.docker_facts import Budget
 from phm.probes.inotify import Notices
 from phm.probes.volume_path import MAX_LINKS, Outside, join, normal, resolve
-from phm.transport.docker import Engine, EngineMissing
+from phm.transport.docker import DockerEngine, EngineMissing
 
 MAX_BYTES = 1 << 30
 DIGEST_S = 15.0
@@ -42,7 +42,7 @@ class Files:
     def __init__(
         self,
         docker_probe: DockerProbe,
-        engine: Engine,
+        engine: DockerEngine,
         settings: Settings,
         clock: Clock,
         notices: Notices | None = None,

@@ -9,7 +9,7 @@ from dataclasses import replace
 from phm.core.scheduling_delay import Late, never_late
 from phm.facts.links import LineFact, LinkFact, SenderFact
 from phm.transport.mavlink_traffic import Traffic
-from phm.transport.serial_errors import LineCount
+from phm.transport.serial_errors import SerialErrorCount
 
 SAMPLE_S = 0.4
 """Endpoints ask to be looked at twice a second; there may be several."""
@@ -85,7 +85,7 @@ class Flow:
         return max(0.0, now - since - self._late_s(since, SHORT_S))
 
 
-def _line(old: LineCount | None, new: LineCount | None, span_s: float) -> LineFact | None:
+def _line(old: SerialErrorCount | None, new: SerialErrorCount | None, span_s: float) -> LineFact | None:
     if old is None or new is None or span_s < 1.0:
         return None
     pairs = ((old.framing, new.framing), (old.overrun, new.overrun), (old.parity, new.parity))

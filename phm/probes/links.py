@@ -21,7 +21,7 @@ from phm.probes.unexpected_senders import Strays
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.mavlink_endpoint import IDLE_S
-from phm.transport.priority import periods
+from phm.transport.priority import default_periods
 
 DOUBLES = 2
 """So many heartbeats of another sender within DOUBLE_S make a duplicate: a late echo may come once."""
@@ -233,7 +233,7 @@ class Links:
             self._pilot.heartbeat(now, message, link)
 
     def _hear_radio(self, message: Any, link: str) -> None:
-        asked_s = self._settings.heartbeat or periods(self._hub.agents)[0]
+        asked_s = self._settings.heartbeat or default_periods(self._hub.agents)[0]
         with self._lock:
             self._radios.setdefault(link, Radio(link)).hear(self._clock.mono(), message, asked_s)
         self.look()

@@ -11,7 +11,7 @@ from phm.core.settings import Settings
 from phm.facts import CannotTell, ConsumerFact, DockerProbe, PressureFact
 from phm.probes import cgroups, engine_stats
 from phm.probes.top_consumers import Consumers
-from phm.transport.docker import Engine, EngineMissing
+from phm.transport.docker import DockerEngine, EngineMissing
 
 ENGINE_EVERY_S = 2.0
 """Between two questions for the engine's statistics of one container, which cost it about 40 times as much as reading files."""
@@ -31,7 +31,7 @@ class _Entry:
 class Pressure:
     """A `phm.facts.PressureProbe`. Thread-safe. The host's cgroups are looked for at `pressure.cgroups`."""
 
-    def __init__(self, engine: Engine, docker: DockerProbe, settings: Settings, clock: Clock) -> None:
+    def __init__(self, engine: DockerEngine, docker: DockerProbe, settings: Settings, clock: Clock) -> None:
         self._engine, self._docker, self._clock = engine, docker, clock
         self._root = Path(settings.pressure.cgroups)
         self._entries = {entry.key: _Entry() for entry in settings.containers}

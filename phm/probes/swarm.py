@@ -9,13 +9,13 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.facts.swarm import PeerFact, SwarmFact
-from phm.swarm.consensus import Consensus, agree, without_ground
-from phm.swarm.leader_election import Election
+from phm.swarm.agent_count import SmoothedAgentCount
+from phm.swarm.consensus import Consensus, compute_consensus, without_gcs
+from phm.swarm.leader_election import LeaderElection
 from phm.swarm.peers import Peers
-from phm.swarm.share import Share
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
-from phm.transport.priority import periods
+from phm.transport.priority import default_periods
 from phm.wire import status_word, tunnel
 
 FRESH_S, FRESH_PERIODS = 0.5, 0.1
@@ -51,8 +51,8 @@ class Swarm:
         self._agents = len({*expected, self._own})
         """How many share the links, this one included."""
         self._peers = Peers(self._own, self._period_s(self._agents), expected, clock.late_s)
-        self._share = Share(self._agents, clock.mono())
-        self._election = Election()
+        self._agent_count = SmoothedAgentCount(self._agents, clock.mono())
+        self._election = LeaderElection()
         self._links: dict[str, float] = {}
         self._began = clock.mono()
         self._shown: object = None
@@ -61,7 +61,7 @@ class Swarm:
         self._since: dict[int, tuple[str, float]] = {}
         """Each agent's state, and since when it is so."""
         self._lock = threading.Lock()
-        hub.share(self._agents)
+        hub.set_agent_count(self._agents)
         hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_TUNNEL))
         hub.watch(self.wake_if_changed)
 
@@ -79,46 +79,46 @@ class Swarm:
         now, gcs = self._clock.mono(), self._hears_ground()
         closed = {link.name for link in self._hub.links() if not link.open}
         with self._lock:
-            self._agents = self._share.follow(self._peers.sharing(now), now)
+            self._agents = self._agent_count.update(self._peers.agents_on_links(now), now)
             period_s = self._period_s(self._agents)
             self._fresh_s = min(FRESH_S, FRESH_PERIODS * period_s)
             hears = not any(name in closed and now - at <= LINK_S for name, at in self._links.items())
             self._peers.watch(now, period_s, hears=hears)
-            agreed = agree(self._peers, now, gcs)
-            speaker = self._election.speaker(agreed, gcs, now)
-            clashing, strangers = self._peers.clashing(now), self._peers.strangers(now)
+            agreed = compute_consensus(self._peers, now, gcs)
+            leader = self._election.leader(agreed, gcs, now)
+            duplicate_ids, unlisted = self._peers.duplicate_ids(now), self._peers.unlisted(now)
             links = tuple(sorted(name for name, at in self._links.items() if now - at <= LINK_S))
             self._since = {
-                agent: self._since_when(agent, verdict.state.value, now) for agent, verdict in agreed.verdicts.items()
+                agent: self._since_when(agent, status.state.value, now) for agent, status in agreed.statuses.items()
             }
-            peers = {agent: self._peer(agent, agreed, now) for agent in agreed.verdicts}
+            peers = {agent: self._peer(agent, agreed, now) for agent in agreed.statuses}
         return SwarmFact(
             self._own,
             agreed.members,
             len(agreed.living),
             peers,
             agreed.split,
-            without_ground(agreed, gcs),
-            clashing,
-            speaker,
+            without_gcs(agreed, gcs),
+            duplicate_ids,
+            leader,
             gcs,
             now - self._began,
             links,
-            strangers,
+            unlisted,
         )
 
     def wake_if_changed(self) -> None:
         """Look. The number of agents sets the links' budgets."""
         fact = self.look()
-        self._hub.share(self._agents, speaks=fact.speaker == self._own)
+        self._hub.set_agent_count(self._agents, leads=fact.leader == self._own)
 
     def _compare(self, fact: SwarmFact) -> None:
         picture = (
             {agent: (peer.state, peer.heard_by, peer.gcs) for agent, peer in fact.peers.items()},
             fact.split,
-            fact.deaf,
-            fact.clashing,
-            fact.speaker,
+            fact.no_gcs,
+            fact.duplicate_ids,
+            fact.leader,
         )
         with self._lock:
             changed, self._shown = picture != self._shown, picture
@@ -165,7 +165,7 @@ class Swarm:
             told = tunnel.decode(bytes(message.payload[: message.payload_length]))
         except tunnel.TunnelError:
             return None
-        if not isinstance(told, tunnel.View):
+        if not isinstance(told, tunnel.PeerView):
             return None
         with self._lock:
             return self._peers.told(agent, told, self._clock.mono())
@@ -176,21 +176,21 @@ class Swarm:
 
     def _period_s(self, agents: int) -> float:
         """Of everybody's heartbeats in a swarm of so many."""
-        return self._heartbeat_s or periods(agents)[0]
+        return self._heartbeat_s or default_periods(agents)[0]
 
     def _since_when(self, agent: int, state: str, now: float) -> tuple[str, float]:
         was = self._since.get(agent)
         return was if was is not None and was[0] == state else (state, now)
 
     def _peer(self, agent: int, agreed: Consensus, now: float) -> PeerFact:
-        verdict, peer = agreed.verdicts[agent], self._peers.peer(agent)
+        status, peer = agreed.statuses[agent], self._peers.peer(agent)
         age_s = None if peer is None or peer.heard_s is None else now - peer.heard_s
         return PeerFact(
-            verdict.state.value,
+            status.state.value,
             age_s,
-            verdict.heard_by,
-            verdict.unheard_by,
-            verdict.gcs,
-            verdict.word,
+            status.heard_by,
+            status.unheard_by,
+            status.gcs,
+            status.word,
             now - self._since[agent][1],
         )

@@ -13,7 +13,7 @@ from phm.facts import CannotTell, ConsumerFact, NotPermitted
 from phm.probes import cgroups
 from phm.probes.docker_facts import Budget
 from phm.probes.kernel_file import head
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 
 LEAST_S = 0.5
 """Who asks sooner gets the last answer again."""
@@ -36,7 +36,7 @@ class Consumers:
 
     def __init__(
         self,
-        engine: Engine,
+        engine: DockerEngine,
         root: Path,
         clock: Clock,
         known: Callable[[], Mapping[str, str]],

@@ -1,6 +1,6 @@
 """Which calls PHM makes to the Docker Engine with a configuration: the allow-list, without a word of any proxy's language.
 
-A container or network is a `Subject`: it may be called by its configured name, or by the id that the engine itself gave
+A container or network is a `CallSubject`: it may be called by its configured name, or by the id that the engine itself gave
 for that name. What PHM does is in `phm.probes` and `phm.recovery.actions`; a call that is added there is added here.
 """
 
@@ -18,9 +18,9 @@ from phm.probes.volume_path import normal
 from phm.transport import docker_bodies
 
 COMMAND_LINES = "-ef"
-"""Arguments for `ps` with which `relaunch` looks for its command (`phm.transport.docker.Engine.top`)."""
+"""Arguments for `ps` with which `relaunch` looks for its command (`phm.transport.docker.DockerEngine.top`)."""
 STATISTICS = r"/stats\?stream=False&one-shot=True"
-"""One reading, as `phm.transport.docker.Engine.stats` asks for it."""
+"""One reading, as `phm.transport.docker.DockerEngine.stats` asks for it."""
 _ID_PREFIX = re.compile(r"[0-9a-f]{1,64}")
 _ALIAS = r'"[A-Za-z0-9][A-Za-z0-9_.-]*"'
 _ALIASES = rf'"Aliases": \[{_ALIAS}(?:, {_ALIAS})*\]'
@@ -29,7 +29,7 @@ _ENDPOINT = rf"\{{(?:{_ALIASES}|{_ADDRESS}|{_ALIASES}, {_ADDRESS})?\}}"
 
 
 @dataclass(frozen=True, slots=True)
-class Subject:
+class CallSubject:
     """A container or network. key: names it among the rules."""
 
     kind: str
@@ -38,7 +38,7 @@ class Subject:
 
 
 @dataclass(frozen=True, slots=True)
-class Call:
+class AllowedCall:
     """One kind of call.
 
     path:    a regular expression of what follows the subject in path and query; without a subject, of all after the version.
@@ -50,30 +50,30 @@ class Call:
     why: str
     method: str
     path: str
-    subject: Subject | None = None
+    subject: CallSubject | None = None
     body: str | None = ""
     learns: bool = False
     starts: bool = False
 
 
-def calls(settings: Settings) -> list[Call]:
+def calls(settings: Settings) -> list[AllowedCall]:
     """All that PHM calls with these settings, which must have none of the `problems`."""
-    me = Subject("containers", str(settings.docker.container), "me")
-    made = [Call("events", "GET", r"/events" + exact(_events()) + r"(?:&since=[0-9.]+)?")]
+    me = CallSubject("containers", str(settings.docker.container), "me")
+    made = [AllowedCall("events", "GET", r"/events" + exact(_events()) + r"(?:&since=[0-9.]+)?")]
     made += _container(me, "PHM itself")
     acted_on = [me.name]
     for number, entry in enumerate(settings.containers):
-        subject = me if entry.name == me.name else Subject("containers", str(entry.name), f"c{number}")
+        subject = me if entry.name == me.name else CallSubject("containers", str(entry.name), f"c{number}")
         made += [*_container(subject, entry.key), *_looks(subject, entry, settings)]
         if entry.recover and settings.recovery.mode != "off":
             made += _actions(subject, entry, settings)
             acted_on.append(subject.name)
         if entry.key in settings.recovery.relieve and settings.recovery.mode != "off":
             weight = exact(docker_bodies.cpu_shares(0)).replace("0", "[0-9]{1,6}")
-            made.append(Call(f"{entry.key}: its CPU weight", "POST", "/update", subject, weight))
+            made.append(AllowedCall(f"{entry.key}: its CPU weight", "POST", "/update", subject, weight))
     for number, name in enumerate(sorted({name for entry in settings.containers for name in entry.networks})):
         members = [entry.name for entry in settings.containers if name in entry.networks and entry.name in acted_on]
-        made += _network(Subject("networks", name, f"n{number}"), [me.name, *map(str, members)])
+        made += _network(CallSubject("networks", name, f"n{number}"), [me.name, *map(str, members)])
     return made
 
 
@@ -111,47 +111,49 @@ def _events() -> str:
     return docker_bodies.query({"filters": docker_bodies.filters(FILTERS)})
 
 
-def _container(subject: Subject, title: str) -> list[Call]:
-    return [Call(f"{title}: its state", "GET", "/json", subject, learns=True)]
+def _container(subject: CallSubject, title: str) -> list[AllowedCall]:
+    return [AllowedCall(f"{title}: its state", "GET", "/json", subject, learns=True)]
 
 
-def _looks(subject: Subject, entry: ContainerSettings, settings: Settings) -> Iterator[Call]:
+def _looks(subject: CallSubject, entry: ContainerSettings, settings: Settings) -> Iterator[AllowedCall]:
     if entry.pressure != "ignore":
         # Used where the host's cgroups are not mounted into PHM, which the configuration does not show.
-        yield Call(f"{entry.key}: its statistics", "GET", STATISTICS, subject)
+        yield AllowedCall(f"{entry.key}: its statistics", "GET", STATISTICS, subject)
     nodes = {settings.container_of_node(node.name) for node in settings.ros.nodes}
     topics = {settings.container_of_topic(topic) for topic in settings.ros.topics}
     if entry.key in nodes | topics:
         forms = "|".join(exact(docker_bodies.query({"ps_args": form})) for form in (*FORMS, COMMAND_LINES))
-        yield Call(f"{entry.key}: its processes", "GET", f"/top(?:{forms})", subject)
+        yield AllowedCall(f"{entry.key}: its processes", "GET", f"/top(?:{forms})", subject)
     for file in entry.files:
-        yield Call(f"{entry.key}: is {_shown(file.path)} there", "HEAD", _archive(*_spellings(file)), subject)
+        yield AllowedCall(f"{entry.key}: is {_shown(file.path)} there", "HEAD", _archive(*_spellings(file)), subject)
         if file.present and file.sha256:
-            yield Call(f"{entry.key}: content of {_shown(file.path)}", "GET", _archive(*_spellings(file)), subject)
+            yield AllowedCall(
+                f"{entry.key}: content of {_shown(file.path)}", "GET", _archive(*_spellings(file)), subject
+            )
 
 
-def _actions(subject: Subject, entry: ContainerSettings, settings: Settings) -> Iterator[Call]:
+def _actions(subject: CallSubject, entry: ContainerSettings, settings: Settings) -> Iterator[AllowedCall]:
     for verb, query in (("start", ""), ("unpause", ""), ("restart", r"(?:\?t=[0-9]{1,4})?")):
-        yield Call(f"{entry.key}: {verb}", "POST", f"/{verb}{query}", subject)
+        yield AllowedCall(f"{entry.key}: {verb}", "POST", f"/{verb}{query}", subject)
     for node in settings.ros.nodes:
         if node.relaunch and settings.container_of_node(node.name) == entry.key:
             body = exact(docker_bodies.exec_(node.relaunch))
-            yield Call(f"{entry.key}: relaunch {node.name}", "POST", "/exec", subject, body, starts=True)
+            yield AllowedCall(f"{entry.key}: relaunch {node.name}", "POST", "/exec", subject, body, starts=True)
     for file in entry.files:
         if file.present and file.restore and file.restore != "image":
             folder = posixpath.dirname(posixpath.normpath(file.path))
             put = exact(docker_bodies.query(docker_bodies.upload(folder)))
-            yield Call(f"{entry.key}: the folder of {_shown(file.path)}", "HEAD", _archive(folder), subject)
-            yield Call(f"{entry.key}: restore {_shown(file.path)}", "PUT", f"/archive{put}", subject, body=None)
+            yield AllowedCall(f"{entry.key}: the folder of {_shown(file.path)}", "HEAD", _archive(folder), subject)
+            yield AllowedCall(f"{entry.key}: restore {_shown(file.path)}", "PUT", f"/archive{put}", subject, body=None)
 
 
-def _network(subject: Subject, members: list[str]) -> Iterator[Call]:
-    yield Call(f"network {subject.name}", "GET", "", subject, learns=True)
+def _network(subject: CallSubject, members: list[str]) -> Iterator[AllowedCall]:
+    yield AllowedCall(f"network {subject.name}", "GET", "", subject, learns=True)
     for name in members:
         off = "|".join(exact(docker_bodies.disconnect(name, force=force)) for force in (True, False))
         on = exact(docker_bodies.connect(name)).replace(r"\{\}\}", _ENDPOINT + r"\}")
-        yield Call(f"network {subject.name}: disconnect {name}", "POST", "/disconnect", subject, f"(?:{off})")
-        yield Call(f"network {subject.name}: connect {name}", "POST", "/connect", subject, on)
+        yield AllowedCall(f"network {subject.name}: disconnect {name}", "POST", "/disconnect", subject, f"(?:{off})")
+        yield AllowedCall(f"network {subject.name}: connect {name}", "POST", "/connect", subject, on)
 
 
 def _archive(*paths: str) -> str:

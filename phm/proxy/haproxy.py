@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 
 from phm.core.settings import Settings
-from phm.proxy.calls import Call, Subject, calls, exact, problems
+from phm.proxy.calls import AllowedCall, CallSubject, calls, exact, problems
 from phm.transport import docker_bodies
 
 _VERSION = r"/v1\.(?:2[4-9]|[3-9][0-9])"
@@ -107,7 +107,7 @@ def quoted(text: str) -> str:
     return "'" + text.replace("'", r"'\''") + "'"
 
 
-def _subjects(subjects: list[Subject]) -> Iterator[str]:
+def _subjects(subjects: list[CallSubject]) -> Iterator[str]:
     """`on_KEY`: the call is about that container or network. `named_KEY`: by its name."""
     for subject in subjects:
         yield f"acl named_{subject.key} var(txn.ref) -m str {subject.name}"
@@ -121,7 +121,7 @@ def _fixed() -> Iterator[str]:
     yield _when("allow", "GET", "/version", "empty !chunked")
 
 
-def _call(call: Call) -> Iterator[str]:
+def _call(call: AllowedCall) -> Iterator[str]:
     subject = call.subject
     path = f"/{subject.kind}/{_REF}{call.path}" if subject is not None else call.path
     words = [f"on_{subject.key}"] if subject is not None else []
@@ -138,7 +138,7 @@ def _call(call: Call) -> Iterator[str]:
     yield _allow(call.method, _VERSION + path, condition)
 
 
-def _starting(made: list[Call]) -> list[str]:
+def _starting(made: list[AllowedCall]) -> list[str]:
     """Keys of the containers in which programs are started."""
     return list(dict.fromkeys(call.subject.key for call in made if call.starts and call.subject is not None))
 
@@ -159,7 +159,7 @@ def _when(rule: str, method: str, path: str, condition: str) -> str:
     return f"http-request {rule} if {{ method {method} }} {{ pathq -m reg {quoted(f'^{path}$')} }} {condition}"
 
 
-def _learned(made: list[Call]) -> Iterator[str]:
+def _learned(made: list[AllowedCall]) -> Iterator[str]:
     """What the engine's answers say about ids; a name that it does not know has none any more."""
     for key in dict.fromkeys(call.subject.key for call in made if call.learns and call.subject is not None):
         about = f"{{ var(txn.learn) -m str {key} }}"

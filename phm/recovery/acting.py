@@ -19,7 +19,7 @@ from phm.recovery.safety.flight_critical import FlightCriticalError, Impact
 from phm.recovery.safety.guarded_engine import GuardedEngine
 from phm.recovery.safety.target_locks import TargetBusy
 from phm.recovery.shop import Shop
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 
 logger = logging.getLogger(__name__)
 
@@ -113,7 +113,7 @@ class Acting:
 
     def _work(self) -> ActionResult:
         engine = self._engine
-        context = replace(self._shop.context, engine=cast(Engine, engine), holding=self._holding)
+        context = replace(self._shop.context, engine=cast(DockerEngine, engine), holding=self._holding)
         try:
             with self._life(engine):
                 said = self._action.run(self._target, self._fault, context)

@@ -17,7 +17,7 @@ from phm.core.settings import ContainerSettings, Settings
 from phm.facts import Attachment, AutopilotFact, CannotTell, ContainerFact, LinkFact
 from phm.recovery.containers.cpu_weights import CpuWeights
 from phm.recovery.safety.flight_critical import Impact
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 
 
 class NotNeeded(str):
@@ -75,7 +75,7 @@ class ActionContext:
     holding:    while it is entered, what breaks in that other container follows from this fault's repair.
     """
 
-    engine: Engine
+    engine: DockerEngine
     settings: Settings
     container: Callable[[str], ContainerFact | None]
     myself: Callable[[], ContainerFact | None]

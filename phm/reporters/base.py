@@ -17,10 +17,10 @@ from phm.core.settings import Settings
 from phm.facts import LinkFact
 from phm.facts.ros import DiagnosticFact
 from phm.facts.swarm import SwarmProbe
-from phm.transport.priority import Class
+from phm.transport.priority import MessagePriority
 
 
-class MavlinkPort(Protocol):
+class MavlinkSender(Protocol):
     """The sending side of the MAVLink endpoints (`phm.transport.mavlink.MavlinkHub`)."""
 
     @property
@@ -28,7 +28,13 @@ class MavlinkPort(Protocol):
         """How many agents share the links, this one included."""
 
     def send(
-        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+        self,
+        message: Any,
+        kind: MessagePriority = MessagePriority.TRANSITION,
+        *,
+        key: str = "",
+        urgency: int = 0,
+        link: str = "",
     ) -> None:
         """Queue one unpacked pymavlink message for every endpoint, or for the one named `link`; never blocks.
 
@@ -42,7 +48,7 @@ class MavlinkPort(Protocol):
         """Have `callback` called with each received message of these ids and its endpoint's name; it must not wait."""
 
 
-class DiagnosticsPort(Protocol):
+class DiagnosticsPublisher(Protocol):
     """The way to /diagnostics (`phm.probes.ros.supervisor.RosProcess`)."""
 
     def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
@@ -68,9 +74,9 @@ class ReporterContext:
     states: Callable[[], tuple[UnitState, ...]]
     alive: Callable[[], bool]
     health: Callable[[], dict[str, Any]]
-    mavlink: MavlinkPort | None = None
+    mavlink: MavlinkSender | None = None
     restored: tuple[Fault, ...] = ()
-    ros: DiagnosticsPort | None = None
+    ros: DiagnosticsPublisher | None = None
     swarm: SwarmProbe | None = None
     pilot: Callable[[], bool] | None = None
     radio: Callable[[], bool] | None = None

@@ -23,7 +23,7 @@ from phm.core.model import (
     worst_by_slot,
 )
 from phm.facts.ros import DiagnosticFact
-from phm.reporters.base import DiagnosticsPort, Reporter, ReporterContext
+from phm.reporters.base import DiagnosticsPublisher, Reporter, ReporterContext
 from phm.wire import status_word
 from phm.wire.report import array_text, iso, status_array, values_json
 from phm.wire.text import one_line
@@ -40,14 +40,14 @@ _NOT_TAKEN = 5
 _RANK = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 
 
-class Diagnostics(Reporter):
+class DiagnosticsReporter(Reporter):
     """/diagnostics, by way of the ROS child."""
 
     name = "diagnostics"
     period_s = 1.0
     kinds = (Transition, FaultOpened, FaultClosed, ActionEvent)
 
-    def __init__(self, context: ReporterContext, port: DiagnosticsPort) -> None:
+    def __init__(self, context: ReporterContext, port: DiagnosticsPublisher) -> None:
         self._context = context
         self._port = port
         self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
@@ -56,7 +56,7 @@ class Diagnostics(Reporter):
         self._not_taken = 0
 
     @classmethod
-    def build(cls, context: ReporterContext) -> Diagnostics | None:
+    def build(cls, context: ReporterContext) -> DiagnosticsReporter | None:
         if context.ros is None or not context.settings.ros.publishes:
             return None
         return cls(context, context.ros)

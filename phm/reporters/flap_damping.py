@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from phm.reporters.statustext import Line
+from phm.reporters.statustext import StatusTextLine
 from phm.wire.status_line import Severity
 
 MANY, WITHIN_S = 6, 60.0
@@ -23,21 +23,21 @@ MAX_UNITS = 1000
 @dataclass(slots=True)
 class _Unit:
     times: deque[float] = field(default_factory=lambda: deque(maxlen=MANY))
-    held: Line | None = None
+    held: StatusTextLine | None = None
     """The newest line that was not sent; None while nothing is held down."""
     holding: bool = False
     changed: float = 0.0
 
 
-class Damper:
+class FlapDamper:
     """Between what there is to say and what is said. Lines are told apart by their key."""
 
     def __init__(self) -> None:
         self._units: dict[str, _Unit] = {}
 
-    def through(self, lines: Sequence[Line], now: float, flapping: str) -> list[Line]:
+    def through(self, lines: Sequence[StatusTextLine], now: float, flapping: str) -> list[StatusTextLine]:
         """What of these changes is told now. flapping: the text to tell when a unit begins to be held down."""
-        told: list[Line] = []
+        told: list[StatusTextLine] = []
         for line in lines:
             unit = self._unit(line.key)
             unit.changed = now
@@ -47,12 +47,12 @@ class Damper:
             unit.times.append(now)
             if len(unit.times) == MANY and now - unit.times[0] <= WITHIN_S:
                 unit.holding, unit.held = True, line
-                told.append(Line(line.key, Severity.WARNING, flapping))
+                told.append(StatusTextLine(line.key, Severity.WARNING, flapping))
             else:
                 told.append(line)
         return told
 
-    def calm(self, now: float) -> list[Line]:
+    def calm(self, now: float) -> list[StatusTextLine]:
         """The state of units that have come to rest, to be told now."""
         told = []
         for unit in self._units.values():

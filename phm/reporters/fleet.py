@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Protocol
 
 from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Report, Transition
 from phm.reporters.base import Reporter, ReporterContext
-from phm.transport.zenoh_link import FleetFact, Keys, ZenohLink
+from phm.transport.zenoh_link import FleetFact, FleetKeys, ZenohLink
 from phm.wire import fleet_status, status_word
 
 ALONG_S = 0.1
@@ -23,7 +23,7 @@ _ATTEMPTS = 2
 """A fleet that is not reached for so many deadlines is a problem of PHM: a lost packet or a roaming radio is not."""
 
 
-class Link(Protocol):
+class FleetLink(Protocol):
     """`phm.transport.zenoh_link.ZenohLink`."""
 
     def start(self) -> None: ...
@@ -33,14 +33,14 @@ class Link(Protocol):
     def close(self, last: bytes = b"") -> None: ...
 
 
-class Fleet(Reporter):
+class FleetReporter(Reporter):
     """See the module."""
 
     name = "fleet"
     period_s: ClassVar[float | None] = TICK_S
     kinds = (Transition, FaultOpened, FaultClosed, Report)
 
-    def __init__(self, context: ReporterContext, link: Link) -> None:
+    def __init__(self, context: ReporterContext, link: FleetLink) -> None:
         self._context, self._settings, self._link = context, context.settings.fleet, link
         self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
         self._sequence = 0
@@ -49,11 +49,11 @@ class Fleet(Reporter):
         link.start()
 
     @classmethod
-    def build(cls, context: ReporterContext) -> Fleet | None:
+    def build(cls, context: ReporterContext) -> FleetReporter | None:
         fleet, agent = context.settings.fleet, context.settings.agent.name
         if not fleet.enabled:
             return None
-        keys = Keys(
+        keys = FleetKeys(
             fleet_status.key(fleet.name, agent),
             fleet_status.alive_key(fleet.name, agent, context.boot_id),
             fleet_status.alive_key(fleet.name, agent, "*"),

@@ -10,7 +10,7 @@ from phm.transport.dialect import mavlink
 MAX_STATIONS = 16
 
 
-class Stations:
+class GcsPresence:
     """own: this agent's system id, under which a program aboard may call itself a ground station. timeout_s: a station that was
     silent for longer has missed what was sent meanwhile."""
 

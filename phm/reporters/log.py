@@ -28,8 +28,8 @@ from phm.core.model import (
     worst_by_slot,
 )
 from phm.reporters.base import Reporter, ReporterContext
-from phm.reporters.rotating_file import RotatingLines
-from phm.reporters.text_log_format import MAX_BYTES, TextLines, closed_kind, encode, note_kind, unit_kind
+from phm.reporters.rotating_file import RotatingFile
+from phm.reporters.text_log_format import MAX_BYTES, TextLogFormatter, closed_kind, encode, note_kind, unit_kind
 from phm.wire.json_log import VERSION
 from phm.wire.report import clock_text, fault_json, iso, status_array, unit_json
 from phm.wire.text import one_line
@@ -38,7 +38,7 @@ from phm.wire.text import one_line
 _CUTS = ((500, 16), (60, 4))
 
 
-class Log(Reporter):
+class LogReporter(Reporter):
     """Text and JSON lines in `log.directory`."""
 
     name = "log"
@@ -48,7 +48,7 @@ class Log(Reporter):
     def __init__(self, context: ReporterContext) -> None:
         settings = context.settings
         self._context = context
-        self._text = TextLines()
+        self._text = TextLogFormatter()
         self._slots: dict[str, Slot] = {}
         self._seq = 0
         self._head = {"agent": settings.agent.name, "agent_id": settings.agent.id, "boot_id": context.boot_id}
@@ -56,17 +56,17 @@ class Log(Reporter):
         size, files, clock = int(log.max_size), log.files, context.clock
         where = log.directory
         self._sync = log.sync
-        self._plain = RotatingLines(
+        self._plain = RotatingFile(
             os.path.join(where, "phm.log"), max_size=size, files=files, clock=clock, lost_line=_lost_text
         )
-        self._record = RotatingLines(
+        self._record = RotatingFile(
             os.path.join(where, "phm.jsonl"), max_size=size, files=files, clock=clock, lost_line=_lost_json
         )
         start = {"version": __version__, "pid": os.getpid(), "interval_s": settings.interval}
         self._put(clock.stamp(), "start", "PHM", start)
 
     @classmethod
-    def build(cls, context: ReporterContext) -> Log:
+    def build(cls, context: ReporterContext) -> LogReporter:
         return cls(context)
 
     def handle(self, event: Event) -> None:

@@ -20,12 +20,12 @@ from phm.core.model import (
     UnitState,
     worst_by_slot,
 )
-from phm.reporters.base import MavlinkPort, Reporter, ReporterContext
-from phm.reporters.flap_damping import Damper
-from phm.reporters.gcs_presence import Stations
-from phm.reporters.statustext import Line, Teller
+from phm.reporters.base import MavlinkSender, Reporter, ReporterContext
+from phm.reporters.flap_damping import FlapDamper
+from phm.reporters.gcs_presence import GcsPresence
+from phm.reporters.statustext import StatusTextBuilder, StatusTextLine
 from phm.transport.dialect import mavlink
-from phm.transport.priority import periods
+from phm.transport.priority import default_periods
 from phm.wire import status_line, status_word
 
 PEERS = "peers/"
@@ -39,18 +39,18 @@ SPREAD_S = 0.02
 needs for a heartbeat and a refresh."""
 
 
-class Mavlink(Reporter):
+class MavlinkReporter(Reporter):
     """See the module. All but `_hear` runs in the bus's thread for this reporter."""
 
     name = "mavlink"
     period_s: ClassVar[float | None] = 0.2
     kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, HoldChanged, Report)
 
-    def __init__(self, context: ReporterContext, port: MavlinkPort) -> None:
+    def __init__(self, context: ReporterContext, port: MavlinkSender) -> None:
         self._context, self._port = context, port
         self._settings, self._agent = context.settings.mavlink, context.settings.agent.id
         now = context.clock.mono()
-        self._teller, self._damper = Teller(self._agent), Damper()
+        self._teller, self._damper = StatusTextBuilder(self._agent), FlapDamper()
         open_before = {fault.unit for fault in context.restored}
         self._teller.knows([state for state in context.states() if state.unit in open_before])
         self._heartbeat_at = now
@@ -58,11 +58,11 @@ class Mavlink(Reporter):
         self._again: tuple[float, ...] = ()
         self._full_at: float | None = None
         self._last_full = float("-inf")
-        self._stations = Stations(self._agent, self._settings.gcs_timeout)
+        self._stations = GcsPresence(self._agent, self._settings.gcs_timeout)
         port.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
 
     @classmethod
-    def build(cls, context: ReporterContext) -> Mavlink | None:
+    def build(cls, context: ReporterContext) -> MavlinkReporter | None:
         return cls(context, context.mavlink) if context.mavlink is not None else None
 
     def handle(self, event: Event) -> None:
@@ -82,7 +82,7 @@ class Mavlink(Reporter):
         """Heartbeat, refresh and the answer to a new ground station, when due and while the engine lives."""
         now = self._context.clock.mono()
         self._say(self._damper.calm(now))
-        by_size_s = periods(self._port.agents)
+        by_size_s = default_periods(self._port.agents)
         if self._context.alive():
             if now >= self._heartbeat_at:
                 self._heartbeat_at = _next(self._heartbeat_at, self._settings.heartbeat or by_size_s[0], now)
@@ -116,7 +116,7 @@ class Mavlink(Reporter):
         if self._stations.appears(message, self._context.clock.mono()):
             self.gcs_appeared()
 
-    def _change(self, lines: list[Line], slot: Slot, brief: str) -> None:
+    def _change(self, lines: list[StatusTextLine], slot: Slot, brief: str) -> None:
         """Changes of one unit: told, unless it flaps."""
         if lines and self._refresh_at is not None:
             self._again = tuple(self._context.clock.mono() + after_s for after_s in AGAIN_S)
@@ -128,14 +128,14 @@ class Mavlink(Reporter):
         if any(state.slot is Slot.RADIO and state.level.bad for state in states):
             self._say([self._teller.refresh(states)])
 
-    def _speaks(self) -> bool:
-        """Whether this agent speaks for the swarm: each agent notices that another is lost, and one tells the ground."""
+    def _leads(self) -> bool:
+        """Whether this agent leads for the swarm: each agent notices that another is lost, and one tells the ground."""
         swarm = self._context.swarm
-        return swarm is None or swarm.look().speaker == self._agent
+        return swarm is None or swarm.look().leader == self._agent
 
-    def _say(self, lines: list[Line]) -> None:
+    def _say(self, lines: list[StatusTextLine]) -> None:
         for line in lines:
-            if line.key.startswith(PEERS) and not self._speaks():
+            if line.key.startswith(PEERS) and not self._leads():
                 continue
             message = mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii"))
             self._port.send(message, line.kind, key=line.key, urgency=int(line.severity))

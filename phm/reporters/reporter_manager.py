@@ -13,7 +13,7 @@ from phm.reporters.base import Reporter, ReporterContext
 logger = logging.getLogger(__name__)
 
 
-class Installed:
+class ReporterManager:
     """Builds and closes them. Each is a plug-in: what one raises costs that one alone."""
 
     def __init__(self, bus: Bus) -> None:

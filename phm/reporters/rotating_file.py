@@ -29,7 +29,7 @@ LostLine = Callable[[int, str, bytes], bytes]
 """Makes the line that says how many lines were lost, why, and which the last of them was."""
 
 
-class RotatingLines:
+class RotatingFile:
     """Appends lines to `path` and rotates it to ``path.1`` .. ``path.<files>`` before it passes `max_size` bytes.
 
     Invariants: `write` never raises; a file never holds more than `max_size` bytes (a caller's line must be

@@ -38,7 +38,7 @@ ALONG_S = 0.1
 _OPEN_FAULTS = 256
 
 
-class Status(Reporter):
+class StatusReporter(Reporter):
     """Keeps `run_dir/status.json` fresh."""
 
     name = "status"
@@ -55,7 +55,7 @@ class Status(Reporter):
         self._problem = ""
 
     @classmethod
-    def build(cls, context: ReporterContext) -> Status:
+    def build(cls, context: ReporterContext) -> StatusReporter:
         return cls(context)
 
     def handle(self, event: Event) -> None:

@@ -22,7 +22,7 @@ from phm.core.model import (
     Transition,
     UnitState,
 )
-from phm.transport.priority import Class
+from phm.transport.priority import MessagePriority
 from phm.wire import command, status_line
 from phm.wire.status_line import Severity
 
@@ -31,23 +31,23 @@ FULL_LINES = 10
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class StatusTextLine:
     """`key`: a newer line with the same key makes this one superfluous while it waits."""
 
     key: str
     severity: Severity
     text: str
-    kind: Class = Class.TRANSITION
+    kind: MessagePriority = MessagePriority.TRANSITION
 
 
-class Teller:
+class StatusTextBuilder:
     """Events in, lines out. `told` holds, by unit, the bad line that the ground heard last and not yet took back."""
 
     def __init__(self, agent: int) -> None:
         self._agent = agent
         self._told: dict[str, tuple[UnitState, str]] = {}
         self._open: set[str] = set()
-        self._asks: dict[str, Line] = {}
+        self._asks: dict[str, StatusTextLine] = {}
         """By unit, what the operator was asked for and has not answered."""
 
     def knows(self, states: Sequence[UnitState]) -> None:
@@ -56,7 +56,7 @@ class Teller:
             self._open.add(state.unit)
             self._bad(state)
 
-    def transition(self, event: Transition) -> list[Line]:
+    def transition(self, event: Transition) -> list[StatusTextLine]:
         state = event.state
         if state.level.bad:
             return self._bad(state)
@@ -66,7 +66,7 @@ class Teller:
             self._told.pop(state.unit, None)  # if it is still bad after the hold, that is said again
         return []  # STALE says nothing by itself; OK with an open fault is told when the fault closes, with who did it
 
-    def fault(self, event: FaultOpened | FaultClosed) -> list[Line]:
+    def fault(self, event: FaultOpened | FaultClosed) -> list[StatusTextLine]:
         fault = event.fault
         if isinstance(event, FaultOpened):
             self._open.add(fault.unit)
@@ -76,12 +76,12 @@ class Teller:
             self._asks.pop(fault.unit, None)
         return self._over(fault.unit, fault.by or "itself") if fault.outcome is Outcome.RESOLVED else []
 
-    def hold(self, event: HoldChanged) -> list[Line]:
+    def hold(self, event: HoldChanged) -> list[StatusTextLine]:
         for_s = event.left_s if event.began else None
         text = status_line.hold(self._agent, Slot.CONTAINER, event.target, for_s, event.reason)
-        return [Line(f"hold {event.target}", Severity.NOTICE, text)]
+        return [StatusTextLine(f"hold {event.target}", Severity.NOTICE, text)]
 
-    def action(self, event: ActionEvent, states: Mapping[str, UnitState]) -> list[Line]:
+    def action(self, event: ActionEvent, states: Mapping[str, UnitState]) -> list[StatusTextLine]:
         """Only what asks something of the operator; what PHM did is told by what came of it."""
         state = states.get(event.unit)
         if state is None:
@@ -92,33 +92,33 @@ class Teller:
         number = command.fault_number(event.fault)
         if event.phase is Phase.ADVISED:
             text = status_line.advise(self._agent, state.slot, event.action, event.target, number)
-            return [self._ask(event.unit, Line(key, Severity.WARNING, text))]
+            return [self._ask(event.unit, StatusTextLine(key, Severity.WARNING, text))]
         if event.phase is Phase.APPROVED:
             self._asks.pop(event.unit, None)
             text = status_line.approved(self._agent, state.slot, event.action, event.target)
-            return [Line(key, Severity.NOTICE, text)]
+            return [StatusTextLine(key, Severity.NOTICE, text)]
         if event.phase is Phase.EXPIRED:
             text = status_line.expired(self._agent, state.slot, event.action, event.target)
-            return [Line(f"{event.unit} approval", Severity.WARNING, text)]
+            return [StatusTextLine(f"{event.unit} approval", Severity.WARNING, text)]
         if event.phase is Phase.ESCALATED:
             text = status_line.gave_up(self._agent, state.slot, event.target, status_line.brief_of(state), number)
-            return [self._ask(event.unit, Line(key, status_line.severity(Level.ERROR, state.slot), text))]
+            return [self._ask(event.unit, StatusTextLine(key, status_line.severity(Level.ERROR, state.slot), text))]
         return []
 
-    def _ask(self, unit: str, line: Line) -> Line:
+    def _ask(self, unit: str, line: StatusTextLine) -> StatusTextLine:
         self._asks[unit] = line
         return line
 
-    def _asked(self, event: ActionEvent, state: UnitState, key: str) -> list[Line]:
+    def _asked(self, event: ActionEvent, state: UnitState, key: str) -> list[StatusTextLine]:
         """What an operator asked for without any fault; its beginning was acknowledged, its end is told."""
         ends = {Phase.VERIFIED: "done", Phase.FAILED: "failed", Phase.REFUSED: "refused"}
         if event.phase not in ends:
             return []
         severity = Severity.NOTICE if event.phase is Phase.VERIFIED else Severity.WARNING
-        text = status_line.asked(self._agent, state.slot, event.action, ends[event.phase], event.target)
-        return [Line(key, severity, text)]
+        text = status_line.operator_request(self._agent, state.slot, event.action, ends[event.phase], event.target)
+        return [StatusTextLine(key, severity, text)]
 
-    def reconcile(self, states: Sequence[UnitState]) -> list[Line]:
+    def reconcile(self, states: Sequence[UnitState]) -> list[StatusTextLine]:
         """Tell what lost events did not: nothing, when none were lost."""
         self._open = {state.unit for state in states if state.fault}
         lines = []
@@ -129,7 +129,7 @@ class Teller:
                 lines += self._over(state.unit, "")
         return lines
 
-    def full(self, states: Sequence[UnitState]) -> list[Line]:
+    def full(self, states: Sequence[UnitState]) -> list[StatusTextLine]:
         """Everything again, worst first, for a ground station that has heard nothing of it."""
         lines = []
         for state in status_line.worst_first(states)[:FULL_LINES]:
@@ -138,24 +138,26 @@ class Teller:
                 lines += self._bad(state)
                 if state.unit in self._asks:
                     lines.append(self._asks[state.unit])
-        return [*(replace(line, kind=Class.STATE) for line in lines), self.refresh(states)]
+        return [*(replace(line, kind=MessagePriority.STATE) for line in lines), self.refresh(states)]
 
-    def refresh(self, states: Sequence[UnitState]) -> Line:
-        return Line("refresh", Severity.INFO, status_line.refresh(self._agent, states), Class.REFRESH)
+    def refresh(self, states: Sequence[UnitState]) -> StatusTextLine:
+        return StatusTextLine(
+            "refresh", Severity.INFO, status_line.refresh(self._agent, states), MessagePriority.REFRESH
+        )
 
-    def _bad(self, state: UnitState) -> list[Line]:
-        text = status_line.bad(self._agent, state.level, state.slot, status_line.brief_of(state))
+    def _bad(self, state: UnitState) -> list[StatusTextLine]:
+        text = status_line.failing(self._agent, state.level, state.slot, status_line.brief_of(state))
         told = self._told.get(state.unit)
         self._told[state.unit] = (state, text)
         if told is not None and told[1] == text:
             return []
-        return [Line(state.unit, status_line.severity(state.level, state.slot), text)]
+        return [StatusTextLine(state.unit, status_line.severity(state.level, state.slot), text)]
 
-    def _over(self, unit: str, by: str) -> list[Line]:
+    def _over(self, unit: str, by: str) -> list[StatusTextLine]:
         self._asks.pop(unit, None)
         told = self._told.pop(unit, None)
         if told is None:
             return []
         state = told[0]
-        text = status_line.over(self._agent, state.slot, status_line.brief_of(state), by)
-        return [Line(unit, status_line.severity(Level.OK, state.slot), text)]
+        text = status_line.recovered(self._agent, state.slot, status_line.brief_of(state), by)
+        return [StatusTextLine(unit, status_line.severity(Level.OK, state.slot), text)]

@@ -72,7 +72,7 @@ def encode(line: str) -> bytes:
     return data[: MAX_BYTES - 6].decode("utf-8", "ignore").encode() + b" [cut]"
 
 
-class TextLines:
+class TextLogFormatter:
     """Turns events into lines. Remembers only what later lines need: slots of units, open faults, told escalations."""
 
     def __init__(self) -> None:

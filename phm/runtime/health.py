@@ -15,7 +15,7 @@ from phm.core.process_priority import oom_score_adj
 from phm.core.scheduling_delay import WINDOW_S
 from phm.facts import SelfFact
 from phm.recovery.safety.armed_state import ArmedMonitor
-from phm.reporters.reporter_manager import Installed
+from phm.reporters.reporter_manager import ReporterManager
 from phm.runtime.main_loop import MainLoop
 from phm.runtime.probe_set import ProbeSet
 
@@ -36,7 +36,7 @@ class DaemonHealth:
         pipeline: Pipeline,
         bus: Bus,
         probes: ProbeSet,
-        reporters: Installed,
+        reporters: ReporterManager,
         armed: ArmedMonitor,
         critical: Sequence[str],
         problems: Sequence[Callable[[], str]],

@@ -24,7 +24,7 @@ from phm.probes.pressure import Pressure
 from phm.probes.reachability_monitor import Pulse
 from phm.probes.ros.supervisor import RosProcess
 from phm.probes.swarm import Swarm
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from phm.transport.mavlink import MavlinkHub
 
 ReadSelf = Callable[[], SelfFact]
@@ -57,7 +57,7 @@ class SelfProbe:
 class ProbeSet:
     """The probes with their connections; `world` is what checks see of them."""
 
-    engine: Engine
+    engine: DockerEngine
     docker: RememberingDocker
     watch: Watch | None
     pulse: Pulse | None
@@ -101,9 +101,9 @@ class ProbeSet:
         return self.mavlink is not None and self.mavlink.reopen(link, timeout_s)
 
     def container_started(self, container: str) -> None:
-        """Retry the links to this container immediately: see `MavlinkHub.hurry`."""
+        """Retry the links to this container immediately: see `MavlinkHub.retry_now`."""
         if self.mavlink is not None:
-            self.mavlink.hurry(container)
+            self.mavlink.retry_now(container)
 
     def link_reports(self) -> list[dict[str, Any]]:
         """The MAVLink endpoints for `phm status`, see `MavlinkHub.report`."""
@@ -151,7 +151,7 @@ def build_probes(
     hub: MavlinkHub | None = None,
 ) -> ProbeSet:
     """Build the probes that this configuration needs. hub: MAVLink endpoints that are open already (after a reload)."""
-    engine = Engine(settings.docker.socket, settings.docker.timeout, clock)
+    engine = DockerEngine(settings.docker.socket, settings.docker.timeout, clock)
     fresh = Docker(engine, settings, clock)
     docker = RememberingDocker(fresh)
 

@@ -33,7 +33,7 @@ from phm.recovery.safety.armed_state import ArmedMonitor
 from phm.recovery.safety.flight_critical import critical_containers
 from phm.recovery.shop import Shop
 from phm.reporters.base import ReporterContext
-from phm.reporters.reporter_manager import Installed
+from phm.reporters.reporter_manager import ReporterManager
 from phm.runtime.docker_events import DockerEventRouter
 from phm.runtime.health import DaemonHealth
 from phm.runtime.main_loop import MainLoop
@@ -92,7 +92,7 @@ class Components:
         self._build_recovery(settings)
         self.docker_events = DockerEventRouter(self.pipeline, self.scheduler, self.holds, self.probes.container_started)
         self.control = control or ControlServer(settings.run_dir)
-        self.reporters = Installed(self.bus)
+        self.reporters = ReporterManager(self.bus)
         own = (
             self.memory.problem,
             self.control.problem,

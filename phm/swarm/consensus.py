@@ -14,14 +14,14 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from phm.swarm.peers import Peers
-from phm.wire.tunnel import Seen, View
+from phm.wire.tunnel import PeerState, PeerView
 
-THERE = frozenset((Seen.ALIVE, Seen.LATE))
+THERE = frozenset((PeerState.ALIVE, PeerState.LATE))
 SPLIT_S = 15.0
 """Agents that were lost within this time of each other vanished together."""
 
 
-class State(str, Enum):
+class MemberState(str, Enum):
     """What the swarm agrees on about one agent."""
 
     ALIVE = "alive"
@@ -34,12 +34,12 @@ class State(str, Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class MemberStatus:
     """About one agent. `heard_by`, `unheard_by`: observers; where all agree, `heard_by` is all of them and may name the agent
     itself. `gcs`: whether it hears a ground station, None unknown.
     """
 
-    state: State
+    state: MemberState
     heard_by: tuple[int, ...] = ()
     unheard_by: tuple[int, ...] = ()
     gcs: bool | None = None
@@ -51,7 +51,7 @@ class Consensus:
     """As of one moment, as this agent computes it. `observers`: whose views counted, this one included."""
 
     own: int
-    verdicts: Mapping[int, Verdict] = field(default_factory=dict)
+    statuses: Mapping[int, MemberStatus] = field(default_factory=dict)
     observers: tuple[int, ...] = ()
     split: tuple[int, ...] = ()
     """Agents that vanished together, two or more; empty when the network is whole as far as one can tell."""
@@ -59,56 +59,60 @@ class Consensus:
     @property
     def members(self) -> int:
         """This agent and all others that belong to the swarm; who left on purpose does not count."""
-        return 1 + sum(verdict.state is not State.LEFT for verdict in self.verdicts.values())
+        return 1 + sum(status.state is not MemberState.LEFT for status in self.statuses.values())
 
     @property
     def living(self) -> tuple[int, ...]:
         """Ids of those that live, this one included, ascending."""
-        there = (State.ALIVE, State.PARTLY, State.LATE)
-        return tuple(sorted((self.own, *(a for a, v in self.verdicts.items() if v.state in there))))
+        there = (MemberState.ALIVE, MemberState.PARTLY, MemberState.LATE)
+        return tuple(sorted((self.own, *(a for a, v in self.statuses.items() if v.state in there))))
 
     @property
     def lost(self) -> tuple[int, ...]:
-        return tuple(agent for agent, verdict in self.verdicts.items() if verdict.state is State.LOST)
+        return tuple(agent for agent, status in self.statuses.items() if status.state is MemberState.LOST)
 
 
-def agree(peers: Peers, now: float, own_gcs: bool) -> Consensus:
+def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
     """The swarm's state. own_gcs: whether this agent hears a ground station itself."""
-    seen = peers.seen(now)
-    views: dict[int, View] = {agent: view for agent, peer in peers.all().items() if (view := peer.votes(now))}
+    seen = peers.states(now)
+    views: dict[int, PeerView] = {agent: view for agent, peer in peers.all().items() if (view := peer.votes(now))}
     observers = tuple(sorted((peers.own, *views)))
     # Mostly all observers hear the same agents: those need no counting, and a hundred agents cost no ten thousand looks.
     undisputed = frozenset(agent for agent, how in seen.items() if how in THERE).intersection(
         *(view.there | {observer} for observer, view in views.items())
     )
-    verdicts = {
+    statuses = {
         agent: _unanimous(agent, how, observers, views, peers)
         if agent in undisputed
-        else _verdict(agent, how, views, peers, now)
+        else _status(agent, how, views, peers, now)
         for agent, how in seen.items()
     }
     # Those that we hear did not vanish: when a split heals, the other half's views still say that ours is lost.
-    lost = [agent for agent, verdict in verdicts.items() if verdict.state is State.LOST and seen[agent] not in THERE]
-    return Consensus(peers.own, verdicts, observers, _together(lost, peers))
+    lost = [
+        agent for agent, status in statuses.items() if status.state is MemberState.LOST and seen[agent] not in THERE
+    ]
+    return Consensus(peers.own, statuses, observers, _together(lost, peers))
 
 
-def without_ground(consensus: Consensus, own_gcs: bool) -> tuple[int, ...]:
+def without_gcs(consensus: Consensus, own_gcs: bool) -> tuple[int, ...]:
     """Living agents that do not hear the ground while another one does: their radio has failed, not the ground."""
-    some_do = own_gcs or any(verdict.gcs for verdict in consensus.verdicts.values())
+    some_do = own_gcs or any(status.gcs for status in consensus.statuses.values())
     if not some_do:
         return ()
-    deaf = [agent for agent in consensus.living if agent != consensus.own and consensus.verdicts[agent].gcs is False]
-    return tuple(sorted([*deaf, *([] if own_gcs else [consensus.own])]))
+    no_gcs = [agent for agent in consensus.living if agent != consensus.own and consensus.statuses[agent].gcs is False]
+    return tuple(sorted([*no_gcs, *([] if own_gcs else [consensus.own])]))
 
 
-def _unanimous(agent: int, how: Seen, observers: tuple[int, ...], views: Mapping[int, View], peers: Peers) -> Verdict:
+def _unanimous(
+    agent: int, how: PeerState, observers: tuple[int, ...], views: Mapping[int, PeerView], peers: Peers
+) -> MemberStatus:
     peer, view = peers.peer(agent), views.get(agent)
     assert peer is not None
-    state = State.LATE if how is Seen.LATE else State.ALIVE
-    return Verdict(state, observers, (), view.gcs if view is not None else None, peer.word)
+    state = MemberState.LATE if how is PeerState.LATE else MemberState.ALIVE
+    return MemberStatus(state, observers, (), view.gcs if view is not None else None, peer.word)
 
 
-def _verdict(agent: int, how: Seen, views: Mapping[int, View], peers: Peers, now: float) -> Verdict:
+def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], peers: Peers, now: float) -> MemberStatus:
     peer = peers.peer(agent)
     assert peer is not None
     heard, unheard = ([peers.own], []) if how in THERE else ([], [peers.own])
@@ -118,18 +122,18 @@ def _verdict(agent: int, how: Seen, views: Mapping[int, View], peers: Peers, now
         (heard if agent in view.there else unheard).append(observer)
     own_word = views.get(agent)
     words = (tuple(sorted(heard)), tuple(sorted(unheard)), own_word.gcs if own_word else None, peer.word)
-    if peer.leaving and how is Seen.LOST:
-        return Verdict(State.LEFT, *words)
+    if peer.leaving and how is PeerState.LOST:
+        return MemberStatus(MemberState.LEFT, *words)
     if not heard:
-        ever = how is not Seen.NEVER or any(
-            view.peers.get(agent, Seen.NEVER) is not Seen.NEVER for view in views.values()
+        ever = how is not PeerState.NEVER or any(
+            view.peers.get(agent, PeerState.NEVER) is not PeerState.NEVER for view in views.values()
         )
-        return Verdict(State.LOST if ever else State.NEVER, *words)
-    if len(unheard) > len(heard) and how is not Seen.ALIVE:
-        return Verdict(State.LOST, *words)
+        return MemberStatus(MemberState.LOST if ever else MemberState.NEVER, *words)
+    if len(unheard) > len(heard) and how is not PeerState.ALIVE:
+        return MemberStatus(MemberState.LOST, *words)
     if unheard:
-        return Verdict(State.PARTLY, *words)
-    return Verdict(State.LATE if how is Seen.LATE else State.ALIVE, *words)
+        return MemberStatus(MemberState.PARTLY, *words)
+    return MemberStatus(MemberState.LATE if how is PeerState.LATE else MemberState.ALIVE, *words)
 
 
 def _together(lost: list[int], peers: Peers) -> tuple[int, ...]:

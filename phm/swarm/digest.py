@@ -1,4 +1,4 @@
-"""The swarm in one line and in one TUNNEL: what the speaker tells the ground. Pure.
+"""The swarm in one line and in one TUNNEL: what the leader tells the ground. Pure.
 
 The line, at most 50 characters: how many of how many are well, the worst word, and who is not, gravest first::
 
@@ -6,7 +6,7 @@ The line, at most 50 characters: how many of how many are well, the worst word, 
     SWARM 7/8 FAIL A03:ROS
     SWARM 5/8 FAIL A06:lost A07:lost A03:ROS
     SWARM 90/100 FAIL A07:lost A12:DOCKER A13:ROS +7
-    SWARM 7/8 WARN A02:deaf                    lives, but hears no ground station
+    SWARM 7/8 WARN A02:no-GCS                    lives, but hears no ground station
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 from phm.core.model import Level, Slot
-from phm.swarm.consensus import Consensus, State
+from phm.swarm.consensus import Consensus, MemberState
 from phm.wire import status_word
 from phm.wire.status_line import MAX_CHARS, Severity, agent_name, severity
-from phm.wire.tunnel import Digest
+from phm.wire.tunnel import SwarmDigest
 
 _LAYERS: Mapping[Slot, str] = {
     Slot.COMPANION: "LINK",
@@ -37,47 +37,47 @@ _GRAVITY = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 _WORD = {Level.OK: "OK", Level.STALE: "OK", Level.WARN: "WARN", Level.ERROR: "FAIL"}
 
 
-def worst(word: int, *, deaf: bool = False) -> tuple[Level, Slot | None]:
+def worst_slot(word: int, *, no_gcs: bool = False) -> tuple[Level, Slot | None]:
     """The worst level in a status word and the first slot that has it; STALE, None for one that says nothing.
 
-    deaf: an agent that hears no ground station says so in slot 1 or 11, and so does not know the whole path of a command (10):
+    no_gcs: an agent that hears no ground station says so in slot 1 or 11, and so does not know the whole path of a command (10):
     neither may hide what else is wrong with it.
     """
     try:
-        levels = status_word.decode(word)
+        member_levels = status_word.decode(word)
     except ValueError:
         return Level.STALE, None
     # An agent's slot 12 says that it misses others: the digest tells that once, from the consensus.
-    levels.pop(Slot.PEERS, None)
-    if not levels:
+    member_levels.pop(Slot.PEERS, None)
+    if not member_levels:
         return Level.STALE, None
-    if deaf:
-        levels = {slot: level for slot, level in levels.items() if not _is_way(slot, level)} or {
+    if no_gcs:
+        member_levels = {slot: level for slot, level in member_levels.items() if not _is_way(slot, level)} or {
             Slot.COMPANION: Level.OK
         }
-    slot = max(levels, key=lambda entry: (_GRAVITY[levels[entry]], -entry))
-    return levels[slot], slot
+    slot = max(member_levels, key=lambda entry: (_GRAVITY[member_levels[entry]], -entry))
+    return member_levels[slot], slot
 
 
-def levels(consensus: Consensus, own_word: int, deaf: Collection[int] = ()) -> dict[int, tuple[Level, str]]:
+def member_levels(consensus: Consensus, own_word: int, no_gcs: Collection[int] = ()) -> dict[int, tuple[Level, str]]:
     """Each member's level with a word for why it is not OK, by agent id."""
-    told = {consensus.own: _of_word(own_word, deaf=consensus.own in deaf)}
-    for agent, verdict in consensus.verdicts.items():
-        if verdict.state is State.LEFT:
+    told = {consensus.own: _of_word(own_word, no_gcs=consensus.own in no_gcs)}
+    for agent, status in consensus.statuses.items():
+        if status.state is MemberState.LEFT:
             continue
-        if verdict.state is State.LOST:
+        if status.state is MemberState.LOST:
             told[agent] = (Level.ERROR, "lost")
-        elif verdict.state is State.NEVER:
+        elif status.state is MemberState.NEVER:
             told[agent] = (Level.STALE, "unseen")
         else:
-            told[agent] = _of_word(verdict.word, deaf=agent in deaf)
-    for agent in deaf:
+            told[agent] = _of_word(status.word, no_gcs=agent in no_gcs)
+    for agent in no_gcs:
         if told[agent][0] in (Level.OK, Level.STALE):
-            told[agent] = (Level.WARN, "deaf")
+            told[agent] = (Level.WARN, "no-GCS")
     return dict(sorted(told.items()))
 
 
-def line(told: Mapping[int, tuple[Level, str]]) -> str:
+def digest_line(told: Mapping[int, tuple[Level, str]]) -> str:
     """See the module."""
     well = sum(level is Level.OK for level, _ in told.values())
     bad = sorted(
@@ -96,13 +96,13 @@ def line(told: Mapping[int, tuple[Level, str]]) -> str:
     return text
 
 
-def relay(agent: int, heard_by: Collection[int], word: int) -> str:
+def relay_line(agent: int, heard_by: Collection[int], word: int) -> str:
     """What an agent would say that does not reach the ground, at most 50 characters, by its newest status word::
 
     A03 no GCS radio, heard by A01 A02: 2 ERROR
     A03 no GCS radio, heard by A01 A02 +5: OK
     """
-    level, slot = worst(word, deaf=True)
+    level, slot = worst_slot(word, no_gcs=True)
     how = (
         "not known" if level is Level.STALE else "OK" if level is Level.OK or slot is None else f"{slot:d} {level.name}"
     )
@@ -115,19 +115,19 @@ def relay(agent: int, heard_by: Collection[int], word: int) -> str:
     return text[:MAX_CHARS]
 
 
-def flapping(agent: int) -> str:
+def flapping_line(agent: int) -> str:
     """An agent loses and finds the ground again and again, or fails and recovers meanwhile; it is not told each time."""
     return f"{agent_name(agent)} no GCS radio: comes and goes"
 
 
 def relay_severity(word: int) -> Severity:
     """As the agent's own line would have; a radio that is lost is a warning by itself."""
-    level, slot = worst(word, deaf=True)
+    level, slot = worst_slot(word, no_gcs=True)
     return severity(level, slot) if level.bad and slot is not None else Severity.WARNING
 
 
-def digest(consensus: Consensus, told: Mapping[int, tuple[Level, str]]) -> Digest:
-    return Digest(
+def swarm_digest(consensus: Consensus, told: Mapping[int, tuple[Level, str]]) -> SwarmDigest:
+    return SwarmDigest(
         consensus.members, min(len(consensus.living), consensus.members), {a: lv for a, (lv, _) in told.items()}
     )
 
@@ -136,8 +136,8 @@ def _is_way(slot: Slot, level: Level) -> bool:
     return slot in (Slot.COMPANION, Slot.RADIO) or (slot is Slot.AUTOPILOT and level is Level.STALE)
 
 
-def _of_word(word: int, *, deaf: bool) -> tuple[Level, str]:
-    level, slot = worst(word, deaf=deaf)
+def _of_word(word: int, *, no_gcs: bool) -> tuple[Level, str]:
+    level, slot = worst_slot(word, no_gcs=no_gcs)
     if level is Level.OK:
         return level, ""
     return level, _LAYERS.get(slot, "USER") if slot is not None else "mute"

@@ -2,7 +2,7 @@
 them all. Pure.
 
 One heartbeat that is missed says little on a lossy radio; of seven peers one each says much. So the missed heartbeats of all that
-fell silent together are added up, each by how improbable its loss is (`Pulse.weight`), less what the choice of these peers among
+fell silent together are added up, each by how improbable its loss is (`HeartbeatStats.weight`), less what the choice of these peers among
 all explains. And since a short fade of this agent's own radio, or of the air between two groups, takes one heartbeat of each, too,
 the silence has to be longer than any fade of one period, and half as long again as those that were seen lately.
 """
@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from phm.swarm.heartbeat_stats import Pulse
+from phm.swarm.heartbeat_stats import HeartbeatStats
 
 SURE = math.log(1e5)
 NEARLY = SURE / 2
@@ -21,25 +21,25 @@ FEWEST = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Silence:
+class SilentPeer:
     """One peer that is not lost so far. `missed`: how many of its heartbeats are overdue."""
 
     agent: int
     heard_s: float
-    pulse: Pulse
+    stats: HeartbeatStats
     missed: int
 
     @property
     def due_s(self) -> float:
         """When the first heartbeat after the last one was due."""
-        return self.heard_s + self.pulse.period_s
+        return self.heard_s + self.stats.period_s
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class SilentGroup:
     """Peers whose silence began within one period. `weight`: of its evidence; SURE is enough."""
 
-    members: tuple[Silence, ...]
+    members: tuple[SilentPeer, ...]
     weight: float
 
     @property
@@ -59,24 +59,24 @@ class Group:
     @property
     def outlasts_a_fade(self) -> bool:
         """Heartbeats that were due more than one period apart were missed."""
-        last = max(member.heard_s + member.missed * member.pulse.period_s for member in self.members)
+        last = max(member.heard_s + member.missed * member.stats.period_s for member in self.members)
         return last - self.due_s >= max(
-            (1.0 + member.pulse.jitter / 2) * member.pulse.period_s for member in self.members
+            (1.0 + member.stats.jitter / 2) * member.stats.period_s for member in self.members
         )
 
-    def complete(self, everybody: Iterable[Silence]) -> bool:
+    def complete(self, everybody: Iterable[SilentPeer]) -> bool:
         """Whether each other peer has been heard since, or had fallen silent before: nobody's turn is still to come."""
         return all(
             other.heard_s > self.due_s or other.missed > 0 for other in everybody if other.agent not in self.agents
         )
 
 
-def silences(peers: Iterable[tuple[int, float, Pulse]], now: float) -> list[Silence]:
-    """Agent, when it was heard last, and its pulse, for each peer that is not lost."""
-    return [Silence(agent, heard, pulse, pulse.missed(now - heard)) for agent, heard, pulse in peers]
+def silent_peers(peers: Iterable[tuple[int, float, HeartbeatStats]], now: float) -> list[SilentPeer]:
+    """Agent, when it was heard last, and its stats, for each peer that is not lost."""
+    return [SilentPeer(agent, heard, stats, stats.missed(now - heard)) for agent, heard, stats in peers]
 
 
-def gravest(everybody: Sequence[Silence]) -> Group | None:
+def most_significant_group(everybody: Sequence[SilentPeer]) -> SilentGroup | None:
     """The group of two or more that chance explains worst."""
     overdue = [entry for entry in everybody if entry.missed]
     if len(overdue) < FEWEST:
@@ -86,17 +86,17 @@ def gravest(everybody: Sequence[Silence]) -> Group | None:
         members = tuple(
             entry
             for entry in overdue
-            if last.heard_s - entry.pulse.period_s - entry.pulse.slack_s < entry.heard_s <= last.heard_s
+            if last.heard_s - entry.stats.period_s - entry.stats.slack_s < entry.heard_s <= last.heard_s
         )
         if len(members) >= FEWEST:
-            told = sum(entry.pulse.weight(entry.missed) for entry in members)
-            groups.append(Group(members, told - math.log(math.comb(len(everybody), len(members)))))
+            told = sum(entry.stats.weight(entry.missed) for entry in members)
+            groups.append(SilentGroup(members, told - math.log(math.comb(len(everybody), len(members)))))
     return max(groups, key=lambda group: group.weight, default=None)
 
 
-def vanished(everybody: Sequence[Silence], now: float, least_s: float = 0.0) -> frozenset[int]:
+def lost_together(everybody: Sequence[SilentPeer], now: float, least_s: float = 0.0) -> frozenset[int]:
     """Agents that are lost together; empty when none are, or it is too early to say. least_s: of their silence."""
-    group = gravest(everybody)
+    group = most_significant_group(everybody)
     if group is None or group.weight < SURE or now - group.since_s < least_s:
         return frozenset()
     if not (group.outlasts_a_fade and group.complete(everybody)):

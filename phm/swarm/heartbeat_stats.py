@@ -26,7 +26,7 @@ RUNS = 300
 
 
 @dataclass(slots=True)
-class Pulse:
+class HeartbeatStats:
     """Of one peer. `period_s`: between its heartbeats, unlike an average of gaps not longer where frames are lost. It begins
     with our own period, and is never shorter: what comes by two ways, or from two agents, comes more often."""
 
@@ -44,7 +44,7 @@ class Pulse:
     def __post_init__(self) -> None:
         self.least_s = self.period_s
 
-    def beat(self, gap_s: float) -> None:
+    def add_gap(self, gap_s: float) -> None:
         """A heartbeat came, so long after the one before."""
         self._gaps.append(gap_s)
         ordered = sorted(self._gaps)
@@ -61,20 +61,24 @@ class Pulse:
         self.jitter = min(JITTER_MAX, max(JITTER_MIN, self.jitter * FORGET, off))
 
     @property
-    def share(self) -> float:
+    def loss_probability(self) -> float:
         """Of its heartbeats, how many are reckoned to be lost by chance."""
         counted = (self.lost + PRIOR_LOST) / (self.heard + self.lost + PRIOR_LOST + PRIOR_HEARD)
         return min(MOST, max(FLOOR, SAFETY * counted))
 
     @property
-    def follows(self) -> float:
+    def repeated_loss_probability(self) -> float:
         """How often another one is lost after one that is: fades take several."""
-        share = self.share
-        return min(MOST, max(share, (self.lost - self.pauses + PRIOR_LOST * share) / (self.lost + PRIOR_LOST)))
+        lost = self.loss_probability
+        return min(MOST, max(lost, (self.lost - self.pauses + PRIOR_LOST * lost) / (self.lost + PRIOR_LOST)))
 
     def weight(self, missed: int) -> float:
         """What so many missed in a row say: the negative logarithm of their probability by chance."""
-        return -math.log(self.share) - (missed - 1) * math.log(self.follows) if missed else 0.0
+        return (
+            -math.log(self.loss_probability) - (missed - 1) * math.log(self.repeated_loss_probability)
+            if missed
+            else 0.0
+        )
 
     @property
     def slack_s(self) -> float:
@@ -85,7 +89,7 @@ class Pulse:
         """How many heartbeats are overdue by now."""
         return max(0, math.floor((silent_s - self.slack_s) / self.period_s))
 
-    def gone(self, silent_s: float) -> bool:
+    def is_lost(self, silent_s: float) -> bool:
         """Whether its silence alone says that it is lost: only where it has been heard steadily."""
         missed = self.missed(silent_s)
         if missed < FEWEST_MISSED or self.weight(missed) < SURE:

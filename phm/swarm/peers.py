@@ -12,10 +12,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from phm.core.scheduling_delay import Late, never_late
-from phm.swarm.group_loss import NEARLY, gravest, silences, vanished
-from phm.swarm.heartbeat_stats import Pulse
-from phm.swarm.share import RECENT_S, STEADY
-from phm.wire.tunnel import Seen, View
+from phm.swarm.agent_count import RECENT_S, STEADY
+from phm.swarm.group_loss import NEARLY, lost_together, most_significant_group, silent_peers
+from phm.swarm.heartbeat_stats import HeartbeatStats
+from phm.wire.tunnel import PeerState, PeerView
 
 LATE_PERIODS, LOST_PERIODS = 2.5, 5.0
 """Silence in heartbeat periods of the peer: one lost frame says nothing, four in a row do. LOST_PERIODS is the most."""
@@ -49,13 +49,13 @@ class Peer:
     word: int = 0
     leaving: bool = False
     """It said POWEROFF: silence that follows is planned."""
-    view: View | None = None
+    view: PeerView | None = None
     view_s: float | None = None
     falls: deque[float] = field(default_factory=lambda: deque(maxlen=CLASHES))
-    pulse: Pulse = field(init=False)
-    vanished: bool = False
+    stats: HeartbeatStats = field(init=False)
+    lost_together: bool = False
     """It fell silent together with others, and was not heard since."""
-    gone: bool = False
+    lost_alone: bool = False
     """It was heard steadily, and is silent for longer than ever."""
     frames: dict[str, int] = field(default_factory=dict)
     """Newest frame number by link."""
@@ -64,7 +64,7 @@ class Peer:
     late_s: Late = never_late
 
     def __post_init__(self) -> None:
-        self.pulse = Pulse(self.period_s)
+        self.stats = HeartbeatStats(self.period_s)
 
     def count(self, frame: int, word: int, link: str, now: float) -> None:
         """Notice a sequence that falls back: a restart, or two senders with one id."""
@@ -79,15 +79,15 @@ class Peer:
         if link in self.frames or len(self.frames) < MAX_LINKS:
             self.frames[link] = frame
 
-    def seen(self, now: float) -> Seen:
+    def state(self, now: float) -> PeerState:
         if self.heard_s is None:
-            return Seen.NEVER
+            return PeerState.NEVER
         silent_s = self.silent_s(now)
         if self.leaving and silent_s > self.period_s:
-            return Seen.LOST
-        if self.vanished or self.gone or silent_s > LOST_PERIODS * self.period_s:
-            return Seen.LOST
-        return Seen.LATE if silent_s > LATE_PERIODS * self.period_s else Seen.ALIVE
+            return PeerState.LOST
+        if self.lost_together or self.lost_alone or silent_s > LOST_PERIODS * self.period_s:
+            return PeerState.LOST
+        return PeerState.LATE if silent_s > LATE_PERIODS * self.period_s else PeerState.ALIVE
 
     def silent_s(self, now: float) -> float:
         """Since it was heard, without the time in which PHM did not run. To be asked of one that was heard."""
@@ -97,9 +97,9 @@ class Peer:
             return age_s  # most are, and there may be hundreds
         return max(0.0, age_s - self.late_s(self.heard_s, LOST_PERIODS * self.period_s))
 
-    def votes(self, now: float) -> View | None:
+    def votes(self, now: float) -> PeerView | None:
         """Its view, when it lives and the view is young enough to count."""
-        if self.view is None or self.view_s is None or self.seen(now) not in (Seen.ALIVE, Seen.LATE):
+        if self.view is None or self.view_s is None or self.state(now) not in (PeerState.ALIVE, PeerState.LATE):
             return None
         return self.view if now - self.view_s <= VIEW_LATE_PERIODS * self.period_s else None
 
@@ -117,7 +117,7 @@ class Peers:
         self._period_s = period_s
         self._listed = frozenset(expected)
         self._expected = self._listed - {own}
-        self._strangers: dict[int, float] = {}
+        self._unlisted: dict[int, float] = {}
         """Agents that are not listed, and when they were heard."""
         self._peers = {agent: Peer(agent, period_s, late_s=late_s) for agent in sorted(self._expected)}
         self._watched: float | None = None
@@ -132,27 +132,29 @@ class Peers:
 
         frame: the sequence number of its MAVLink frame, which counts all that this sender sends on the link.
         """
-        if agent == self.own or self._strange(agent, now):
+        if agent == self.own or self._is_unlisted(agent, now):
             return False
         peer = self._peer(agent)
         if frame is not None:
             peer.count(frame, word, link, now)
-        before = (peer.seen(now), peer.word, peer.leaving)
+        before = (peer.state(now), peer.word, peer.leaving)
         gap_s = float("inf") if peer.heard_s is None else now - peer.heard_s
-        if before[0] in (Seen.ALIVE, Seen.LATE) or (gap_s <= LOST_PERIODS * peer.period_s and not peer.leaving):
+        if before[0] in (PeerState.ALIVE, PeerState.LATE) or (
+            gap_s <= LOST_PERIODS * peer.period_s and not peer.leaving
+        ):
             gap_s = min(gap_s, MAX_PERIOD_S)
             # Two heartbeats in one moment come from an answer to a ground station, and tell no period.
             if gap_s > 0.2 * peer.period_s:
                 peer.period_s += LEARN * (gap_s - peer.period_s)
-                peer.pulse.beat(gap_s)
+                peer.stats.add_gap(gap_s)
         self._fade(peer, now)
         peer.heard_s, peer.word, peer.leaving = now, word, leaving
-        peer.vanished = peer.gone = False
-        return before != (peer.seen(now), word, leaving)
+        peer.lost_together = peer.lost_alone = False
+        return before != (peer.state(now), word, leaving)
 
-    def told(self, agent: int, view: View, now: float) -> bool:
+    def told(self, agent: int, view: PeerView, now: float) -> bool:
         """A view of another agent. True when it says something else than the one before."""
-        if agent == self.own or self._strange(agent, now):
+        if agent == self.own or self._is_unlisted(agent, now):
             return False
         peer = self._peer(agent)
         old = peer.view
@@ -174,24 +176,24 @@ class Peers:
         if period_s != self._period_s:  # all change over, and the first pause is a long one
             self._period_s = period_s
             for peer in self._peers.values():
-                peer.pulse = Pulse(period_s)
+                peer.stats = HeartbeatStats(period_s)
             hears = False
         if last is None or now - last > STALL_PERIODS * period_s or not hears:
-            longest = max((peer.pulse.period_s for peer in self._peers.values()), default=period_s)
+            longest = max((peer.stats.period_s for peer in self._peers.values()), default=period_s)
             self._blind_until = now + 1.5 * longest
         if now < self._blind_until:
             return
         recent = [length for ended, length in self._fades if now - ended <= FADE_S]
         least_s = FADE_MARGIN * max(recent, default=0.0)
         listened = self._listened(now)
-        for agent in vanished(silences(listened, now), now, least_s):
-            self._peers[agent].vanished = True
-        for agent, heard_s, pulse in listened:
-            self._peers[agent].gone = pulse.gone(now - heard_s)
+        for agent in lost_together(silent_peers(listened, now), now, least_s):
+            self._peers[agent].lost_together = True
+        for agent, heard_s, stats in listened:
+            self._peers[agent].lost_alone = stats.is_lost(now - heard_s)
 
-    def seen(self, now: float) -> dict[int, Seen]:
+    def states(self, now: float) -> dict[int, PeerState]:
         """How each member but ourselves is seen, by agent id."""
-        return {agent: peer.seen(now) for agent, peer in sorted(self._peers.items())}
+        return {agent: peer.state(now) for agent, peer in sorted(self._peers.items())}
 
     def peer(self, agent: int) -> Peer | None:
         return self._peers.get(agent)
@@ -199,7 +201,7 @@ class Peers:
     def all(self) -> Mapping[int, Peer]:
         return self._peers
 
-    def sharing(self, now: float) -> int:
+    def agents_on_links(self, now: float) -> int:
         """How many agents use the links, this one included: those that are listed, or those that were heard lately and steadily."""
         if self._listed:
             return len(self._listed | {self.own})
@@ -211,11 +213,11 @@ class Peers:
             for peer in self._peers.values()
         )
 
-    def strangers(self, now: float) -> tuple[int, ...]:
+    def unlisted(self, now: float) -> tuple[int, ...]:
         """Agents heard lately that are not listed, where some are."""
-        return tuple(sorted(agent for agent, heard_s in self._strangers.items() if now - heard_s <= RECENT_S))
+        return tuple(sorted(agent for agent, heard_s in self._unlisted.items() if now - heard_s <= RECENT_S))
 
-    def clashing(self, now: float) -> tuple[int, ...]:
+    def duplicate_ids(self, now: float) -> tuple[int, ...]:
         """Ids that two agents use: the sequence of their frames falls back again and again."""
         return tuple(
             agent
@@ -223,36 +225,36 @@ class Peers:
             if len(peer.falls) == CLASHES and now - peer.falls[0] <= CLASH_PERIODS * peer.period_s
         )
 
-    def _listened(self, now: float) -> list[tuple[int, float, Pulse]]:
-        """Those that are missed when they are silent, and have one pulse each."""
-        mixed = self.clashing(now)
+    def _listened(self, now: float) -> list[tuple[int, float, HeartbeatStats]]:
+        """Those that are missed when they are silent, and have one stats each."""
+        mixed = self.duplicate_ids(now)
         return [
-            (agent, now - peer.silent_s(now), peer.pulse)
+            (agent, now - peer.silent_s(now), peer.stats)
             for agent, peer in self._peers.items()
             if peer.heard_s is not None
             and not peer.leaving
-            and peer.seen(now) in (Seen.ALIVE, Seen.LATE)
+            and peer.state(now) in (PeerState.ALIVE, PeerState.LATE)
             and agent not in mixed
         ]
 
     def _fade(self, peer: Peer, now: float) -> None:
         """Remember how long a silence of several was, when the first of them is heard again before long."""
-        if peer.heard_s is None or not peer.pulse.missed(silent_s := now - peer.heard_s):
+        if peer.heard_s is None or not peer.stats.missed(silent_s := now - peer.heard_s):
             return
-        if self._fades and now - self._fades[-1][0] <= 2.0 * peer.pulse.period_s:
+        if self._fades and now - self._fades[-1][0] <= 2.0 * peer.stats.period_s:
             return
-        if peer.vanished:
+        if peer.lost_together:
             if silent_s <= LOST_PERIODS * peer.period_s:
                 self._fades.append((now, silent_s))
             return
-        group = gravest(silences(self._listened(now), now))
+        group = most_significant_group(silent_peers(self._listened(now), now))
         if group is not None and group.weight >= NEARLY and peer.agent in group.agents:
             self._fades.append((now, now - group.since_s))
 
-    def _strange(self, agent: int, now: float) -> bool:
+    def _is_unlisted(self, agent: int, now: float) -> bool:
         if not self._listed or agent in self._listed:
             return False
-        self._strangers[agent] = now  # a system id has one byte
+        self._unlisted[agent] = now  # a system id has one byte
         return True
 
     def _peer(self, agent: int) -> Peer:

@@ -21,13 +21,13 @@ _MAX_STALE = 256
 """Finished calls that may wait in the heap for their time before it is swept."""
 
 
-def cut(sock: socket.socket) -> None:
+def shut_down(sock: socket.socket) -> None:
     """Wake whoever reads or writes `sock`; harmless when it is closed or not connected."""
     with contextlib.suppress(OSError, ValueError):
         sock.shutdown(socket.SHUT_RDWR)
 
 
-class Call:
+class PendingCall:
     """One call to the outside and the sockets that it uses.
 
     Invariant: a socket is cut only between `attach` and `finish`, so one that a later call uses is safe.
@@ -50,7 +50,7 @@ class Call:
         with self._lock:
             self._sockets.append(sock)
             if self.expired:
-                cut(sock)
+                shut_down(sock)
 
     def expire(self) -> None:
         with self._lock:
@@ -58,7 +58,7 @@ class Call:
                 return
             self.expired = True
             for sock in self._sockets:
-                cut(sock)
+                shut_down(sock)
 
     def finish(self) -> tuple[socket.socket, ...]:
         """No longer watch; the sockets, for whoever goes on using them."""
@@ -68,12 +68,12 @@ class Call:
             return sockets
 
 
-class Watchdog:
+class CallDeadlines:
     """Expires calls when they are due. The thread starts with the first call and ends with `close`."""
 
     def __init__(self, clock: Clock, name: str) -> None:
         self._clock, self._name = clock, name
-        self._heap: list[tuple[float, int, Call]] = []
+        self._heap: list[tuple[float, int, PendingCall]] = []
         self._numbers = itertools.count()
         self._lock = threading.Lock()
         self._wake = threading.Event()
@@ -81,10 +81,10 @@ class Watchdog:
         self._closed = False
 
     @contextlib.contextmanager
-    def watch(self, limit_s: float) -> Iterator[Call]:
+    def watch(self, limit_s: float) -> Iterator[PendingCall]:
         """A call that is expired `limit_s` seconds from now unless it is left before. Time in which PHM does not run is added:
         the answer may have come meanwhile."""
-        call = Call(self._clock.mono(), limit_s)
+        call = PendingCall(self._clock.mono(), limit_s)
         self._add(call)
         try:
             yield call
@@ -101,7 +101,7 @@ class Watchdog:
             call.expire()
         self._wake.set()
 
-    def _add(self, call: Call) -> None:
+    def _add(self, call: PendingCall) -> None:
         with self._lock:
             if self._closed:
                 call.expired = True
@@ -117,7 +117,7 @@ class Watchdog:
         if first:
             self._wake.set()
 
-    def _push(self, due: float, call: Call) -> None:
+    def _push(self, due: float, call: PendingCall) -> None:
         heapq.heappush(self._heap, (due, next(self._numbers), call))
 
     def _loop(self) -> None:
@@ -131,7 +131,7 @@ class Watchdog:
                 call.expire()
             self._clock.wait(self._wake, wait_s)
 
-    def _collect(self, now: float) -> tuple[list[Call], float | None]:
+    def _collect(self, now: float) -> tuple[list[PendingCall], float | None]:
         """The calls that are due, taken off the heap, and the seconds until the next one."""
         overdue = []
         while self._heap and (self._heap[0][2].done or self._heap[0][0] <= now):

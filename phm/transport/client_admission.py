@@ -33,7 +33,7 @@ class _Peer:
     signed: bool
 
 
-class Admission:
+class ClientAdmission:
     """The peers of one endpoint, by any key. Not thread-safe.
 
     Invariant: at most MAX_PEERS, of which at most PER_ADDRESS of one address do not sign.

@@ -1,6 +1,6 @@
 """The Docker Engine, asked and told through docker-py, with a wall-clock deadline on every call.
 
-Both the probes and the recovery actions use one `Engine`. What may be asked and told is here; how a call is made, cut
+Both the probes and the recovery actions use one `DockerEngine`. What may be asked and told is here; how a call is made, cut
 and explained is in `phm.transport.docker_session`.
 """
 
@@ -33,11 +33,11 @@ from phm.transport.docker_errors import (
     translate,
 )
 from phm.transport.docker_http import EventStream
-from phm.transport.docker_session import FAILURES, Answer, Session, mapping
+from phm.transport.docker_session import FAILURES, Answer, DockerSession, mapping
 from phm.transport.docker_tar import FileCopy, pack, unpack
 
 __all__ = [
-    "Engine",
+    "DockerEngine",
     "EngineBroken",
     "EngineConflict",
     "EngineError",
@@ -58,7 +58,7 @@ EVENT_SILENCE_S = 60.0
 """An event stream that is silent for longer is given up, so that a half-open TCP connection ends."""
 
 
-class Engine(Session):
+class DockerEngine(DockerSession):
     """The engine at `url` (``unix:///path`` or ``tcp://host:port``). Thread-safe; nothing is opened here.
 
     Every method raises a subclass of `EngineError` (itself a `phm.facts.CannotTell`): EngineTimeout,

@@ -9,7 +9,7 @@ from docker.errors import APIError
 from urllib3.exceptions import ProtocolError
 
 from phm.facts import CannotTell, NotPermitted
-from phm.transport.call_deadlines import Call
+from phm.transport.call_deadlines import PendingCall
 
 _MAX_TEXT = 300
 
@@ -57,7 +57,7 @@ _BY_STATUS: dict[int, type[EngineError]] = {
 }
 
 
-def translate(error: BaseException, call: Call, url: str, limit_s: float, what: str) -> EngineError:
+def translate(error: BaseException, call: PendingCall, url: str, limit_s: float, what: str) -> EngineError:
     """`error`, raised while `what` was asked of the engine at `url`, as one of this family."""
     if isinstance(error, EngineError):
         return error

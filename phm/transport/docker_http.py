@@ -23,7 +23,7 @@ import urllib3.connectionpool
 from docker import APIClient
 from requests.models import PreparedRequest, Response
 
-from phm.transport.call_deadlines import Call, cut
+from phm.transport.call_deadlines import PendingCall, shut_down
 from phm.transport.dns import Resolver
 from phm.transport.docker_errors import EngineBroken, EngineError
 
@@ -35,7 +35,7 @@ _current = threading.local()
 
 
 @contextlib.contextmanager
-def using(call: Call) -> Iterator[None]:
+def using(call: PendingCall) -> Iterator[None]:
     """Connections opened by this thread meanwhile belong to `call`."""
     _current.call = call
     try:
@@ -46,7 +46,7 @@ def using(call: Call) -> Iterator[None]:
 
 def _open(sock: socket.socket, address: Any) -> socket.socket:
     """Connect `sock` as part of the current call, which also learns why that failed."""
-    call: Call | None = getattr(_current, "call", None)
+    call: PendingCall | None = getattr(_current, "call", None)
     if call is not None:
         call.attach(sock)
     try:
@@ -102,7 +102,7 @@ class _TcpConnection(urllib3.connection.HTTPConnection):
             self.resolver.ask().wait(limit_s)
             family, address = self.resolver.answer()
         except OSError as error:
-            call: Call | None = getattr(_current, "call", None)
+            call: PendingCall | None = getattr(_current, "call", None)
             if call is not None:
                 call.failure = error
             raise
@@ -209,7 +209,7 @@ class EventStream:
     def close(self) -> None:
         self.closed = True
         for sock in self._sockets:
-            cut(sock)
+            shut_down(sock)
 
     def caught_up(self) -> bool:
         """Whether each event that had been received when this was asked has been handled; asked from any thread.

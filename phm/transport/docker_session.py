@@ -20,7 +20,7 @@ from urllib3.exceptions import HTTPError
 
 from phm.core.clock import Clock, SystemClock
 from phm.facts import CannotTell
-from phm.transport.call_deadlines import Call, Watchdog
+from phm.transport.call_deadlines import CallDeadlines, PendingCall
 from phm.transport.docker_errors import EngineNotConnected, EngineUnreachable, translate
 from phm.transport.docker_http import client_for, resolver_for, using
 
@@ -48,8 +48,8 @@ FAILURES = (
 )
 
 
-class Session:
-    """How one engine is spoken to; `phm.transport.docker.Engine` says what is. Thread-safe; nothing is opened here.
+class DockerSession:
+    """How one engine is spoken to; `phm.transport.docker.DockerEngine` says what is. Thread-safe; nothing is opened here.
 
     url: ``unix:///path`` or ``tcp://host:port``. timeout_s: the deadline of a call that names none.
     """
@@ -57,7 +57,7 @@ class Session:
     def __init__(self, url: str, timeout_s: float = 5.0, clock: Clock | None = None) -> None:
         self.url, self.timeout_s = url, timeout_s
         self._clock = clock or SystemClock()
-        self._watchdog = Watchdog(self._clock, "phm-docker-deadlines")
+        self._watchdog = CallDeadlines(self._clock, "phm-docker-deadlines")
         self._local = threading.local()  # docker-py's client is not thread-safe
         self._resolver = resolver_for(url)
         self._api = ""
@@ -74,7 +74,7 @@ class Session:
         self._watchdog.close()
 
     @contextlib.contextmanager
-    def calling(self, what: str, deadline_s: float | None) -> Iterator[tuple[APIClient, Call]]:
+    def calling(self, what: str, deadline_s: float | None) -> Iterator[tuple[APIClient, PendingCall]]:
         """This thread's client for one call, under a deadline in seconds. Whatever goes wrong inside leaves it as EngineError."""
         limit_s = self.timeout_s if deadline_s is None else deadline_s
         with self._watchdog.watch(limit_s) as call, using(call):

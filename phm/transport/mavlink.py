@@ -14,11 +14,11 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.settings import MavlinkSettings
 from phm.facts import LinkFact
-from phm.transport.mavlink_codec import Codec, Counters
+from phm.transport.mavlink_codec import Codec, LinkCounters
 from phm.transport.mavlink_endpoint import RADIO_STATUS, Endpoint
 from phm.transport.mavlink_signing import Signer, Signing, read_key, unsigned_of
 from phm.transport.mavlink_traffic import Traffic
-from phm.transport.priority import Class, Count
+from phm.transport.priority import MessageCount, MessagePriority
 from phm.transport.send_queue import HEARTBEAT
 
 logger = logging.getLogger(__name__)
@@ -40,7 +40,7 @@ class MavlinkHub:
         synchronized: Callable[[], bool | None] = lambda: None,
     ) -> None:
         """state_dir: where the time of signing is kept; None: nowhere. synchronized: whether the machine's clock is; None: it is not
-        known. Raises KeyProblem."""
+        known. Raises InvalidKey."""
         self._synchronized, self._command_age_s = synchronized, settings.signing.command_age
         self.system_id, self.component_id = system_id, settings.component_id
         key = settings.signing.key if settings.endpoints else None
@@ -103,7 +103,13 @@ class MavlinkHub:
             self._signing.close()
 
     def send(
-        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+        self,
+        message: Any,
+        kind: MessagePriority = MessagePriority.TRANSITION,
+        *,
+        key: str = "",
+        urgency: int = 0,
+        link: str = "",
     ) -> None:
         """Queue one unpacked message for every endpoint, or for the one named `link`; never blocks. What leads to other agents
         alone gets without its name only HEARTBEATs: they read nothing else that is for all.
@@ -121,13 +127,13 @@ class MavlinkHub:
         """How many agents share the links, this one included."""
         return self._agents
 
-    def share(self, agents: int, *, speaks: bool = False) -> None:
+    def set_agent_count(self, agents: int, *, leads: bool = False) -> None:
         """So many agents share the links, this one included; whether it speaks for them."""
         self._agents = max(1, agents)
         for endpoint in self._endpoints:
-            endpoint.share(self._agents, speaks=speaks)
+            endpoint.set_agent_count(self._agents, leads=leads)
 
-    def budgets(self) -> dict[str, tuple[dict[Class, Count], float]]:
+    def budgets(self) -> dict[str, tuple[dict[MessagePriority, MessageCount], float]]:
         """For each endpoint: counts by class, and by how much its radio slows it down (1: not at all)."""
         return {endpoint.name: endpoint.budget() for endpoint in self._endpoints}
 
@@ -165,13 +171,13 @@ class MavlinkHub:
         """Close the endpoint of this name and open it anew; whether it was open again in time. Blocks for so long at most."""
         return any(endpoint.reopen(timeout_s) for endpoint in self._endpoints if endpoint.name == link)
 
-    def hurry(self, container: str) -> None:
+    def retry_now(self, container: str) -> None:
         """The container at the other end of some endpoints has been started: those that are closed are tried at once."""
         for endpoint in self._endpoints:
             if endpoint.container == container:
-                endpoint.hurry()
+                endpoint.retry_now()
 
-    def counters(self) -> dict[str, Counters]:
+    def counters(self) -> dict[str, LinkCounters]:
         return {endpoint.name: endpoint.codec.counters for endpoint in self._endpoints}
 
     def report(self) -> list[dict[str, Any]]:
@@ -182,7 +188,7 @@ class MavlinkHub:
         found = []
         for endpoint in self._endpoints:
             fact, (counts, slowed), counters = endpoint.fact(), endpoint.budget(), endpoint.codec.counters
-            by_class = {kind.name.lower(): asdict(count) for kind, count in counts.items() if count != Count()}
+            by_class = {kind.name.lower(): asdict(count) for kind, count in counts.items() if count != MessageCount()}
             found.append(
                 {
                     "name": endpoint.name,

@@ -14,9 +14,9 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from phm.core.clock import Clock
-from phm.transport.client_admission import Admission
+from phm.transport.client_admission import ClientAdmission
 from phm.transport.mavlink_codec import Codec, Parser
-from phm.transport.serial_errors import LineCount
+from phm.transport.serial_errors import SerialErrorCount
 
 READ_BYTES = 16384
 SEND_BUFFER_BYTES = 16384
@@ -48,7 +48,7 @@ class Channel(ABC):
     def write(self, frame: bytes) -> int:
         """Take a frame while `ready`; to how many it went."""
 
-    def line(self) -> LineCount | None:
+    def line(self) -> SerialErrorCount | None:
         """Errors on the line, where there is one whose driver counts them."""
         return None
 
@@ -120,12 +120,12 @@ class StreamChannel(Channel):
 
 class TcpServer(Channel):
     """Listens; every client hears everything. A client that does not read loses frames and affects no other. Who is a client where
-    more come than there is room for is `Admission`'s."""
+    more come than there is room for is `ClientAdmission`'s."""
 
     def __init__(self, listener: socket.socket, codec: Codec, clock: Clock) -> None:
         self._listener, self._codec, self._clock = listener, codec, clock
         self._clients: dict[int, tuple[socket.socket, Stream]] = {}
-        self._admission = Admission(signs=codec.signs, on_trial=codec.signs)
+        self._admission = ClientAdmission(signs=codec.signs, on_trial=codec.signs)
 
     def polls(self) -> list[tuple[int, int]]:
         for fd in self._admission.unproven(self._clock.mono()):

@@ -16,7 +16,7 @@ from typing import Any
 from phm.core.duplicate_filter import DuplicateFilter
 from phm.transport.dialect import SAME, mavlink
 from phm.transport.mavlink_signing import SIGNATURE_BYTES, Signer
-from phm.transport.mavlink_traffic import Senders
+from phm.transport.mavlink_traffic import SenderTable
 
 V1, V2 = 0xFE, 0xFD
 _MARKERS = frozenset((V1, V2))
@@ -28,7 +28,7 @@ Wanted = Callable[[int], bool]
 
 
 @dataclass(slots=True)
-class Counters:
+class LinkCounters:
     """Of one endpoint since its start. `bad` counts false starts: bytes or frames that did not check."""
 
     sent: int = 0
@@ -54,8 +54,8 @@ class Codec:
         self._wanted = wanted
         self._recent: DuplicateFilter[bytes, bool] = DuplicateFilter(_RECENT_FRAMES)
         self._lock = threading.Lock()
-        self.counters = Counters()
-        self.senders = Senders()
+        self.counters = LinkCounters()
+        self.senders = SenderTable()
 
     @property
     def signs(self) -> bool:
@@ -93,7 +93,7 @@ class Parser:
     """Finds frames in one stream of bytes. Nothing that comes in raises; at most one frame is kept waiting."""
 
     def __init__(
-        self, mav: Any, wanted: Wanted, counters: Counters, senders: Senders, signer: Signer | None = None
+        self, mav: Any, wanted: Wanted, counters: LinkCounters, senders: SenderTable, signer: Signer | None = None
     ) -> None:
         self._mav, self._wanted, self._counters, self._senders = mav, wanted, counters, senders
         self._signer = signer

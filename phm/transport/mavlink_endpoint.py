@@ -15,13 +15,13 @@ from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.settings import EndpointSettings
 from phm.facts import LinkFact
-from phm.transport.connect import Opener
 from phm.transport.mavlink_channels import Channel
 from phm.transport.mavlink_codec import Codec
+from phm.transport.mavlink_connection import ChannelOpener
 from phm.transport.mavlink_traffic import Traffic
-from phm.transport.priority import Class, Count
-from phm.transport.send_queue import Outbox
-from phm.transport.serial_errors import LineCount
+from phm.transport.priority import MessageCount, MessagePriority
+from phm.transport.send_queue import SendQueue
+from phm.transport.serial_errors import SerialErrorCount
 
 logger = logging.getLogger(__name__)
 
@@ -54,14 +54,14 @@ class Endpoint:
         self.to_peers, self._radio = settings.leads_to == "peers", settings.radio != "off"
         self.codec = codec
         self._clock, self._deliver, self._changed = clock, deliver, changed
-        self._outbox = Outbox(clock, settings.budget or None)
+        self._queue = SendQueue(clock, settings.budget or None)
         self._stopping = threading.Event()
         self._soon = threading.Event()
         """Ends every wait while it is closed; also set with `_stopping`."""
-        self._opener = Opener(settings, codec, clock, self._soon)
+        self._opener = ChannelOpener(settings, codec, clock, self._soon)
         self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._fact: LinkFact | None = None
-        self._line: LineCount | None = None
+        self._line: SerialErrorCount | None = None
         self._again = threading.Event()
         self._opened = 0
         self._heard = self._looked = 0.0
@@ -71,18 +71,18 @@ class Endpoint:
     def start(self) -> None:
         threads.start(self._thread)
 
-    def send(self, message: Any, kind: Class, key: str, urgency: int) -> None:
+    def send(self, message: Any, kind: MessagePriority, key: str, urgency: int) -> None:
         """Queue; never blocks."""
-        self._outbox.put(message, self.codec.size(message), kind, key, urgency)
+        self._queue.put(message, self.codec.size(message), kind, key, urgency)
         self._ring()
 
-    def share(self, agents: int, *, speaks: bool) -> None:
+    def set_agent_count(self, agents: int, *, leads: bool) -> None:
         """So many agents use the link that this endpoint leads to, and whether this one speaks for them."""
-        self._outbox.share(agents, speaks=speaks)
+        self._queue.set_agent_count(agents, leads=leads)
 
-    def budget(self) -> tuple[dict[Class, Count], float]:
+    def budget(self) -> tuple[dict[MessagePriority, MessageCount], float]:
         """What left, was replaced or dropped, by class; and by how much the radio slows it down now."""
-        return self._outbox.counts, self._outbox.slowed()
+        return self._queue.counts, self._queue.slowed()
 
     def fact(self) -> LinkFact | None:
         """None until the first attempt to open has ended: nothing is known yet."""
@@ -107,7 +107,7 @@ class Endpoint:
             self._clock.wait(self._stopping, REOPEN_POLL_S)
         return self._opened != before
 
-    def hurry(self) -> None:
+    def retry_now(self) -> None:
         """What is at the other end has been started: try at once, and soon again. Nothing happens while it is open."""
         if self._fact is None or not self._fact.open:
             self._soon.set()
@@ -148,7 +148,7 @@ class Endpoint:
             if channel.proven or self._fact is None:
                 self._tell(is_open=True)
             self._heard = self._clock.mono()
-            self._outbox.expire()
+            self._queue.expire()
             self._again.clear()
             self._soon.clear()
             if self._stopping.is_set():
@@ -163,7 +163,7 @@ class Endpoint:
                     if self._opener.moved():
                         return
             end = self._clock.mono() + FAREWELL_S
-            while (self._outbox or not channel.ready) and self._clock.mono() < end:
+            while (self._queue or not channel.ready) and self._clock.mono() < end:
                 self._turn(channel, 0.02)
         finally:
             self._read_at = None
@@ -186,7 +186,7 @@ class Endpoint:
                 if message.get_msgId() == RADIO_STATUS:
                     if not self._radio:
                         continue  # there is no radio that could have sent it
-                    self._outbox.txbuf(message.txbuf)
+                    self._queue.txbuf(message.txbuf)
                 self._deliver(message, self.name)
         self._read_at = self._clock.mono()
         self._write(channel)
@@ -195,7 +195,7 @@ class Endpoint:
             self._look()
 
     def _write(self, channel: Channel) -> None:
-        while channel.ready and (item := self._outbox.take()) is not None:
+        while channel.ready and (item := self._queue.take()) is not None:
             try:
                 frame = self.codec.pack(item.message)
             except Exception:  # a message that cannot be packed is our defect; the link is well
@@ -205,7 +205,7 @@ class Endpoint:
             try:
                 taken = channel.write(frame)
             except OSError:
-                self._outbox.give_back(item)
+                self._queue.give_back(item)
                 raise
             if taken:
                 self.codec.counters.sent += 1

@@ -44,11 +44,11 @@ MAX_FILE_BYTES = 65_536
 FORGED_TOLD_S = 60.0
 
 
-class KeyProblem(Exception):
+class InvalidKey(Exception):
     """The key cannot be used; one sentence that says why and what to do."""
 
 
-class Seal(Enum):
+class SignatureResult(Enum):
     """What the signature of a frame is worth."""
 
     NONE = "none"
@@ -59,27 +59,27 @@ class Seal(Enum):
 
 
 def read_key(path: str) -> bytes:
-    """The key: 32 bytes, or 64 hexadecimal digits. Raises KeyProblem."""
+    """The key: 32 bytes, or 64 hexadecimal digits. Raises InvalidKey."""
     try:
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as stream:
             about = os.fstat(stream.fileno())
             if not stat.S_ISREG(about.st_mode):
-                raise KeyProblem(f"mavlink.signing.key: {path} is no file")
+                raise InvalidKey(f"mavlink.signing.key: {path} is no file")
             if about.st_mode & 0o077:
-                raise KeyProblem(
+                raise InvalidKey(
                     f"mavlink.signing.key: {path} can be read by others than its owner (mode "
                     f"{stat.S_IMODE(about.st_mode):04o}): `chmod 600 {path}`, and make a new key if it was read"
                 )
             data = stream.read(4096)
     except OSError as error:
-        raise KeyProblem(f"mavlink.signing.key: {path} cannot be read: {error.strerror or error}") from error
+        raise InvalidKey(f"mavlink.signing.key: {path} cannot be read: {error.strerror or error}") from error
     if len(data) == KEY_BYTES:
         return data
     with contextlib.suppress(ValueError):
         words = bytes.fromhex(data.decode("ascii").strip())
         if len(words) == KEY_BYTES:
             return words
-    raise KeyProblem(f"mavlink.signing.key: {path} must hold 32 bytes or 64 hexadecimal digits, not {len(data)} bytes")
+    raise InvalidKey(f"mavlink.signing.key: {path} must hold 32 bytes or 64 hexadecimal digits, not {len(data)} bytes")
 
 
 class Signing:
@@ -119,26 +119,26 @@ class Signing:
             self._time = max(self._now(), self._time + 1)
             return self._time
 
-    def check(self, frame: bytes | bytearray) -> Seal:
+    def check(self, frame: bytes | bytearray) -> SignatureResult:
         """Of a whole frame whose checksum is right. Only a GOOD one is remembered."""
         if frame[0] != 0xFD or not frame[2] & 0x01:
-            return Seal.NONE
+            return SignatureResult.NONE
         expected = hashlib.sha256(self.key + bytes(frame[:-6])).digest()[:6]
         if not hmac.compare_digest(expected, bytes(frame[-6:])):
             self._forged_at = self._clock.mono()
-            return Seal.FORGED
+            return SignatureResult.FORGED
         time, stream = _time_of(frame), (frame[-13], frame[5], frame[6])
         with self._lock:
             heard = self._streams.get(stream)
             least = max(self._now(), self._time) - round(LATE_S * TICKS) if heard is None else heard + 1
             if not least <= time <= LAST:
-                return Seal.OLD
+                return SignatureResult.OLD
             self._streams[stream] = time
             self._time = max(self._time, time)
             if len(self._streams) > MAX_STREAMS:
                 # The oldest: what it said is mostly too late to be believed of a new sender, too.
                 del self._streams[min(self._streams, key=self._streams.__getitem__)]
-        return Seal.GOOD
+        return SignatureResult.GOOD
 
     def age_s(self, frame: bytes | bytearray) -> float:
         """How long ago a frame that is GOOD was signed, by the newest time that is known here."""
@@ -228,17 +228,17 @@ class Signer:
     def passes(self, message: Any, frame: bytes | bytearray, number: int) -> bool:
         """Whether a decoded message is passed on; says in it whether it is signed, and then how long ago, `_age_s`."""
         seal = self.signing.check(frame)
-        if seal is Seal.GOOD:
+        if seal is SignatureResult.GOOD:
             message._signed, message._link_id, message._age_s = True, frame[-13], self.signing.age_s(frame)
             return True
-        if seal is Seal.FORGED:
+        if seal is SignatureResult.FORGED:
             self.refused["forged"] += 1
             return False
-        if number in COMMANDS and seal is Seal.NONE:
+        if number in COMMANDS and seal is SignatureResult.NONE:
             return True  # refused later, with an answer; a copy gets none, the first has had it
         if self._unsigned(number):
             return True  # whoever replays it could also send it unsigned
-        self.refused["old" if seal is Seal.OLD else "unsigned"] += 1
+        self.refused["old" if seal is SignatureResult.OLD else "unsigned"] += 1
         return False
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from phm.transport.serial_errors import LineCount
+from phm.transport.serial_errors import SerialErrorCount
 
 MAX_SENDERS = 64
 """Whoever can send on a link can make up senders; of too many, those with the fewest frames are forgotten."""
@@ -16,7 +16,7 @@ LATE = 16
 
 
 @dataclass(slots=True)
-class Sender:
+class SenderStats:
     """Since it was first heard. `lost` may go down: a frame that was overtaken is not lost."""
 
     frames: int = 0
@@ -24,11 +24,11 @@ class Sender:
     sequence: int = 0
 
 
-class Senders:
+class SenderTable:
     """By system and component. The endpoint's thread writes; `now` may be asked by any."""
 
     def __init__(self) -> None:
-        self._of: dict[tuple[int, int], Sender] = {}
+        self._of: dict[tuple[int, int], SenderStats] = {}
 
     def heard(self, system: int, component: int, sequence: int) -> None:
         """A frame came."""
@@ -37,7 +37,7 @@ class Senders:
         if sender is None:
             if len(self._of) >= MAX_SENDERS:
                 del self._of[min(self._of, key=lambda other: self._of[other].frames)]
-            self._of[key] = Sender(1, 0, sequence)
+            self._of[key] = SenderStats(1, 0, sequence)
             return
         behind = (sender.sequence - sequence) & 0xFF
         if behind == 0:
@@ -66,4 +66,4 @@ class Traffic:
     frames: int = 0
     bad: int = 0
     senders: Mapping[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
-    line: LineCount | None = None
+    line: SerialErrorCount | None = None

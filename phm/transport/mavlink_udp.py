@@ -10,7 +10,7 @@ from abc import abstractmethod
 from typing import Any
 
 from phm.core.clock import Clock
-from phm.transport.client_admission import Admission
+from phm.transport.client_admission import ClientAdmission
 from phm.transport.mavlink_channels import Channel
 from phm.transport.mavlink_codec import Codec
 
@@ -121,12 +121,12 @@ def network_of(broadcast: str) -> ipaddress.IPv4Network:
 
 class UdpIn(_Udp):
     """Waits for peers and answers to each that sent a frame whose checksum is right. Who is one where more come than there is
-    room for is `Admission`'s; the frames of the others are read all the same."""
+    room for is `ClientAdmission`'s; the frames of the others are read all the same."""
 
     def __init__(self, sock: socket.socket, codec: Codec, clock: Clock) -> None:
         super().__init__(sock, codec)
         self._clock = clock
-        self._admission = Admission(signs=codec.signs)
+        self._admission = ClientAdmission(signs=codec.signs)
 
     def _take(self, data: bytes, sender: Any) -> list[Any]:
         now, known = self._clock.mono(), sender in self._admission

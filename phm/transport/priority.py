@@ -20,7 +20,7 @@ SWARM_BYTES_S = RADIO_BYTES_S * SHARE
 BURST_S = 20.0
 BURST_MIN = 400.0
 """Bytes that an agent may always save up: the full state for a ground station that appears, of any swarm."""
-REST, SPEAKER = 0.2, 0.2
+REST, LEADER = 0.2, 0.2
 TXBUF_STALE_S = 5.0
 SLOWEST = 10.0
 MAX_WAITING = 256
@@ -28,7 +28,7 @@ SIZES: tuple[tuple[int, float, float], ...] = ((8, 2.0, 10.0), (30, 5.0, 30.0), 
 """Up to so many agents: seconds between heartbeats, seconds between refreshes."""
 
 
-class Class(IntEnum):
+class MessagePriority(IntEnum):
     """What leaves first. Heartbeats are not here: they are sent on time."""
 
     TRANSITION = 0
@@ -44,11 +44,11 @@ class Class(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class QueuedMessage:
     """One message that waits. A newer one with the same key replaces it. size: bytes on the wire."""
 
     key: str
-    kind: Class
+    kind: MessagePriority
     size: int
     message: Any
     urgency: int = 0
@@ -57,7 +57,7 @@ class Item:
 
 
 @dataclass(slots=True)
-class Count:
+class MessageCount:
     """Of one class: `coalesced` were replaced by newer ones while they waited, `dropped` never left."""
 
     sent: int = 0
@@ -66,7 +66,7 @@ class Count:
     bytes: int = 0
 
 
-def periods(agents: int) -> tuple[float, float]:
+def default_periods(agents: int) -> tuple[float, float]:
     """Seconds between heartbeats and between refreshes for a swarm of so many agents."""
     for size, heartbeat_s, refresh_s in SIZES:
         if agents <= size:
@@ -74,7 +74,7 @@ def periods(agents: int) -> tuple[float, float]:
     return SIZES[-1][1:]
 
 
-class Flow:
+class FlowControl:
     """Slows down while a radio's transmit buffer fills: RADIO_STATUS.txbuf, percent of it that is free."""
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ class Flow:
 
 
 @dataclass(slots=True)
-class Budget:
+class LinkBudget:
     """What may leave one link now. bytes_s: the whole swarm's share on it; None: the link has no limit.
 
     Heartbeats are never held back, because silence means death; what they take is not there for the rest. At least
@@ -112,15 +112,17 @@ class Budget:
     bytes_s: float | None
     now: float
     agents: int = 1
-    speaks: bool = False
+    leads: bool = False
     """This agent speaks for the swarm, and has a fifth of the swarm's share for that."""
-    flow: Flow = field(default_factory=Flow)
-    counts: dict[Class, Count] = field(default_factory=lambda: {kind: Count() for kind in Class})
+    flow: FlowControl = field(default_factory=FlowControl)
+    counts: dict[MessagePriority, MessageCount] = field(
+        default_factory=lambda: {kind: MessageCount() for kind in MessagePriority}
+    )
     _beat: tuple[float, float] = (float("-inf"), 0.0)
     """When the last heartbeat left, and bytes a second of heartbeats."""
     _credit: TokenBucket = field(init=False)
     """Bytes."""
-    _waiting: OrderedDict[str, Item] = field(default_factory=OrderedDict)
+    _waiting: OrderedDict[str, QueuedMessage] = field(default_factory=OrderedDict)
 
     def __post_init__(self) -> None:
         self._credit = TokenBucket(self.burst, self.now)
@@ -131,9 +133,9 @@ class Budget:
         if self.bytes_s is None:
             return float("inf")
         part = self.bytes_s / max(1, self.agents)
-        # What the speaker may use is not there for the others, so that all together stay within the share.
-        own = part * (1.0 - SPEAKER) if self.agents > 1 else part
-        return max(own - self._beat[1], part * REST) + (self.bytes_s * SPEAKER if self.speaks else 0.0)
+        # What the leader may use is not there for the others, so that all together stay within the share.
+        own = part * (1.0 - LEADER) if self.agents > 1 else part
+        return max(own - self._beat[1], part * REST) + (self.bytes_s * LEADER if self.leads else 0.0)
 
     @property
     def burst(self) -> float:
@@ -144,7 +146,7 @@ class Budget:
         last = self._beat[0]
         self._beat = (now, size / (now - last) if now > last else self._beat[1])
 
-    def put(self, item: Item) -> None:
+    def put(self, item: QueuedMessage) -> None:
         """The newest of a key waits. When too many wait, the least of the least class is dropped."""
         old = self._waiting.pop(item.key, None)
         if old is not None:
@@ -155,7 +157,7 @@ class Budget:
             del self._waiting[least.key]
             self.counts[least.kind].dropped += 1
 
-    def next(self, now: float) -> Item | None:
+    def next(self, now: float) -> QueuedMessage | None:
         """What leaves now, or None. Nothing small overtakes something graver that has to wait for credit."""
         self._credit.refill(now, self.rate / self.flow.factor(now), self.burst)
         item = min(self._waiting.values(), key=_order, default=None)
@@ -166,7 +168,7 @@ class Budget:
         count.sent, count.bytes = count.sent + 1, count.bytes + item.size
         return item
 
-    def give_back(self, item: Item) -> None:
+    def give_back(self, item: QueuedMessage) -> None:
         """It could not be sent after all. It is first among its equals again, unless a newer one of its key waits."""
         self._credit.tokens = min(self.burst, self._credit.tokens + item.size)
         count = self.counts[item.kind]
@@ -188,5 +190,5 @@ class Budget:
         return len(self._waiting)
 
 
-def _order(item: Item) -> tuple[int, int]:
+def _order(item: QueuedMessage) -> tuple[int, int]:
     return item.kind, item.urgency

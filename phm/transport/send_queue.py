@@ -6,7 +6,7 @@ import threading
 from typing import Any
 
 from phm.core.clock import Clock
-from phm.transport.priority import Budget, Class, Count, Item
+from phm.transport.priority import LinkBudget, MessageCount, MessagePriority, QueuedMessage
 
 HEARTBEAT = 0
 OUTBOX_AGE_S = 30.0
@@ -14,13 +14,13 @@ OUTBOX_AGE_S = 30.0
 it is back. While the link is open nothing grows too old: newer words of the same key replace older ones."""
 
 
-class Outbox:
+class SendQueue:
     """Any thread puts, the endpoint's takes. Never blocks, bounded by the budget's own cap."""
 
     def __init__(self, clock: Clock, bytes_s: float | None = None) -> None:
         self._clock = clock
-        self._budget = Budget(bytes_s, clock.mono())
-        self._heartbeat: Item | None = None
+        self._budget = LinkBudget(bytes_s, clock.mono())
+        self._heartbeat: QueuedMessage | None = None
         self._number = 0
         self._lock = threading.Lock()
 
@@ -28,14 +28,21 @@ class Outbox:
         return self._budget.waiting + (self._heartbeat is not None)
 
     @property
-    def counts(self) -> dict[Class, Count]:
+    def counts(self) -> dict[MessagePriority, MessageCount]:
         return self._budget.counts
 
     @property
     def dropped(self) -> int:
         return sum(count.dropped for count in self._budget.counts.values())
 
-    def put(self, message: Any, size: int, kind: Class = Class.TRANSITION, key: str = "", urgency: int = 0) -> None:
+    def put(
+        self,
+        message: Any,
+        size: int,
+        kind: MessagePriority = MessagePriority.TRANSITION,
+        key: str = "",
+        urgency: int = 0,
+    ) -> None:
         """size: bytes of its frame. key: a newer one with the same key makes this superfluous; empty for none."""
         with self._lock:
             self._number += 1
@@ -43,11 +50,11 @@ class Outbox:
             # Not `message.id`: STATUSTEXT has a field of that name, which hides the message's number.
             if message.get_msgId() == HEARTBEAT:
                 # A newer heartbeat replaces one that still waits: both together would say less.
-                self._heartbeat = Item("", Class.TRANSITION, size, message, put_at=now)
+                self._heartbeat = QueuedMessage("", MessagePriority.TRANSITION, size, message, put_at=now)
                 return
-            self._budget.put(Item(key or f"#{self._number}", kind, size, message, urgency, now))
+            self._budget.put(QueuedMessage(key or f"#{self._number}", kind, size, message, urgency, now))
 
-    def take(self) -> Item | None:
+    def take(self) -> QueuedMessage | None:
         """What leaves next, or None when nothing may leave now."""
         with self._lock:
             now = self._clock.mono()
@@ -57,7 +64,7 @@ class Outbox:
                 return item
             return self._budget.next(now)
 
-    def give_back(self, item: Item) -> None:
+    def give_back(self, item: QueuedMessage) -> None:
         """What was taken could not be sent: it is first again, unless newer words of its key wait by now."""
         with self._lock:
             if item.message.get_msgId() == HEARTBEAT:
@@ -75,10 +82,10 @@ class Outbox:
         with self._lock:
             self._budget.flow.txbuf(percent, self._clock.mono())
 
-    def share(self, agents: int, *, speaks: bool) -> None:
+    def set_agent_count(self, agents: int, *, leads: bool) -> None:
         """So many agents share the link, and whether this one speaks for them."""
         with self._lock:
-            self._budget.agents, self._budget.speaks = agents, speaks
+            self._budget.agents, self._budget.leads = agents, leads
 
     def slowed(self) -> float:
         """1 to 10: by how much the radio slows this link down now."""

@@ -17,7 +17,7 @@ _CFLAG = 2
 
 
 @dataclass(frozen=True, slots=True)
-class LineCount:
+class SerialErrorCount:
     """Errors since the driver was loaded. overrun: bytes lost in the chip or in the kernel."""
 
     framing: int
@@ -25,14 +25,14 @@ class LineCount:
     parity: int
 
 
-def count(fd: int) -> LineCount | None:
+def read_counts(fd: int) -> SerialErrorCount | None:
     """None where the driver does not count: pseudo terminals, and some USB adapters."""
     try:
         raw = fcntl.ioctl(fd, TIOCGICOUNT, bytes(_COUNTERS.size))
     except OSError:
         return None
     found = _COUNTERS.unpack(raw)
-    return LineCount(found[_FRAME], found[_OVERRUN] + found[_BUFFER_OVERRUN], found[_PARITY])
+    return SerialErrorCount(found[_FRAME], found[_OVERRUN] + found[_BUFFER_OVERRUN], found[_PARITY])
 
 
 def keep_dtr(fd: int) -> None:

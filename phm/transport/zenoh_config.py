@@ -14,7 +14,7 @@ _SOURCE_PLACE = re.compile(r"\s+at /\S+?\.rs:\d+\.?")
 _MAX_WORDS = 200
 
 
-def options(settings: FleetSettings) -> dict[str, Any]:
+def config_options(settings: FleetSettings) -> dict[str, Any]:
     """What differs from Zenoh's defaults, by its path there."""
     tls = settings.tls
     chosen: dict[str, Any] = {
@@ -49,17 +49,17 @@ def options(settings: FleetSettings) -> dict[str, Any]:
     return chosen
 
 
-def make(settings: FleetSettings) -> Any:
+def make_config(settings: FleetSettings) -> Any:
     """A `zenoh.Config`. Raises ImportError without the package, `zenoh.ZError` for what Zenoh does not take."""
     import zenoh
 
     made = zenoh.Config()
-    for path, value in options(settings).items():
+    for path, value in config_options(settings).items():
         made.insert_json5(path, json.dumps(value))
     return made
 
 
-def words(error: BaseException) -> str:
+def error_text(error: BaseException) -> str:
     """What an error says, in one line, without the place in Zenoh's sources."""
     if isinstance(error, ImportError):
         return "eclipse-zenoh cannot be imported: pip install 'phm-sidecar[fleet]'"

@@ -34,7 +34,7 @@ data, so a token that is taken back immediately overtakes the status (seen in ab
 
 
 @dataclass(frozen=True, slots=True)
-class Keys:
+class FleetKeys:
     """status: where the status goes. alive: the token of this PHM. namesakes: the tokens of all PHMs with this agent's name."""
 
     status: str
@@ -63,7 +63,7 @@ class FleetFact:
 class ZenohLink:
     """See the module. Making it opens nothing; `start` does. Every method returns at once, but for `close`."""
 
-    def __init__(self, settings: FleetSettings, keys: Keys, clock: Clock) -> None:
+    def __init__(self, settings: FleetSettings, keys: FleetKeys, clock: Clock) -> None:
         self._settings, self._keys, self._clock = settings, keys, clock
         self._bell, self._stopping = threading.Event(), threading.Event()
         self._newest = b""
@@ -134,7 +134,7 @@ class ZenohLink:
             except BaseException as error:  # a panic in Zenoh is no Exception; it must not end this thread either
                 if opened:
                     logger.warning("fleet: the session is opened anew", exc_info=True)
-                self._tell(connected=False, error=zenoh_config.words(error))
+                self._tell(connected=False, error=zenoh_config.error_text(error))
             if opened:
                 backoff.reset()
             self._turned = self._clock.mono()
@@ -144,11 +144,11 @@ class ZenohLink:
         import zenoh
 
         zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call] # silent unless the environment has RUST_LOG
-        return zenoh.open(zenoh_config.make(self._settings))
+        return zenoh.open(zenoh_config.make_config(self._settings))
 
     def _serve(self, session: Any) -> None:
         try:
-            declared = Declared(session, self._keys, self._asked, self._seen)
+            declared = ZenohDeclarations(session, self._keys, self._asked, self._seen)
             while not self._stopping.is_set() and not session.is_closed():
                 self._turn(session, declared)
                 self._clock.wait(self._bell, IDLE_S)
@@ -160,7 +160,7 @@ class ZenohLink:
             self._links = set()
             session.close()
 
-    def _say_farewell(self, session: Any, declared: Declared) -> None:
+    def _say_farewell(self, session: Any, declared: ZenohDeclarations) -> None:
         last, self._due = self._newest if self._due else b"", False
         self._turn(session, declared)
         if last and self._connected:
@@ -170,7 +170,7 @@ class ZenohLink:
             self._clock.wait(threading.Event(), FAREWELL_LEAD_S)
         declared.present(False)
 
-    def _turn(self, session: Any, declared: Declared) -> None:
+    def _turn(self, session: Any, declared: ZenohDeclarations) -> None:
         self._turned = self._clock.mono()
         # Zenoh may lose a connection and have a new one between two looks: that one comes from another port.
         links = {f"{link.zid} {link.src} {link.dst}" for link in session.info.links()}
@@ -191,7 +191,7 @@ class ZenohLink:
             self._bytes_out += len(payload)
         self._answer(declared)
 
-    def _answer(self, declared: Declared) -> None:
+    def _answer(self, declared: ZenohDeclarations) -> None:
         """At most MAX_QUERIES in one turn: a peer that asks all the time must not keep the status from being published."""
         for _ in range(min(len(self._queries), MAX_QUERIES)):
             declared.answer(self._queries.next(), self._newest if self._present else b"")
@@ -227,11 +227,11 @@ class ZenohLink:
             self._namesakes.setdefault(token, self._clock.mono())
 
 
-class Declared:
+class ZenohDeclarations:
     """What one session has declared; Zenoh declares it again by itself after each reconnect."""
 
     def __init__(
-        self, session: Any, keys: Keys, asked: Callable[[Any], None], seen: Callable[[str, bool], None]
+        self, session: Any, keys: FleetKeys, asked: Callable[[Any], None], seen: Callable[[str, bool], None]
     ) -> None:
         import zenoh
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from phm.wire.shape import misfit
+from phm.wire.shape import mismatch
 
 Json = dict[str, Any]
 MAX_EPISODES = 5000
@@ -44,7 +44,7 @@ SHAPES: dict[str, Any] = {
 """The keys that an episode is made of, and their types."""
 
 
-def gather(events: Iterable[Mapping[str, Any]], open_now: Sequence[Mapping[str, Any]] | None) -> list[Json]:
+def build_timelines(events: Iterable[Mapping[str, Any]], open_now: Sequence[Mapping[str, Any]] | None) -> list[Json]:
     """Every fault, oldest first: the keys of the log's `fault_opened` with `timeline`, a list of ``{utc, what, text}``.
 
     open_now: the faults of a daemon that runs, open or given up, or None when none does: those are ``current`` and say what is
@@ -79,7 +79,7 @@ def gather(events: Iterable[Mapping[str, Any]], open_now: Sequence[Mapping[str, 
 
 def _sound(event: Mapping[str, Any]) -> Json:
     """The event without what has the wrong type: a damaged line still says what its other keys say."""
-    return {key: value for key, value in event.items() if key in SHAPES and not misfit(value, SHAPES[key])}
+    return {key: value for key, value in event.items() if key in SHAPES and not mismatch(value, SHAPES[key])}
 
 
 def _new(event: Mapping[str, Any]) -> Json:

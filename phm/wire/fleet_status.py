@@ -95,14 +95,14 @@ def encode(
         "status_word": status_word.encode(levels),
         "slots": {str(int(slot)): levels[slot].name for slot in sorted(levels)},
         "line": status_line.refresh(agent[1], states),
-        "broken_hop": broken_hop(states),
+        "broken_hop": first_broken_hop(states),
         "open_faults": len(faults),
         "faults": [_fault(fault) for fault in faults[:MAX_FAULTS]],
     }
     return json.dumps(document, separators=(",", ":")).encode("ascii")
 
 
-def broken_hop(states: Sequence[UnitState]) -> str | None:
+def first_broken_hop(states: Sequence[UnitState]) -> str | None:
     """The first hop of the path of a command that is broken, as the path check sees it; empty: none is; None: nobody looks."""
     path = next((state for state in states if state.unit == PATH_UNIT), None)
     if path is None:

@@ -1,6 +1,6 @@
 """Whether a JSON document from outside has the types that its reader relies on. Pure, standard library only.
 
-A shape is a type or a tuple of them (`float` takes every finite number), ``[shape]`` for a list of any length, `Table`
+A shape is a type or a tuple of them (`float` takes every finite number), ``[shape]`` for a list of any length, `TableShape`
 for an object with any keys, or a dict: these keys must have these shapes when they are there, further ones may be
 anything. A key that ends in ``!`` must be there.
 """
@@ -15,23 +15,23 @@ Shape = Any
 
 
 @dataclass(frozen=True)
-class Table:
+class TableShape:
     """An object whose values all have one shape."""
 
     values: Shape
 
 
-def misfit(value: object, shape: Shape, where: str = "") -> str:
+def mismatch(value: object, shape: Shape, where: str = "") -> str:
     """Where `value` has another shape, as ``checks[3].slot is missing``; empty when it fits."""
     if isinstance(shape, list):
         if not isinstance(value, list):
             return f"{where or 'it'} is not a list"
-        return _first(misfit(entry, shape[0], f"{where}[{index}]") for index, entry in enumerate(value))
-    if isinstance(shape, (dict, Table)):
+        return _first(mismatch(entry, shape[0], f"{where}[{index}]") for index, entry in enumerate(value))
+    if isinstance(shape, (dict, TableShape)):
         if not isinstance(value, dict):
             return f"{where or 'it'} is not an object"
-        if isinstance(shape, Table):
-            return _first(misfit(entry, shape.values, f"{where}[{key!r}]") for key, entry in value.items())
+        if isinstance(shape, TableShape):
+            return _first(mismatch(entry, shape.values, f"{where}[{key!r}]") for key, entry in value.items())
         return _first(_member(value, key, inner, where) for key, inner in shape.items())
     kinds = shape if isinstance(shape, tuple) else (shape,)
     return "" if any(_is(value, kind) for kind in kinds) else f"{where or 'it'} is of the wrong type"
@@ -41,7 +41,7 @@ def _member(value: dict[str, Any], key: str, shape: Shape, where: str) -> str:
     name = key.removesuffix("!")
     path = f"{where}.{name}" if where else name
     if name in value:
-        return misfit(value[name], shape, path)
+        return mismatch(value[name], shape, path)
     return f"{path} is missing" if name != key else ""
 
 

@@ -71,12 +71,12 @@ def array_digits(levels: Mapping[Slot, Level]) -> str:
     return "".join(digit[levels.get(slot, Level.STALE)] for slot in ARRAY_SLOTS)
 
 
-def bad(agent: int, level: Level, slot: Slot, brief: str) -> str:
+def failing(agent: int, level: Level, slot: Slot, brief: str) -> str:
     """A unit has become WARN or ERROR. `brief` as in `Result.brief`."""
     return _line(f"{agent_name(agent)} {_WORD[level]} {slot:d}", brief)
 
 
-def over(agent: int, slot: Slot, brief: str, by: str = "") -> str:
+def recovered(agent: int, slot: Slot, brief: str, by: str = "") -> str:
     """A unit is OK again. `by`: ``itself``, an action's name, or empty when it was only a warning."""
     how = {"": "cleared", "itself": "cleared itself"}.get(by, f"{_short(by, 12)} fixed")
     return _line(f"{agent_name(agent)} OK {slot:d} {how}:", brief)
@@ -107,7 +107,7 @@ def gave_up(agent: int, slot: Slot, target: str, brief: str, number: int | None 
     return _line(f"{agent_name(agent)} GAVE UP {slot:d}", said, _numbered(number))
 
 
-def asked(agent: int, slot: Slot, action: str, end: str, target: str) -> str:
+def operator_request(agent: int, slot: Slot, action: str, end: str, target: str) -> str:
     """How something ended that an operator had asked for. `end`: ``done``, ``failed`` or ``refused``."""
     word = "OK" if end == "done" else "WARN"
     return _line(f"{agent_name(agent)} {word} {slot:d} {_short(action, 16)} {end}:", target)

@@ -11,7 +11,7 @@ Layout of a payload, at most 128 bytes; numbers are unsigned and little-endian. 
     byte  3       first agent id
     byte  4...    2 bits an agent, lowest first: 0 never seen, 1 alive, 2 late, 3 lost
 
-    kind 2, DIGEST: how the swarm is, by the elected speaker
+    kind 2, DIGEST: how the swarm is, by the elected leader
     byte  1       agents that count as members
     byte  2       agents of these that are alive
     byte  3       first agent id
@@ -54,7 +54,7 @@ class TunnelError(ValueError):
     """A payload that is not of this contract; the message says why."""
 
 
-class Seen(IntEnum):
+class PeerState(IntEnum):
     """How an agent sees a peer."""
 
     NEVER = 0
@@ -64,24 +64,24 @@ class Seen(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class PeerView:
     """`peers` by agent id; those left out were never seen."""
 
     sequence: int
     gcs: bool
     autopilot: bool
     radio: bool
-    peers: Mapping[int, Seen] = field(default_factory=dict)
+    peers: Mapping[int, PeerState] = field(default_factory=dict)
     there: frozenset[int] = field(init=False, compare=False, repr=False)
     """Those that the sender hears: alive or late."""
 
     def __post_init__(self) -> None:
-        there = frozenset(agent for agent, seen in self.peers.items() if seen in (Seen.ALIVE, Seen.LATE))
+        there = frozenset(agent for agent, seen in self.peers.items() if seen in (PeerState.ALIVE, PeerState.LATE))
         object.__setattr__(self, "there", there)
 
 
 @dataclass(frozen=True, slots=True)
-class Digest:
+class SwarmDigest:
     """`levels` by agent id, the worst of each; STALE for not known, as are those left out."""
 
     members: int
@@ -90,14 +90,14 @@ class Digest:
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
+class StatusWords:
     """Status words by agent id, see `phm.wire.status_word`."""
 
     words: Mapping[int, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
-class Detail:
+class FaultDetail:
     """One part of the text about a fault."""
 
     fault: str
@@ -106,20 +106,20 @@ class Detail:
     text: bytes
 
 
-Message = View | Digest | Words | Detail
+TunnelMessage = PeerView | SwarmDigest | StatusWords | FaultDetail
 _VIEW, _DIGEST, _WORDS, _DETAIL = 1, 2, 3, 4
 
 
-def encode(message: Message) -> bytes:
+def encode(message: TunnelMessage) -> bytes:
     """The payload. Raises ValueError for agent ids outside of 1 to 250 and for what does not fit."""
-    if isinstance(message, View):
+    if isinstance(message, PeerView):
         flags = message.gcs | message.autopilot << 1 | message.radio << 2
         first, bits = _pack_bits({agent: int(seen) for agent, seen in message.peers.items()})
         body = bytes((_head(_VIEW), message.sequence % 256, flags, first)) + bits
-    elif isinstance(message, Digest):
+    elif isinstance(message, SwarmDigest):
         first, bits = _pack_bits({agent: _LEVELS.index(level) for agent, level in message.levels.items()})
         body = bytes((_head(_DIGEST), _byte(message.members), _byte(message.alive), first)) + bits
-    elif isinstance(message, Words):
+    elif isinstance(message, StatusWords):
         body = _pack_words(message.words)
     else:
         name = message.fault.encode("ascii")
@@ -131,14 +131,14 @@ def encode(message: Message) -> bytes:
     return body
 
 
-def decode(payload: bytes) -> Message:
+def decode(payload: bytes) -> TunnelMessage:
     """What `encode` wrote. Raises TunnelError for everything else; nothing in it is trusted."""
     if not 0 < len(payload) <= MAX_BYTES:
         raise TunnelError(f"a payload has 1 to {MAX_BYTES} bytes, not {len(payload)}")
     version, kind = payload[0] >> 4, payload[0] & 15
     if version != VERSION:
         raise TunnelError(f"version {version}; this program reads version {VERSION}")
-    readers: Mapping[int, Callable[[bytes], Message]] = {
+    readers: Mapping[int, Callable[[bytes], TunnelMessage]] = {
         _VIEW: _view,
         _DIGEST: _digest,
         _WORDS: _words,
@@ -150,12 +150,12 @@ def decode(payload: bytes) -> Message:
     return reader(payload)
 
 
-def details(fault: str, text: str) -> list[Detail]:
+def details(fault: str, text: str) -> list[FaultDetail]:
     """The text about a fault in as many parts as it takes, at most MAX_PARTS; the rest is cut."""
     room = MAX_BYTES - 4 - len(fault.encode("ascii"))
     data = text.encode()[: room * MAX_PARTS]
     pieces = [data[at : at + room] for at in range(0, len(data), room)] or [b""]
-    return [Detail(fault, part, len(pieces), piece) for part, piece in enumerate(pieces)]
+    return [FaultDetail(fault, part, len(pieces), piece) for part, piece in enumerate(pieces)]
 
 
 def _head(kind: int) -> int:
@@ -212,21 +212,21 @@ def _pack_words(words: Mapping[int, int]) -> bytes:
     )
 
 
-def _view(payload: bytes) -> View:
+def _view(payload: bytes) -> PeerView:
     filled = payload.ljust(4, b"\0")
     flags, codes = filled[2], _bits(filled, 3)
-    peers = {agent: Seen(code) for agent, code in codes.items()}
-    return View(filled[1], bool(flags & 1), bool(flags & 2), bool(flags & 4), peers)
+    peers = {agent: PeerState(code) for agent, code in codes.items()}
+    return PeerView(filled[1], bool(flags & 1), bool(flags & 2), bool(flags & 4), peers)
 
 
-def _digest(payload: bytes) -> Digest:
+def _digest(payload: bytes) -> SwarmDigest:
     filled = payload.ljust(4, b"\0")
     if filled[2] > filled[1]:
         raise TunnelError(f"{filled[2]} agents of {filled[1]} are alive")
-    return Digest(filled[1], filled[2], {agent: _LEVELS[code] for agent, code in _bits(filled, 3).items()})
+    return SwarmDigest(filled[1], filled[2], {agent: _LEVELS[code] for agent, code in _bits(filled, 3).items()})
 
 
-def _words(payload: bytes) -> Words:
+def _words(payload: bytes) -> StatusWords:
     first = _first(payload, 1)
     body = payload[2:]
     body += bytes(-len(body) % 4)
@@ -234,10 +234,10 @@ def _words(payload: bytes) -> Words:
     said = {agent: word for agent, word in words.items() if word}
     if said and max(said) not in AGENTS:
         raise TunnelError(f"it speaks of agent {max(said)}; ids are 1 to 250")
-    return Words(said)
+    return StatusWords(said)
 
 
-def _detail(payload: bytes) -> Detail:
+def _detail(payload: bytes) -> FaultDetail:
     filled = payload.ljust(4, b"\0")
     part, parts, length = filled[1], filled[2], filled[3]
     if not part < parts <= MAX_PARTS:
@@ -245,4 +245,4 @@ def _detail(payload: bytes) -> Detail:
     name, text = filled[4 : 4 + length], filled[4 + length :]
     if len(name) < length or not name.isascii() or not name.decode("ascii").isprintable():
         raise TunnelError("the fault's id is not printable ASCII of its length")
-    return Detail(name.decode("ascii"), part, parts, text)
+    return FaultDetail(name.decode("ascii"), part, parts, text)

@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from phm.core.model import UnitState
-from phm.transport.priority import RADIO_BYTES_S, SWARM_BYTES_S, periods
+from phm.transport.priority import RADIO_BYTES_S, SWARM_BYTES_S, default_periods
 from sitl.bench.report_sizes import FORMS, Size, load, sizes
 from sitl.harness.machine import machine
 from sitl.simulation.fleet import Fleet
@@ -92,7 +92,7 @@ class Swarm:
         return Row(
             agents,
             len(self.failing),
-            *periods(agents),
+            *default_periods(agents),
             sum(left.values()),
             left.get("HEARTBEAT", 0.0),
             left.get("STATUSTEXT", 0.0),

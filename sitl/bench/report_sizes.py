@@ -16,7 +16,7 @@ from phm.core.clock import SystemClock
 from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
 from phm.facts.ros import DiagnosticFact
 from phm.reporters.base import ReporterContext
-from phm.reporters.diagnostics import Diagnostics
+from phm.reporters.diagnostics import DiagnosticsReporter
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
@@ -103,7 +103,7 @@ def _diagnostics(units: Sequence[UnitState]) -> dict[str, object]:
     context = ReporterContext(
         settings(agent={"name": "agent_1"}), SystemClock(), "boot", lambda: tuple(units), lambda: True, dict, None
     )
-    Diagnostics(context, pipe).tick()
+    DiagnosticsReporter(context, pipe).tick()
     return {name: asdict(fact) for name, fact in pipe.statuses.items()}
 
 

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from phm.core.model import Slot
-from phm.gcs.statustext_parser import read
+from phm.gcs.statustext_parser import parse
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
 from sitl.harness.compose_stack import Stack
@@ -135,7 +135,7 @@ def judge(fault: Fault, unit: str, moment: float, events: Sequence[Event], lines
 
 def _reports(text: str, slot: int) -> bool:
     """Whether a STATUSTEXT says that a unit of this slot has failed."""
-    line = read(text)
+    line = parse(text)
     return line is not None and line.word == "FAIL" and line.slot == slot
 
 

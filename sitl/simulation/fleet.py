@@ -11,12 +11,12 @@ from phm.core.model import Layer, Level, Report, Result, Slot, Transition, UnitS
 from phm.facts import LinkFact
 from phm.probes.swarm import Swarm as Probe
 from phm.reporters.base import ReporterContext
-from phm.reporters.mavlink import Mavlink
-from phm.reporters.swarm import Swarm as Speaker
+from phm.reporters.mavlink import MavlinkReporter
+from phm.reporters.swarm import SwarmReporter
 from phm.testing import FakeClock, settings
 from phm.transport.mavlink_codec import Codec
-from phm.transport.priority import Class
-from phm.transport.send_queue import Outbox
+from phm.transport.priority import MessagePriority
+from phm.transport.send_queue import SendQueue
 
 STEP_S = 0.25
 
@@ -25,7 +25,7 @@ class Port:
     """A hub with one link: what is sent waits in a real outbox, and leaves when the fleet lets it."""
 
     def __init__(self, agent: int, clock: FakeClock, budget: float | None) -> None:
-        self.outbox = Outbox(clock, budget)
+        self.outbox = SendQueue(clock, budget)
         self.codec = Codec(agent, 193, lambda _: True)
         self.bytes_out = 0
         self.bytes_by: Counter[str] = Counter()
@@ -35,12 +35,18 @@ class Port:
         self.agents = 1
         self._listeners: list[tuple[Callable[[Any, str], None], frozenset[int]]] = []
 
-    def share(self, agents: int, *, speaks: bool = False) -> None:
+    def set_agent_count(self, agents: int, *, leads: bool = False) -> None:
         self.agents = agents
-        self.outbox.share(agents, speaks=speaks)
+        self.outbox.set_agent_count(agents, leads=leads)
 
     def send(
-        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+        self,
+        message: Any,
+        kind: MessagePriority = MessagePriority.TRANSITION,
+        *,
+        key: str = "",
+        urgency: int = 0,
+        link: str = "",
     ) -> None:
         self.told[key] += 1
         self.outbox.put(message, self.codec.size(message), kind, key, urgency)
@@ -97,10 +103,10 @@ class Agent:
             pilot=lambda: True,
             radio=lambda: self.radio,
         )
-        told, speaker = Mavlink.build(context), Speaker.build(context)
+        told, leader = MavlinkReporter.build(context), SwarmReporter.build(context)
         assert told is not None
-        assert speaker is not None
-        self.reporters = (told, speaker)
+        assert leader is not None
+        self.reporters = (told, leader)
         told.handle(Report(clock.stamp(), 1, clock.stamp(), tuple(self.units.values())))
 
     def become(self, unit: str, level: Level, brief: str = "") -> None:

@@ -35,7 +35,7 @@ from phm.core.model import (
 )
 from phm.core.settings import Settings
 from phm.reporters.base import ReporterContext
-from phm.reporters.fleet import TICK_S, Fleet
+from phm.reporters.fleet import TICK_S, FleetReporter
 
 NODE = "nodes/agent/node_1"
 UNITS = (
@@ -73,7 +73,7 @@ class Agent:
         context = ReporterContext(
             self.settings, self.clock, self.boot_id, lambda: tuple(self._units.values()), lambda: self.alive, dict
         )
-        reporter = Fleet.build(context)
+        reporter = FleetReporter.build(context)
         assert reporter is not None
         self.reporter = reporter
         reporter.handle(Report(at, 1, at, ()))

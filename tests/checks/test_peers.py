@@ -116,7 +116,7 @@ def test_the_only_other_agent_lost_is_lost() -> None:
 
 
 def test_an_id_used_twice_is_told_first() -> None:
-    result = judge({2: ALIVE}, clashing=(2,))[WHOLE]
+    result = judge({2: ALIVE}, duplicate_ids=(2,))[WHOLE]
     assert (result.condition, result.brief) == ("id_clash", "A02 id used twice")
 
 

@@ -21,7 +21,7 @@ from phm.core.clock import SystemClock
 from phm.core.dependency_graph import DependencyCycle
 from phm.core.model import Level, Outcome, Slot, UnitState
 from phm.core.settings import Settings
-from phm.reporters.status import Status
+from phm.reporters.status import StatusReporter
 from tests.fakes.records import closed, context, opened, unit
 
 ROOT = Path(phm.__file__).parents[1]
@@ -76,7 +76,7 @@ def phm_process(
     )
 
 
-def running(run_dir: Path, *states: UnitState, alive: bool = True) -> Status:
+def running(run_dir: Path, *states: UnitState, alive: bool = True) -> StatusReporter:
     """A status as a daemon in this process writes it, with one fault open and one healed."""
     parts = context(
         Settings(run_dir=str(run_dir)),
@@ -85,7 +85,7 @@ def running(run_dir: Path, *states: UnitState, alive: bool = True) -> Status:
         alive=lambda: alive,
         health=lambda: HEALTH,
     )
-    status = Status.build(parts)
+    status = StatusReporter.build(parts)
     if DEAD in states:
         status.handle(opened(DEAD))
         status.handle(opened(DEAD, "ab12-0"))

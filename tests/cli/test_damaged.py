@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings as hypothesis, strategies as
 
 from phm.cli import group
 from phm.wire import status_file
-from phm.wire.shape import Table, misfit
+from phm.wire.shape import TableShape, mismatch
 from tests.cli.test_cli import DEAD, running
 from tests.cli.test_faults import HEALED, OPEN, record
 
@@ -180,11 +180,11 @@ def test_a_log_line_with_a_value_of_another_type(event: str, key: str, value: ob
 
 def test_a_shape_says_where_a_document_does_not_fit() -> None:
     """Wrong types, missing keys and numbers that are not finite, each with its place; booleans are not numbers."""
-    shape = {"a!": [{"n": float}], "t": Table(int)}
-    assert misfit({"a": [{"n": 1}, {}], "t": {"x": 1}, "more": object()}, shape) == ""
-    assert misfit({}, shape) == "a is missing"
-    assert misfit({"a": {}}, shape) == "a is not a list"
-    assert misfit({"a": [{}, {"n": float("inf")}]}, shape) == "a[1].n is of the wrong type"
-    assert misfit({"a": [{"n": True}]}, shape) == "a[0].n is of the wrong type"
-    assert misfit({"a": [], "t": {"x": "1"}}, shape) == "t['x'] is of the wrong type"
-    assert misfit([], shape) == "it is not an object"
+    shape = {"a!": [{"n": float}], "t": TableShape(int)}
+    assert mismatch({"a": [{"n": 1}, {}], "t": {"x": 1}, "more": object()}, shape) == ""
+    assert mismatch({}, shape) == "a is missing"
+    assert mismatch({"a": {}}, shape) == "a is not a list"
+    assert mismatch({"a": [{}, {"n": float("inf")}]}, shape) == "a[1].n is of the wrong type"
+    assert mismatch({"a": [{"n": True}]}, shape) == "a[0].n is of the wrong type"
+    assert mismatch({"a": [], "t": {"x": "1"}}, shape) == "t['x'] is of the wrong type"
+    assert mismatch([], shape) == "it is not an object"

@@ -14,9 +14,9 @@ from phm.cli import group
 from phm.core.clock import SystemClock
 from phm.core.model import ActionEvent, Event, Level, Outcome, Phase, Slot, Transition
 from phm.core.settings import Settings
-from phm.reporters.log import Log
-from phm.reporters.status import Status
-from phm.wire.fault_timeline import MAX_STEPS, gather
+from phm.reporters.log import LogReporter
+from phm.reporters.status import StatusReporter
+from phm.wire.fault_timeline import MAX_STEPS, build_timelines
 from tests.fakes.records import at, closed, context, opened, unit
 
 DEAD = unit("nodes/n1", Slot.NODES, Level.ERROR, "Node n1 is not running", brief="n1 dead", target="app")
@@ -40,7 +40,7 @@ OPEN: list[Event] = [opened(DEAD, "ab12-2"), step(Phase.ADVISED, "ab12-2", "advi
 
 
 def record(folder: Path, *events: Event) -> None:
-    log = Log.build(context(Settings.model_validate({"log": {"directory": str(folder / "log")}})))
+    log = LogReporter.build(context(Settings.model_validate({"log": {"directory": str(folder / "log")}})))
     for event in events:
         log.handle(event)
     log.close()
@@ -80,7 +80,7 @@ def test_the_running_daemon_says_what_is_open(tmp_path: Path) -> None:
     """What the log leaves open and the daemon does not know is `unknown`; what only the daemon knows is listed."""
     record(tmp_path, *OPEN)
     parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
-    status = Status.build(parts)
+    status = StatusReporter.build(parts)
     status.handle(opened(DEAD, "ab12-3"))
     status.tick()
     document = as_json(tmp_path)
@@ -91,7 +91,7 @@ def test_the_running_daemon_says_what_is_open(tmp_path: Path) -> None:
 def test_a_restored_fault_is_open_in_the_status(tmp_path: Path) -> None:
     """The daemon was started again: the fault that it took up is among the open ones, with no new event."""
     parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
-    Status.build(replace(parts, restored=(opened(DEAD, "ab12-2").fault,))).tick()
+    StatusReporter.build(replace(parts, restored=(opened(DEAD, "ab12-2").fault,))).tick()
     assert [entry["fault"] for entry in as_json(tmp_path)["faults"]] == ["ab12-2"]
 
 
@@ -104,7 +104,7 @@ def test_what_was_given_up_is_listed_until_it_is_resolved(tmp_path: Path) -> Non
     record(tmp_path, *events)
     now = replace(opened(DEAD, "ab12-1").fault, result=replace(DEAD.result, summary="Node n1 is hung"))
     parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
-    Status.build(replace(parts, given_up=lambda: (now,))).tick()
+    StatusReporter.build(replace(parts, given_up=lambda: (now,))).tick()
     [listed] = [fault for fault in as_json(tmp_path)["faults"] if fault["fault"] == "ab12-1"]
     assert (listed["outcome"], listed["current"], listed["summary"]) == ("escalated", True, "Node n1 is hung")
     assert "given up, not resolved" in invoke(tmp_path).output
@@ -117,7 +117,7 @@ def test_an_open_fault_says_what_is_wrong_now(tmp_path: Path) -> None:
     """Its condition has changed since it was opened."""
     parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
     now = replace(opened(DEAD, "ab12-1").fault, result=replace(DEAD.result, summary="Node n1 is hung"))
-    status = Status.build(replace(parts, open_faults=lambda: (now,)))
+    status = StatusReporter.build(replace(parts, open_faults=lambda: (now,)))
     status.handle(opened(DEAD, "ab12-1"))
     status.tick()
     assert [fault["summary"] for fault in as_json(tmp_path)["faults"]] == ["Node n1 is hung"]
@@ -157,6 +157,6 @@ def test_lines_of_others_do_no_harm() -> None:
         {"event": "transition", "blocked_by": 7, "unit": None},
         {"event": "fault_opened", "fault": ["z"]},
     ]
-    found = gather([*strange, *[{"event": "action", "fault": "x"}] * 1000], None)
+    found = build_timelines([*strange, *[{"event": "action", "fault": "x"}] * 1000], None)
     assert [episode["fault"] for episode in found] == ["x", "y"]
     assert len(found[0]["timeline"]) == MAX_STEPS

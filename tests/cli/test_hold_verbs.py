@@ -15,7 +15,7 @@ from phm.commands.control_server import ControlServer
 from phm.core.clock import SystemClock
 from phm.core.settings import Settings
 from phm.reporters.base import ReporterContext
-from phm.reporters.status import Status
+from phm.reporters.status import StatusReporter
 from phm.wire import control as wire
 from tests.fakes.until import until
 
@@ -130,7 +130,7 @@ def test_status_shows_what_is_on_hold(tmp_path: Path) -> None:
     }
     settings = Settings.model_validate({"run_dir": str(tmp_path)})
     context = ReporterContext(settings, SystemClock(), "b", tuple, lambda: True, dict, holds=lambda: [hold])
-    Status.build(context).tick()
+    StatusReporter.build(context).tick()
     shown = phm(tmp_path, "status")[1]
     assert "on hold: app until 12:34:05 UTC (9 min 3 s left) by operator (uid 0): new firmware" in shown
     assert json.loads(phm(tmp_path, "status", "--json")[1])["holds"] == [hold]

@@ -94,7 +94,7 @@ def test_a_command_reaches_what_it_is_for(agent: Agent) -> None:
     told = [message for message in came if message.get_type() == "TUNNEL"]  # before or behind the acknowledgement
     detail = (told or [until(lambda: agent.ground.recv_match(type="TUNNEL", blocking=True, timeout=0.5), "details")])[0]
     part = tunnel.decode(bytes(detail.payload[: detail.payload_length]))
-    assert isinstance(part, tunnel.Detail)
+    assert isinstance(part, tunnel.FaultDetail)
     assert (part.fault, detail.get_signed()) == (fault.id, True)
     assert agent.ask(31010, 3, 1)[-1].result == mavlink.MAV_RESULT_FAILED
     until(lambda: len(agent.notes()) >= 3, "the notes")

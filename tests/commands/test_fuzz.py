@@ -13,7 +13,7 @@ from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_signing import Signer, Signing, unsigned_of
-from phm.transport.priority import Class
+from phm.transport.priority import MessagePriority
 from tests.commands.test_signing import KEY, NOW, OTHER, sign, ticks
 from tests.fakes.mavlink import Sender, heartbeat
 
@@ -53,7 +53,13 @@ class Scene:
         return what
 
     def send(
-        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+        self,
+        message: Any,
+        kind: MessagePriority = MessagePriority.TRANSITION,
+        *,
+        key: str = "",
+        urgency: int = 0,
+        link: str = "",
     ) -> None:
         if message.get_type() == "COMMAND_ACK":
             self.acks.append(message.result)

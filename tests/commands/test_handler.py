@@ -15,7 +15,7 @@ from phm.core.model import Fault, HostReadings, Layer, Level, Result as Found, S
 from phm.facts import DiskFact
 from phm.testing import FakeClock, FakeHost, settings, world
 from phm.transport.dialect import mavlink
-from phm.transport.priority import Class
+from phm.transport.priority import MessagePriority
 from phm.wire import status_word, tunnel
 from phm.wire.command import CommandResult
 from phm_checks.host import Host
@@ -83,9 +83,15 @@ class Scene:
         return what
 
     def send(
-        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+        self,
+        message: Any,
+        kind: MessagePriority = MessagePriority.TRANSITION,
+        *,
+        key: str = "",
+        urgency: int = 0,
+        link: str = "",
     ) -> None:
-        assert kind is Class.REQUEST
+        assert kind is MessagePriority.REQUEST
         self.sent.append((message, link))
         self.urgencies.append(urgency)
 
@@ -219,7 +225,7 @@ def test_nothing_is_said_of_checks_that_have_stalled() -> None:
 def told(sent: list[Any]) -> tuple[str, str]:
     """Fault id and text of the details among what was sent."""
     parts = [tunnel.decode(bytes(m.payload[: m.payload_length])) for m in sent if m.get_type() == "TUNNEL"]
-    assert all(isinstance(part, tunnel.Detail) for part in parts)
+    assert all(isinstance(part, tunnel.FaultDetail) for part in parts)
     assert [part.part for part in parts] == list(range(parts[0].parts))
     return parts[0].fault, b"".join(part.text for part in parts).decode()
 

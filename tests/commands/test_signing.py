@@ -22,8 +22,8 @@ from phm.transport.mavlink_signing import (
     NAME,
     SAVE_S,
     TICKS,
-    KeyProblem,
-    Seal,
+    InvalidKey,
+    SignatureResult,
     Signer,
     Signing,
     read_key,
@@ -77,7 +77,7 @@ def test_a_key_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> Non
     path = tmp_path / "key"
     path.write_bytes(KEY)
     path.chmod(mode)
-    with pytest.raises(KeyProblem, match=r"others than its owner .*chmod 600"):
+    with pytest.raises(InvalidKey, match=r"others than its owner .*chmod 600"):
         read_key(str(path))
 
 
@@ -87,7 +87,7 @@ def test_what_is_no_key_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "key"
     path.write_bytes(data)
     path.chmod(0o600)
-    with pytest.raises(KeyProblem, match=r"must hold 32 bytes or 64 hexadecimal digits"):
+    with pytest.raises(InvalidKey, match=r"must hold 32 bytes or 64 hexadecimal digits"):
         read_key(str(path))
 
 
@@ -95,7 +95,7 @@ def test_a_key_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     """Absent, a folder, a pipe that nobody writes."""
     os.mkfifo(tmp_path / "pipe", 0o600)
     for name in ("absent", ".", "pipe"):
-        with pytest.raises(KeyProblem, match=r"^mavlink\.signing\.key"):
+        with pytest.raises(InvalidKey, match=r"^mavlink\.signing\.key"):
             read_key(str(tmp_path / name))
 
 
@@ -105,23 +105,23 @@ def test_a_key_that_cannot_be_read_is_told(tmp_path: Path) -> None:
 def test_a_signed_frame_is_good_once() -> None:
     """The same again is old, and so is an older one; a newer one is good."""
     signing, now = Signing(KEY, at()), ticks(NOW)
-    assert signing.check(beat(now)) is Seal.GOOD
-    assert signing.check(beat(now)) is Seal.OLD
-    assert signing.check(beat(now - 1)) is Seal.OLD
-    assert signing.check(beat(now + 1)) is Seal.GOOD
+    assert signing.check(beat(now)) is SignatureResult.GOOD
+    assert signing.check(beat(now)) is SignatureResult.OLD
+    assert signing.check(beat(now - 1)) is SignatureResult.OLD
+    assert signing.check(beat(now + 1)) is SignatureResult.GOOD
 
 
 def test_a_forged_time_poisons_nothing() -> None:
     """A frame from the far future with a wrong hash leaves the true sender believed, and our own time as it was."""
     signing, now = Signing(KEY, at()), ticks(NOW)
-    assert signing.check(beat(now)) is Seal.GOOD
+    assert signing.check(beat(now)) is SignatureResult.GOOD
     before = (dict(signing._streams), signing._time)
     forged = bytearray(beat(now + 1))
     forged[-12:-6] = (LAST - 1).to_bytes(6, "little")
-    assert signing.check(forged) is Seal.FORGED
-    assert signing.check(beat(LAST - 1, key=OTHER)) is Seal.FORGED
+    assert signing.check(forged) is SignatureResult.FORGED
+    assert signing.check(beat(LAST - 1, key=OTHER)) is SignatureResult.FORGED
     assert (signing._streams, signing._time) == before
-    assert signing.check(beat(now + 1)) is Seal.GOOD
+    assert signing.check(beat(now + 1)) is SignatureResult.GOOD
     assert "wrong signature" in signing.problem()
 
 
@@ -142,30 +142,30 @@ def test_every_bit_of_a_frame_is_covered(bit: int) -> None:
     bit %= 8 * len(frame)
     frame[bit // 8] ^= 1 << bit % 8
     signing = Signing(KEY, at())
-    assert signing.check(frame) is not Seal.GOOD
+    assert signing.check(frame) is not SignatureResult.GOOD
     assert (signing._streams, signing._time) == ({}, 0)
 
 
 def test_a_new_sender_may_be_a_minute_late_and_no_more() -> None:
     """What was recorded yesterday of somebody not heard since is not believed."""
     signing, now = Signing(KEY, at()), ticks(NOW)
-    assert signing.check(beat(now - 59 * TICKS, link=1)) is Seal.GOOD
-    assert signing.check(beat(now - 61 * TICKS, link=2)) is Seal.OLD
-    assert signing.check(beat(now - 61 * TICKS, sender=(254, 190))) is Seal.OLD
+    assert signing.check(beat(now - 59 * TICKS, link=1)) is SignatureResult.GOOD
+    assert signing.check(beat(now - 61 * TICKS, link=2)) is SignatureResult.OLD
+    assert signing.check(beat(now - 61 * TICKS, sender=(254, 190))) is SignatureResult.OLD
 
 
 def test_a_companion_without_a_clock_takes_the_time_of_the_ground() -> None:
     """It starts in 1970, believes its operator, and signs with a time that the operator believes."""
     signing, now = Signing(KEY, at(0.0)), ticks(NOW)
-    assert signing.check(beat(now)) is Seal.GOOD
+    assert signing.check(beat(now)) is SignatureResult.GOOD
     assert signing.stamp() == now + 1
 
 
 def test_the_end_of_time_is_not_believed() -> None:
     """Our own time would follow and could not go on: 48 bits."""
     signing = Signing(KEY, at())
-    assert signing.check(beat(LAST + 1)) is Seal.OLD
-    assert signing.check(beat(2**48 - 1)) is Seal.OLD
+    assert signing.check(beat(LAST + 1)) is SignatureResult.OLD
+    assert signing.check(beat(2**48 - 1)) is SignatureResult.OLD
     assert signing.stamp() == ticks(NOW)
 
 
@@ -174,12 +174,12 @@ def test_senders_are_bounded() -> None:
     clock = at()
     signing = Signing(KEY, clock)
     first = beat(ticks(NOW), link=0, sender=(1, 1))
-    assert signing.check(first) is Seal.GOOD
+    assert signing.check(first) is SignatureResult.GOOD
     clock.advance(120.0)
     for n in range(MAX_STREAMS):
-        assert signing.check(beat(ticks(NOW + 120) + n, link=n % 256, sender=(2 + n // 256, 1))) is Seal.GOOD
+        assert signing.check(beat(ticks(NOW + 120) + n, link=n % 256, sender=(2 + n // 256, 1))) is SignatureResult.GOOD
     assert len(signing._streams) == MAX_STREAMS
-    assert signing.check(first) is Seal.OLD
+    assert signing.check(first) is SignatureResult.OLD
 
 
 # ---------------------------------------------------------------- what goes out
@@ -278,16 +278,16 @@ def test_a_recorded_command_is_not_believed_after_a_restart(tmp_path: Path) -> N
     """Who was heard is kept; also by a PHM that was killed, if it was saved before the command was obeyed."""
     first = Signing(KEY, at(), str(tmp_path))
     recorded = beat(ticks(NOW))
-    assert first.check(recorded) is Seal.GOOD
+    assert first.check(recorded) is SignatureResult.GOOD
     first.save()
-    assert Signing(KEY, at(NOW + 5), str(tmp_path)).check(recorded) is Seal.OLD
-    assert Signing(KEY, at(NOW + 5)).check(recorded) is Seal.GOOD
+    assert Signing(KEY, at(NOW + 5), str(tmp_path)).check(recorded) is SignatureResult.OLD
+    assert Signing(KEY, at(NOW + 5)).check(recorded) is SignatureResult.GOOD
 
 
 def test_a_companion_without_a_clock_goes_on_where_it_was(tmp_path: Path) -> None:
     """What may have been given out between the last save and the end is left out."""
     first = Signing(KEY, at(0.0), str(tmp_path))
-    assert first.check(beat(ticks(NOW))) is Seal.GOOD
+    assert first.check(beat(ticks(NOW))) is SignatureResult.GOOD
     first.save()
     assert Signing(KEY, at(0.0), str(tmp_path)).stamp() == ticks(NOW) + SAVE_S * TICKS + 1
 

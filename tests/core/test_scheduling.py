@@ -20,9 +20,9 @@ from phm.probes.autopilot_state import Pilot
 from phm.probes.link_stats import Flow
 from phm.swarm.peers import LOST_PERIODS, Peers
 from phm.testing import FakeClock, world
-from phm.transport.call_deadlines import Watchdog
+from phm.transport.call_deadlines import CallDeadlines
 from phm.transport.mavlink_traffic import Traffic
-from phm.wire.tunnel import Seen
+from phm.wire.tunnel import PeerState
 from tests.fakes.mavlink import heartbeat
 from tests.fakes.until import until
 
@@ -213,21 +213,21 @@ def test_peers_are_not_lost_while_phm_does_not_run() -> None:
             peers.watch(clock.mono(), 2.0)
     starved(clock, 12.0)
     peers.watch(clock.mono(), 2.0)
-    assert set(peers.seen(clock.mono()).values()) <= {Seen.ALIVE, Seen.LATE}
+    assert set(peers.states(clock.mono()).values()) <= {PeerState.ALIVE, PeerState.LATE}
     clock.be_late(30.0)
     peers.watch(clock.mono(), 2.0)
-    assert set(peers.seen(clock.mono()).values()) <= {Seen.ALIVE, Seen.LATE}
+    assert set(peers.states(clock.mono()).values()) <= {PeerState.ALIVE, PeerState.LATE}
     for _ in range(30):
         clock.advance(0.5)
         peers.watch(clock.mono(), 2.0)
-    assert set(peers.seen(clock.mono()).values()) == {Seen.LOST}
+    assert set(peers.states(clock.mono()).values()) == {PeerState.LOST}
     assert LOST_PERIODS * 2.0 < 15.0
 
 
 def test_a_call_is_not_cut_for_time_in_which_phm_did_not_run() -> None:
     """The answer may wait in the socket; a call that is not answered while PHM runs is cut."""
     clock = FakeClock()
-    watchdog = Watchdog(clock, "phm-test-deadlines")
+    watchdog = CallDeadlines(clock, "phm-test-deadlines")
     near, far = socket.socketpair()
     with near, far, watchdog.watch(2.0) as call:
         call.attach(near)

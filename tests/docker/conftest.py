@@ -12,7 +12,7 @@ import pytest
 from docker import DockerClient
 from docker.errors import DockerException, NotFound
 
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine
 
 SOCKET = "unix:///var/run/docker.sock"
@@ -26,9 +26,9 @@ def fake(tmp_path: Path) -> Iterator[FakeEngine]:
 
 
 @pytest.fixture
-def ask(fake: FakeEngine) -> Iterator[Engine]:
+def ask(fake: FakeEngine) -> Iterator[DockerEngine]:
     """An engine client on the fake. Its time-out is short for tests of an engine that hangs, and long enough for a busy machine."""
-    engine = Engine(fake.url, timeout_s=4.0)
+    engine = DockerEngine(fake.url, timeout_s=4.0)
     yield engine
     engine.close()
 
@@ -107,8 +107,8 @@ def real() -> Iterator[Real]:
 
 
 @pytest.fixture
-def engine() -> Iterator[Engine]:
+def engine() -> Iterator[DockerEngine]:
     """PHM's own client of the real engine."""
-    engine = Engine(SOCKET, timeout_s=10)
+    engine = DockerEngine(SOCKET, timeout_s=10)
     yield engine
     engine.close()

@@ -16,14 +16,14 @@ from phm.probes.files import MAX_BYTES, Files
 from phm.probes.inotify import Notices
 from phm.probes.volume_path import Outside, resolve
 from phm.testing import FakeClock, FakeDocker, container as fact, settings
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, Hang, container
 
 
 class Place:
     """A container `app` with one mount on /data, seen by PHM as `here`, and the engine's view beside it."""
 
-    def __init__(self, here: Path, fake: FakeEngine, ask: Engine) -> None:
+    def __init__(self, here: Path, fake: FakeEngine, ask: DockerEngine) -> None:
         self.here, self.fake = here, fake
         here.mkdir()
         self.fact: ContainerFact = fact(
@@ -45,7 +45,7 @@ class Place:
 
 
 @pytest.fixture
-def place(tmp_path: Path, fake: FakeEngine, ask: Engine) -> Place:
+def place(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> Place:
     return Place(tmp_path / "volume", fake, ask)
 
 
@@ -192,7 +192,7 @@ def test_a_mount_below_a_volume_that_phm_does_not_see_hides_it(place: Place) -> 
         resolve("/data/cache/old", {"/data": str(place.here), "/data/cache": ""})
 
 
-def test_phm_in_a_container_looks_through_its_own_mounts(tmp_path: Path, fake: FakeEngine, ask: Engine) -> None:
+def test_phm_in_a_container_looks_through_its_own_mounts(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
     """The same volume by name, or a directory that contains the bind's source, as PHM's container mounts them."""
     named, host = tmp_path / "named", tmp_path / "host"
     (host / "maps").mkdir(parents=True)
@@ -225,7 +225,7 @@ def test_phm_in_a_container_looks_through_its_own_mounts(tmp_path: Path, fake: F
     assert sizes == {"/models/a": (1, "volume"), "/maps/b": (2, "volume"), "/other/c": (3, "engine")}
 
 
-def test_an_engine_on_another_machine_has_other_paths(tmp_path: Path, fake: FakeEngine, ask: Engine) -> None:
+def test_an_engine_on_another_machine_has_other_paths(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
     """Behind tcp:// the mount's source means nothing here, even when such a path exists."""
     (tmp_path / "a").write_bytes(b"ours")
     app = fact("app", id="c1", mounts=(Mount(kind="bind", source=str(tmp_path), destination="/data"),))
@@ -236,7 +236,7 @@ def test_an_engine_on_another_machine_has_other_paths(tmp_path: Path, fake: Fake
     assert (seen.size, seen.seen_through) == (7, "engine")
 
 
-def test_a_file_in_memory_cannot_be_told(fake: FakeEngine, ask: Engine) -> None:
+def test_a_file_in_memory_cannot_be_told(fake: FakeEngine, ask: DockerEngine) -> None:
     """The engine does not see into a tmpfs: its `not there` is no proof of absence."""
     app = fact("app", id="c1", mounts=(Mount(kind="tmpfs", source="", destination="/run"),))
     fake.containers["app"] = container("app", container_id="c1")
@@ -245,7 +245,7 @@ def test_a_file_in_memory_cannot_be_told(fake: FakeEngine, ask: Engine) -> None:
         files.look("app", "/run/lock", digest=False)
 
 
-def test_without_a_container_there_is_nothing_to_look_into(ask: Engine) -> None:
+def test_without_a_container_there_is_nothing_to_look_into(ask: DockerEngine) -> None:
     """A container that does not exist is its own check's fault, not a missing file."""
     files = Files(FakeDocker(), ask, settings(), FakeClock())
     with pytest.raises(CannotTell, match="there is no container app"):
@@ -259,7 +259,7 @@ def test_a_hanging_engine_cannot_tell(place: Place) -> None:
         place.look("/opt/app")
 
 
-def test_a_change_in_a_volume_is_told(tmp_path: Path, fake: FakeEngine, ask: Engine) -> None:
+def test_a_change_in_a_volume_is_told(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
     """What the application does to its own files wakes the check; where a link leads counts as well."""
     here = tmp_path / "volume"
     here.mkdir()

@@ -15,11 +15,11 @@ from phm.probes.docker import Docker, own_ids
 from phm.probes.docker_facts import container_fact
 from phm.probes.ping import Reach
 from phm.testing import FakeClock, settings
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, Hang, Status, container
 
 
-def probe(ask: Engine, *containers: dict[str, Any], clock: Any = None, **more: Any) -> Docker:
+def probe(ask: DockerEngine, *containers: dict[str, Any], clock: Any = None, **more: Any) -> Docker:
     return Docker(ask, settings(containers=list(containers), **more), clock or FakeClock())
 
 
@@ -27,7 +27,7 @@ def asked(fake: FakeEngine, call: str) -> int:
     return list(fake.calls).count(call)
 
 
-def test_a_container_is_found_by_name(fake: FakeEngine, ask: Engine) -> None:
+def test_a_container_is_found_by_name(fake: FakeEngine, ask: DockerEngine) -> None:
     """The name in the configuration is the container's name."""
     fake.containers["app"] = container("app", status="exited", exit_code=139, networks=["swarm"])
     fact = probe(ask, {"name": "app"}).container("app")
@@ -36,18 +36,18 @@ def test_a_container_is_found_by_name(fake: FakeEngine, ask: Engine) -> None:
     assert [(attached.name, attached.network_id) for attached in fact.networks] == [("swarm", "id-of-swarm")]
 
 
-def test_a_container_that_is_not_there_is_none(fake: FakeEngine, ask: Engine) -> None:
+def test_a_container_that_is_not_there_is_none(fake: FakeEngine, ask: DockerEngine) -> None:
     """HTTP 404 is an answer, not a failure."""
     assert probe(ask, {"name": "app"}).container("app") is None
 
 
-def test_the_beginning_of_an_id_is_no_name(fake: FakeEngine, ask: Engine) -> None:
+def test_the_beginning_of_an_id_is_no_name(fake: FakeEngine, ask: DockerEngine) -> None:
     """The engine takes an id's beginning for a name: that would watch another container."""
     fake.containers["other"] = container("other", container_id="abcdef012345" + "0" * 52)
     assert probe(ask, {"name": "abcdef012345"}).container("abcdef012345") is None
 
 
-def test_a_label_finds_the_one_container_that_carries_it(fake: FakeEngine, ask: Engine) -> None:
+def test_a_label_finds_the_one_container_that_carries_it(fake: FakeEngine, ask: DockerEngine) -> None:
     """Compose makes names; the label of its service is what stays."""
     fake.containers["swarm-app-1"] = container("swarm-app-1", labels={"com.docker.compose.service": "app"})
     fact = probe(ask, {"label": "com.docker.compose.service=app"}).container("app")
@@ -55,7 +55,7 @@ def test_a_label_finds_the_one_container_that_carries_it(fake: FakeEngine, ask: 
     assert fact.name == "swarm-app-1"
 
 
-def test_the_living_one_of_several_with_a_label_is_meant(fake: FakeEngine, ask: Engine) -> None:
+def test_the_living_one_of_several_with_a_label_is_meant(fake: FakeEngine, ask: DockerEngine) -> None:
     """A container that was replaced is still listed, stopped, beside its successor."""
     fake.containers["old"] = container("old", status="exited", labels={"role": "app"})
     fake.containers["new"] = container("new", labels={"role": "app"})
@@ -65,7 +65,7 @@ def test_the_living_one_of_several_with_a_label_is_meant(fake: FakeEngine, ask: 
 
 
 @pytest.mark.parametrize("status", ["running", "exited"])
-def test_a_label_of_several_equal_containers_cannot_be_told(fake: FakeEngine, ask: Engine, status: str) -> None:
+def test_a_label_of_several_equal_containers_cannot_be_told(fake: FakeEngine, ask: DockerEngine, status: str) -> None:
     """PHM does not guess, since recovery would act on the guess; it names the candidates."""
     fake.containers["one"] = container("one", status=status, labels={"role": "app"})
     fake.containers["two"] = container("two", status=status, labels={"role": "app"})
@@ -73,7 +73,7 @@ def test_a_label_of_several_equal_containers_cannot_be_told(fake: FakeEngine, as
         probe(ask, {"label": "role=app"}).container("app")
 
 
-def test_an_unknown_key_is_told(ask: Engine) -> None:
+def test_an_unknown_key_is_told(ask: DockerEngine) -> None:
     """Only configured containers can be asked about."""
     with pytest.raises(CannotTell, match="no container nobody is configured"):
         probe(ask).container("nobody")
@@ -154,7 +154,7 @@ def test_an_answer_without_a_state_cannot_be_told() -> None:
         container_fact({"Id": "a"})
 
 
-def test_checks_that_ask_together_share_one_answer(fake: FakeEngine, ask: Engine) -> None:
+def test_checks_that_ask_together_share_one_answer(fake: FakeEngine, ask: DockerEngine) -> None:
     """At one moment the engine is asked once; whoever asks later gets an answer from after its question."""
     fake.containers["app"] = container("app")
     clock = FakeClock()
@@ -167,7 +167,7 @@ def test_checks_that_ask_together_share_one_answer(fake: FakeEngine, ask: Engine
     assert asked(fake, "GET /containers/app/json") == 2
 
 
-def test_an_answer_from_before_the_question_is_not_shared(fake: FakeEngine, ask: Engine) -> None:
+def test_an_answer_from_before_the_question_is_not_shared(fake: FakeEngine, ask: DockerEngine) -> None:
     """A container that has ended without an event since somebody else asked is seen to have ended: the run began after it."""
     fake.containers["app"] = container("app")
     clock = FakeClock()
@@ -180,7 +180,7 @@ def test_an_answer_from_before_the_question_is_not_shared(fake: FakeEngine, ask:
     assert fact.status == "exited"
 
 
-def test_a_list_of_processes_asks_for_the_container_no_second_time(fake: FakeEngine, ask: Engine) -> None:
+def test_a_list_of_processes_asks_for_the_container_no_second_time(fake: FakeEngine, ask: DockerEngine) -> None:
     """The check has just looked at the container, and its processes are those of that id, or the engine refuses."""
     fake.containers["app"] = container("app")
     clock = FakeClock()
@@ -192,7 +192,7 @@ def test_a_list_of_processes_asks_for_the_container_no_second_time(fake: FakeEng
     assert asked(fake, "GET /containers/app/json") == 1
 
 
-def test_an_event_makes_the_shared_answer_old(fake: FakeEngine, ask: Engine) -> None:
+def test_an_event_makes_the_shared_answer_old(fake: FakeEngine, ask: DockerEngine) -> None:
     """After an event nobody gets the state from before it."""
     fake.containers["app"] = container("app")
     docker = probe(ask, {"name": "app"})
@@ -206,7 +206,7 @@ def test_an_event_makes_the_shared_answer_old(fake: FakeEngine, ask: Engine) -> 
 
 def test_those_who_waited_for_a_hanging_engine_do_not_wait_again(fake: FakeEngine) -> None:
     """Five checks on a hung engine end together, not one time-out after the other."""
-    engine = Engine(fake.url, timeout_s=1.0)
+    engine = DockerEngine(fake.url, timeout_s=1.0)
     docker = probe(engine, {"name": "app"}, clock=SystemClock())
     engine.version()
     fake.fault = Hang(route="/app/")
@@ -228,7 +228,7 @@ def test_those_who_waited_for_a_hanging_engine_do_not_wait_again(fake: FakeEngin
     engine.close()
 
 
-def test_a_network_has_an_id_or_does_not_exist(fake: FakeEngine, ask: Engine) -> None:
+def test_a_network_has_an_id_or_does_not_exist(fake: FakeEngine, ask: DockerEngine) -> None:
     """A network that is gone is an empty id, and a failure is no answer."""
     fake.networks["swarm"] = {"Id": "n1"}
     docker = probe(ask)
@@ -239,7 +239,7 @@ def test_a_network_has_an_id_or_does_not_exist(fake: FakeEngine, ask: Engine) ->
         docker.network_id("swarm")
 
 
-def test_the_engine_tells_its_version(ask: Engine) -> None:
+def test_the_engine_tells_its_version(ask: DockerEngine) -> None:
     """`engine` proves that the engine answers."""
     assert probe(ask).engine() == "20.10.24"
 
@@ -270,7 +270,9 @@ def test_a_host_is_none_of_its_containers(tmp_path: Path) -> None:
     assert OTHER not in own_ids(proc(tmp_path, line, "0::/user.slice\n"))
 
 
-def test_own_container_is_believed_only_when_the_engine_knows_it(fake: FakeEngine, ask: Engine, tmp_path: Path) -> None:
+def test_own_container_is_believed_only_when_the_engine_knows_it(
+    fake: FakeEngine, ask: DockerEngine, tmp_path: Path
+) -> None:
     """Inside another engine's container (a CI job) the id means nothing to this engine."""
     place = proc(tmp_path, cgroup=f"7:blkio:/docker/{OTHER}/docker/{MINE}\n")
     docker = Docker(ask, settings(), FakeClock(), proc=place)
@@ -282,7 +284,7 @@ def test_own_container_is_believed_only_when_the_engine_knows_it(fake: FakeEngin
     assert fact.name == "phm"
 
 
-def test_a_configured_own_container_must_exist(fake: FakeEngine, ask: Engine) -> None:
+def test_a_configured_own_container_must_exist(fake: FakeEngine, ask: DockerEngine) -> None:
     """A wrong `docker.container` is said, not taken for `not in a container`."""
     docker = probe(ask, docker={"container": "phm_1"})
     with pytest.raises(CannotTell, match="phm_1"):
@@ -293,7 +295,7 @@ def test_a_configured_own_container_must_exist(fake: FakeEngine, ask: Engine) ->
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1"])
-def test_this_machine_answers(ask: Engine, address: str) -> None:
+def test_this_machine_answers(ask: DockerEngine, address: str) -> None:
     """A closed port that refuses is proof that the address answers."""
     assert probe(ask).reachable(address)
 
@@ -309,7 +311,7 @@ def test_who_has_answered_and_no_longer_does_is_silent() -> None:
     assert reach.answers("10.0.0.3")
 
 
-def test_no_address_cannot_be_told(ask: Engine) -> None:
+def test_no_address_cannot_be_told(ask: DockerEngine) -> None:
     """A name is not looked up: that would need a deadline of its own."""
     with pytest.raises(CannotTell, match="no IP address"):
         probe(ask).reachable("ros_app")

@@ -12,14 +12,14 @@ from phm.facts import CannotTell, ProcessFact
 from phm.probes.docker import Docker
 from phm.probes.docker_processes import AGAIN_MOST_S, AGAIN_S, FORMS, Processes, processes
 from phm.testing import FakeClock, settings
-from phm.transport.docker import Engine, EngineBroken
+from phm.transport.docker import DockerEngine, EngineBroken
 from tests.fakes.engine import FakeEngine, Hang, Status, container
 from tests.fakes.until import until
 
 TITLES = ["PID", "PPID", "STAT", "TIME", "ELAPSED", "COMMAND"]
 
 
-def probe(engine: Engine, name: str) -> Docker:
+def probe(engine: DockerEngine, name: str) -> Docker:
     return Docker(engine, settings(containers=[{"name": name}]), SystemClock())
 
 
@@ -109,7 +109,7 @@ def test_a_host_without_ps_cannot_tell() -> None:
             asking.look("app")
 
 
-def test_a_container_that_does_not_run_has_no_list(fake: FakeEngine, ask: Engine) -> None:
+def test_a_container_that_does_not_run_has_no_list(fake: FakeEngine, ask: DockerEngine) -> None:
     """Stopped, or not there: cannot tell, which is no death of a node."""
     fake.containers["app"] = container("app", status="exited")
     for name in ("app", "other"):
@@ -118,7 +118,7 @@ def test_a_container_that_does_not_run_has_no_list(fake: FakeEngine, ask: Engine
 
 
 @pytest.mark.parametrize("fault", [Hang(route="/top"), Status(403, route="/top"), Status(500, route="/top")])
-def test_an_engine_that_does_not_list_cannot_tell(fake: FakeEngine, ask: Engine, fault: Any) -> None:
+def test_an_engine_that_does_not_list_cannot_tell(fake: FakeEngine, ask: DockerEngine, fault: Any) -> None:
     """Hanging, not permitted, broken: a sentence within the deadline."""
     fake.containers["app"] = container("app")
     fake.fault = fault
@@ -127,7 +127,7 @@ def test_an_engine_that_does_not_list_cannot_tell(fake: FakeEngine, ask: Engine,
 
 
 @pytest.mark.engine
-def test_real_processes_with_their_state(real: Any, engine: Engine) -> None:
+def test_real_processes_with_their_state(real: Any, engine: DockerEngine) -> None:
     """Asleep, busy, stopped, gone: each shows in the list of a real container, with long arguments in full."""
     long = "x" * 1000
     made = real.container(f"sleep 601 & bash -c 'while :; do :; done' busy {long} & exec sleep 602")

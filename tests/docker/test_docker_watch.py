@@ -12,7 +12,7 @@ from phm.core.clock import SystemClock
 from phm.probes.docker_events import ENDLESS_STOP_S, KILL_S, STOP_S, DockerEvent, Watch
 from phm.probes.docker_reconcile import Expected, after, differences
 from phm.testing import settings
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.fakes.engine import DropStream, FakeEngine, Hang, Status, container
 from tests.fakes.until import until
 
@@ -27,11 +27,11 @@ class Heard(list[DockerEvent]):
 @pytest.fixture
 def watch(fake: FakeEngine) -> Iterator[Callable[..., tuple[Watch, Heard]]]:
     """Starts a watch on the fake and waits until it follows and has seen the containers once."""
-    started: list[tuple[Watch, Engine]] = []
+    started: list[tuple[Watch, DockerEngine]] = []
 
     def start(*containers: dict[str, Any], compare: float = 60.0) -> tuple[Watch, Heard]:
         heard = Heard()
-        engine = Engine(fake.url, timeout_s=2)
+        engine = DockerEngine(fake.url, timeout_s=2)
         made = Watch(
             engine,
             settings(containers=list(containers), docker={"compare": compare}),
@@ -124,7 +124,7 @@ def test_network_events_wake_the_network_checks(fake: FakeEngine, watch: Callabl
     fake.containers["app"] = container("app", networks=["swarm"])
     made, heard = watch({"name": "app", "networks": ["swarm"]})
     until(made.healthy, "the first comparison")
-    helper = Engine(fake.url)
+    helper = DockerEngine(fake.url)
     helper.disconnect("swarm", "app", force=True)
     helper.connect("swarm", "app")
     until(lambda: len(heard) == 2, "two events")
@@ -284,7 +284,7 @@ def test_a_listener_that_raises_does_not_end_the_watch(fake: FakeEngine) -> None
         heard.append(event.action)
         raise RuntimeError("injected")
 
-    engine = Engine(fake.url, timeout_s=2)
+    engine = DockerEngine(fake.url, timeout_s=2)
     made = Watch(engine, settings(containers=[{"name": "app"}]), SystemClock(), listen)
     made.start()
     assert fake.wait(lambda server: server.streams == 1)
@@ -368,7 +368,7 @@ def test_a_death_after_a_start_that_was_told_is_still_found() -> None:
 def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine) -> None:
     """Mostly the engine itself has gone or come: its check looks at once, and again when it cannot be reached."""
     turns: list[int] = []
-    engine = Engine(fake.url, timeout_s=2)
+    engine = DockerEngine(fake.url, timeout_s=2)
     made = Watch(
         engine, settings(containers=[{"name": "app"}]), SystemClock(), lambda event: None, lambda: turns.append(1)
     )

@@ -12,9 +12,9 @@ import pytest
 
 from phm.facts import CannotTell, NotPermitted
 from phm.testing import FakeClock
-from phm.transport.call_deadlines import Watchdog
+from phm.transport.call_deadlines import CallDeadlines
 from phm.transport.docker import (
-    Engine,
+    DockerEngine,
     EngineBroken,
     EngineConflict,
     EngineError,
@@ -40,7 +40,9 @@ from tests.fakes.engine import (
 
 
 @pytest.mark.parametrize("fault", [Hang(), Trickle(), Trickle(route="/json")])
-def test_a_hanging_and_a_trickling_engine_are_cut_at_the_deadline(fake: FakeEngine, ask: Engine, fault: Fault) -> None:
+def test_a_hanging_and_a_trickling_engine_are_cut_at_the_deadline(
+    fake: FakeEngine, ask: DockerEngine, fault: Fault
+) -> None:
     """Each call has a wall-clock deadline, which bytes that trickle in do not extend."""
     fake.containers["app"] = container("app")
     fake.fault = fault
@@ -48,7 +50,7 @@ def test_a_hanging_and_a_trickling_engine_are_cut_at_the_deadline(fake: FakeEngi
         ask.inspect("app")
 
 
-def test_an_engine_that_was_cut_is_asked_again_with_success(fake: FakeEngine, ask: Engine) -> None:
+def test_an_engine_that_was_cut_is_asked_again_with_success(fake: FakeEngine, ask: DockerEngine) -> None:
     """A call that was cut leaves nothing behind that spoils the next one."""
     fake.containers["app"] = container("app")
     fake.fault = Trickle()
@@ -61,7 +63,7 @@ def test_an_engine_that_was_cut_is_asked_again_with_success(fake: FakeEngine, as
 def test_only_the_overdue_call_is_cut(fake: FakeEngine) -> None:
     """The deadline of one call leaves a call of another thread with a later one alone."""
     fake.containers["app"] = container("app")
-    patient = Engine(fake.url, timeout_s=30)
+    patient = DockerEngine(fake.url, timeout_s=30)
     patient.version()
     fake.fault = Trickle(every_s=0.005, endless=False, route="/app/")
     seen: list[object] = []
@@ -75,7 +77,7 @@ def test_only_the_overdue_call_is_cut(fake: FakeEngine) -> None:
     patient.close()
 
 
-def test_calls_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine, ask: Engine) -> None:
+def test_calls_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine, ask: DockerEngine) -> None:
     """A hundred calls, some of them cut, cost nothing that stays."""
     fake.containers["app"] = container("app")
     ask.inspect("app")
@@ -107,7 +109,7 @@ def test_calls_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine, as
     ],
 )
 def test_each_failure_of_the_engine_has_a_kind_and_a_sentence(
-    fake: FakeEngine, ask: Engine, fault: Fault, kind: type[EngineError], words: str
+    fake: FakeEngine, ask: DockerEngine, fault: Fault, kind: type[EngineError], words: str
 ) -> None:
     """Whatever goes wrong is one of a small family, so a caller needs to know nothing of HTTP libraries."""
     fake.containers["app"] = container("app")
@@ -130,7 +132,7 @@ def test_a_refusal_is_not_permitted_and_everything_is_cannot_tell() -> None:
 def test_a_missing_socket_names_its_path(tmp_path: Path) -> None:
     """Without a socket the sentence says which path was tried."""
     with pytest.raises(EngineNotConnected, match=r"there is no .*/none\.sock"):
-        Engine(f"unix://{tmp_path}/none.sock").ping()
+        DockerEngine(f"unix://{tmp_path}/none.sock").ping()
 
 
 def test_a_dead_socket_says_that_nobody_listens(tmp_path: Path) -> None:
@@ -139,7 +141,7 @@ def test_a_dead_socket_says_that_nobody_listens(tmp_path: Path) -> None:
     left.bind(str(tmp_path / "left.sock"))
     left.close()
     with pytest.raises(EngineNotConnected, match="no Docker Engine listens"):
-        Engine(f"unix://{tmp_path}/left.sock").ping()
+        DockerEngine(f"unix://{tmp_path}/left.sock").ping()
 
 
 def test_a_forbidden_socket_says_which_group_is_needed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -151,7 +153,7 @@ def test_a_forbidden_socket_says_which_group_is_needed(monkeypatch: pytest.Monke
 
     monkeypatch.setattr("phm.transport.docker_http._Socket", Forbidden)
     with pytest.raises(EngineNotConnected, match="add the docker group with group_add"):
-        Engine(f"unix://{tmp_path}/engine.sock").ping()
+        DockerEngine(f"unix://{tmp_path}/engine.sock").ping()
 
 
 def test_a_tcp_engine_that_nobody_serves_is_unreachable() -> None:
@@ -159,14 +161,14 @@ def test_a_tcp_engine_that_nobody_serves_is_unreachable() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         with pytest.raises(EngineTimeout):
-            Engine(f"tcp://127.0.0.1:{port}", timeout_s=0.3).ping()
+            DockerEngine(f"tcp://127.0.0.1:{port}", timeout_s=0.3).ping()
     with pytest.raises(EngineNotConnected, match=f"127.0.0.1:{port}"):
-        Engine(f"tcp://127.0.0.1:{port}", timeout_s=5).ping()
+        DockerEngine(f"tcp://127.0.0.1:{port}", timeout_s=5).ping()
 
 
 def test_nothing_is_asked_when_the_client_is_made(fake: FakeEngine) -> None:
     """PHM starts although the engine is down: the first call is the first contact."""
-    Engine(fake.url)
+    DockerEngine(fake.url)
     assert list(fake.calls) == []
 
 
@@ -176,18 +178,18 @@ def test_nothing_is_asked_when_the_client_is_made(fake: FakeEngine) -> None:
 def test_the_api_version_suits_the_engine(tmp_path: Path, newest: str, oldest: str, spoken: str) -> None:
     """An old engine is spoken to in its own version, a new one in the newest that PHM knows, if it still takes it."""
     with FakeEngine(tmp_path / "e.sock", api=newest, minimum=oldest) as fake:
-        engine = Engine(fake.url)
+        engine = DockerEngine(fake.url)
         assert engine.call(lambda client: client.api_version) == spoken
 
 
-def test_a_proxy_that_hides_the_version_is_no_obstacle(fake: FakeEngine, ask: Engine) -> None:
+def test_a_proxy_that_hides_the_version_is_no_obstacle(fake: FakeEngine, ask: DockerEngine) -> None:
     """A socket proxy may allow containers and nothing else."""
     fake.containers["app"] = container("app")
     fake.fault = Status(403, route="/version")
     assert ask.inspect("app")["Name"] == "/app"
 
 
-def test_a_restart_may_take_its_stop_timeout(fake: FakeEngine, ask: Engine) -> None:
+def test_a_restart_may_take_its_stop_timeout(fake: FakeEngine, ask: DockerEngine) -> None:
     """The deadline of a restart is longer than the time the container is given to stop."""
     fake.containers["app"] = container("app")
     ask.ping()
@@ -197,7 +199,7 @@ def test_a_restart_may_take_its_stop_timeout(fake: FakeEngine, ask: Engine) -> N
     assert fake.containers["app"]["State"]["StartedAt"] != before
 
 
-def test_actions_change_the_container(fake: FakeEngine, ask: Engine) -> None:
+def test_actions_change_the_container(fake: FakeEngine, ask: DockerEngine) -> None:
     """start, stop, pause, unpause, kill, connect and disconnect reach the engine with their arguments."""
     fake.containers["app"] = container("app", networks=["swarm"])
     state = fake.containers["app"]["State"]
@@ -217,7 +219,7 @@ def test_actions_change_the_container(fake: FakeEngine, ask: Engine) -> None:
     assert attached["IPAMConfig"] == {"IPv4Address": "10.9.0.7"}
 
 
-def test_a_file_is_read_up_to_its_limit(fake: FakeEngine, ask: Engine) -> None:
+def test_a_file_is_read_up_to_its_limit(fake: FakeEngine, ask: DockerEngine) -> None:
     """Content comes through the archive route, and more than the limit is refused before it is read."""
     content = os.urandom(300_000)
     fake.containers["app"] = container("app", files={"/opt/model": content})
@@ -231,7 +233,7 @@ def test_a_file_is_read_up_to_its_limit(fake: FakeEngine, ask: Engine) -> None:
         ask.stat_path("app", "/opt/none")
 
 
-def test_an_event_stream_ends_at_once_when_it_is_closed(fake: FakeEngine, ask: Engine) -> None:
+def test_an_event_stream_ends_at_once_when_it_is_closed(fake: FakeEngine, ask: DockerEngine) -> None:
     """Another thread ends the reader of a silent stream."""
     stream = ask.events()
     seen: list[object] = []
@@ -244,7 +246,7 @@ def test_an_event_stream_ends_at_once_when_it_is_closed(fake: FakeEngine, ask: E
     assert seen == []
 
 
-def test_a_dropped_event_stream_ends_the_iteration(fake: FakeEngine, ask: Engine) -> None:
+def test_a_dropped_event_stream_ends_the_iteration(fake: FakeEngine, ask: DockerEngine) -> None:
     """The caller sees the end and reconnects; events before it were delivered."""
     stream = ask.events()
     assert fake.wait(lambda engine: engine.streams == 1)
@@ -255,7 +257,7 @@ def test_a_dropped_event_stream_ends_the_iteration(fake: FakeEngine, ask: Engine
     assert list(iterator) == []
 
 
-def test_a_hanging_event_stream_is_given_up_at_the_deadline(fake: FakeEngine, ask: Engine) -> None:
+def test_a_hanging_event_stream_is_given_up_at_the_deadline(fake: FakeEngine, ask: DockerEngine) -> None:
     """Opening the stream has the deadline of a call."""
     ask.ping()
     fake.fault = Hang(route="/events")
@@ -265,7 +267,7 @@ def test_a_hanging_event_stream_is_given_up_at_the_deadline(fake: FakeEngine, as
 
 def test_close_cuts_what_is_under_way_and_refuses_the_rest(fake: FakeEngine) -> None:
     """PHM ends at once although the engine hangs."""
-    engine = Engine(fake.url, timeout_s=60)
+    engine = DockerEngine(fake.url, timeout_s=60)
     fake.fault = Hang()
     caught: list[BaseException] = []
 
@@ -288,7 +290,7 @@ def test_close_cuts_what_is_under_way_and_refuses_the_rest(fake: FakeEngine) -> 
 def test_a_socket_is_cut_when_its_time_comes_and_not_before() -> None:
     """The watchdog follows the injected clock, and a finished call's socket is never touched."""
     clock = FakeClock()
-    watchdog = Watchdog(clock, "phm-test-deadlines")
+    watchdog = CallDeadlines(clock, "phm-test-deadlines")
     ours, theirs = socket.socketpair()
     done, other = socket.socketpair()
     with watchdog.watch(1.0) as early:

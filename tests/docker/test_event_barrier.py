@@ -13,7 +13,7 @@ from phm.core.clock import SystemClock
 from phm.probes.docker_events import DockerEvent, Watch
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.fakes.engine import DropStream, FakeEngine, container
 from tests.fakes.until import until
 
@@ -35,7 +35,7 @@ class Late:
 @pytest.fixture
 def late(fake: FakeEngine) -> Iterator[tuple[Watch, Late]]:
     fake.containers["app"] = container("app")
-    engine, listener = Engine(fake.url, timeout_s=4.0), Late()
+    engine, listener = DockerEngine(fake.url, timeout_s=4.0), Late()
     watch = Watch(engine, settings(containers=[{"name": "app"}], docker={"compare": 60.0}), SystemClock(), listener)
     watch.start()
     assert fake.wait(lambda server: server.streams == 1)

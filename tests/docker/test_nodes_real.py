@@ -9,7 +9,7 @@ import pytest
 from phm import api, testing
 from phm.core.clock import SystemClock
 from phm.probes.docker import Docker
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from phm_checks.nodes import Nodes
 from tests.fakes.until import until
 
@@ -19,7 +19,7 @@ FAKE = "bash -c 'while :; do sleep 1; done' fake --name node_{} --namespace /age
 class Agent:
     """Two fake nodes of one real container, beside the graph of a ROS that does not notice anything."""
 
-    def __init__(self, name: str, engine: Engine) -> None:
+    def __init__(self, name: str, engine: DockerEngine) -> None:
         nodes = [{"name": f"/agent_1/node_{number}"} for number in (1, 2)]
         settings = testing.settings(
             containers=[{"name": name, "alias": "ros_app"}], ros={"nodes": nodes, "grace": "2s"}
@@ -51,7 +51,7 @@ def made(real: Any) -> Any:
     return real.container(f"{FAKE.format(1)} & {FAKE.format(2)} & wait; exec sleep 600")
 
 
-def test_a_stopped_and_then_killed_process(made: Any, engine: Engine) -> None:
+def test_a_stopped_and_then_killed_process(made: Any, engine: DockerEngine) -> None:
     """Hung while it is stopped, well when it is let go, dead when it is killed, although its name is listed throughout."""
     agent = Agent(made.name, engine)
     agent.shows("node_1", "", " S")
@@ -64,7 +64,7 @@ def test_a_stopped_and_then_killed_process(made: Any, engine: Engine) -> None:
         agent.shows("node_1", condition, process)
 
 
-def test_a_restarted_container_has_other_processes(made: Any, engine: Engine) -> None:
+def test_a_restarted_container_has_other_processes(made: Any, engine: DockerEngine) -> None:
     """The processes of before are gone with their life: no node is told as dead, and the new ones are found."""
     agent = Agent(made.name, engine)
     agent.shows("node_1", "", " S")
@@ -77,7 +77,7 @@ def test_a_restarted_container_has_other_processes(made: Any, engine: Engine) ->
     assert {result.level for result in agent.results().values()} == {api.Level.OK}
 
 
-def test_a_container_that_ended_takes_its_nodes_along(made: Any, engine: Engine) -> None:
+def test_a_container_that_ended_takes_its_nodes_along(made: Any, engine: DockerEngine) -> None:
     """Its state is the evidence; the tracker then tells it at the container."""
     agent = Agent(made.name, engine)
     agent.shows("node_1", "", " S")

@@ -15,7 +15,7 @@ from phm import api, testing
 from phm.core.clock import SystemClock
 from phm.probes.docker import Docker
 from phm.probes.pressure import Pressure as Probe
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from phm_checks.pressure import Pressure
 from tests.fakes.until import until
 
@@ -44,7 +44,7 @@ wait_until = partial(until, limit_s=90.0, step=lambda: time.sleep(LOOK_S))
 class Agent:
     """The check and the probe on one real container, as PHM uses them."""
 
-    def __init__(self, engine: Engine, name: str, source: str) -> None:
+    def __init__(self, engine: DockerEngine, name: str, source: str) -> None:
         # This machine may be overloaded while the test runs: waiting for others is no part of it.
         limits = {"cgroups": source, "waiting": {"warn": 100, "error": 100}}
         settings = testing.settings(containers=[{"name": name, "alias": "ros_app"}], pressure=limits)
@@ -84,7 +84,9 @@ def source(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def test_a_cpu_limit_that_starves_is_named_and_ends_when_it_is_lifted(real: Any, engine: Engine, source: str) -> None:
+def test_a_cpu_limit_that_starves_is_named_and_ends_when_it_is_lifted(
+    real: Any, engine: DockerEngine, source: str
+) -> None:
     """`docker update --cpus 0.03`, and back."""
     made = real.container(BUSY)
     agent = Agent(engine, made.name, source)
@@ -96,7 +98,7 @@ def test_a_cpu_limit_that_starves_is_named_and_ends_when_it_is_lifted(real: Any,
     agent.is_ok()
 
 
-def test_a_limit_of_processes_that_is_reached_is_named(real: Any, engine: Engine, source: str) -> None:
+def test_a_limit_of_processes_that_is_reached_is_named(real: Any, engine: DockerEngine, source: str) -> None:
     """Until some have ended."""
     made = real.container("sleep 600 & sleep 600 & sleep 600 & wait", pids_limit=50)
     agent = Agent(engine, made.name, source)
@@ -110,7 +112,9 @@ def test_a_limit_of_processes_that_is_reached_is_named(real: Any, engine: Engine
     agent.until(lambda result: result.bypass, "the end of the container")
 
 
-def test_a_memory_limit_below_what_is_needed_again_and_again_is_named(real: Any, engine: Engine, source: str) -> None:
+def test_a_memory_limit_below_what_is_needed_again_and_again_is_named(
+    real: Any, engine: DockerEngine, source: str
+) -> None:
     """The container is not killed: its pages are dropped and read back. With room, it ends."""
     made = real.container(f"exec python3 -c '{THRASH}'", mem_limit="90m", memswap_limit="90m")
     agent = Agent(engine, made.name, source)
@@ -123,7 +127,7 @@ def test_a_memory_limit_below_what_is_needed_again_and_again_is_named(real: Any,
     agent.is_ok()
 
 
-def test_a_memory_limit_that_the_page_cache_fills_is_no_pressure(real: Any, engine: Engine, source: str) -> None:
+def test_a_memory_limit_that_the_page_cache_fills_is_no_pressure(real: Any, engine: DockerEngine, source: str) -> None:
     """Files that are written and read through at the limit, as a recorder does."""
     made = real.container(STREAM, mem_limit="40m", memswap_limit="40m")
     agent = Agent(engine, made.name, source)
@@ -133,7 +137,7 @@ def test_a_memory_limit_that_the_page_cache_fills_is_no_pressure(real: Any, engi
         threading.Event().wait(LOOK_S)
 
 
-def test_a_container_started_again_is_judged_anew(real: Any, engine: Engine, source: str) -> None:
+def test_a_container_started_again_is_judged_anew(real: Any, engine: DockerEngine, source: str) -> None:
     """Its counters begin at 0, in another cgroup of the same name."""
     made = real.container(BUSY, cpu_quota=3000, cpu_period=100000)
     agent = Agent(engine, made.name, source)
@@ -144,7 +148,7 @@ def test_a_container_started_again_is_judged_anew(real: Any, engine: Engine, sou
     agent.is_error("cpu_throttled")
 
 
-def test_the_real_cgroup_of_a_container_shows_everything(real: Any, engine: Engine) -> None:
+def test_the_real_cgroup_of_a_container_shows_everything(real: Any, engine: DockerEngine) -> None:
     """On this machine's version, whichever it is."""
     made = real.container(BUSY, cpu_quota=50000, cpu_period=100000, mem_limit="64m", pids_limit=20)
     agent = Agent(engine, made.name, FILES)
@@ -156,7 +160,7 @@ def test_the_real_cgroup_of_a_container_shows_everything(real: Any, engine: Engi
     assert fact.cpu is not None and fact.cpu.full_s is not None and Path("/proc/pressure/cpu").exists()
 
 
-def test_a_real_mount_of_version_2_is_read(real: Any, engine: Engine) -> None:
+def test_a_real_mount_of_version_2_is_read(real: Any, engine: DockerEngine) -> None:
     """Also one without the controllers, as beside version 1: what is not counted there is said."""
     hybrid = Path(FILES, "unified")
     made = real.container(BUSY, cpu_quota=3000, cpu_period=100000)
@@ -174,7 +178,7 @@ def test_a_real_mount_of_version_2_is_read(real: Any, engine: Engine) -> None:
     wait_until(lambda: stalled_s() >= first_s + 1.0, "the kernel to count that the limit stops it")
 
 
-def test_who_has_the_cpus_is_known_by_name(real: Any, engine: Engine, source: str) -> None:
+def test_who_has_the_cpus_is_known_by_name(real: Any, engine: DockerEngine, source: str) -> None:
     """Also of a container that is not configured."""
     made, other = real.container(), real.container(f"{BUSY} & {BUSY}")
     agent = Agent(engine, made.name, source)

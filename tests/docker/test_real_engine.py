@@ -15,7 +15,7 @@ from phm.probes.docker import Docker
 from phm.probes.docker_events import DockerEvent, Watch
 from phm.probes.files import Files
 from phm.testing import settings
-from phm.transport.docker import Engine, EngineConflict, EngineError, EngineMissing
+from phm.transport.docker import DockerEngine, EngineConflict, EngineError, EngineMissing
 from sitl.faults.address_silent import LINKS, set_link
 from tests.fakes.until import until
 
@@ -29,7 +29,7 @@ HEALTH = {
 }
 
 
-def probe(engine: Engine, *names: str) -> Docker:
+def probe(engine: DockerEngine, *names: str) -> Docker:
     return Docker(engine, settings(containers=[{"name": name} for name in names]), SystemClock())
 
 
@@ -41,7 +41,7 @@ def fact_of(docker: Docker, name: str) -> ContainerFact:
 
 
 @pytest.fixture
-def heard(engine: Engine) -> Iterator[Callable[..., list[DockerEvent]]]:
+def heard(engine: DockerEngine) -> Iterator[Callable[..., list[DockerEvent]]]:
     """Starts a watch on the real engine; the list fills as events come."""
     watches: list[Watch] = []
 
@@ -58,12 +58,12 @@ def heard(engine: Engine) -> Iterator[Callable[..., list[DockerEvent]]]:
         watch.stop()
 
 
-def test_the_engine_answers(engine: Engine) -> None:
+def test_the_engine_answers(engine: DockerEngine) -> None:
     """The version is the engine's own."""
     assert probe(engine).engine()[0].isdigit()
 
 
-def test_a_life_of_a_container(real: Any, engine: Engine) -> None:
+def test_a_life_of_a_container(real: Any, engine: DockerEngine) -> None:
     """running, paused, running, exited with its code, and running again as another life."""
     made = real.container("trap 'exit 7' TERM; while :; do sleep 0.1; done")
     docker = probe(engine, made.name)
@@ -88,7 +88,7 @@ def test_a_life_of_a_container(real: Any, engine: Engine) -> None:
     assert docker.container(made.name) is None
 
 
-def test_failing_health_is_seen_with_its_output(real: Any, engine: Engine) -> None:
+def test_failing_health_is_seen_with_its_output(real: Any, engine: DockerEngine) -> None:
     """healthy while the command succeeds, unhealthy with its streak when it fails."""
     made = real.container("touch /tmp/healthy; exec sleep 600", healthcheck=HEALTH)
     docker = probe(engine, made.name)
@@ -98,7 +98,7 @@ def test_failing_health_is_seen_with_its_output(real: Any, engine: Engine) -> No
     assert fact_of(docker, made.name).health_streak >= 1
 
 
-def test_a_container_that_used_too_much_memory_is_told(real: Any, engine: Engine) -> None:
+def test_a_container_that_used_too_much_memory_is_told(real: Any, engine: DockerEngine) -> None:
     """The engine says that the kernel killed it for memory."""
     made = real.container(
         "exec python3 -c 'x = bytearray(200 << 20)'", mem_limit="32m", memswap_limit="32m", start=False
@@ -111,7 +111,7 @@ def test_a_container_that_used_too_much_memory_is_told(real: Any, engine: Engine
 
 
 def test_events_of_a_real_container_wake_its_checks(
-    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]]
+    real: Any, engine: DockerEngine, heard: Callable[..., list[DockerEvent]]
 ) -> None:
     """Each change of state arrives by the stream, and the runs of its healthcheck do not."""
     made = real.container("touch /tmp/healthy; exec sleep 600", start=False, healthcheck=HEALTH)
@@ -131,7 +131,7 @@ def test_events_of_a_real_container_wake_its_checks(
 
 
 def test_the_engines_own_restarts_are_counted_and_a_start_by_hand_counts_anew(
-    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]]
+    real: Any, engine: DockerEngine, heard: Callable[..., list[DockerEvent]]
 ) -> None:
     """By the counter the container check tells hands apart; each start is another life, told once."""
     made = real.container("test -e /tmp/born || { touch /tmp/born; sleep 1; exit 3; }; exec sleep 600", start=False)
@@ -152,7 +152,7 @@ def test_the_engines_own_restarts_are_counted_and_a_start_by_hand_counts_anew(
 
 
 def test_networks_are_left_and_joined_with_ids(
-    real: Any, engine: Engine, heard: Callable[..., list[DockerEvent]]
+    real: Any, engine: DockerEngine, heard: Callable[..., list[DockerEvent]]
 ) -> None:
     """Disconnected, then connected again with its alias: seen as events and as facts, by the network's id."""
     network = real.network()
@@ -177,7 +177,7 @@ def test_networks_are_left_and_joined_with_ids(
     assert docker.network_id(real.name()) == ""
 
 
-def test_an_address_answers_as_long_as_its_container_lives(real: Any, engine: Engine) -> None:
+def test_an_address_answers_as_long_as_its_container_lives(real: Any, engine: DockerEngine) -> None:
     """A container on a bridge answers, paused too; one that is gone does not."""
     network = real.network()
     made = real.container(network=network.name)
@@ -187,7 +187,7 @@ def test_an_address_answers_as_long_as_its_container_lives(real: Any, engine: En
     assert not docker.reachable(address.rpartition(".")[0] + ".254")
 
 
-def test_an_address_behind_a_cut_cable_is_silent_at_once(real: Any, engine: Engine) -> None:
+def test_an_address_behind_a_cut_cable_is_silent_at_once(real: Any, engine: DockerEngine) -> None:
     """The interface goes down under a container that has answered before: ARP, which remembers it, is not believed."""
     network = real.network()
     made = real.container(network=network.name)
@@ -225,7 +225,7 @@ def test_an_echo_is_answered_where_the_kernel_allows_it(real: Any) -> None:
     assert (code, output.decode().strip()) == (0, "answers")
 
 
-def test_own_container_is_found_from_within(real: Any, engine: Engine, tmp_path: Path) -> None:
+def test_own_container_is_found_from_within(real: Any, engine: DockerEngine, tmp_path: Path) -> None:
     """What /proc says inside a real container is the id by which the engine knows it."""
     made = real.container()
     for file in ("mountinfo", "cgroup"):
@@ -235,7 +235,7 @@ def test_own_container_is_found_from_within(real: Any, engine: Engine, tmp_path:
     assert me.id == made.id
 
 
-def test_a_label_finds_a_real_container(real: Any, engine: Engine) -> None:
+def test_a_label_finds_a_real_container(real: Any, engine: DockerEngine) -> None:
     """Two containers with one label cannot be told apart until one of them ends."""
     label = {"phm.test.role": real.name()}
     one, two = real.container(labels=label), real.container(labels=label)
@@ -247,7 +247,7 @@ def test_a_label_finds_a_real_container(real: Any, engine: Engine) -> None:
     assert fact_of(docker, "app").id == two.id
 
 
-def test_a_file_is_the_same_by_volume_and_by_engine(real: Any, engine: Engine) -> None:
+def test_a_file_is_the_same_by_volume_and_by_engine(real: Any, engine: DockerEngine) -> None:
     """Mode, size and sum of one file agree whichever way it is looked at, links included."""
     volume = real.volume()
     made = real.container(
@@ -276,7 +276,7 @@ def test_a_file_is_the_same_by_volume_and_by_engine(real: Any, engine: Engine) -
     assert files.look(made.name, "/opt/model", digest=True) == seen["/opt/model"]
 
 
-def test_a_volume_that_a_container_fills_with_links_shows_nothing_of_the_host(real: Any, engine: Engine) -> None:
+def test_a_volume_that_a_container_fills_with_links_shows_nothing_of_the_host(real: Any, engine: DockerEngine) -> None:
     """A link to /etc/hostname in a volume is the container's own file, seen through the engine."""
     volume = real.volume()
     made = real.container(
@@ -293,13 +293,13 @@ def test_a_volume_that_a_container_fills_with_links_shows_nothing_of_the_host(re
     assert files.look(made.name, "/data/climb", digest=False) is None
 
 
-def test_processes_of_a_real_container_are_listed(real: Any, engine: Engine) -> None:
+def test_processes_of_a_real_container_are_listed(real: Any, engine: DockerEngine) -> None:
     """The process list needs no exec."""
     made = real.container("exec sleep 321")
     assert any("sleep 321" in " ".join(row) for row in engine.top(made.name)["Processes"])
 
 
-def test_the_real_engines_refusals_have_their_kinds(real: Any, engine: Engine) -> None:
+def test_the_real_engines_refusals_have_their_kinds(real: Any, engine: DockerEngine) -> None:
     """404 and 409 mean the same from the real engine as from the fake one."""
     with pytest.raises(EngineMissing):
         engine.inspect(real.name())

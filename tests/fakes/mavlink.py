@@ -8,7 +8,7 @@ from typing import Any
 
 from phm.facts import LinkFact
 from phm.transport.dialect import mavlink
-from phm.transport.priority import Class
+from phm.transport.priority import MessagePriority
 
 LIMIT_S = 15.0
 
@@ -54,11 +54,17 @@ class FakePort:
         self._listeners: list[tuple[Callable[[Any, str], None], frozenset[int]]] = []
 
     agents = 1
-    to: Callable[[Any, Class, str, int], None] | None = None
+    to: Callable[[Any, MessagePriority, str, int], None] | None = None
     """Where messages go as well, e.g. into an outbox."""
 
     def send(
-        self, message: Any, kind: Class = Class.TRANSITION, *, key: str = "", urgency: int = 0, link: str = ""
+        self,
+        message: Any,
+        kind: MessagePriority = MessagePriority.TRANSITION,
+        *,
+        key: str = "",
+        urgency: int = 0,
+        link: str = "",
     ) -> None:
         self.sent.append(message)
         if self.to is not None:

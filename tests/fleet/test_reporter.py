@@ -11,7 +11,7 @@ from typing import Any
 from phm.cli import render
 from phm.core.model import Level, Outcome, Report, Slot, UnitState
 from phm.core.settings import Settings
-from phm.reporters.fleet import AGAIN_S, ALONG_S, Fleet
+from phm.reporters.fleet import AGAIN_S, ALONG_S, FleetReporter
 from phm.testing import FakeClock
 from phm.transport.zenoh_link import FleetFact
 from tests.fakes.records import at, closed, context, fault, opened, transition, unit
@@ -57,7 +57,7 @@ class Bench:
             }
         )
         made = context(self.settings, clock=self.clock, states=lambda: self.states, alive=lambda: self.alive)
-        self.fleet = Fleet(replace(made, **parts), self.link)
+        self.fleet = FleetReporter(replace(made, **parts), self.link)
 
     @property
     def last(self) -> dict[str, Any]:
@@ -66,7 +66,7 @@ class Bench:
 
 def test_nothing_is_made_where_it_is_off() -> None:
     """By default there is no such reporter, and Zenoh is not imported."""
-    assert Fleet.build(context(Settings())) is None
+    assert FleetReporter.build(context(Settings())) is None
 
 
 def test_the_state_goes_out_at_once_and_again_from_time_to_time() -> None:

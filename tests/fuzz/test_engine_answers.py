@@ -21,7 +21,7 @@ from phm.probes.docker_facts import container_fact
 from phm.probes.docker_processes import processes
 from phm.probes.docker_reconcile import Expected, differences
 from phm.testing import FakeClock, settings
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from phm.transport.docker_session import FAILURES
 from phm.transport.docker_tar import FileCopy, pack, unpack
 from tests.fuzz.hostile import DEEP, JSON, damaged, torn, written
@@ -114,7 +114,7 @@ def test_any_event_is_told_or_passed_over(said: list[Any]) -> None:
     """What is told has the words of a configured container or network, and memory stays bounded."""
     told: list[DockerEvent] = []
     chosen = settings(containers=[{"name": "app", "networks": ["net"]}, {"label": "a=b"}])
-    watch = Watch(cast(Engine, SimpleNamespace(timeout_s=1.0)), chosen, FakeClock(), told.append)
+    watch = Watch(cast(DockerEngine, SimpleNamespace(timeout_s=1.0)), chosen, FakeClock(), told.append)
     for raw in said:
         if isinstance(raw, dict):
             event = watch._understand(raw)
@@ -177,9 +177,9 @@ class _Stranger:
 
 
 @cache
-def _stranger() -> tuple[_Stranger, Engine]:
+def _stranger() -> tuple[_Stranger, DockerEngine]:
     made = _Stranger()
-    return made, Engine(f"unix://{made.path}", timeout_s=20)
+    return made, DockerEngine(f"unix://{made.path}", timeout_s=20)
 
 
 @pytest.mark.parametrize("says", [_http(b"[1]"), _http(DEEP[0])])
@@ -194,14 +194,14 @@ def test_an_answer_that_is_no_object_is_an_error_of_the_engine(says: bytes) -> N
         engine.list()
 
 
-def _events(engine: Engine) -> object:
+def _events(engine: DockerEngine) -> object:
     with engine.events() as stream:
         return list(stream)
 
 
-CALLS: list[Callable[[Engine], object]] = [
+CALLS: list[Callable[[DockerEngine], object]] = [
     lambda engine: engine.inspect("app"), lambda engine: engine.inspect_network("net"), lambda engine: engine.top("app"),
-    lambda engine: engine.list(label="a"), lambda engine: engine.stat_path("app", "/f"), Engine.version,
+    lambda engine: engine.list(label="a"), lambda engine: engine.stat_path("app", "/f"), DockerEngine.version,
     lambda engine: engine.read_file("app", "/f", 2000), _events, lambda engine: engine.restart("app", 1.0),
     lambda engine: engine.exec_detached("app", ["true"]), lambda engine: engine.connect("net", "app"),
 ]  # fmt: skip

@@ -67,7 +67,7 @@ def test_any_log_is_read(lines: list[bytes]) -> None:
         events = list(json_log.read(folder))
         assert all(isinstance(event, dict) for event in events)
         for open_now in (None, [], [event for event in events if event.get("event") == "fault_opened"]):
-            found = fault_timeline.gather(events, open_now)
+            found = fault_timeline.build_timelines(events, open_now)
             json.dumps(found, allow_nan=False)
         runner = CliRunner()
         names = [str(found[0]["fault"])] if found else []

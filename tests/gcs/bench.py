@@ -5,53 +5,55 @@ from __future__ import annotations
 from typing import Any
 
 from phm.core.model import Level, Slot
-from phm.gcs.events import News
-from phm.gcs.fleet_state import Store
-from phm.gcs.frames import Beat, Frame, Payload, Said
+from phm.gcs.events import GcsEvent
+from phm.gcs.fleet_state import FleetState
+from phm.gcs.frames import Frame, Heartbeat, StatusText, TunnelPayload
 from phm.testing import FakeClock
 from phm.wire import status_word, tunnel
-from phm.wire.tunnel import Message
+from phm.wire.tunnel import TunnelMessage
 
 ACTIVE, EMERGENCY = 4, 6
 HEALTHY = dict.fromkeys(list(Slot)[:9], Level.OK)
 
 
-def beat(agent: int, levels: dict[Slot, Level] | None = None, *, state: int = ACTIVE, component: int = 193) -> Beat:
+def beat(
+    agent: int, levels: dict[Slot, Level] | None = None, *, state: int = ACTIVE, component: int = 193
+) -> Heartbeat:
     """A heartbeat of PHM: slots 1 to 9 OK but for those given."""
     word = status_word.encode({**HEALTHY, **(levels or {})})
-    return Beat(agent, component, 18, 8, 0, word, state)
+    return Heartbeat(agent, component, 18, 8, 0, word, state)
 
 
-def pilot(agent: int, *, armed: bool = False, mode: int = 5) -> Beat:
+def pilot(agent: int, *, armed: bool = False, mode: int = 5) -> Heartbeat:
     """A heartbeat of an ArduPilot copter."""
-    return Beat(agent, 1, 2, 3, 128 if armed else 0, mode, ACTIVE)
+    return Heartbeat(agent, 1, 2, 3, 128 if armed else 0, mode, ACTIVE)
 
 
-def said(agent: int, text: str, severity: int = 2, component: int = 193) -> Said:
-    return Said(agent, component, severity, text)
+def said(agent: int, text: str, severity: int = 2, component: int = 193) -> StatusText:
+    return StatusText(agent, component, severity, text)
 
 
-def told(agent: int, message: Message) -> Payload:
-    return Payload(agent, 193, tunnel.PAYLOAD_TYPE, tunnel.encode(message))
+def told(agent: int, message: TunnelMessage) -> TunnelPayload:
+    return TunnelPayload(agent, 193, tunnel.PAYLOAD_TYPE, tunnel.encode(message))
 
 
 class Ground:
     """A store and a clock. `news` is all that it said so far."""
 
     def __init__(self, expected: tuple[int, ...] = ()) -> None:
-        self.clock, self.store, self.news = FakeClock(), Store(expected, own=(254, 190)), list[News]()
+        self.clock, self.store, self.news = FakeClock(), FleetState(expected, own=(254, 190)), list[GcsEvent]()
         self.store.links({"gcs": (True, "")}, self.clock.stamp())
         self.store.tick(self.clock.stamp())
 
-    def hear(self, *frames: Frame) -> list[News]:
+    def hear(self, *frames: Frame) -> list[GcsEvent]:
         """What is new by these frames."""
         found = [news for frame in frames for news in self.store.hear(frame, "gcs", self.clock.stamp())]
         self.news += found
         return found
 
-    def wait(self, seconds: float, *repeated: Frame, every: float = 2.0) -> list[News]:
+    def wait(self, seconds: float, *repeated: Frame, every: float = 2.0) -> list[GcsEvent]:
         """Time passes, and `repeated` come every so many seconds meanwhile; what was new."""
-        found: list[News] = []
+        found: list[GcsEvent] = []
         steps = round(seconds / 0.25)
         for step in range(1, steps + 1):
             self.clock.advance(0.25)
@@ -71,6 +73,6 @@ class Ground:
         return self.store.snapshot(self.clock.stamp())
 
 
-def events(news: list[News], event: str) -> list[dict[str, Any]]:
+def events(news: list[GcsEvent], event: str) -> list[dict[str, Any]]:
     """Bodies of the news of one kind."""
     return [dict(one.body) for one in news if one.event == event]

@@ -8,9 +8,9 @@ from typing import Any
 
 import phm
 from phm.core.model import Level, Slot
-from phm.gcs.events import encode, timed
+from phm.gcs.events import describe_with_time, encode
 from phm.wire import tunnel
-from phm.wire.tunnel import Digest, Seen, View, Words
+from phm.wire.tunnel import PeerState, PeerView, StatusWords, SwarmDigest
 from tests.gcs.bench import Ground, beat, pilot, said, told
 
 PAGE = (Path(phm.__file__).parents[1] / "docs" / "reference" / "gcs.md").read_text()
@@ -25,8 +25,8 @@ def flight() -> Ground:
     ground.hear(
         beat(7), beat(8), pilot(7, armed=True), said(7, "A07 FAIL 6 node_1 dead"), said(7, "hello", component=1)
     )
-    ground.hear(said(7, "SWARM 1/2 FAIL A08:lost", 6), told(7, Digest(2, 1, {7: Level.OK, 8: Level.ERROR})))
-    ground.hear(told(7, View(1, True, True, False, {8: Seen.LOST})), told(7, Words({8: 0x40025D55})))
+    ground.hear(said(7, "SWARM 1/2 FAIL A08:lost", 6), told(7, SwarmDigest(2, 1, {7: Level.OK, 8: Level.ERROR})))
+    ground.hear(told(7, PeerView(1, True, True, False, {8: PeerState.LOST})), told(7, StatusWords({8: 0x40025D55})))
     ground.hear(told(7, tunnel.details("ab12-1", "node_1 is dead")[0]))
     ground.hear(beat(7, {Slot.NODES: Level.ERROR}), beat(7, {}, state=1))
     ground.wait(30, beat(7))
@@ -67,7 +67,7 @@ def test_every_event_and_key_is_named() -> None:
 
 def test_all_news_have_words_for_people() -> None:
     """But for what machines alone need: views, other agents' words, and what repeats itself."""
-    silent = {news.event for news in flight().news if not timed(news)}
+    silent = {news.event for news in flight().news if not describe_with_time(news)}
     assert silent == {"view", "words"}
 
 

@@ -23,8 +23,8 @@ import pytest
 import phm
 from phm.core.clock import SystemClock
 from phm.core.settings import MavlinkSettings
-from phm.gcs.recorder import Record
-from phm.gcs.station import COMPONENT, Station
+from phm.gcs.recorder import Recorder
+from phm.gcs.station import COMPONENT, GroundStation
 from phm.gcs.subscriber_queue import SubscriberQueue
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
@@ -114,7 +114,7 @@ class Scene:
         self.port, url = self.router.port, f"udpout:127.0.0.1:{self.router.port}"
         self.agents = {7: agent(folder, 7, url, key=key, engine=True), 8: agent(folder, 8, url, key=key)}
         clock = SystemClock()
-        self.station = Station(endpoints(url, key=key), 254, clock)
+        self.station = GroundStation(endpoints(url, key=key), 254, clock)
         self.outlet = SubscriberQueue(clock)
         self.station.subscribe(self.outlet)
         self.seen: list[dict[str, Any]] = []
@@ -193,7 +193,7 @@ def test_with_a_key_only_what_is_signed_counts(tmp_path: Path) -> None:
 def test_the_record_can_be_read_back(scene: Scene, tmp_path: Path) -> None:
     """Numbers without a gap, stamps of the ground, a snapshot at the end; a torn last line harms nothing."""
     path = tmp_path / "record" / "flight.jsonl"
-    book = Record(str(path), scene.station, SystemClock())
+    book = Recorder(str(path), scene.station, SystemClock())
     book.start()
     until(lambda: scene.of(7)["how"] == "ERROR" and scene.of(8)["how"] is not None, "news")
     until(lambda: path.exists() and path.stat().st_size > 1000, "the file")
@@ -233,12 +233,15 @@ class Wire:
 
 
 @pytest.fixture
-def wired() -> Iterator[Callable[..., tuple[Station, Wire]]]:
-    made: list[tuple[Station, Wire]] = []
+def wired() -> Iterator[Callable[..., tuple[GroundStation, Wire]]]:
+    made: list[tuple[GroundStation, Wire]] = []
 
-    def make(*, silent: bool = False) -> tuple[Station, Wire]:
+    def make(*, silent: bool = False) -> tuple[GroundStation, Wire]:
         port = free_port(socket.SOCK_DGRAM)
-        station, wire = Station(endpoints(f"udpin:127.0.0.1:{port}"), 254, SystemClock(), silent=silent), Wire(port)
+        station, wire = (
+            GroundStation(endpoints(f"udpin:127.0.0.1:{port}"), 254, SystemClock(), silent=silent),
+            Wire(port),
+        )
         made.append((station, wire))
         station.start()
         until(lambda: station.snapshot()[1].body["links"], "the link")
@@ -250,7 +253,7 @@ def wired() -> Iterator[Callable[..., tuple[Station, Wire]]]:
         wire.sock.close()
 
 
-def test_it_says_hello_like_a_ground_station(wired: Callable[..., tuple[Station, Wire]]) -> None:
+def test_it_says_hello_like_a_ground_station(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
     """Type GCS, 254/190, and nothing but heartbeats."""
     _, wire = wired()
     wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
@@ -260,7 +263,7 @@ def test_it_says_hello_like_a_ground_station(wired: Callable[..., tuple[Station,
     }
 
 
-def test_silent_is_silent(wired: Callable[..., tuple[Station, Wire]]) -> None:
+def test_silent_is_silent(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
     """It hears all the same."""
     station, wire = wired(silent=True)
     sender = Sender(7, 193)
@@ -269,7 +272,7 @@ def test_silent_is_silent(wired: Callable[..., tuple[Station, Wire]]) -> None:
     assert [wire.hear() for _ in range(8)] == [[]] * 8
 
 
-def test_another_program_with_our_id_is_told(wired: Callable[..., tuple[Station, Wire]]) -> None:
+def test_another_program_with_our_id_is_told(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
     """Frames of our own that come back from a router are not: those were ours."""
     station, wire = wired()
     wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
@@ -283,7 +286,7 @@ def test_another_program_with_our_id_is_told(wired: Callable[..., tuple[Station,
     assert "--id" in problems[0]
 
 
-def test_a_flood_crowds_out_nobody_else(wired: Callable[..., tuple[Station, Wire]]) -> None:
+def test_a_flood_crowds_out_nobody_else(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
     """Of a sender that says too much only its own frames are dropped; garbage between them changes nothing."""
     station, wire = wired()
     loud, calm = Sender(9, 193), Sender(7, 193)
@@ -302,7 +305,7 @@ def test_an_autopilot_passes_on_to_those_that_speak(silent: bool) -> None:
     aboard = Autopilot(7, f"tcpin:127.0.0.1:{companion}", f"tcpin:127.0.0.1:{ground}", armed=True)
     thread = threading.Thread(target=aboard.run, daemon=True)
     thread.start()
-    station = Station(endpoints(f"tcp:127.0.0.1:{ground}"), 254, SystemClock(), silent=silent)
+    station = GroundStation(endpoints(f"tcp:127.0.0.1:{ground}"), 254, SystemClock(), silent=silent)
     station.start()
     sender = Sender(7, 193)
 

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings as hypothesis_settings, stra
 from rich.console import Console
 
 from phm.gcs import frames, table
-from phm.gcs.events import encode, timed
+from phm.gcs.events import describe_with_time, encode
 from phm.gcs.ingress_filter import BURST, MAX_COPIES, NEW_BURST, IngressFilter
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
@@ -55,19 +55,19 @@ class Air:
 
     def feed(self, data: bytes) -> None:
         for message in self.parser.feed(data):
-            frame = frames.read(message)
+            frame = frames.parse(message)
             assert frame is not None
             for news in self.ground.hear(frame):
                 json.loads(encode(news, "run", 1))
-                assert timed(news).isprintable()
+                assert describe_with_time(news).isprintable()
 
     def look(self) -> None:
         """Everything that is made of it can be made."""
         for news in self.ground.wait(1):
-            assert timed(news).isprintable()
+            assert describe_with_time(news).isprintable()
         whole = {**self.ground.whole(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
         json.dumps(whole, allow_nan=False)
-        Console(file=io.StringIO(), width=80).print(table.whole(whole, height=24))
+        Console(file=io.StringIO(), width=80).print(table.render(whole, height=24))
         assert len(whole["agents"]) <= 256
 
 
@@ -115,7 +115,7 @@ def test_others_cannot_change_an_agents_row() -> None:
         words = luck.choice(
             ["A07 FAIL 6 node_1 dead", "A07 OK 11111111", "A07 FAIL 11111011 6 x", "SWARM 0/9 FAIL A07:lost"]
         )
-        ground.hear(frames.Said(system, component, 2, words))
+        ground.hear(frames.StatusText(system, component, 2, words))
     assert {**ground.agent(7), "age_s": None} == before
     assert ground.whole()["swarm"] is None
     assert before["slots"] == {str(int(slot)): "OK" for slot in HEALTHY}

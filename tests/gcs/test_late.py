@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from phm.core.scheduling_delay import WINDOW_S
-from phm.gcs.station import LATE_MOST_S, Station
+from phm.gcs.station import LATE_MOST_S, GroundStation
 from phm.testing import FakeClock, settings
 from tests.gcs.bench import beat, pilot
 
 PERIOD_S = 2.0
 
 
-def heard() -> tuple[Station, FakeClock]:
+def heard() -> tuple[GroundStation, FakeClock]:
     """A ground station whose links are not opened, which has received agent 7 and its autopilot for a while."""
     clock = FakeClock()
     made = settings(mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14550"}], "component_id": 190})
-    station = Station(made.mavlink, 254, clock)
+    station = GroundStation(made.mavlink, 254, clock)
     for _ in range(10):
         for frame in (beat(7), pilot(7)):
             station._store.hear(frame, "gcs", clock.stamp())
@@ -23,7 +23,7 @@ def heard() -> tuple[Station, FakeClock]:
     return station, clock
 
 
-def presence(station: Station) -> tuple[str, str]:
+def presence(station: GroundStation) -> tuple[str, str]:
     body = station.snapshot()[1].body
     return body["agents"][0]["presence"], next(iter(body["pilots"].values()))["presence"]
 

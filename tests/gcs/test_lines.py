@@ -6,24 +6,30 @@ import pytest
 
 from phm.core.model import Level, Slot
 from phm.gcs import statustext_parser
-from phm.gcs.statustext_parser import Kind, Line
+from phm.gcs.statustext_parser import LineKind, ParsedLine
 from phm.swarm import digest
 from phm.wire import status_line
 from tests.fakes.records import unit
 
 
-def read(text: str) -> Line:
-    found = statustext_parser.read(text)
+def read(text: str) -> ParsedLine:
+    found = statustext_parser.parse(text)
     assert found is not None, text
     return found
 
 
 def test_a_change_says_agent_word_slot_and_words() -> None:
     """As `bad`, `gave_up` and `advise` write them, also of agents with three digits."""
-    found = read(status_line.bad(7, Level.ERROR, Slot.NODES, "node_1 dead"))
-    assert (found.kind, found.agent, found.word, found.slot, found.text) == (Kind.CHANGE, 7, "FAIL", 6, "node_1 dead")
+    found = read(status_line.failing(7, Level.ERROR, Slot.NODES, "node_1 dead"))
+    assert (found.kind, found.agent, found.word, found.slot, found.text) == (
+        LineKind.CHANGE,
+        7,
+        "FAIL",
+        6,
+        "node_1 dead",
+    )
     assert found.level is Level.ERROR
-    assert read(status_line.bad(250, Level.WARN, Slot.USER_3, "battery low")).level is Level.WARN
+    assert read(status_line.failing(250, Level.WARN, Slot.USER_3, "battery low")).level is Level.WARN
     assert read(status_line.gave_up(7, Slot.CONTAINER, "ros_app", "ros_app exited")).level is Level.ERROR
     advised = read(status_line.advise(7, Slot.CONTAINER, "restart", "ros_app"))
     assert (advised.level, advised.text) == (None, "restart ros_app")
@@ -35,16 +41,16 @@ def test_a_change_says_agent_word_slot_and_words() -> None:
 def test_what_is_over_names_what_was_bad(by: str) -> None:
     """Whoever ended it; and where the line had to be cut, the cut name is recognised."""
     for brief in ("node_1 dead", "x" * 20 + "y" * 18):
-        over = read(status_line.over(250, Slot.USER_1, brief, by)).over
+        over = read(status_line.recovered(250, Slot.USER_1, brief, by)).over
         assert over
-        assert statustext_parser.same(brief, over)
-    assert not statustext_parser.same("node_2 dead", "node_1 dead")
+        assert statustext_parser.matches(brief, over)
+    assert not statustext_parser.matches("node_2 dead", "node_1 dead")
 
 
 def test_a_refresh_says_how_many_are_bad() -> None:
     """Only one that knows of a single bad unit says so; digits at the end of a name are no count."""
     bad = [unit("a", Slot.NODES, Level.ERROR, brief="node +1x"), unit("b", Slot.NODES, Level.WARN, brief="slow")]
-    assert read(status_line.refresh(1, [unit("a", Slot.NODES)])).kind is Kind.REFRESH
+    assert read(status_line.refresh(1, [unit("a", Slot.NODES)])).kind is LineKind.REFRESH
     one = read(status_line.refresh(1, bad[:1]))
     assert (one.word, one.slot, one.text, one.alone) == ("FAIL", 6, "node +1x", True)
     assert not read(status_line.refresh(1, bad)).alone
@@ -53,25 +59,25 @@ def test_a_refresh_says_how_many_are_bad() -> None:
 
 def test_what_the_speaker_says_is_read() -> None:
     """The swarm's line, and the line about an agent whose radio failed."""
-    swarm = read(digest.line({1: (Level.OK, ""), 3: (Level.ERROR, "ROS")}))
-    assert (swarm.kind, swarm.agent, swarm.word, swarm.text) == (Kind.SWARM, 0, "FAIL", "A03:ROS")
-    relay = read(digest.relay(3, [1, 2], 0x40025D55))
-    assert (relay.kind, relay.agent) == (Kind.RELAY, 3)
-    assert read("A03 no GCS radio: comes and goes").kind is Kind.RELAY
+    swarm = read(digest.digest_line({1: (Level.OK, ""), 3: (Level.ERROR, "ROS")}))
+    assert (swarm.kind, swarm.agent, swarm.word, swarm.text) == (LineKind.SWARM, 0, "FAIL", "A03:ROS")
+    relay = read(digest.relay_line(3, [1, 2], 0x40025D55))
+    assert (relay.kind, relay.agent) == (LineKind.RELAY, 3)
+    assert read("A03 no GCS radio: comes and goes").kind is LineKind.RELAY
 
 
 def test_a_swarm_line_names_who_is_not_well() -> None:
     """Unless it had no room for all."""
     many = dict.fromkeys(range(1, 20), (Level.ERROR, "lost"))
-    assert statustext_parser.named(read(digest.line(many))) is None
-    assert statustext_parser.named(
-        read(digest.line({1: (Level.OK, ""), 103: (Level.WARN, "deaf"), 4: (Level.ERROR, "lost")}))
+    assert statustext_parser.unhealthy_agents(read(digest.digest_line(many))) is None
+    assert statustext_parser.unhealthy_agents(
+        read(digest.digest_line({1: (Level.OK, ""), 103: (Level.WARN, "no-GCS"), 4: (Level.ERROR, "lost")}))
     ) == {
         4,
         103,
     }
-    assert statustext_parser.named(read(digest.line({1: (Level.OK, "")}))) == frozenset()
-    assert statustext_parser.named(read("SWARM 90/100 FAIL +7")) is None
+    assert statustext_parser.unhealthy_agents(read(digest.digest_line({1: (Level.OK, "")}))) == frozenset()
+    assert statustext_parser.unhealthy_agents(read("SWARM 90/100 FAIL +7")) is None
 
 
 @pytest.mark.parametrize(
@@ -97,4 +103,4 @@ def test_a_swarm_line_names_who_is_not_well() -> None:
 )
 def test_lines_of_others_are_not_phms(text: str) -> None:
     """Nor what only looks alike, with numbers that no agent and no slot has."""
-    assert statustext_parser.read(text) is None
+    assert statustext_parser.parse(text) is None

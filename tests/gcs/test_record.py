@@ -6,14 +6,14 @@ from pathlib import Path
 
 from phm.core.clock import SystemClock
 from phm.gcs import recorder
-from phm.gcs.recorder import Record
+from phm.gcs.recorder import Recorder
 from phm.wire import json_log
 from tests.fakes.until import until
-from tests.gcs.test_serve import Source
+from tests.gcs.test_server import Source
 
 
-def made(path: Path, source: Source, **limits: int) -> Record:
-    book = Record(str(path), source, SystemClock(), **limits)  # type: ignore[arg-type]
+def made(path: Path, source: Source, **limits: int) -> Recorder:
+    book = Recorder(str(path), source, SystemClock(), **limits)  # type: ignore[arg-type]
     book.start()
     return book
 

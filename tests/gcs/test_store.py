@@ -7,11 +7,11 @@ import json
 import pytest
 
 from phm.core.model import Level, Slot, Stamp
-from phm.gcs.events import encode, timed
-from phm.gcs.fleet_state import Store
-from phm.gcs.frames import Beat, Payload, Radio, Said
+from phm.gcs.events import describe_with_time, encode
+from phm.gcs.fleet_state import FleetState
+from phm.gcs.frames import Heartbeat, RadioStatus, StatusText, TunnelPayload
 from phm.wire import status_word, tunnel
-from phm.wire.tunnel import Digest, Seen, View, Words
+from phm.wire.tunnel import PeerState, PeerView, StatusWords, SwarmDigest
 from tests.gcs.bench import EMERGENCY, HEALTHY, Ground, beat, events, pilot, said, told
 
 
@@ -40,7 +40,7 @@ def test_what_an_agent_did_not_say_is_unknown() -> None:
     agent = ground.agent(3)
     assert (agent["how"], agent["presence"], agent["slots"], agent["age_s"]) == ("UNKNOWN", "never heard", {}, None)
     assert (agent["line"], agent["pilot"], agent["hears_ground"], agent["period_s"]) == (None, None, None, None)
-    ground.hear(Beat(3, 193, 18, 8, 0, 1 << 30, 4))
+    ground.hear(Heartbeat(3, 193, 18, 8, 0, 1 << 30, 4))
     assert (ground.agent(3)["how"], ground.agent(3)["slots"]) == ("UNKNOWN", {})
     ground.hear(beat(3, {Slot.FILES: Level.STALE}))
     assert "3" not in ground.agent(3)["slots"]
@@ -49,17 +49,17 @@ def test_what_an_agent_did_not_say_is_unknown() -> None:
 @pytest.mark.parametrize(
     "frame",
     [
-        Beat(9, 191, 18, 8, 0, 0, 4),
-        Beat(9, 191, 18, 8, 0, 7, 4),
-        Beat(9, 1, 2, 3, 0, 1 << 30, 4),
-        Beat(0, 193, 18, 8, 0, 1 << 30, 4),
-        Beat(251, 193, 18, 8, 0, 1 << 30, 4),
-        Beat(9, 193, 6, 8, 0, 1 << 30, 4),
-        Beat(254, 190, 18, 8, 0, 1 << 30, 4),
+        Heartbeat(9, 191, 18, 8, 0, 0, 4),
+        Heartbeat(9, 191, 18, 8, 0, 7, 4),
+        Heartbeat(9, 1, 2, 3, 0, 1 << 30, 4),
+        Heartbeat(0, 193, 18, 8, 0, 1 << 30, 4),
+        Heartbeat(251, 193, 18, 8, 0, 1 << 30, 4),
+        Heartbeat(9, 193, 6, 8, 0, 1 << 30, 4),
+        Heartbeat(254, 190, 18, 8, 0, 1 << 30, 4),
     ],
     ids=["no word", "a mode", "an autopilot", "id 0", "id 251", "a ground station", "ourselves"],
 )
-def test_heartbeats_of_others_make_no_agent(ground: Ground, frame: Beat) -> None:
+def test_heartbeats_of_others_make_no_agent(ground: Ground, frame: Heartbeat) -> None:
     """Whatever their custom_mode holds."""
     ground.hear(frame)
     assert ground.whole()["agents"] == []
@@ -67,9 +67,9 @@ def test_heartbeats_of_others_make_no_agent(ground: Ground, frame: Beat) -> None
 
 def test_a_word_of_another_version_is_said_to_be_unread(ground: Ground) -> None:
     """Once; the agent is there, and nothing is claimed of its slots."""
-    news = ground.hear(Beat(9, 193, 18, 8, 0, 2 << 30 | 1, 4))
+    news = ground.hear(Heartbeat(9, 193, 18, 8, 0, 2 << 30 | 1, 4))
     assert "version 2" in events(news, "problem")[0]["text"]
-    assert ground.hear(Beat(9, 193, 18, 8, 0, 2 << 30 | 1, 4)) == []
+    assert ground.hear(Heartbeat(9, 193, 18, 8, 0, 2 << 30 | 1, 4)) == []
     assert (ground.agent(9)["how"], ground.agent(9)["slots"]) == ("UNKNOWN", {})
 
 
@@ -127,7 +127,7 @@ def test_an_agent_that_was_stopped_on_purpose_has_left(ground: Ground) -> None:
 def test_a_restart_forgets_what_was_told_before_it(ground: Ground) -> None:
     """A heartbeat that says BOOT after others: the new PHM tells everything anew."""
     ground.hear(beat(7, {Slot.NODES: Level.ERROR}), said(7, "A07 FAIL 6 node_1 dead"))
-    news = ground.hear(Beat(7, 193, 18, 8, 0, 1 << 30, 1))
+    news = ground.hear(Heartbeat(7, 193, 18, 8, 0, 1 << 30, 1))
     assert events(news, "restart")[0]["restarts"] == 1
     agent = ground.agent(7)
     assert (agent["bad"], agent["restarts"], agent["how"]) == ([], 1, "BOOT")
@@ -177,7 +177,7 @@ def test_a_refresh_that_repeats_is_recorded_and_not_told(ground: Ground) -> None
     ground.hear(beat(7))
     first = ground.hear(said(7, "A07 OK 11111111", 6))
     again = ground.hear(said(7, "A07 OK 11111111", 6))
-    assert [bool(timed(news)) for news in first + again] == [True, False]
+    assert [bool(describe_with_time(news)) for news in first + again] == [True, False]
     assert events(again, "text")[0]["repeat"] is True
 
 
@@ -185,14 +185,14 @@ def test_an_agent_with_two_ways_to_the_ground_is_told_once(ground: Ground) -> No
     """Each line comes twice, and heartbeats come in pairs: neither a second line nor a shorter period."""
     ground.hear(beat(7))
     first, second = ground.hear(said(7, "A07 FAIL 6 node_1 dead")), ground.hear(said(7, "A07 FAIL 6 node_1 dead"))
-    assert (bool(timed(first[0])), bool(timed(second[0]))) == (True, False)
+    assert (bool(describe_with_time(first[0])), bool(describe_with_time(second[0]))) == (True, False)
     for _ in range(10):
         ground.wait(0.5)
         ground.hear(beat(7))
         ground.wait(1.5)
         ground.hear(beat(7))
     assert ground.agent(7)["period_s"] == 1.5
-    assert timed(ground.hear(said(7, "A07 FAIL 6 node_1 dead"))[0])
+    assert describe_with_time(ground.hear(said(7, "A07 FAIL 6 node_1 dead"))[0])
 
 
 def test_a_refresh_that_does_not_know_all_is_stale(ground: Ground) -> None:
@@ -214,7 +214,7 @@ def test_a_refresh_that_does_not_know_all_is_stale(ground: Ground) -> None:
     ],
     ids=["the autopilot", "about another", "by another", "other words", "a ground station"],
 )
-def test_lines_of_others_are_shown_as_theirs(ground: Ground, frame: Said) -> None:
+def test_lines_of_others_are_shown_as_theirs(ground: Ground, frame: StatusText) -> None:
     """They are recorded with their sender, and change nothing of any agent."""
     ground.hear(beat(7), beat(8))
     news = ground.hear(frame)
@@ -237,27 +237,27 @@ def test_a_line_that_comes_before_the_first_heartbeat_is_not_lost(ground: Ground
 
 def test_with_the_key_unsigned_frames_are_no_phms() -> None:
     """A made-up agent has no row, and a made-up line of a true one is shown as its sender's and changes nothing."""
-    store = Store(signed=True)
+    store = FleetState(signed=True)
     word = status_word.encode({Slot.NODES: Level.OK})
-    store.hear(Beat(7, 193, 18, 8, 0, word, 4, signed=True), "link", Stamp(0.0, 0.0))
-    store.hear(Beat(8, 193, 18, 8, 0, word, 4), "link", Stamp(0.0, 0.0))
-    store.hear(Beat(7, 193, 18, 8, 0, word, 7), "link", Stamp(0.1, 0.1))
-    (news,) = store.hear(Said(7, 193, 2, "A07 FAIL 6 node_1 dead"), "link", Stamp(0.2, 0.2))
+    store.hear(Heartbeat(7, 193, 18, 8, 0, word, 4, signed=True), "link", Stamp(0.0, 0.0))
+    store.hear(Heartbeat(8, 193, 18, 8, 0, word, 4), "link", Stamp(0.0, 0.0))
+    store.hear(Heartbeat(7, 193, 18, 8, 0, word, 7), "link", Stamp(0.1, 0.1))
+    (news,) = store.hear(StatusText(7, 193, 2, "A07 FAIL 6 node_1 dead"), "link", Stamp(0.2, 0.2))
     (agent,) = store.snapshot(Stamp(0.3, 0.3))["agents"]
     assert (agent["name"], agent["presence"], agent["bad"]) == ("A07", "alive", [])
     assert news.body["phm"] is False
-    (news,) = store.hear(Said(7, 193, 2, "A07 FAIL 6 node_1 dead", signed=True), "link", Stamp(0.4, 0.4))
+    (news,) = store.hear(StatusText(7, 193, 2, "A07 FAIL 6 node_1 dead", signed=True), "link", Stamp(0.4, 0.4))
     assert news.body["phm"] is True
 
 
 def test_text_cannot_steer_a_terminal(ground: Ground) -> None:
     """Escape sequences and line breaks come out as what they are."""
-    from phm.gcs.frames import read
+    from phm.gcs.frames import parse
     from tests.fakes.mavlink import Sender, text
 
     message = Sender(7, 1).received(text("\x1b[2Jgone\nA07 OK"))
-    frame = read(message)
-    assert isinstance(frame, Said)
+    frame = parse(message)
+    assert isinstance(frame, StatusText)
     assert frame.text == "\\x1b[2Jgone\\nA07 OK"
 
 
@@ -267,8 +267,8 @@ def test_text_cannot_steer_a_terminal(ground: Ground) -> None:
 def test_views_say_who_hears_whom(ground: Ground) -> None:
     """An agent that is lost here and heard there has a broken radio; a view of a lost agent counts no more."""
     ground.hear(*(beat(number) for number in (1, 2, 3)))
-    both = View(1, gcs=True, autopilot=True, radio=False, peers={3: Seen.ALIVE})
-    ground.hear(told(1, both), told(2, View(1, gcs=True, autopilot=True, radio=False, peers={3: Seen.LOST})))
+    both = PeerView(1, gcs=True, autopilot=True, radio=False, peers={3: PeerState.ALIVE})
+    ground.hear(told(1, both), told(2, PeerView(1, gcs=True, autopilot=True, radio=False, peers={3: PeerState.LOST})))
     ground.wait(20, beat(1), beat(2))
     agent = ground.agent(3)
     assert (agent["heard_by"], agent["unheard_by"]) == ([1], [2])
@@ -280,15 +280,15 @@ def test_views_say_who_hears_whom(ground: Ground) -> None:
 def test_an_equal_view_is_no_news(ground: Ground) -> None:
     """Its number counts up; what it says stays."""
     ground.hear(beat(1))
-    assert len(ground.hear(told(1, View(1, True, True, False, {2: Seen.ALIVE})))) == 1
-    assert ground.hear(told(1, View(2, True, True, False, {2: Seen.ALIVE}))) == []
-    assert len(ground.hear(told(1, View(3, True, True, False, {2: Seen.LOST})))) == 1
+    assert len(ground.hear(told(1, PeerView(1, True, True, False, {2: PeerState.ALIVE})))) == 1
+    assert ground.hear(told(1, PeerView(2, True, True, False, {2: PeerState.ALIVE}))) == []
+    assert len(ground.hear(told(1, PeerView(3, True, True, False, {2: PeerState.LOST})))) == 1
 
 
 def test_the_speaker_tells_of_agents_never_heard_here(ground: Ground) -> None:
-    """They have a row, with what the speaker says of them, and nothing that it does not say."""
+    """They have a row, with what the leader says of them, and nothing that it does not say."""
     ground.hear(beat(1), said(1, "SWARM 1/3 FAIL A05:lost", 6))
-    ground.hear(told(1, Digest(3, 2, {1: Level.OK, 4: Level.WARN, 5: Level.ERROR})))
+    ground.hear(told(1, SwarmDigest(3, 2, {1: Level.OK, 4: Level.WARN, 5: Level.ERROR})))
     assert (ground.agent(4)["how"], ground.agent(4)["swarm_says"]) == ("UNKNOWN", "WARN")
     assert ground.agent(5)["swarm_says"] == "ERROR"
     swarm = ground.whole()["swarm"]
@@ -306,7 +306,7 @@ def test_a_relay_is_over_when_the_swarm_is_well(ground: Ground) -> None:
     """By the swarm's line that does not name the agent, or by the agent's own; one without room for all says nothing."""
     for line in (said(1, "SWARM 3/3 OK", 6), said(3, "A03 OK 1 cleared itself: GCS: no heartbeat 10 s", 5)):
         ground.hear(beat(1), beat(3), said(1, "A03 no GCS radio, heard by A01 A02: 2 ERROR"))
-        ground.hear(said(1, "SWARM 1/9 FAIL A04:lost +3", 6), said(1, "SWARM 2/3 WARN A03:deaf", 6))
+        ground.hear(said(1, "SWARM 1/9 FAIL A04:lost +3", 6), said(1, "SWARM 2/3 WARN A03:no-GCS", 6))
         assert ground.agent(3)["hop"]["name"] == "radio"
         ground.hear(line)
         assert ground.agent(3)["hop"] is None
@@ -324,7 +324,7 @@ def test_details_are_joined_from_their_parts(ground: Ground) -> None:
 def test_words_of_others_are_passed_on(ground: Ground) -> None:
     """As news; what was heard directly is not overruled by hearsay."""
     ground.hear(beat(7))
-    assert events(ground.hear(told(7, Words({7: 0, 8: 0x40025D55}))), "words")[0]["words"] == {"8": 0x40025D55}
+    assert events(ground.hear(told(7, StatusWords({7: 0, 8: 0x40025D55}))), "words")[0]["words"] == {"8": 0x40025D55}
     assert ground.agent(7)["how"] == "OK"
 
 
@@ -376,7 +376,7 @@ def test_silence_is_told_by_what_else_is_heard(ground: Ground) -> None:
     assert ground.agent(7)["hop"] == {"name": "radio or vehicle", "evidence": "silent 40 s", "certain": False}
     ground.wait(20)
     assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "everybody is silent", "certain": False}
-    ground.hear(Radio(51, 68, 190, 180, 60, None, 99))
+    ground.hear(RadioStatus(51, 68, 190, 180, 60, None, 99))
     assert ground.agent(7)["hop"]["name"] == "radio"
     assert ground.whole()["radios"] == [
         {"link": "gcs", "age_s": 0.0, "rssi": 190, "remrssi": 180, "noise": 60, "remnoise": None, "txbuf": 99}
@@ -403,7 +403,7 @@ def test_a_hop_is_news_once(ground: Ground) -> None:
 
 def test_an_agent_that_does_not_hear_the_ground_says_so_in_its_view(ground: Ground) -> None:
     """One way of its radio is broken: it is heard, and commands do not reach it."""
-    ground.hear(beat(7), told(7, View(1, gcs=False, autopilot=True, radio=False)))
+    ground.hear(beat(7), told(7, PeerView(1, gcs=False, autopilot=True, radio=False)))
     assert ground.agent(7)["hop"] == {"name": "radio", "evidence": "it does not hear the ground", "certain": False}
 
 
@@ -423,7 +423,7 @@ def test_arming_is_shown_with_the_agent(ground: Ground) -> None:
 
 def test_other_ground_stations_are_named_while_they_are_there(ground: Ground) -> None:
     """So it shows whether the pilot's own station is on the network."""
-    ground.hear(Beat(255, 190, 6, 8, 0, 0, 4))
+    ground.hear(Heartbeat(255, 190, 6, 8, 0, 0, 4))
     assert ground.whole()["stations"] == [{"system": 255, "component": 190}]
     ground.wait(20)
     assert ground.whole()["stations"] == []
@@ -435,9 +435,9 @@ def test_other_ground_stations_are_named_while_they_are_there(ground: Ground) ->
 def test_made_up_agents_do_not_push_out_those_that_are_there() -> None:
     """There is room for 256; who is gone makes room, who is there or expected does not."""
     ground = Ground(expected=(100,))
-    ground.hear(*(Beat(number, 193, 18, 8, 0, 1 << 30, 4) for number in range(1, 100)))
+    ground.hear(*(Heartbeat(number, 193, 18, 8, 0, 1 << 30, 4) for number in range(1, 100)))
     for component in range(200, 210):
-        ground.hear(*(Beat(number, component, 18, 8, 0, 1 << 30, 4) for number in range(1, 251)))
+        ground.hear(*(Heartbeat(number, component, 18, 8, 0, 1 << 30, 4) for number in range(1, 251)))
     whole = ground.whole()
     assert len(whole["agents"]) == 256
     assert whole["refused"] > 2000
@@ -453,8 +453,8 @@ def test_nothing_grows_for_ever(ground: Ground) -> None:
     ground.hear(beat(7, dict.fromkeys(Slot, Level.ERROR)))
     for number in range(500):
         ground.hear(said(7, f"A07 FAIL {number % 15 + 1} unit {number} bad"))
-        ground.hear(told(7, tunnel.Detail(f"ab-{number}", 0, 16, b"x")))
-        ground.hear(Beat(number % 256, number // 2 % 256, 6, 8, 0, 0, 4))
+        ground.hear(told(7, tunnel.FaultDetail(f"ab-{number}", 0, 16, b"x")))
+        ground.hear(Heartbeat(number % 256, number // 2 % 256, 6, 8, 0, 0, 4))
     held = ground.store.fleet.agents[7, 193]
     assert len(ground.agent(7)["bad"]) == 60
     assert len(held.details) == 4
@@ -463,14 +463,14 @@ def test_nothing_grows_for_ever(ground: Ground) -> None:
 
 def test_tunnels_of_strangers_and_of_other_kinds_are_ignored(ground: Ground) -> None:
     """Only an agent whose heartbeat was heard is believed, and only what is of the contract."""
-    payload = tunnel.encode(View(1, False, False, False, {3: Seen.LOST}))
+    payload = tunnel.encode(PeerView(1, False, False, False, {3: PeerState.LOST}))
     ground.hear(beat(7))
     for frame in (
-        Payload(8, 193, tunnel.PAYLOAD_TYPE, payload),
-        Payload(7, 193, 5, payload),
-        Payload(7, 193, tunnel.PAYLOAD_TYPE, b""),
-        Payload(7, 193, tunnel.PAYLOAD_TYPE, b"\xff" * 128),
-        Payload(7, 193, tunnel.PAYLOAD_TYPE, b"\x12\x01\x05"),
+        TunnelPayload(8, 193, tunnel.PAYLOAD_TYPE, payload),
+        TunnelPayload(7, 193, 5, payload),
+        TunnelPayload(7, 193, tunnel.PAYLOAD_TYPE, b""),
+        TunnelPayload(7, 193, tunnel.PAYLOAD_TYPE, b"\xff" * 128),
+        TunnelPayload(7, 193, tunnel.PAYLOAD_TYPE, b"\x12\x01\x05"),
     ):
         assert ground.hear(frame) == []
     assert ground.agent(7)["view"] is None

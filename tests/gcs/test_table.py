@@ -10,9 +10,9 @@ from rich.console import Console
 
 from phm.core.model import Level, Slot
 from phm.gcs import table
-from phm.gcs.frames import Radio
+from phm.gcs.frames import RadioStatus
 from phm.wire import status_word
-from phm.wire.tunnel import Digest, Seen, View
+from phm.wire.tunnel import PeerState, PeerView, SwarmDigest
 from tests.gcs.bench import Ground, beat, pilot, said, told
 
 
@@ -21,7 +21,7 @@ def drawn(ground: Ground, *, width: int = 80, height: int | None = None, news: S
     stream = io.StringIO()
     target = Console(file=stream, width=width, highlight=False, markup=False, emoji=False)
     snapshot = {**ground.whole(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
-    target.print(table.whole(snapshot, news, height=height))
+    target.print(table.render(snapshot, news, height=height))
     return [line.rstrip() for line in stream.getvalue().splitlines()]
 
 
@@ -35,11 +35,11 @@ def ground() -> Ground:
     made = Ground()
     made.hear(*(beat(number) for number in (1, 3, 7)), pilot(1, armed=True), pilot(2), pilot(7))
     made.hear(said(7, "A07 OK 11111111", 6))
-    heard = View(1, gcs=True, autopilot=True, radio=False, peers={3: Seen.ALIVE})
+    heard = PeerView(1, gcs=True, autopilot=True, radio=False, peers={3: PeerState.ALIVE})
     bad = beat(2, {Slot.NODES: Level.ERROR, Slot.HOST: Level.WARN, Slot.FILES: Level.STALE})
     made.wait(30, beat(1), bad, told(1, heard), pilot(1, armed=True), pilot(2), pilot(7))
     made.hear(said(2, "A02 FAIL 6 node_1 dead"), beat(100, {Slot.AUTOPILOT: Level.OK, Slot.USER_1: Level.OK}))
-    made.hear(said(1, "SWARM 1/5 FAIL A07:lost A02:ROS", 6), told(1, Digest(5, 3, {4: Level.WARN})))
+    made.hear(said(1, "SWARM 1/5 FAIL A07:lost A02:ROS", 6), told(1, SwarmDigest(5, 3, {4: Level.WARN})))
     return made
 
 
@@ -57,7 +57,7 @@ def test_each_agent_has_its_row(ground: Ground) -> None:
     assert row(lines, "A100").startswith("A100  ++++++++ ++-- +-- OK      0s   ?")
     assert "SWARM 1/5 FAIL A07:lost A02:ROS  (A01, 0s ago)" in lines
     assert "links: gcs open; other ground stations: none heard" in lines
-    ground.hear(Radio(51, 68, 190, 180, 60, None, 99))
+    ground.hear(RadioStatus(51, 68, 190, 180, 60, None, 99))
     assert "radio of gcs: signal/noise 190/60, other end 180/?, 0s ago" in drawn(ground)
 
 

@@ -129,7 +129,7 @@ def test_commands_to_phm_are_acknowledged(vehicle: Vehicle, watcher: Watcher) ->
     assert (answer["command"], answer["result"]) == (512, 0)
     detail = watcher.wait_news("message", name="TUNNEL", component=COMPONENT)["fields"]
     part = tunnel.decode(bytes(detail["payload"][: detail["payload_length"]]))
-    assert isinstance(part, tunnel.Detail)
+    assert isinstance(part, tunnel.FaultDetail)
     watcher.say(f"{COMPONENT} 31010 1 0")
     answers = until(
         lambda: [

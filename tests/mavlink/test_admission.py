@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.transport.client_admission import IDLE_S, MAX_PEERS, PER_ADDRESS, PROVE_S, RESERVED, Admission
+from phm.transport.client_admission import IDLE_S, MAX_PEERS, PER_ADDRESS, PROVE_S, RESERVED, ClientAdmission
 
 
-def full(admission: Admission, per_address: int = PER_ADDRESS) -> list[str]:
+def full(admission: ClientAdmission, per_address: int = PER_ADDRESS) -> list[str]:
     """Those who are in after as many strangers came as there are places."""
     for key in [f"10.0.0.{n // per_address}:{n}" for n in range(MAX_PEERS)]:
         admission.admit(key, key.partition(":")[0], 0.0)
@@ -17,7 +17,7 @@ def full(admission: Admission, per_address: int = PER_ADDRESS) -> list[str]:
 
 def test_one_address_leaves_room_for_others() -> None:
     """Half of the places at most."""
-    admission = Admission(signs=False)
+    admission = ClientAdmission(signs=False)
     came = [n for n in range(100) if admission.admit(n, "10.0.0.1", 0.0) is not None]
     assert came == list(range(PER_ADDRESS))
     assert admission.admit("ground", "10.0.0.2", 0.0) == []
@@ -25,7 +25,7 @@ def test_one_address_leaves_room_for_others() -> None:
 
 def test_the_oldest_idle_peer_makes_room() -> None:
     """And no peer does that has just sent something and is the only one of its address."""
-    admission = Admission(signs=False)
+    admission = ClientAdmission(signs=False)
     came = full(admission, per_address=1)
     assert len(came) == MAX_PEERS
     for key in came[1:]:
@@ -38,7 +38,7 @@ def test_the_oldest_idle_peer_makes_room() -> None:
 @pytest.mark.parametrize("signs", [True, False])
 def test_connections_that_come_fast_push_no_new_peer_out(signs: bool) -> None:
     """Before it can have signed, or at all where none signs: a place is taken only from the address that has most."""
-    admission = Admission(signs=signs, on_trial=signs)
+    admission = ClientAdmission(signs=signs, on_trial=signs)
     crowd = [f"10.0.0.{n % 2}:{n}" for n in range(100)]
     for key in crowd:
         admission.admit(key, key.partition(":")[0], 0.0)
@@ -51,7 +51,7 @@ def test_connections_that_come_fast_push_no_new_peer_out(signs: bool) -> None:
 
 def test_active_peers_of_two_addresses_lock_no_third_one_out() -> None:
     """The newest of the address that has most makes room, so that who was there first stays."""
-    admission = Admission(signs=False)
+    admission = ClientAdmission(signs=False)
     came = full(admission)
     for key in came:
         admission.heard(key, 0.5, signed=False)
@@ -62,7 +62,7 @@ def test_active_peers_of_two_addresses_lock_no_third_one_out() -> None:
 
 def test_of_one_address_its_own_idle_peer_makes_room() -> None:
     """A ground station that was started again comes from another port of the same address."""
-    admission = Admission(signs=False)
+    admission = ClientAdmission(signs=False)
     admission.admit("other", "10.0.0.2", 0.0)
     for n in range(PER_ADDRESS):
         admission.admit(n, "10.0.0.1", 1.0)
@@ -71,7 +71,7 @@ def test_of_one_address_its_own_idle_peer_makes_room() -> None:
 
 def test_places_are_kept_for_peers_that_sign() -> None:
     """Whatever unsigned strangers do, so many peers that sign get in beside them, and more in their place."""
-    admission = Admission(signs=True)
+    admission = ClientAdmission(signs=True)
     came = full(admission)
     assert len(came) == MAX_PEERS - RESERVED
     assert [admission.admit(n, "10.0.0.0", 0.0, signed=True) for n in range(RESERVED)] == [[]] * RESERVED
@@ -82,7 +82,7 @@ def test_places_are_kept_for_peers_that_sign() -> None:
 
 def test_a_connection_has_a_reserved_place_until_it_had_time_to_sign() -> None:
     """It can sign only after it was admitted; who does stays, who does not goes, and the next one has its turn."""
-    admission = Admission(signs=True, on_trial=True)
+    admission = ClientAdmission(signs=True, on_trial=True)
     came = full(admission)
     assert len(came) == MAX_PEERS
     trial = admission.peers[-RESERVED:]
@@ -97,7 +97,7 @@ def test_a_connection_has_a_reserved_place_until_it_had_time_to_sign() -> None:
 
 def test_an_ipv6_host_is_its_network() -> None:
     """It can use any of 2^64 addresses."""
-    admission = Admission(signs=False)
+    admission = ClientAdmission(signs=False)
     came = [n for n in range(100) if admission.admit(n, f"2001:db8::{n:x}", 0.0) is not None]
     assert len(came) == PER_ADDRESS
     assert admission.admit("ground", "fe80::1%eth0", 0.0) == []
@@ -110,7 +110,7 @@ EVENTS = st.tuples(st.sampled_from(["admit", "heard", "forget"]), st.integers(0,
 @given(st.lists(EVENTS, max_size=200), st.booleans(), st.booleans())
 def test_places_are_bounded(events: list[tuple[str, int, bool, float]], signs: bool, on_trial: bool) -> None:
     """Whoever comes, signs or falls silent."""
-    admission, now = Admission(signs=signs, on_trial=on_trial), 0.0
+    admission, now = ClientAdmission(signs=signs, on_trial=on_trial), 0.0
     for what, key, signed, pause in events:
         now += pause
         if what == "forget":

@@ -7,34 +7,39 @@ from hypothesis import given, strategies as st
 
 from phm.transport.priority import (
     BURST_MIN,
+    LEADER,
     MAX_WAITING,
     REST,
     SLOWEST,
-    SPEAKER,
     SWARM_BYTES_S,
     TXBUF_STALE_S,
-    Budget,
-    Class,
-    Flow,
-    Item,
-    periods,
+    FlowControl,
+    LinkBudget,
+    MessagePriority,
+    QueuedMessage,
+    default_periods,
 )
 
 items = st.builds(
-    Item, st.sampled_from("abcdefgh"), st.sampled_from(Class), st.integers(20, 150), st.none(), st.integers(0, 7)
+    QueuedMessage,
+    st.sampled_from("abcdefgh"),
+    st.sampled_from(MessagePriority),
+    st.integers(20, 150),
+    st.none(),
+    st.integers(0, 7),
 )
 steps = st.lists(st.tuples(st.floats(0, 5), st.lists(items, max_size=5), st.integers(0, 100)), max_size=40)
 
 
-def taken(budget: Budget, now: float) -> list[Item]:
+def taken(budget: LinkBudget, now: float) -> list[QueuedMessage]:
     """All that may leave now."""
     return list(iter(lambda: budget.next(now), None))
 
 
 @given(steps, st.integers(1, 100))
-def test_never_more_than_burst_and_rate(drawn: list[tuple[float, list[Item], int]], agents: int) -> None:
+def test_never_more_than_burst_and_rate(drawn: list[tuple[float, list[QueuedMessage], int]], agents: int) -> None:
     """Over all of the time, whatever is put and whatever the radio says."""
-    budget = Budget(SWARM_BYTES_S, 0.0, agents)
+    budget = LinkBudget(SWARM_BYTES_S, 0.0, agents)
     now, left = 0.0, 0
     for pause, put, txbuf in drawn:
         now += pause
@@ -46,8 +51,8 @@ def test_never_more_than_burst_and_rate(drawn: list[tuple[float, list[Item], int
 
 
 @given(st.lists(items, max_size=60))
-def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[Item]) -> None:
-    budget = Budget(None, 0.0)
+def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[QueuedMessage]) -> None:
+    budget = LinkBudget(None, 0.0)
     for item in put:
         budget.put(item)
     newest = {item.key: item for item in put}
@@ -58,72 +63,72 @@ def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[Item]) -> None
 
 
 def test_a_fault_leaves_before_what_repeats() -> None:
-    budget = Budget(10.0, 0.0)
-    budget.put(Item("first", Class.TRANSITION, int(BURST_MIN), None))
+    budget = LinkBudget(10.0, 0.0)
+    budget.put(QueuedMessage("first", MessagePriority.TRANSITION, int(BURST_MIN), None))
     assert taken(budget, 0.0)
-    budget.put(Item("refresh", Class.REFRESH, 30, None, 6))
-    budget.put(Item("node_1", Class.TRANSITION, 60, None, 2))
+    budget.put(QueuedMessage("refresh", MessagePriority.REFRESH, 30, None, 6))
+    budget.put(QueuedMessage("node_1", MessagePriority.TRANSITION, 60, None, 2))
     assert taken(budget, 5.9) == []  # 59 bytes would do for the refresh, which does not overtake
     assert [item.key for item in taken(budget, 6.0)] == ["node_1"]
     assert [item.key for item in taken(budget, 9.0)] == ["refresh"]
 
 
 def test_what_heartbeats_take_is_not_there_for_the_rest() -> None:
-    budget = Budget(20.0, 0.0)
+    budget = LinkBudget(20.0, 0.0)
     for at in range(10):
         budget.heartbeat(12, float(at))
     assert budget.rate == pytest.approx(8.0)
 
 
 def test_heartbeats_of_a_large_swarm_leave_room_for_faults() -> None:
-    budget = Budget(20.0, 0.0)
+    budget = LinkBudget(20.0, 0.0)
     for at in range(10):
         budget.heartbeat(100, float(at))
     assert budget.rate == pytest.approx(20.0 * REST)
 
 
 def test_a_link_without_limit_holds_nothing_back() -> None:
-    budget = Budget(None, 0.0)
+    budget = LinkBudget(None, 0.0)
     for number in range(MAX_WAITING):
-        budget.put(Item(str(number), Class.REQUEST, 280, None))
+        budget.put(QueuedMessage(str(number), MessagePriority.REQUEST, 280, None))
     assert len(taken(budget, 0.0)) == MAX_WAITING
 
 
 def test_what_waits_is_capped_and_the_least_is_dropped() -> None:
-    budget = Budget(1.0, 0.0)
+    budget = LinkBudget(1.0, 0.0)
     for number in range(MAX_WAITING):
-        budget.put(Item(f"request {number}", Class.REQUEST, 280, None))
-    budget.put(Item("fault", Class.TRANSITION, 40, None))
+        budget.put(QueuedMessage(f"request {number}", MessagePriority.REQUEST, 280, None))
+    budget.put(QueuedMessage("fault", MessagePriority.TRANSITION, 40, None))
     assert budget.waiting == MAX_WAITING
-    assert budget.counts[Class.REQUEST].dropped == 1
+    assert budget.counts[MessagePriority.REQUEST].dropped == 1
     assert taken(budget, 0.0)[0].key == "fault"
 
 
 def test_what_could_not_be_sent_is_first_again() -> None:
-    budget = Budget(10.0, 0.0)
+    budget = LinkBudget(10.0, 0.0)
     for name in "ab":
-        budget.put(Item(name, Class.TRANSITION, 40, None))
+        budget.put(QueuedMessage(name, MessagePriority.TRANSITION, 40, None))
     first = budget.next(0.0)
     assert first is not None
     budget.give_back(first)
     assert [item.key for item in taken(budget, 0.0)] == ["a", "b"]
-    assert budget.counts[Class.TRANSITION].sent == 2
-    budget.put(Item("a", Class.TRANSITION, 45, None))
+    assert budget.counts[MessagePriority.TRANSITION].sent == 2
+    budget.put(QueuedMessage("a", MessagePriority.TRANSITION, 45, None))
     budget.give_back(first)
     assert [item.size for item in taken(budget, 0.0)] == [45]
 
 
 def test_what_is_no_news_any_more_is_dropped() -> None:
-    budget = Budget(None, 0.0)
-    budget.put(Item("old", Class.TRANSITION, 40, None, put_at=1.0))
-    budget.put(Item("new", Class.TRANSITION, 40, None, put_at=9.0))
+    budget = LinkBudget(None, 0.0)
+    budget.put(QueuedMessage("old", MessagePriority.TRANSITION, 40, None, put_at=1.0))
+    budget.put(QueuedMessage("new", MessagePriority.TRANSITION, 40, None, put_at=9.0))
     budget.expire(5.0)
     assert [item.key for item in taken(budget, 9.0)] == ["new"]
-    assert budget.counts[Class.TRANSITION].dropped == 1
+    assert budget.counts[MessagePriority.TRANSITION].dropped == 1
 
 
 def test_a_full_radio_slows_down_and_an_empty_one_speeds_up() -> None:
-    flow = Flow()
+    flow = FlowControl()
     for at in range(10):
         flow.txbuf(5, float(at))
     assert flow.factor(9.0) == SLOWEST
@@ -133,7 +138,7 @@ def test_a_full_radio_slows_down_and_an_empty_one_speeds_up() -> None:
 
 
 def test_what_a_radio_said_long_ago_does_not_count() -> None:
-    flow = Flow()
+    flow = FlowControl()
     for at in range(10):
         flow.txbuf(5, float(at))
     assert flow.factor(9.0 + TXBUF_STALE_S) == SLOWEST
@@ -145,13 +150,13 @@ def test_what_a_radio_said_long_ago_does_not_count() -> None:
     [(1, (2, 10)), (8, (2, 10)), (9, (5, 30)), (30, (5, 30)), (31, (10, 60)), (100, (10, 60)), (250, (25, 150))],
 )
 def test_the_larger_the_swarm_the_longer_the_periods(agents: int, wanted: tuple[float, float]) -> None:
-    assert periods(agents) == wanted
+    assert default_periods(agents) == wanted
 
 
 @pytest.mark.parametrize("agents", [1, 8, 30, 100, 250])
 def test_an_idle_swarm_stays_within_its_share(agents: int) -> None:
     """Heartbeats of 21 bytes and refreshes of 28, all agents together."""
-    heartbeat_s, refresh_s = periods(agents)
+    heartbeat_s, refresh_s = default_periods(agents)
     assert agents * (21 / heartbeat_s + 28 / refresh_s) <= RADIO_LIMIT[agents]
 
 
@@ -167,13 +172,13 @@ RADIO_LIMIT = {
 
 @pytest.mark.parametrize("agents", [1, 8, 30])
 def test_all_agents_together_stay_within_the_share(agents: int) -> None:
-    """With the heartbeats of their periods; the speaker's part is taken from all. What REST keeps for faults may exceed it."""
-    budgets = [Budget(SWARM_BYTES_S, 0.0, agents=agents, speaks=number == 0) for number in range(agents)]
-    heartbeat_s = periods(agents)[0]
+    """With the heartbeats of their periods; the leader's part is taken from all. What REST keeps for faults may exceed it."""
+    budgets = [LinkBudget(SWARM_BYTES_S, 0.0, agents=agents, leads=number == 0) for number in range(agents)]
+    heartbeat_s = default_periods(agents)[0]
     for budget in budgets:
         budget.heartbeat(21, 0.0)
         budget.heartbeat(21, heartbeat_s)
     rest = sum(budget.rate for budget in budgets)
     kept = 0.0 if agents <= 8 else REST * SWARM_BYTES_S
-    speaks = SPEAKER * SWARM_BYTES_S if agents == 1 else 0.0
+    speaks = LEADER * SWARM_BYTES_S if agents == 1 else 0.0
     assert rest + agents * 21 / heartbeat_s <= SWARM_BYTES_S + kept + speaks + 1e-6

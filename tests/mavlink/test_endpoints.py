@@ -22,7 +22,7 @@ from phm.testing import FakeClock
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.priority import MAX_WAITING
-from phm.transport.send_queue import OUTBOX_AGE_S, Outbox
+from phm.transport.send_queue import OUTBOX_AGE_S, SendQueue
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text
 from tests.fakes.until import until
 
@@ -399,17 +399,17 @@ def test_closing_sends_what_is_queued(make_hub: MakeHub) -> None:
     udp.close()
 
 
-def drain(outbox: Outbox) -> list[Any]:
+def drain(outbox: SendQueue) -> list[Any]:
     return [item.message for item in iter(outbox.take, None)]
 
 
-def put(outbox: Outbox, message: Any) -> None:
+def put(outbox: SendQueue, message: Any) -> None:
     outbox.put(message, 63)
 
 
 def test_a_full_outbox_drops_its_oldest_and_counts() -> None:
     """What is newest matters most, and what was lost is known."""
-    outbox = Outbox(FakeClock())
+    outbox = SendQueue(FakeClock())
     for number in range(MAX_WAITING + 5):
         put(outbox, text(f"line {number}"))
     assert outbox.dropped == 5
@@ -418,7 +418,7 @@ def test_a_full_outbox_drops_its_oldest_and_counts() -> None:
 
 def test_what_could_not_be_sent_is_first_again() -> None:
     """A network that is gone for a moment costs no line and changes no order."""
-    outbox = Outbox(FakeClock())
+    outbox = SendQueue(FakeClock())
     put(outbox, text("first"))
     put(outbox, text("second"))
     item = outbox.take()
@@ -430,7 +430,7 @@ def test_what_could_not_be_sent_is_first_again() -> None:
 def test_waiting_heartbeats_are_replaced_and_old_lines_expire() -> None:
     """After an outage the ground gets one heartbeat, first, and no line that is no news any more."""
     clock = FakeClock()
-    outbox = Outbox(clock)
+    outbox = SendQueue(clock)
     put(outbox, text("old"))
     put(outbox, heartbeat(1))
     clock.advance(OUTBOX_AGE_S + 1)
@@ -444,7 +444,7 @@ def test_waiting_heartbeats_are_replaced_and_old_lines_expire() -> None:
 
 def test_lines_wait_for_the_budget_and_heartbeats_do_not() -> None:
     clock = FakeClock()
-    outbox = Outbox(clock, 10.0)
+    outbox = SendQueue(clock, 10.0)
     for number in range(20):
         put(outbox, text(f"line {number}"))
     burst = drain(outbox)

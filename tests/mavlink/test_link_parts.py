@@ -23,8 +23,8 @@ from phm.probes.serial_port_users import users
 from phm.transport import serial_errors
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
-from phm.transport.mavlink_traffic import MAX_SENDERS, Senders, Traffic
-from phm.transport.serial_errors import LineCount
+from phm.transport.mavlink_traffic import MAX_SENDERS, SenderTable, Traffic
+from phm.transport.serial_errors import SerialErrorCount
 from tests.fakes.mavlink import Sender, heartbeat
 from tests.fakes.until import until
 
@@ -37,7 +37,7 @@ ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 
 def counted(sequences: Iterable[int]) -> tuple[int, int]:
     """Frames and lost frames of one sender."""
-    senders = Senders()
+    senders = SenderTable()
     for number in sequences:
         senders.heard(1, 1, number % 256)
     return senders.now().get((1, 1), (0, 0))
@@ -68,7 +68,7 @@ def test_a_sender_that_begins_anew_has_lost_nothing() -> None:
 
 def test_senders_are_capped() -> None:
     """Whoever makes up senders displaces none that really speaks."""
-    senders = Senders()
+    senders = SenderTable()
     for number in range(100):
         senders.heard(1, 1, number)
     for made_up in range(1000):
@@ -118,7 +118,8 @@ def test_rates_are_means_over_the_last_seconds() -> None:
     for second in range(20):
         moving = min(second, 10)
         flow.sample(
-            float(second), Traffic(100 * moving, 10 * second, 5 * moving, moving, line=LineCount(2 * second, 0, 0))
+            float(second),
+            Traffic(100 * moving, 10 * second, 5 * moving, moving, line=SerialErrorCount(2 * second, 0, 0)),
         )
         if second == 9:
             fact = flow.fact(9.0, BASE)
@@ -445,7 +446,7 @@ def test_a_port_keeps_its_dtr() -> None:
     termios.tcsetattr(near, termios.TCSANOW, attributes)
     serial_errors.keep_dtr(near)
     assert not termios.tcgetattr(near)[2] & termios.HUPCL
-    assert serial_errors.count(near) is None
+    assert serial_errors.read_counts(near) is None
     os.close(far)
     os.close(near)
     serial_errors.keep_dtr(near)  # a port that is gone raises nothing
@@ -457,4 +458,4 @@ def test_line_errors_are_read_as_linux_lays_them_out(monkeypatch: pytest.MonkeyP
     for at, value in ((6, 11), (7, 20), (8, 33), (10, 4)):
         counters[at * 4 : at * 4 + 4] = value.to_bytes(4, sys.byteorder)
     monkeypatch.setattr("phm.transport.serial_errors.fcntl.ioctl", lambda fd, request, data: bytes(counters))
-    assert serial_errors.count(0) == LineCount(framing=11, overrun=24, parity=33)
+    assert serial_errors.read_counts(0) == SerialErrorCount(framing=11, overrun=24, parity=33)

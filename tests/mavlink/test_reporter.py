@@ -23,11 +23,11 @@ from phm.core.model import (
     UnitState,
 )
 from phm.reporters.base import ReporterContext
-from phm.reporters.mavlink import Mavlink
+from phm.reporters.mavlink import MavlinkReporter
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
-from phm.transport.send_queue import Outbox
+from phm.transport.send_queue import SendQueue
 from phm.wire import status_word
 from tests.fakes.mavlink import FakePort, Sender, heartbeat
 
@@ -46,7 +46,7 @@ class Scene:
         context = ReporterContext(
             self.settings, self.clock, "boot", lambda: tuple(self.units.values()), lambda: self.alive, dict, self.port
         )
-        built = Mavlink.build(context)
+        built = MavlinkReporter.build(context)
         assert built is not None
         self.reporter = built
 
@@ -332,7 +332,7 @@ def test_other_senders_are_no_ground_station(system: int, kind: int) -> None:
 def test_a_storm_of_changes_stays_within_the_budget_gravest_first() -> None:
     """Through a real outbox: each unit's newest word is what is sent, mission functions before the rest."""
     scene = Scene().running()
-    outbox, codec = Outbox(scene.clock, 158.0), Codec(1, 193, lambda _: False)
+    outbox, codec = SendQueue(scene.clock, 158.0), Codec(1, 193, lambda _: False)
     scene.port.to = lambda message, kind, key, urgency: outbox.put(message, codec.size(message), kind, key, urgency)
     template = scene.units["nodes/a"]
     for number in range(200):
@@ -382,7 +382,7 @@ def test_lost_events_are_made_up_for_at_the_refresh() -> None:
 def test_without_endpoints_there_is_no_reporter() -> None:
     """An agent without MAVLink pays nothing for it."""
     context = ReporterContext(settings(), FakeClock(), "boot", tuple, lambda: True, dict, None)
-    assert Mavlink.build(context) is None
+    assert MavlinkReporter.build(context) is None
 
 
 def test_behind_a_bad_radio_a_change_is_followed_by_refreshes() -> None:

@@ -17,7 +17,7 @@ import pytest
 from phm.core.settings import Settings
 from phm.proxy.haproxy import rules
 from phm.testing import settings
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 
 ENGINE = "/var/run/docker.sock"
 LIMIT_S = 30.0
@@ -94,14 +94,14 @@ class Proxies:
         self._ends.append(proxy.stop)
         return proxy
 
-    def client(self, made: Settings) -> Engine:
+    def client(self, made: Settings) -> DockerEngine:
         """PHM's client behind a proxy with the rules of these settings."""
         self.before(made)
-        engine = Engine(made.docker.socket, timeout_s=10)
+        engine = DockerEngine(made.docker.socket, timeout_s=10)
         self._ends.append(engine.close)
         return engine
 
-    def behind(self, **yaml_like: object) -> tuple[Engine, Settings]:
+    def behind(self, **yaml_like: object) -> tuple[DockerEngine, Settings]:
         """Settings as in `phm.yaml`, and PHM's client behind their proxy."""
         made = settings(**{**yaml_like, "docker": self.docker()})
         return self.client(made), made
@@ -119,7 +119,7 @@ class Door:
     open: Callable[[Settings], object]
 
 
-class BehindProxy(Engine):
+class BehindProxy(DockerEngine):
     """The real engine for what a test does itself; PHM's client (`tests.recovery.bench`) is behind a proxy."""
 
     def __init__(self, proxies: Proxies) -> None:

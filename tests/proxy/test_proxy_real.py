@@ -13,7 +13,7 @@ from phm.probes.docker_events import FILTERS
 from phm.probes.docker_processes import FORMS
 from phm.testing import settings
 from phm.transport import docker_bodies
-from phm.transport.docker import Engine, EngineMissing, EngineRefused
+from phm.transport.docker import DockerEngine, EngineMissing, EngineRefused
 from tests.fakes.until import until
 from tests.proxy.haproxy import Proxies, Proxy
 
@@ -32,7 +32,7 @@ class Place:
     """A configured container and network, a strange one of each, and a proxy before their engine."""
 
     proxy: Proxy
-    client: Engine
+    client: DockerEngine
     app: Any
     other: Any
     me: str
@@ -70,7 +70,7 @@ def place(real: Any, proxies: Proxies) -> Place:
         ros={"nodes": [{"name": "/one", "container": "app", "relaunch": RUN}]},
     )  # fmt: skip
     proxy = proxies.before(made)
-    client = Engine(docker["socket"], timeout_s=10)
+    client = DockerEngine(docker["socket"], timeout_s=10)
     return Place(proxy, client, app, other, docker["container"], net, foreign)
 
 

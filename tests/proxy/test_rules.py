@@ -14,7 +14,7 @@ from phm.cli import group
 from phm.proxy.calls import exact
 from phm.proxy.haproxy import NoRules, quoted, rules
 from phm.testing import settings
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 
 ENGINE = "/var/run/docker.sock"
 SOCKET = "unix:///run/phm-engine/docker.sock"
@@ -63,7 +63,7 @@ def invoke(folder: Path, text: str, *more: str) -> Result:
 
 def test_each_call_of_the_client_is_known_to_the_rules() -> None:
     """A method that is added to the client is allowed by a rule, or stands among those that the proxy refuses."""
-    public = {name for name in dir(Engine) if not name.startswith("_") and callable(getattr(Engine, name))}
+    public = {name for name in dir(DockerEngine) if not name.startswith("_") and callable(getattr(DockerEngine, name))}
     assert public == NEEDED | REFUSED
 
 

@@ -16,7 +16,7 @@ from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
 from phm.recovery.safety.guarded_engine import guarded
 from phm.testing import settings
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.proxy.haproxy import BehindProxy
 
 
@@ -29,7 +29,7 @@ def fault(unit: str, condition: str, evidence: Evidence | None = None) -> Fault:
 class Bench:
     """Runs actions. `nodes` are listed in the graph; `held` notes which other containers were held for whose fault."""
 
-    engine: Engine
+    engine: DockerEngine
     settings: Settings
     armed: bool = False
     nodes: dict[str, int] = field(default_factory=dict)
@@ -72,7 +72,7 @@ class Bench:
         yield
 
 
-def bench(engine: Engine, **yaml_like: object) -> Bench:
+def bench(engine: DockerEngine, **yaml_like: object) -> Bench:
     """Around this engine, or around one behind a proxy with the rules of these settings."""
     if isinstance(engine, BehindProxy):
         return Bench(*engine.proxies.behind(**yaml_like))

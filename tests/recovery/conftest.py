@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.docker.conftest import SOCKET, fake, real
 from tests.fakes.engine import FakeEngine
 from tests.proxy.conftest import proxies
@@ -16,10 +16,10 @@ __all__ = ["ask", "door", "engine", "fake", "proxies", "real"]
 
 
 @pytest.fixture(params=["engine", "proxy"])
-def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
+def engine(request: pytest.FixtureRequest) -> Iterator[DockerEngine]:
     """PHM's own client of the real engine: straight to it, and behind a proxy with the rules of the test's settings."""
     behind = request.param == "proxy"
-    made = BehindProxy(request.getfixturevalue("proxies")) if behind else Engine(SOCKET, timeout_s=10)
+    made = BehindProxy(request.getfixturevalue("proxies")) if behind else DockerEngine(SOCKET, timeout_s=10)
     yield made
     made.close()
 
@@ -34,8 +34,8 @@ def door(request: pytest.FixtureRequest) -> Door:
 
 
 @pytest.fixture
-def ask(fake: FakeEngine) -> Iterator[Engine]:
+def ask(fake: FakeEngine) -> Iterator[DockerEngine]:
     """An engine client on the fake, with the time-out that PHM has by default: a busy machine does not reach it."""
-    engine = Engine(fake.url)
+    engine = DockerEngine(fake.url)
     yield engine
     engine.close()

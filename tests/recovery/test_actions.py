@@ -20,7 +20,7 @@ from phm.recovery.actions.restore_file import RestoreFile
 from phm.recovery.actions.start import Start
 from phm.recovery.base import ActionFailed, NotNeeded
 from phm.testing import FakeClock
-from phm.transport.docker import Engine, EngineBroken, EngineTimeout
+from phm.transport.docker import DockerEngine, EngineBroken, EngineTimeout
 from tests.fakes.engine import FakeEngine, Hang, Status, container
 from tests.recovery.bench import Bench, bench, fault
 
@@ -41,7 +41,7 @@ def acted(fake: FakeEngine, *verbs: str) -> list[str]:
 # ---------------------------------------------------------------- who depends on it
 
 
-def stack(fake: FakeEngine, ask: Engine, **more: Any) -> Bench:
+def stack(fake: FakeEngine, ask: DockerEngine, **more: Any) -> Bench:
     """`app`, whose network `side` shares by id; `late` starts after `side`, `apart` has nothing to do with them."""
     for name in ("late", "apart", "side", "app"):
         fake.containers[name] = container(name)
@@ -51,7 +51,7 @@ def stack(fake: FakeEngine, ask: Engine, **more: Any) -> Bench:
     return bench(ask, containers=[late, {"name": "apart", "recover": True}, side, {"name": "app", "recover": True}])
 
 
-def test_dependants_are_restarted_after_it_in_order(fake: FakeEngine, ask: Engine) -> None:
+def test_dependants_are_restarted_after_it_in_order(fake: FakeEngine, ask: DockerEngine) -> None:
     """Whoever shares its network namespace, then whoever names one of them in `after`; nobody else."""
     made = stack(fake, ask)
     words = made.run(Restart, "app", EXITED)
@@ -60,7 +60,7 @@ def test_dependants_are_restarted_after_it_in_order(fake: FakeEngine, ask: Engin
     assert made.held == [("side", "container/app"), ("late", "container/app")]
 
 
-def test_a_namespace_shared_by_name_counts_too(fake: FakeEngine, ask: Engine) -> None:
+def test_a_namespace_shared_by_name_counts_too(fake: FakeEngine, ask: DockerEngine) -> None:
     """The engine keeps what the user wrote."""
     made = stack(fake, ask)
     fake.containers["side"]["HostConfig"]["NetworkMode"] = "container:app"
@@ -69,14 +69,14 @@ def test_a_namespace_shared_by_name_counts_too(fake: FakeEngine, ask: Engine) ->
     assert acted(fake, "start", "restart") == ["app", "side", "late"]
 
 
-def test_a_start_that_was_not_needed_moves_nobody(fake: FakeEngine, ask: Engine) -> None:
+def test_a_start_that_was_not_needed_moves_nobody(fake: FakeEngine, ask: DockerEngine) -> None:
     """Started twice: the second time nothing happens to dependants."""
     made = stack(fake, ask)
     assert made.run(Start, "app", EXITED) == "app runs already"
     assert acted(fake, "start", "restart") == []
 
 
-def test_a_container_given_up_is_started_without_its_dependants(fake: FakeEngine, ask: Engine) -> None:
+def test_a_container_given_up_is_started_without_its_dependants(fake: FakeEngine, ask: DockerEngine) -> None:
     """It is started for as long as it is down; what depends on it and runs must not be restarted each time."""
     made = stack(fake, ask)
     fake.containers["app"]["State"].update(Status="exited", Running=False)
@@ -84,14 +84,14 @@ def test_a_container_given_up_is_started_without_its_dependants(fake: FakeEngine
     assert acted(fake, "start", "restart") == ["app"]
 
 
-def test_a_dependant_that_has_not_opted_in_is_named_and_left_alone(fake: FakeEngine, ask: Engine) -> None:
+def test_a_dependant_that_has_not_opted_in_is_named_and_left_alone(fake: FakeEngine, ask: DockerEngine) -> None:
     """Opt-in holds for consequences as well."""
     words = stack(fake, ask, side={"recover": False}).run(Restart, "app", EXITED)
     assert acted(fake, "restart") == ["app", "late"]
     assert "side depends on it and has not opted in" in words
 
 
-def test_a_flight_critical_dependant_is_left_alone_while_armed(fake: FakeEngine, ask: Engine) -> None:
+def test_a_flight_critical_dependant_is_left_alone_while_armed(fake: FakeEngine, ask: DockerEngine) -> None:
     """What may not be restarted for its own fault is not restarted for another's, and a start takes nothing down."""
     made = stack(fake, ask, late={"flight_critical": True})
     made.armed = True
@@ -102,7 +102,7 @@ def test_a_flight_critical_dependant_is_left_alone_while_armed(fake: FakeEngine,
     assert "side depends on it: restart of side was not done: it would take down late" in words
 
 
-def test_a_dependant_that_cannot_be_restarted_is_told(fake: FakeEngine, ask: Engine) -> None:
+def test_a_dependant_that_cannot_be_restarted_is_told(fake: FakeEngine, ask: DockerEngine) -> None:
     """The target is mended all the same, and the others follow."""
     made = stack(fake, ask)
     fake.fault = Status(500, "no", route=f"{fake.containers['side']['Id']}/restart")
@@ -111,7 +111,7 @@ def test_a_dependant_that_cannot_be_restarted_is_told(fake: FakeEngine, ask: Eng
     assert acted(fake, "restart")[-1] == "late"
 
 
-def test_a_dependant_that_was_started_after_it_is_left_as_it_is(fake: FakeEngine, ask: Engine) -> None:
+def test_a_dependant_that_was_started_after_it_is_left_as_it_is(fake: FakeEngine, ask: DockerEngine) -> None:
     """Another container's repair was quicker: one restart is enough. What depends on a restarted one follows it always."""
     made = stack(fake, ask)
     made.when_in_hand = lambda: fake.containers["side"]["State"].update(StartedAt="2026-01-01T00:00:01Z")
@@ -124,7 +124,7 @@ def test_a_dependant_that_was_started_after_it_is_left_as_it_is(fake: FakeEngine
     assert acted(fake, "restart") == ["app", "side", "late"]
 
 
-def test_dependants_are_judged_by_the_answer_after_the_action(fake: FakeEngine, ask: Engine) -> None:
+def test_dependants_are_judged_by_the_answer_after_the_action(fake: FakeEngine, ask: DockerEngine) -> None:
     """An answer from before the start, however young, says nothing about who runs after it."""
     made = stack(fake, ask)
     made.probe = Docker(ask, made.settings, FakeClock())  # no time passes, so every answer stays young
@@ -137,7 +137,7 @@ def test_dependants_are_judged_by_the_answer_after_the_action(fake: FakeEngine, 
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_no_answer_from_before_an_action_outlives_it(fake: FakeEngine, ask: Engine, *, fails: bool) -> None:
+def test_no_answer_from_before_an_action_outlives_it(fake: FakeEngine, ask: DockerEngine, *, fails: bool) -> None:
     """Also after an action that failed: the engine may have done it all the same."""
     made = stack(fake, ask)
     probe = made.probe = Docker(ask, made.settings, FakeClock())
@@ -150,7 +150,7 @@ def test_no_answer_from_before_an_action_outlives_it(fake: FakeEngine, ask: Engi
     assert len(fake.calls) == asked + 2
 
 
-def test_a_clock_that_was_set_back_keeps_no_dependant_from_its_restart(fake: FakeEngine, ask: Engine) -> None:
+def test_a_clock_that_was_set_back_keeps_no_dependant_from_its_restart(fake: FakeEngine, ask: DockerEngine) -> None:
     """Its StartedAt is later than that of the container whose namespace it has lost; generations decide, not stamps."""
     made = stack(fake, ask)
     fake.containers["side"]["State"]["StartedAt"] = "9999-01-01T00:00:00Z"
@@ -158,7 +158,7 @@ def test_a_clock_that_was_set_back_keeps_no_dependant_from_its_restart(fake: Fak
     assert acted(fake, "restart") == ["app", "side", "late"]
 
 
-def test_arming_is_asked_when_the_dependant_is_in_hand(fake: FakeEngine, ask: Engine) -> None:
+def test_arming_is_asked_when_the_dependant_is_in_hand(fake: FakeEngine, ask: DockerEngine) -> None:
     """It may have taken a while to get it, and the vehicle was armed meanwhile."""
     made = stack(fake, ask, side={"flight_critical": True})
     made.when_in_hand = lambda: setattr(made, "armed", True)
@@ -168,7 +168,7 @@ def test_arming_is_asked_when_the_dependant_is_in_hand(fake: FakeEngine, ask: En
 
 
 def test_a_container_that_somebody_else_has_started_is_not_credited(
-    fake: FakeEngine, ask: Engine, monkeypatch: pytest.MonkeyPatch
+    fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Before PHM looks, or between that and its call: the engine says whether it was this call that has started it."""
     made = stack(fake, ask)
@@ -184,7 +184,7 @@ def test_a_container_that_somebody_else_has_started_is_not_credited(
 
 @pytest.mark.parametrize(("asked", "given"), [(None, 5), (2, 5), (30, 30), (3600, 120), (-1, 120)])
 def test_a_container_gets_the_time_to_end_that_it_asks_for(
-    fake: FakeEngine, ask: Engine, monkeypatch: pytest.MonkeyPatch, asked: int | None, given: int
+    fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch, asked: int | None, given: int
 ) -> None:
     """`recovery.stop_timeout` is the least; what the container itself asks for holds where it is longer, up to two minutes."""
     times: list[float] = []
@@ -200,14 +200,14 @@ def test_a_container_gets_the_time_to_end_that_it_asks_for(
 # ---------------------------------------------------------------- relaunch
 
 
-def ros(fake: FakeEngine, ask: Engine, relaunch: list[str] | None = None, status: str = "running") -> Bench:
+def ros(fake: FakeEngine, ask: DockerEngine, relaunch: list[str] | None = None, status: str = "running") -> Bench:
     fake.containers["app"] = container("app", status=status)
     nodes = [{"name": "/a/one", "container": "app", "relaunch": RUN if relaunch is None else relaunch}]
     topics = [{"name": "/a/topic", "publishers": ["/a/one"], "rate": 10}]
     return bench(ask, containers=[{"name": "app", "recover": True}], ros={"nodes": nodes, "topics": topics})
 
 
-def test_relaunch_runs_the_words_inside_the_container(fake: FakeEngine, ask: Engine) -> None:
+def test_relaunch_runs_the_words_inside_the_container(fake: FakeEngine, ask: DockerEngine) -> None:
     """Word by word, detached, as the container's own user."""
     ros(fake, ask, ["run", "a b", "$(reboot)"]).run(Relaunch, "app", fault("nodes/a/one", "node_missing"))
     (program,) = fake.programs
@@ -215,7 +215,7 @@ def test_relaunch_runs_the_words_inside_the_container(fake: FakeEngine, ask: Eng
     assert (program["Started"], program["Detach"], program["User"]) == (True, True, "")
 
 
-def test_a_relaunch_done_twice_starts_one_copy(fake: FakeEngine, ask: Engine) -> None:
+def test_a_relaunch_done_twice_starts_one_copy(fake: FakeEngine, ask: DockerEngine) -> None:
     """PHM may be killed between doing it and noting it."""
     made = ros(fake, ask)
     made.run(Relaunch, "app", fault("nodes/a/one", "node_missing"))
@@ -226,7 +226,7 @@ def test_a_relaunch_done_twice_starts_one_copy(fake: FakeEngine, ask: Engine) ->
     assert len(fake.programs) == 1
 
 
-def test_the_name_of_a_dead_node_that_is_still_listed_is_no_return(fake: FakeEngine, ask: Engine) -> None:
+def test_the_name_of_a_dead_node_that_is_still_listed_is_no_return(fake: FakeEngine, ask: DockerEngine) -> None:
     """It was told as dead while listed, since its lease runs on: only a name that came once more is the node."""
     made = ros(fake, ask)
     made.nodes = {"/a/one": 1}
@@ -237,7 +237,7 @@ def test_the_name_of_a_dead_node_that_is_still_listed_is_no_return(fake: FakeEng
 
 
 @pytest.mark.parametrize("condition", ["silent", "rate_low"])
-def test_a_hung_node_gets_no_second_copy(fake: FakeEngine, ask: Engine, condition: str) -> None:
+def test_a_hung_node_gets_no_second_copy(fake: FakeEngine, ask: DockerEngine, condition: str) -> None:
     """Two nodes of one name disturb each other: the next rung restarts the container."""
     made = ros(fake, ask)
     made.nodes = {"/a/one": 1}
@@ -248,7 +248,7 @@ def test_a_hung_node_gets_no_second_copy(fake: FakeEngine, ask: Engine, conditio
     assert len(fake.programs) == 1
 
 
-def test_relaunch_applies_to_nodes_with_a_command_in_this_container(fake: FakeEngine, ask: Engine) -> None:
+def test_relaunch_applies_to_nodes_with_a_command_in_this_container(fake: FakeEngine, ask: DockerEngine) -> None:
     """Of a topic, its first publisher; without a command the ladder goes on without this rung."""
     made = ros(fake, ask)
     app = made.target("app")
@@ -262,7 +262,7 @@ def test_relaunch_applies_to_nodes_with_a_command_in_this_container(fake: FakeEn
 # ---------------------------------------------------------------- restore
 
 
-def files(fake: FakeEngine, ask: Engine, content: bytes | None, **wanted: Any) -> Bench:
+def files(fake: FakeEngine, ask: DockerEngine, content: bytes | None, **wanted: Any) -> Bench:
     """`app` with the file as given, made of an image that has the good one."""
     others = {"/ws/src/other": b""}
     fake.containers["app"] = container("app", files=others | ({PATH: content} if content is not None else {}))
@@ -276,7 +276,7 @@ def files(fake: FakeEngine, ask: Engine, content: bytes | None, **wanted: Any) -
 )
 @pytest.mark.parametrize("source", ["image", "golden"])
 def test_a_file_is_put_back(
-    fake: FakeEngine, ask: Engine, tmp_path: Path, content: bytes | None, wanted: dict[str, Any], source: str
+    fake: FakeEngine, ask: DockerEngine, tmp_path: Path, content: bytes | None, wanted: dict[str, Any], source: str
 ) -> None:
     """Missing, not executable or altered; from the image or from a path that PHM sees; no container is left over."""
     golden = tmp_path / "golden"
@@ -296,7 +296,9 @@ def test_a_file_is_put_back(
 
 
 @pytest.mark.parametrize("source", ["image", "golden"])
-def test_a_copy_that_is_not_good_itself_is_refused(fake: FakeEngine, ask: Engine, tmp_path: Path, source: str) -> None:
+def test_a_copy_that_is_not_good_itself_is_refused(
+    fake: FakeEngine, ask: DockerEngine, tmp_path: Path, source: str
+) -> None:
     """A bad file is not replaced by another."""
     golden = tmp_path / "golden"
     golden.write_bytes(b"worse")
@@ -310,7 +312,7 @@ def test_a_copy_that_is_not_good_itself_is_refused(fake: FakeEngine, ask: Engine
 
 @pytest.mark.parametrize("bad", ["missing", "folder", "big"])
 def test_a_golden_copy_must_be_a_regular_file_of_fair_size(
-    fake: FakeEngine, ask: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: str
+    fake: FakeEngine, ask: DockerEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: str
 ) -> None:
     """What cannot be read is told with its path."""
     golden = tmp_path / "golden"
@@ -324,7 +326,9 @@ def test_a_golden_copy_must_be_a_regular_file_of_fair_size(
 
 
 @pytest.mark.parametrize("where", ["the file", "its folder", "a folder above"])
-def test_a_golden_copy_behind_a_link_is_refused(fake: FakeEngine, ask: Engine, tmp_path: Path, where: str) -> None:
+def test_a_golden_copy_behind_a_link_is_refused(
+    fake: FakeEngine, ask: DockerEngine, tmp_path: Path, where: str
+) -> None:
     """The application may write where it lies: PHM would copy into the container what only PHM may read."""
     secret = tmp_path / "phm" / "keys" / "golden"
     secret.parent.mkdir(parents=True)
@@ -345,7 +349,7 @@ def test_a_golden_copy_behind_a_link_is_refused(fake: FakeEngine, ask: Engine, t
     assert PATH not in fake.containers["app"]["_files"]
 
 
-def test_a_folder_in_place_of_the_file_is_not_replaced(fake: FakeEngine, ask: Engine) -> None:
+def test_a_folder_in_place_of_the_file_is_not_replaced(fake: FakeEngine, ask: DockerEngine) -> None:
     """PHM deletes nothing that it does not know."""
     made = files(fake, ask, None)
     fake.containers["app"]["_files"][f"{PATH}/inside"] = b""
@@ -353,7 +357,7 @@ def test_a_folder_in_place_of_the_file_is_not_replaced(fake: FakeEngine, ask: En
         made.run(RestoreFile, "app", fault("files/app", "file_missing"))
 
 
-def test_what_an_interrupted_restore_left_is_removed(fake: FakeEngine, ask: Engine) -> None:
+def test_what_an_interrupted_restore_left_is_removed(fake: FakeEngine, ask: DockerEngine) -> None:
     """The throw-away container of a PHM that was killed does not stand in the way of the next one."""
     made = files(fake, ask, None)
     left = f"phm-restore-{fake.containers['app']['Id'][:12]}"
@@ -362,7 +366,7 @@ def test_what_an_interrupted_restore_left_is_removed(fake: FakeEngine, ask: Engi
     assert list(fake.containers) == ["app"]
 
 
-def test_a_failure_while_reading_the_image_leaves_no_container(fake: FakeEngine, ask: Engine) -> None:
+def test_a_failure_while_reading_the_image_leaves_no_container(fake: FakeEngine, ask: DockerEngine) -> None:
     """Removed always, whatever happens in between."""
     made = files(fake, ask, None)
     left = f"phm-restore-{fake.containers['app']['Id'][:12]}"
@@ -372,7 +376,7 @@ def test_a_failure_while_reading_the_image_leaves_no_container(fake: FakeEngine,
     assert list(fake.containers) == ["app"]
 
 
-def test_an_engine_that_forbids_it_is_not_permitted(fake: FakeEngine, ask: Engine) -> None:
+def test_an_engine_that_forbids_it_is_not_permitted(fake: FakeEngine, ask: DockerEngine) -> None:
     """A socket proxy that refuses to make containers: report only."""
     made = files(fake, ask, None)
     fake.fault = Status(403, "not on the list", route="/containers/create")
@@ -380,7 +384,7 @@ def test_an_engine_that_forbids_it_is_not_permitted(fake: FakeEngine, ask: Engin
         made.run(RestoreFile, "app", fault("files/app", "file_missing"))
 
 
-def test_restore_applies_to_the_file_at_fault(fake: FakeEngine, ask: Engine) -> None:
+def test_restore_applies_to_the_file_at_fault(fake: FakeEngine, ask: DockerEngine) -> None:
     """Another file that could be put back does not help this one."""
     made = files(fake, ask, None)
     app = made.target("app")
@@ -394,7 +398,7 @@ def test_restore_applies_to_the_file_at_fault(fake: FakeEngine, ask: Engine) -> 
 
 @pytest.mark.parametrize("call", ["exec", "put", "create", "remove"])
 def test_each_new_call_has_a_deadline(
-    fake: FakeEngine, ask: Engine, monkeypatch: pytest.MonkeyPatch, call: str
+    fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
     """An engine that takes the request and never answers costs the action's time and no more."""
     monkeypatch.setattr("phm.transport.docker.ACT_MARGIN_S", 0.0)

@@ -15,7 +15,7 @@ from phm.recovery.actions.restart import Restart
 from phm.recovery.actions.restore_file import RestoreFile
 from phm.recovery.actions.start import Start
 from phm.recovery.base import ActionFailed
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.fakes.until import until
 from tests.proxy.haproxy import BehindProxy
 from tests.recovery.bench import Bench, bench, fault
@@ -40,7 +40,7 @@ def inside(made: Any, command: str) -> str:
     return str(output.decode()).strip()
 
 
-def only(engine: Engine, made: Any, **more: Any) -> Bench:
+def only(engine: DockerEngine, made: Any, **more: Any) -> Bench:
     return bench(engine, containers=[{"name": made.name, "alias": "app", "recover": True, **more}])
 
 
@@ -57,7 +57,9 @@ def left_over(real: Any, made: Any) -> list[str]:
 
 @pytest.mark.parametrize("source", ["image", "golden"])
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_damaged_program_runs_again(real: Any, engine: Engine, tmp_path: Path, damage: str, source: str) -> None:
+def test_a_damaged_program_runs_again(
+    real: Any, engine: DockerEngine, tmp_path: Path, damage: str, source: str
+) -> None:
     """After rm, chmod -x and overwriting; with content, mode and owner as before, and doing it twice is harmless."""
     made = real.container()
     before = inside(made, f"stat -L -c '%a %u %g' {PROGRAM}; sha256sum < {PROGRAM}")
@@ -79,7 +81,9 @@ def test_a_damaged_program_runs_again(real: Any, engine: Engine, tmp_path: Path,
     assert left_over(real, made) == []
 
 
-def test_a_file_comes_back_into_a_volume_of_a_stopped_container(real: Any, engine: Engine, tmp_path: Path) -> None:
+def test_a_file_comes_back_into_a_volume_of_a_stopped_container(
+    real: Any, engine: DockerEngine, tmp_path: Path
+) -> None:
     """Folders that are gone are made again, and the container need not run."""
     volume = real.volume()
     made = real.container("exit 0", volumes={volume.name: {"bind": "/data", "mode": "rw"}})
@@ -97,7 +101,7 @@ def test_a_file_comes_back_into_a_volume_of_a_stopped_container(real: Any, engin
     assert inside(other, "cat /seen/deep/er/file") == "good"
 
 
-def test_a_file_that_the_image_lacks_is_told(real: Any, engine: Engine) -> None:
+def test_a_file_that_the_image_lacks_is_told(real: Any, engine: DockerEngine) -> None:
     """And nothing is left over."""
     made = real.container()
     bench_ = only(engine, made, files=[{"path": "/nowhere/file", "restore": "image"}])
@@ -109,7 +113,7 @@ def test_a_file_that_the_image_lacks_is_told(real: Any, engine: Engine) -> None:
     assert left_over(real, made) == []
 
 
-def test_relaunch_starts_a_program_with_the_containers_user_and_environment(real: Any, engine: Engine) -> None:
+def test_relaunch_starts_a_program_with_the_containers_user_and_environment(real: Any, engine: DockerEngine) -> None:
     """Detached, no shell, one copy however often it is done."""
     made = real.container(user="1234", environment={"WHO": "me"})
     run = ["sh", "-c", 'echo "$WHO $(id -u) $0" > /tmp/said; exec sleep 4321', "a b;reboot"]
@@ -121,7 +125,7 @@ def test_relaunch_starts_a_program_with_the_containers_user_and_environment(real
     assert inside(made, "cat /tmp/said") == "me 1234 a b;reboot"
 
 
-def test_relaunch_done_twice_starts_one_copy(real: Any, engine: Engine) -> None:
+def test_relaunch_done_twice_starts_one_copy(real: Any, engine: DockerEngine) -> None:
     """The command that still runs is seen among the container's processes."""
     made = real.container()
     node = {"name": "/one", "container": "app", "relaunch": ["sleep", "4322"]}
@@ -138,7 +142,7 @@ def test_relaunch_done_twice_starts_one_copy(real: Any, engine: Engine) -> None:
     assert copies() == 1
 
 
-def test_dependants_follow_in_order_and_share_the_new_namespace(real: Any, engine: Engine) -> None:
+def test_dependants_follow_in_order_and_share_the_new_namespace(real: Any, engine: DockerEngine) -> None:
     """`side` lives in the network of `app`, `late` starts after `side`; all are restarted, one after the other."""
     app = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done")
     side = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done", network_mode=f"container:{app.id}")
@@ -168,7 +172,7 @@ def test_dependants_follow_in_order_and_share_the_new_namespace(real: Any, engin
     assert started() == after
 
 
-def test_a_dependant_in_its_pid_namespace_runs_again(real: Any, engine: Engine) -> None:
+def test_a_dependant_in_its_pid_namespace_runs_again(real: Any, engine: DockerEngine) -> None:
     """It was killed with the first process of that namespace."""
     app = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done")
     side = real.container(pid_mode=f"container:{app.id}", init=False)

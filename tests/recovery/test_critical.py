@@ -15,7 +15,7 @@ from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalError, FlightCriticalGuard, Impact
 from phm.recovery.safety.guarded_engine import READS, guarded
 from phm.testing import settings
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 
 NOT_ABOUT_A_CONTAINER = {"create_from_image"}
 """Makes a container that is never started."""
@@ -86,9 +86,9 @@ class Calls:
         return {}
 
 
-def engine(scene: Scene) -> tuple[Engine, Calls]:
+def engine(scene: Scene) -> tuple[DockerEngine, Calls]:
     calls = Calls(scene)
-    return guarded(cast(Engine, calls), scene.flight_critical_guard, scene.flight_critical_guard.forbids), calls
+    return guarded(cast(DockerEngine, calls), scene.flight_critical_guard, scene.flight_critical_guard.forbids), calls
 
 
 @pytest.mark.parametrize("state", [ArmedState.ARMED, ArmedState.UNKNOWN])
@@ -186,7 +186,7 @@ def test_every_call_of_the_engine_is_read_only_or_asked_about() -> None:
     """One that is added later cannot be forgotten: it names its container, or it is on one of two short lists."""
     public = {
         name: member
-        for name, member in inspect.getmembers(Engine, callable)
+        for name, member in inspect.getmembers(DockerEngine, callable)
         if not name.startswith("_") and inspect.isfunction(member)
     }
     own = {name for name, member in public.items() if member.__qualname__.startswith("Engine.")}

@@ -13,7 +13,7 @@ from phm.recovery.actions.reconnect import Reconnect
 from phm.recovery.actions.restart import Restart
 from phm.recovery.actions.start import Start
 from phm.recovery.base import Action, NotYet
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, Status, container
 from tests.recovery.bench import Bench, bench, fault
 
@@ -26,7 +26,7 @@ def changes(fake: FakeEngine) -> list[str]:
 
 
 def agent(
-    fake: FakeEngine, ask: Engine, *, exists: bool, attached: dict[str, str] | None = None, **state: Any
+    fake: FakeEngine, ask: DockerEngine, *, exists: bool, attached: dict[str, str] | None = None, **state: Any
 ) -> Bench:
     """`app`, attached to networks by these ids; the network `swarm` has the id `new` if it exists."""
     fake.containers["app"] = container("app", networks=attached or {}, **state)
@@ -40,7 +40,9 @@ def waits(made: Bench, action: type[Action]) -> str:
 
 
 @pytest.mark.parametrize("action", [Reconnect, Restart, JoinNetwork])
-def test_what_needs_a_network_waits_until_it_is_there(fake: FakeEngine, ask: Engine, action: type[Action]) -> None:
+def test_what_needs_a_network_waits_until_it_is_there(
+    fake: FakeEngine, ask: DockerEngine, action: type[Action]
+) -> None:
     """Above all a restart, which brings no network back."""
     made = agent(fake, ask, exists=False)
     assert "there is no network swarm" in waits(made, action)
@@ -49,7 +51,7 @@ def test_what_needs_a_network_waits_until_it_is_there(fake: FakeEngine, ask: Eng
     assert changes(fake) == []
 
 
-def test_a_network_that_goes_before_it_is_connected_to_is_waited_for(fake: FakeEngine, ask: Engine) -> None:
+def test_a_network_that_goes_before_it_is_connected_to_is_waited_for(fake: FakeEngine, ask: DockerEngine) -> None:
     """It was there when the action was decided on: no failure of the container, and nothing was changed."""
     made = agent(fake, ask, exists=False)
     with pytest.raises(NotYet, match="no network swarm"):
@@ -59,7 +61,7 @@ def test_a_network_that_goes_before_it_is_connected_to_is_waited_for(fake: FakeE
 
 @pytest.mark.parametrize("code", [403, 404])
 def test_a_network_that_is_created_again_while_it_is_connected_to_is_waited_for(
-    fake: FakeEngine, ask: Engine, monkeypatch: pytest.MonkeyPatch, code: int
+    fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch, code: int
 ) -> None:
     """Its old id is refused; a socket proxy, which knows the new one, says 403: no refusal to connect to that."""
     made = agent(fake, ask, exists=True)
@@ -75,7 +77,7 @@ def test_a_network_that_is_created_again_while_it_is_connected_to_is_waited_for(
         made.run(Reconnect, "app", OFF)
 
 
-def test_the_network_of_another_with_such_an_id_is_not_meant(fake: FakeEngine, ask: Engine) -> None:
+def test_the_network_of_another_with_such_an_id_is_not_meant(fake: FakeEngine, ask: DockerEngine) -> None:
     """The engine takes the beginning of an id for a name."""
     made = bench(ask, containers=[{**APP, "networks": ["abc"]}])
     fake.containers["app"] = container("app")
@@ -84,7 +86,7 @@ def test_the_network_of_another_with_such_an_id_is_not_meant(fake: FakeEngine, a
         made.run(Reconnect, "app", OFF)
 
 
-def test_one_of_two_networks_that_is_there_is_connected_to(fake: FakeEngine, ask: Engine) -> None:
+def test_one_of_two_networks_that_is_there_is_connected_to(fake: FakeEngine, ask: DockerEngine) -> None:
     """The other is waited for."""
     made = agent(fake, ask, exists=True)
     made.settings.containers[0].networks.append("radio")
@@ -93,7 +95,7 @@ def test_one_of_two_networks_that_is_there_is_connected_to(fake: FakeEngine, ask
     assert [attached.network_id for attached in made.fact("app").networks] == ["new"]  # type: ignore[union-attr]
 
 
-def test_a_missing_network_is_waited_for_when_the_others_are_connected(fake: FakeEngine, ask: Engine) -> None:
+def test_a_missing_network_is_waited_for_when_the_others_are_connected(fake: FakeEngine, ask: DockerEngine) -> None:
     """There is nothing to do until it is there, so no action begins."""
     made = agent(fake, ask, exists=True, attached={"swarm": "new"})
     made.settings.containers[0].networks.append("radio")
@@ -104,14 +106,16 @@ def test_a_missing_network_is_waited_for_when_the_others_are_connected(fake: Fak
 
 
 @pytest.mark.parametrize("mode", ["host", "none", "container:other"])
-def test_a_container_without_networks_of_its_own_waits_for_none(fake: FakeEngine, ask: Engine, mode: str) -> None:
+def test_a_container_without_networks_of_its_own_waits_for_none(fake: FakeEngine, ask: DockerEngine, mode: str) -> None:
     """Nothing connects it."""
     made = agent(fake, ask, exists=False)
     fake.containers["app"]["HostConfig"]["NetworkMode"] = mode
     assert waits(made, Restart) == ""
 
 
-def test_a_stopped_container_is_started_on_the_network_that_was_created_again(fake: FakeEngine, ask: Engine) -> None:
+def test_a_stopped_container_is_started_on_the_network_that_was_created_again(
+    fake: FakeEngine, ask: DockerEngine
+) -> None:
     """The engine refuses to start one that is attached to a network which is gone, whatever its name."""
     made = agent(fake, ask, exists=True, attached={"swarm": "old"}, status="exited")
     fake.networks["swarm"] = {"Id": "new"}
@@ -122,7 +126,7 @@ def test_a_stopped_container_is_started_on_the_network_that_was_created_again(fa
     assert [attached.network_id for attached in fact.networks] == ["new"]
 
 
-def test_a_connection_without_an_address_is_made_again(fake: FakeEngine, ask: Engine) -> None:
+def test_a_connection_without_an_address_is_made_again(fake: FakeEngine, ask: DockerEngine) -> None:
     """It is half there."""
     made = agent(fake, ask, exists=True, attached={"swarm": "new"})
     fake.containers["app"]["NetworkSettings"]["Networks"]["swarm"]["IPAddress"] = ""
@@ -131,7 +135,7 @@ def test_a_connection_without_an_address_is_made_again(fake: FakeEngine, ask: En
     assert made.run(Reconnect, "app", OFF) == "app is connected already"
 
 
-def test_phm_joins_what_is_there(fake: FakeEngine, ask: Engine) -> None:
+def test_phm_joins_what_is_there(fake: FakeEngine, ask: DockerEngine) -> None:
     """A network that is missing does not keep it from joining the others."""
     made = agent(fake, ask, exists=True)
     made.settings.containers[0].networks.insert(0, "radio")

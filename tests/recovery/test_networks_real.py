@@ -11,7 +11,7 @@ from docker.errors import APIError
 
 from phm.core.model import ActionEvent, FaultOpened, Phase
 from phm.recovery.actions.start import Start
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.recovery.bench import bench, fault
 from tests.recovery.test_whole_real import RUN, Phm, Start as StartPhm, phm
 
@@ -107,7 +107,7 @@ def test_a_network_that_stays_away_is_waited_for(real: Any, phm: StartPhm) -> No
     assert_only_connected(daemon, app, new, before)
 
 
-def test_a_stopped_container_is_started_on_the_new_network(real: Any, engine: Engine) -> None:
+def test_a_stopped_container_is_started_on_the_new_network(real: Any, engine: DockerEngine) -> None:
     """The engine itself refuses: the container is attached to a network that is gone."""
     network = real.network()
     app = real.container(RUN, network=network.name)

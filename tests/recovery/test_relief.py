@@ -15,7 +15,7 @@ from phm.recovery.attempt import Repair
 from phm.recovery.base import Action, NotNeeded
 from phm.recovery.containers.cpu_weights import CALM_S, DEFAULT_SHARES, LOW_SHARES, CpuWeights
 from phm.testing import FakeClock, settings
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 from tests.recovery.bench import Bench, bench, fault
 
 STARVED = fault("pressure/app", "cpu_starved")
@@ -40,7 +40,7 @@ class Published:
 class Scene:
     """A flight-critical container `app`, and `other`, which may give way."""
 
-    def __init__(self, engine: Engine, real: Any, *, shares: int = 0) -> None:
+    def __init__(self, engine: DockerEngine, real: Any, *, shares: int = 0) -> None:
         self.app, self.other = real.container(), real.container(cpu_shares=shares)
         self.bench: Bench = bench(
             engine,
@@ -71,7 +71,7 @@ class Scene:
 @pytest.mark.engine
 @pytest.mark.parametrize("shares", [0, 512])
 def test_the_weight_is_lowered_in_the_air_and_put_back_when_it_is_no_longer_needed(
-    real: Any, engine: Engine, shares: int
+    real: Any, engine: DockerEngine, shares: int
 ) -> None:
     """Of the containers named in `recovery.relieve` alone, also while armed; back to what it was."""
     scene = Scene(engine, real, shares=shares)
@@ -88,7 +88,7 @@ def test_the_weight_is_lowered_in_the_air_and_put_back_when_it_is_no_longer_need
 
 
 @pytest.mark.engine
-def test_the_next_phm_puts_back_what_the_last_one_lowered(real: Any, engine: Engine) -> None:
+def test_the_next_phm_puts_back_what_the_last_one_lowered(real: Any, engine: DockerEngine) -> None:
     """And what PHM ends with is put back at once."""
     scene = Scene(engine, real)
     scene.relieve()
@@ -101,7 +101,7 @@ def test_the_next_phm_puts_back_what_the_last_one_lowered(real: Any, engine: Eng
 
 
 @pytest.mark.engine
-def test_a_container_that_was_made_again_keeps_its_own_weight(real: Any, engine: Engine) -> None:
+def test_a_container_that_was_made_again_keeps_its_own_weight(real: Any, engine: DockerEngine) -> None:
     """PHM undoes what it did to that container, and to no other of the name."""
     scene = Scene(engine, real)
     scene.relieve()
@@ -124,7 +124,7 @@ def test_it_applies_to_a_flight_critical_container_where_others_are_named() -> N
 
 
 @pytest.mark.engine
-def test_weights_that_must_be_lowered_again_and_again_stay_low_for_longer(real: Any, engine: Engine) -> None:
+def test_weights_that_must_be_lowered_again_and_again_stay_low_for_longer(real: Any, engine: DockerEngine) -> None:
     """Else the two take turns: each time for twice as long, up to ten minutes."""
     scene = Scene(engine, real)
     for calm_s in (CALM_S, 2 * CALM_S, 4 * CALM_S):

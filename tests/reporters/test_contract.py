@@ -8,7 +8,7 @@ from pathlib import Path
 import phm
 from phm.core.model import ActionEvent, HoldChanged, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
 from phm.core.settings import LogSettings, Settings
-from phm.reporters.log import Log
+from phm.reporters.log import LogReporter
 from phm.reporters.rotating_file import FIRST_RETRY_S, RING_LINES
 from phm.reporters.text_log_format import NOTE_KINDS
 from phm.testing import FakeClock
@@ -33,7 +33,7 @@ def written(directory: Path) -> dict[str, set[str]]:
     """Keys by event of a log in which everything happens."""
     clock = FakeClock()
     (directory / "logs").write_text("in the way")
-    log = Log.build(context(Settings(log=LogSettings(directory=str(directory / "logs"))), clock=clock))
+    log = LogReporter.build(context(Settings(log=LogSettings(directory=str(directory / "logs"))), clock=clock))
     for _ in range(RING_LINES):
         log.handle(Note(at(), "PHM", "x"))
     (directory / "logs").unlink()
@@ -45,7 +45,7 @@ def written(directory: Path) -> dict[str, set[str]]:
     for event in (ReportStarted(at(), 1), transition(UNIT), opened(UNIT), act, end, hold, report):
         log.handle(event)
     log.close()
-    Log.build(context(Settings(log=LogSettings(directory=str(directory / "logs")))))
+    LogReporter.build(context(Settings(log=LogSettings(directory=str(directory / "logs")))))
     return {str(line["event"]): set(line) for line in json_log.read(directory / "logs")}
 
 

@@ -12,7 +12,7 @@ import phm
 from phm.core.model import ActionEvent, Layer, Level, Outcome, Phase, Slot, UnitState
 from phm.core.settings import Settings
 from phm.facts.ros import DiagnosticFact
-from phm.reporters.diagnostics import ALONG_S, MAX_MESSAGE, MAX_UNITS, MAX_VALUES, Diagnostics
+from phm.reporters.diagnostics import ALONG_S, MAX_MESSAGE, MAX_UNITS, MAX_VALUES, DiagnosticsReporter
 from phm.testing import FakeClock
 from tests.fakes.records import at, closed, context, fault, opened, transition, unit
 
@@ -50,10 +50,10 @@ class Port:
 PORT = Port()
 
 
-def make(states: tuple[UnitState, ...] = (), ros: Any = ROS, **parts: Any) -> tuple[Diagnostics, Port]:
+def make(states: tuple[UnitState, ...] = (), ros: Any = ROS, **parts: Any) -> tuple[DiagnosticsReporter, Port]:
     port = Port()
     settings = Settings.model_validate({"ros": ros})
-    made = Diagnostics.build(replace(context(settings, states=lambda: states, **parts), ros=port))
+    made = DiagnosticsReporter.build(replace(context(settings, states=lambda: states, **parts), ros=port))
     assert made is not None
     return made, port
 
@@ -185,7 +185,7 @@ def test_faults_from_before_a_restart_of_phm_are_known() -> None:
     """They were told then, and are open."""
     settings = Settings.model_validate({"ros": ROS})
     port = Port()
-    made = Diagnostics.build(replace(context(settings), ros=port, restored=(fault(DEAD),)))
+    made = DiagnosticsReporter.build(replace(context(settings), ros=port, restored=(fault(DEAD),)))
     assert made is not None
     made.tick()
     assert port.sent[-1][SUMMARY].message == "1 open fault: node_1 dead"
@@ -196,7 +196,7 @@ def test_it_is_there_when_ros_is_used_and_not_refused() -> None:
 
     def built(ros: Any, port: Port | None = PORT) -> bool:
         settings = Settings.model_validate({"ros": ros})
-        return Diagnostics.build(replace(context(settings), ros=port)) is not None
+        return DiagnosticsReporter.build(replace(context(settings), ros=port)) is not None
 
     assert (
         built(ROS) and built({"diagnostics": {"watch": [{"name": "x"}]}}) and built({"diagnostics": {"publish": True}})

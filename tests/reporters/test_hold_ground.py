@@ -8,8 +8,8 @@ import pytest
 
 from phm.core.model import ON_HOLD, HoldChanged, Level, Slot, UnitState, worst_by_slot
 from phm.gcs import statustext_parser
-from phm.gcs.statustext_parser import Kind
-from phm.reporters.statustext import Teller
+from phm.gcs.statustext_parser import LineKind
+from phm.reporters.statustext import StatusTextBuilder
 from phm.swarm import digest
 from phm.wire import status_line, status_word
 from tests.fakes.records import at, opened, transition, unit
@@ -36,16 +36,16 @@ def changed(target: str, *, began: bool, for_s: float = 1200.0, reason: str = "n
 )
 def test_a_hold_is_a_line(target: str, began: bool, for_s: float, reason: str, text: str) -> None:
     """What, for how long and why; and that it is over. It is read back as a change that says nothing is bad."""
-    line = Teller(1).hold(changed(target, began=began, for_s=for_s, reason=reason))[0]
+    line = StatusTextBuilder(1).hold(changed(target, began=began, for_s=for_s, reason=reason))[0]
     assert (line.text, int(line.severity)) == (text, 5)
-    found = statustext_parser.read(line.text)
-    assert found is not None and (found.kind, found.word, found.level) == (Kind.CHANGE, "HOLD", None)
+    found = statustext_parser.parse(line.text)
+    assert found is not None and (found.kind, found.word, found.level) == (LineKind.CHANGE, "HOLD", None)
 
 
 def test_a_hold_fits_whatever_it_is_called() -> None:
     """At most 50 printable characters, and the end stays recognizable."""
     for began in (True, False):
-        text = Teller(250).hold(changed("x" * 128, began=began, reason="\x1bümlaut " * 40))[0].text
+        text = StatusTextBuilder(250).hold(changed("x" * 128, began=began, reason="\x1bümlaut " * 40))[0].text
         assert len(text) <= 50 and text.isascii() and text.isprintable()
         assert text.endswith(" over") is not began
 
@@ -64,12 +64,12 @@ def test_a_held_slot_is_not_a_failed_one() -> None:
     word = status_word.encode(worst_by_slot(states))
     assert status_word.decode(word) == {Slot.FILES: Level.OK}
     assert status_word.system_status(states, complete=True) == status_word.ACTIVE
-    assert digest.worst(word)[0] is Level.OK
+    assert digest.worst_slot(word)[0] is Level.OK
 
 
 def test_what_is_still_bad_after_a_hold_is_said_again() -> None:
     """Once it is on hold, the failure that was said before is no longer what the ground is to know."""
-    teller = Teller(1)
+    teller = StatusTextBuilder(1)
     bad = replace(unit("container/ros_app", Slot.CONTAINER, Level.ERROR, brief="ros_app exited"), fault="ab12-1")
     teller.fault(opened(bad))
     first = teller.transition(transition(bad))

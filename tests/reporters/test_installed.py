@@ -14,7 +14,7 @@ from phm.core.closing import Closing
 from phm.core.model import Event, Note
 from phm.core.settings import Settings
 from phm.reporters.base import Reporter, ReporterContext
-from phm.reporters.reporter_manager import Installed
+from phm.reporters.reporter_manager import ReporterManager
 from tests.fakes.records import at, context
 
 
@@ -64,7 +64,7 @@ def test_a_reporter_that_fails_costs_the_others_nothing(
     found = [Plugin(name, "test 1.0", kind) for name, kind in kinds.items()]
     monkeypatch.setattr(registry, "find", lambda group, base: [Plugin("x", "test 1.0", None, "no module"), *found])
     bus = Bus(SystemClock())
-    reporters = Installed(bus)
+    reporters = ReporterManager(bus)
     reporters.start(context(Settings()))
     bus.publish(Note(at(), "PHM", "hello"))
     bus.close()

@@ -13,7 +13,7 @@ import pytest
 
 from phm.core.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
 from phm.core.settings import LogSettings, Settings
-from phm.reporters.log import Log
+from phm.reporters.log import LogReporter
 from phm.reporters.rotating_file import FIRST_RETRY_S, RING_LINES
 from phm.reporters.text_log_format import MAX_BYTES
 from phm.testing import FakeClock
@@ -35,9 +35,9 @@ DEAD = unit(
 HEAD = {"v", "agent", "agent_id", "boot_id", "seq", "mono", "utc", "utc_s", "event", "kind"}
 
 
-def make(directory: Path, clock: FakeClock | None = None, **log: object) -> Log:
+def make(directory: Path, clock: FakeClock | None = None, **log: object) -> LogReporter:
     settings = Settings(log=LogSettings(directory=str(directory), **log))  # type: ignore[arg-type]
-    return Log.build(context(settings, clock=clock))
+    return LogReporter.build(context(settings, clock=clock))
 
 
 def written(directory: Path, *events: Event) -> list[dict[str, object]]:
@@ -195,10 +195,10 @@ import sys
 from phm.core.clock import SystemClock
 from phm.core.model import Note, Stamp
 from phm.reporters.base import ReporterContext
-from phm.reporters.log import Log
+from phm.reporters.log import LogReporter
 from phm.core.settings import LogSettings, Settings
 settings = Settings(log=LogSettings(directory=sys.argv[1], max_size=20000, files=100))
-log = Log.build(ReporterContext(settings, SystemClock(), "b", tuple, lambda: True, dict))
+log = LogReporter.build(ReporterContext(settings, SystemClock(), "b", tuple, lambda: True, dict))
 number = 0
 while True:
     number += 1

@@ -13,17 +13,17 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies as st
 
-from phm.reporters.rotating_file import FIRST_RETRY_S, LAST_RETRY_S, RING_LINES, RotatingLines
+from phm.reporters.rotating_file import FIRST_RETRY_S, LAST_RETRY_S, RING_LINES, RotatingFile
 from phm.testing import FakeClock
 
 CAP_SYS_ADMIN = 1 << 21
 
 
-def make(path: Path, clock: FakeClock | None = None, *, max_size: int = 10_000, files: int = 3) -> RotatingLines:
+def make(path: Path, clock: FakeClock | None = None, *, max_size: int = 10_000, files: int = 3) -> RotatingFile:
     def lost(count: int, reason: str, last: bytes) -> bytes:
         return b"lost %d up to %s: %s" % (count, last, reason.encode())
 
-    return RotatingLines(str(path), max_size=max_size, files=files, clock=clock or FakeClock(), lost_line=lost)
+    return RotatingFile(str(path), max_size=max_size, files=files, clock=clock or FakeClock(), lost_line=lost)
 
 
 def test_lines_are_there_as_soon_as_they_were_handed_over(tmp_path: Path) -> None:
@@ -288,9 +288,9 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 from phm.core.clock import SystemClock
-from phm.reporters.rotating_file import RotatingLines
+from phm.reporters.rotating_file import RotatingFile
 resource.setrlimit(resource.RLIMIT_FSIZE, (1050, 1050))
-lines = RotatingLines(sys.argv[1], max_size=10**6, files=9, clock=SystemClock(), lost_line=lambda *_: b"lost")
+lines = RotatingFile(sys.argv[1], max_size=10**6, files=9, clock=SystemClock(), lost_line=lambda *_: b"lost")
 for number in range(50):
     lines.write(b"%099d" % number)
 print(lines.problem())

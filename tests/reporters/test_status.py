@@ -15,7 +15,7 @@ import pytest
 from phm.core.clock import SystemClock
 from phm.core.model import Level, Outcome, Slot, UnitState
 from phm.core.settings import Settings
-from phm.reporters.status import ALONG_S, CLOSED_FAULTS, Status
+from phm.reporters.status import ALONG_S, CLOSED_FAULTS, StatusReporter
 from phm.testing import FakeClock
 from phm.wire import status_file, status_word
 from tests.fakes.records import closed, context, opened, transition, unit
@@ -24,8 +24,8 @@ DEAD = unit("nodes/agent_1/node_1", Slot.NODES, Level.ERROR, "Node is not runnin
 BLOCKED = unit("topics/agent_1/topic_1", Slot.TOPICS, Level.STALE, blocked_by=DEAD.unit)
 
 
-def make(run_dir: Path, states: tuple[UnitState, ...] = (), **parts: Any) -> Status:
-    return Status.build(context(Settings(run_dir=str(run_dir)), states=lambda: states, **parts))
+def make(run_dir: Path, states: tuple[UnitState, ...] = (), **parts: Any) -> StatusReporter:
+    return StatusReporter.build(context(Settings(run_dir=str(run_dir)), states=lambda: states, **parts))
 
 
 def document(run_dir: Path) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def test_a_change_is_written_at_once_and_a_burst_once(tmp_path: Path) -> None:
     """The first event writes; what follows within a tenth of a second waits for the tick."""
     clock = FakeClock()
     level: list[UnitState] = []
-    status = Status.build(context(Settings(run_dir=str(tmp_path)), clock=clock, states=lambda: tuple(level)))
+    status = StatusReporter.build(context(Settings(run_dir=str(tmp_path)), clock=clock, states=lambda: tuple(level)))
     status.handle(transition(DEAD))
     level.append(DEAD)
     clock.advance(ALONG_S / 2)

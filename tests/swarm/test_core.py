@@ -9,12 +9,12 @@ from hypothesis import given, settings, strategies as st
 
 from phm.core.model import Level, Slot
 from phm.swarm import digest
-from phm.swarm.consensus import Consensus, State, Verdict, agree, without_ground
-from phm.swarm.leader_election import STEADY_S, Election
+from phm.swarm.agent_count import SmoothedAgentCount
+from phm.swarm.consensus import Consensus, MemberState, MemberStatus, compute_consensus, without_gcs
+from phm.swarm.leader_election import STEADY_S, LeaderElection
 from phm.swarm.peers import LATE_PERIODS, LOST_PERIODS, Peers
-from phm.swarm.share import Share
 from phm.wire import status_word
-from phm.wire.tunnel import Seen, View
+from phm.wire.tunnel import PeerState, PeerView
 
 WELL = status_word.encode(dict.fromkeys(list(Slot)[:8], Level.OK))
 PERIOD_S = 2.0
@@ -42,7 +42,7 @@ class Swarm:
             self.now += PERIOD_S
 
     def _send(self, sender: int) -> None:
-        view = View(self.sequence % 256, sender in self.gcs, True, True, self.peers[sender].seen(self.now))
+        view = PeerView(self.sequence % 256, sender in self.gcs, True, True, self.peers[sender].states(self.now))
         for hearer in self.agents:
             if hearer not in self.down and hearer != sender and (sender, hearer) not in self.cut:
                 self.peers[hearer].heartbeat(sender, self.words[sender], self.now)
@@ -52,14 +52,14 @@ class Swarm:
         self.cut |= {pair for a in one for b in other for pair in ((a, b), (b, a))}
 
     def agreed(self, by: int) -> Consensus:
-        return agree(self.peers[by], self.now, by in self.gcs)
+        return compute_consensus(self.peers[by], self.now, by in self.gcs)
 
 
 def test_all_agree_that_all_live() -> None:
     swarm = Swarm(range(1, 9))
     swarm.run(20)
     for agent in swarm.agents:
-        assert {verdict.state for verdict in swarm.agreed(agent).verdicts.values()} == {State.ALIVE}
+        assert {status.state for status in swarm.agreed(agent).statuses.values()} == {MemberState.ALIVE}
         assert swarm.agreed(agent).living == tuple(swarm.agents)
 
 
@@ -81,12 +81,12 @@ def test_one_that_does_not_hear_does_not_make_lost() -> None:
     swarm.run(20)
     swarm.cut = {(3, 1)}
     swarm.run(20)
-    assert swarm.peers[1].seen(swarm.now)[3] is Seen.LOST
+    assert swarm.peers[1].states(swarm.now)[3] is PeerState.LOST
     for agent in (1, 2, 4, 5):
-        verdict = swarm.agreed(agent).verdicts[3]
-        assert verdict.state is State.PARTLY
-        assert verdict.unheard_by == (1,)
-        assert verdict.heard_by == tuple({2, 4, 5})
+        status = swarm.agreed(agent).statuses[3]
+        assert status.state is MemberState.PARTLY
+        assert status.unheard_by == (1,)
+        assert status.heard_by == tuple({2, 4, 5})
 
 
 def test_more_who_lost_it_than_hear_it_is_lost_and_dissent_is_shown() -> None:
@@ -94,8 +94,8 @@ def test_more_who_lost_it_than_hear_it_is_lost_and_dissent_is_shown() -> None:
     swarm.run(20)
     swarm.cut = {(3, hearer) for hearer in (1, 2, 4, 6)}
     swarm.run(20)
-    verdict = swarm.agreed(1).verdicts[3]
-    assert (verdict.state, verdict.heard_by) == (State.LOST, (5,))
+    status = swarm.agreed(1).statuses[3]
+    assert (status.state, status.heard_by) == (MemberState.LOST, (5,))
 
 
 def test_a_split_network_is_told_on_both_sides_and_heals() -> None:
@@ -121,7 +121,7 @@ def test_what_is_heard_did_not_vanish() -> None:
     swarm.run(PERIOD_S)
     agreed = swarm.agreed(1)
     assert agreed.lost == ()
-    assert {agreed.verdicts[agent].state for agent in (2, 3)} == {State.PARTLY}
+    assert {agreed.statuses[agent].state for agent in (2, 3)} == {MemberState.PARTLY}
     assert agreed.split == ()
 
 
@@ -140,9 +140,9 @@ def test_the_first_loss_is_late_before_it_is_lost() -> None:
     peers = Peers(1, PERIOD_S)
     for at in range(0, 20, 2):
         peers.heartbeat(2, WELL, at)
-    assert peers.seen(18 + LATE_PERIODS * PERIOD_S)[2] is Seen.ALIVE
-    assert peers.seen(18.1 + LATE_PERIODS * PERIOD_S)[2] is Seen.LATE
-    assert peers.seen(18.1 + LOST_PERIODS * PERIOD_S)[2] is Seen.LOST
+    assert peers.states(18 + LATE_PERIODS * PERIOD_S)[2] is PeerState.ALIVE
+    assert peers.states(18.1 + LATE_PERIODS * PERIOD_S)[2] is PeerState.LATE
+    assert peers.states(18.1 + LOST_PERIODS * PERIOD_S)[2] is PeerState.LOST
 
 
 def test_a_slower_peer_is_not_late() -> None:
@@ -150,7 +150,7 @@ def test_a_slower_peer_is_not_late() -> None:
     peers = Peers(1, 2.0)
     for at in range(0, 200, 10):
         peers.heartbeat(2, WELL, float(at))
-    assert peers.seen(200.0)[2] is Seen.ALIVE
+    assert peers.states(200.0)[2] is PeerState.ALIVE
 
 
 def test_who_was_stopped_on_purpose_has_left() -> None:
@@ -160,7 +160,7 @@ def test_who_was_stopped_on_purpose_has_left() -> None:
         swarm.peers[hearer].heartbeat(3, WELL, swarm.now, leaving=True)
     swarm.down = {3}
     swarm.run(20)
-    assert swarm.agreed(1).verdicts[3].state is State.LEFT
+    assert swarm.agreed(1).statuses[3].state is MemberState.LEFT
     assert swarm.agreed(1).members == 2
 
 
@@ -171,19 +171,19 @@ def test_an_agent_that_is_not_listed_counts_for_nothing() -> None:
         for at in range(0, 20, 2):
             peers.heartbeat(2, WELL, float(at), frame=at)
             peers.heartbeat(77, WELL, float(at), frame=at)
-            peers.told(77, View(at, True, True, True, {2: Seen.LOST}), float(at))
-    assert listed.seen(20.0) == {2: Seen.ALIVE, 3: Seen.NEVER}
-    assert (listed.strangers(20.0), listed.sharing(20.0)) == ((77,), 3)
-    assert (open_.strangers(20.0), open_.sharing(20.0)) == ((), 3)
-    assert open_.seen(60.0) == {2: Seen.LOST, 77: Seen.LOST}
-    assert listed.strangers(200.0) == ()
+            peers.told(77, PeerView(at, True, True, True, {2: PeerState.LOST}), float(at))
+    assert listed.states(20.0) == {2: PeerState.ALIVE, 3: PeerState.NEVER}
+    assert (listed.unlisted(20.0), listed.agents_on_links(20.0)) == ((77,), 3)
+    assert (open_.unlisted(20.0), open_.agents_on_links(20.0)) == ((), 3)
+    assert open_.states(60.0) == {2: PeerState.LOST, 77: PeerState.LOST}
+    assert listed.unlisted(200.0) == ()
 
 
 def test_a_list_of_this_agent_alone_is_a_list() -> None:
     """It flies without others, and nobody may join it."""
     peers = Peers(1, PERIOD_S, [1])
     peers.heartbeat(2, WELL, 0.0, frame=1)
-    assert (peers.seen(0.0), peers.sharing(0.0), peers.strangers(0.0)) == ({}, 1, (2,))
+    assert (peers.states(0.0), peers.agents_on_links(0.0), peers.unlisted(0.0)) == ({}, 1, (2,))
 
 
 def test_votes_of_others_make_nobody_lost_that_is_heard() -> None:
@@ -192,32 +192,32 @@ def test_votes_of_others_make_nobody_lost_that_is_heard() -> None:
     swarm.run(20)
     swarm.cut = {(3, hearer) for hearer in (1, 2, 4, 6)}
     swarm.run(20)
-    assert swarm.agreed(5).verdicts[3].state is State.PARTLY
-    assert swarm.agreed(1).verdicts[3].state is State.LOST
+    assert swarm.agreed(5).statuses[3].state is MemberState.PARTLY
+    assert swarm.agreed(1).statuses[3].state is MemberState.LOST
 
 
 def test_the_share_changes_slowly_and_comes_back() -> None:
     """A burst of made-up senders does nothing, a steady flood of them twice as much a minute, and its end undoes it."""
-    share = Share(1, 0.0)
-    assert [share.follow(count, float(at)) for at, count in enumerate((1, 8, 3))] == [1, 8, 7]
-    share, now = Share(3, 0.0), 0.0
+    share = SmoothedAgentCount(1, 0.0)
+    assert [share.update(count, float(at)) for at, count in enumerate((1, 8, 3))] == [1, 8, 7]
+    share, now = SmoothedAgentCount(3, 0.0), 0.0
     while now < 60.0:
         now += 0.5
-        assert share.follow(250, now) <= 16
-    assert share.follow(250, 300.0) == 250
-    assert share.follow(3, 360.0) == 125
-    assert share.follow(3, 3600.0) == 3
+        assert share.update(250, now) <= 16
+    assert share.update(250, 300.0) == 250
+    assert share.update(3, 360.0) == 125
+    assert share.update(3, 3600.0) == 3
     peers = Peers(1, PERIOD_S)
     for agent in range(2, 250):
         peers.heartbeat(agent, WELL, 0.0, frame=1)
-    assert peers.sharing(1.0) == 1
+    assert peers.agents_on_links(1.0) == 1
 
 
 def test_a_member_that_never_came_is_never_seen() -> None:
     swarm = Swarm(range(1, 5))
     swarm.down = {4}
     swarm.run(20)
-    assert swarm.agreed(1).verdicts[4].state is State.NEVER
+    assert swarm.agreed(1).statuses[4].state is MemberState.NEVER
 
 
 def test_an_id_used_twice_is_noticed_and_a_restart_is_not() -> None:
@@ -225,12 +225,12 @@ def test_an_id_used_twice_is_noticed_and_a_restart_is_not() -> None:
     peers = Peers(1, PERIOD_S)
     for at, frame in enumerate((250, 252, 5, 4, 60, 61, 0, 1, 2)):  # lost, overtaken, restarted at 0
         peers.heartbeat(2, WELL, 2.0 * at, frame=frame)
-    assert peers.clashing(18.0) == ()
+    assert peers.duplicate_ids(18.0) == ()
     for turn in range(4):
         peers.heartbeat(2, WELL, 20.0 + turn, frame=10 + turn)
         peers.heartbeat(2, WELL, 20.5 + turn, frame=90 + turn)
-    assert peers.clashing(24.0) == (2,)
-    assert peers.clashing(24.0 + 61 * PERIOD_S) == ()
+    assert peers.duplicate_ids(24.0) == (2,)
+    assert peers.duplicate_ids(24.0 + 61 * PERIOD_S) == ()
 
 
 @pytest.mark.parametrize("behind", [0, 1, 5, 8])
@@ -240,7 +240,7 @@ def test_twins_that_were_switched_on_together_are_noticed(behind: int) -> None:
     for turn in range(12):
         peers.heartbeat(2, WELL, 2.0 * turn, frame=turn + behind)
         peers.heartbeat(2, WELL | 3 << 16, 2.0 * turn + 1.0, frame=turn)
-    assert peers.clashing(24.0) == (2,)
+    assert peers.duplicate_ids(24.0) == (2,)
 
 
 def test_twins_that_say_the_same_are_noticed_by_what_they_say_between() -> None:
@@ -251,7 +251,7 @@ def test_twins_that_say_the_same_are_noticed_by_what_they_say_between() -> None:
         first, second = first + 1 + (turn % 5 == 0), second + 1 + (turn % 5 == 2)
         peers.heartbeat(2, WELL, 2.0 * turn, frame=first % 256)
         peers.heartbeat(2, WELL, 2.0 * turn + 1.0, frame=second % 256)
-    assert peers.clashing(60.0) == (2,)
+    assert peers.duplicate_ids(60.0) == (2,)
 
 
 def test_a_copy_that_comes_late_is_no_clash() -> None:
@@ -261,7 +261,7 @@ def test_a_copy_that_comes_late_is_no_clash() -> None:
         peers.heartbeat(2, WELL, 2.0 * turn, frame=turn % 256)
         if turn >= 3:
             peers.heartbeat(2, WELL, 2.0 * turn + 1.0, frame=(turn - 3) % 256)
-        assert peers.clashing(2.0 * turn) == ()
+        assert peers.duplicate_ids(2.0 * turn) == ()
 
 
 def test_the_same_frame_by_two_ways_is_no_clash() -> None:
@@ -270,69 +270,71 @@ def test_the_same_frame_by_two_ways_is_no_clash() -> None:
     for frame in range(200):
         peers.heartbeat(2, WELL, 2.0 * frame, frame=frame, link="radio")
         peers.heartbeat(2, WELL, 2.0 * frame, frame=max(0, frame - 40), link="mesh")
-    assert peers.clashing(400.0) == ()
+    assert peers.duplicate_ids(400.0) == ()
 
 
 def test_our_own_frames_are_no_peer() -> None:
     peers = Peers(7, PERIOD_S)
     assert not peers.heartbeat(7, WELL, 0.0)
-    assert not peers.told(7, View(0, True, True, True), 0.0)
-    assert peers.seen(0.0) == {}
+    assert not peers.told(7, PeerView(0, True, True, True), 0.0)
+    assert peers.states(0.0) == {}
 
 
 def test_an_agent_without_its_ground_radio_is_named() -> None:
     swarm = Swarm(range(1, 5), gcs=(1, 2, 4))
     swarm.run(20)
-    assert without_ground(swarm.agreed(1), own_gcs=True) == (3,)
-    assert without_ground(swarm.agreed(3), own_gcs=False) == (3,)
+    assert without_gcs(swarm.agreed(1), own_gcs=True) == (3,)
+    assert without_gcs(swarm.agreed(3), own_gcs=False) == (3,)
 
 
 def test_a_ground_that_is_gone_for_all_is_nobodys_radio() -> None:
     swarm = Swarm(range(1, 5), gcs=())
     swarm.run(20)
-    assert without_ground(swarm.agreed(1), own_gcs=False) == ()
+    assert without_gcs(swarm.agreed(1), own_gcs=False) == ()
 
 
 # ------------------------------------------------------------ election
 
 
 def consensus(fit: dict[int, bool], own: int = 5) -> Consensus:
-    return Consensus(own, {agent: Verdict(State.ALIVE, gcs=gcs) for agent, gcs in fit.items() if agent != own})
+    return Consensus(
+        own, {agent: MemberStatus(MemberState.ALIVE, gcs=gcs) for agent, gcs in fit.items() if agent != own}
+    )
 
 
 def test_the_lowest_that_hears_the_ground_speaks() -> None:
-    assert Election().speaker(consensus({1: False, 2: True, 3: True}), True, 0.0) == 2
-    assert Election().speaker(consensus({1: False}), False, 0.0) is None
+    assert LeaderElection().leader(consensus({1: False, 2: True, 3: True}), True, 0.0) == 2
+    assert LeaderElection().leader(consensus({1: False}), False, 0.0) is None
 
 
 def test_a_better_speaker_waits_until_it_is_steady() -> None:
-    election = Election()
-    assert election.speaker(consensus({3: True}), True, 0.0) == 3
+    election = LeaderElection()
+    assert election.leader(consensus({3: True}), True, 0.0) == 3
     for at in range(int(STEADY_S)):
-        assert election.speaker(consensus({1: at % 2 == 0, 3: True}), True, float(at)) == 3
-    assert election.speaker(consensus({1: True, 3: True}), True, 20.0) == 3
-    assert election.speaker(consensus({1: True, 3: True}), True, 20.0 + STEADY_S) == 1
+        assert election.leader(consensus({1: at % 2 == 0, 3: True}), True, float(at)) == 3
+    assert election.leader(consensus({1: True, 3: True}), True, 20.0) == 3
+    assert election.leader(consensus({1: True, 3: True}), True, 20.0 + STEADY_S) == 1
 
 
 def test_a_speaker_that_dies_is_replaced_at_once() -> None:
-    election = Election()
-    election.speaker(consensus({1: True, 2: True}), True, 0.0)
-    assert election.speaker(consensus({2: True}), True, 1.0) == 2
+    election = LeaderElection()
+    election.leader(consensus({1: True, 2: True}), True, 0.0)
+    assert election.leader(consensus({2: True}), True, 1.0) == 2
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.sets(st.integers(1, 20), min_size=1, max_size=12), st.data())
 def test_all_elect_the_same_once_views_have_settled(agents: set[int], data: st.DataObject) -> None:
-    """Whoever is down and whoever hears the ground: in a whole network all living agents name one speaker."""
+    """Whoever is down and whoever hears the ground: in a whole network all living agents name one leader."""
     down = data.draw(st.sets(st.sampled_from(sorted(agents))))
     gcs = data.draw(st.sets(st.sampled_from(sorted(agents))))
     swarm = Swarm(sorted(agents), gcs)
     swarm.down = down
-    elections = {agent: Election() for agent in agents}
+    elections = {agent: LeaderElection() for agent in agents}
     chosen = {}
     for _ in range(30):
         swarm.run(PERIOD_S)
-        chosen = {a: elections[a].speaker(swarm.agreed(a), a in gcs, swarm.now) for a in agents - down}
+        chosen = {a: elections[a].leader(swarm.agreed(a), a in gcs, swarm.now) for a in agents - down}
     expected = min((agents - down) & gcs, default=None)
     assert set(chosen.values()) <= {expected}
 
@@ -341,10 +343,12 @@ def test_all_elect_the_same_once_views_have_settled(agents: set[int], data: st.D
 
 
 def told(words: dict[int, int], lost: Iterable[int] = (), own: int = 1) -> dict[int, tuple[Level, str]]:
-    verdicts = {
-        a: Verdict(State.LOST if a in lost else State.ALIVE, word=word) for a, word in words.items() if a != own
+    statuses = {
+        a: MemberStatus(MemberState.LOST if a in lost else MemberState.ALIVE, word=word)
+        for a, word in words.items()
+        if a != own
     }
-    return digest.levels(Consensus(own, verdicts), words[own])
+    return digest.member_levels(Consensus(own, statuses), words[own])
 
 
 def bad(slot: Slot, level: Level = Level.ERROR) -> int:
@@ -364,21 +368,27 @@ def bad(slot: Slot, level: Level = Level.ERROR) -> int:
     ],
 )
 def test_the_line_says_who_is_not_well(words: dict[int, int], lost: tuple[int, ...], line: str) -> None:
-    assert digest.line(told(words, lost)) == line
+    assert digest.digest_line(told(words, lost)) == line
 
 
 @given(st.dictionaries(st.integers(1, 250), st.integers(0, 2**32 - 1), min_size=1), st.data())
 def test_the_line_is_always_short(words: dict[int, int], data: st.DataObject) -> None:
     own = data.draw(st.sampled_from(sorted(words)))
     lost = data.draw(st.sets(st.sampled_from(sorted(words)))) - {own}
-    line = digest.line(told(words, lost, own))
+    line = digest.digest_line(told(words, lost, own))
     assert len(line) <= 50
     assert line.isascii()
 
 
 def test_the_deaf_are_named_once_nothing_graver_is_known() -> None:
-    verdicts = {2: Verdict(State.ALIVE, gcs=False, word=WELL), 3: Verdict(State.ALIVE, gcs=False, word=bad(Slot.NODES))}
-    assert digest.line(digest.levels(Consensus(1, verdicts), WELL, deaf=(2, 3))) == "SWARM 1/3 FAIL A03:ROS A02:deaf"
+    statuses = {
+        2: MemberStatus(MemberState.ALIVE, gcs=False, word=WELL),
+        3: MemberStatus(MemberState.ALIVE, gcs=False, word=bad(Slot.NODES)),
+    }
+    assert (
+        digest.digest_line(digest.member_levels(Consensus(1, statuses), WELL, no_gcs=(2, 3)))
+        == "SWARM 1/3 FAIL A03:ROS A02:no-GCS"
+    )
 
 
 def test_what_makes_an_agent_deaf_hides_nothing_else() -> None:
@@ -388,8 +398,11 @@ def test_what_makes_an_agent_deaf_hides_nothing_else() -> None:
         dict.fromkeys(list(Slot)[:8], Level.OK) | way | more for more in ({}, {Slot.CONTAINER: Level.ERROR})
     )
     words = [status_word.encode(levels) for levels in (well, broken)]
-    assert digest.relay(3, [1, 2], words[0]) == "A03 no GCS radio, heard by A01 A02: OK"
-    assert digest.relay(3, [1, 2], words[1]) == "A03 no GCS radio, heard by A01 A02: 2 ERROR"
+    assert digest.relay_line(3, [1, 2], words[0]) == "A03 no GCS radio, heard by A01 A02: OK"
+    assert digest.relay_line(3, [1, 2], words[1]) == "A03 no GCS radio, heard by A01 A02: 2 ERROR"
     assert [int(digest.relay_severity(word)) for word in words] == [4, 2]
-    verdicts = {agent: Verdict(State.ALIVE, gcs=False, word=word) for agent, word in enumerate(words, 2)}
-    assert digest.line(digest.levels(Consensus(1, verdicts), WELL, deaf=(2, 3))) == "SWARM 1/3 FAIL A03:DOCKER A02:deaf"
+    statuses = {agent: MemberStatus(MemberState.ALIVE, gcs=False, word=word) for agent, word in enumerate(words, 2)}
+    assert (
+        digest.digest_line(digest.member_levels(Consensus(1, statuses), WELL, no_gcs=(2, 3)))
+        == "SWARM 1/3 FAIL A03:DOCKER A02:no-GCS"
+    )

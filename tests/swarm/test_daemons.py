@@ -67,7 +67,7 @@ class Fleet:
 
     def well(self) -> bool:
         return all(set(self.states(name).values()) <= {"alive", "late"} for name in sorted(ALL)) and not any(
-            self.sees(name).deaf or self.sees(name).clashing for name in ALL
+            self.sees(name).no_gcs or self.sees(name).duplicate_ids for name in ALL
         )
 
     def until(self, wanted: Callable[[], Any], what: str) -> None:
@@ -105,11 +105,11 @@ def test_a_restarted_agent_leaves_and_comes_back(fleet: Fleet) -> None:
 
 
 def test_all_hear_each_other_and_one_speaks(fleet: Fleet) -> None:
-    """Views are exchanged, so everybody knows who hears whom; the digest of the speaker says how all are."""
+    """Views are exchanged, so everybody knows who hears whom; the digest of the leader says how all are."""
     fleet.until(
         lambda: all(set(peer.heard_by) == set(IDS) for name in ALL for peer in fleet.sees(name).peers.values()), "views"
     )
-    fleet.until(lambda: {fleet.sees(name).speaker for name in ALL} == {1}, "agent 1 to be elected")
+    fleet.until(lambda: {fleet.sees(name).leader for name in ALL} == {1}, "agent 1 to be elected")
     fleet.mesh.lines.clear()
     fleet.until(lambda: fleet.read("SWARM 5/5 OK", by=1), "the line of the swarm")
     speakers = {sender for sender, line in list(fleet.mesh.lines) if line.startswith("SWARM")}
@@ -117,20 +117,20 @@ def test_all_hear_each_other_and_one_speaks(fleet: Fleet) -> None:
 
     def digested() -> bool:
         read = [(sender, tunnel.decode(payload)) for sender, payload in list(fleet.mesh.payloads)]
-        return any(isinstance(told, tunnel.Digest) and (sender, told.alive) == (1, 5) for sender, told in read)
+        return any(isinstance(told, tunnel.SwarmDigest) and (sender, told.alive) == (1, 5) for sender, told in read)
 
     fleet.until(digested, "the digest")
 
 
 def test_an_agent_that_the_ground_does_not_reach_is_told_by_its_peers(fleet: Fleet) -> None:
-    """Its own words do not arrive; the speaker says who hears it and how it is."""
+    """Its own words do not arrive; the leader says who hears it and how it is."""
     fleet.mesh.deaf = frozenset({"a3"})
-    fleet.until(lambda: fleet.sees("a1").deaf == (3,), "the deaf agent")
+    fleet.until(lambda: fleet.sees("a1").no_gcs == (3,), "the deaf agent")
     fleet.until(lambda: fleet.read("A03 no GCS radio, heard by A01 A02 A04 A05: OK", by=1), "the relayed line")
 
 
 def test_both_sides_of_a_split_know_it_and_it_heals(fleet: Fleet) -> None:
-    """Each side calls the other lost and split, and has a speaker; together again they are one swarm."""
+    """Each side calls the other lost and split, and has a leader; together again they are one swarm."""
     fleet.mesh.apart = (frozenset({"a1", "a2"}), frozenset({"a3", "a4", "a5"}))
     fleet.until(lambda: fleet.sees("a1").split == (3, 4, 5) and fleet.sees("a5").split == (1, 2), "the split")
     fleet.until(lambda: fleet.read("SWARM 2/5 FAIL A03:lost A04:lost A05:lost", by=1), "one side's line")
@@ -142,7 +142,7 @@ def test_both_sides_of_a_split_know_it_and_it_heals(fleet: Fleet) -> None:
 def test_two_agents_with_one_id_are_found_out(fleet: Fleet) -> None:
     """By the others, from their frames' numbers, however near these are; by both of them, who hear their own identity."""
     fleet.start("clone", 3, off=OFF[1:])
-    fleet.until(lambda: fleet.sees("a1").clashing == fleet.sees("a5").clashing == (3,), "the clash")
+    fleet.until(lambda: fleet.sees("a1").duplicate_ids == fleet.sees("a5").duplicate_ids == (3,), "the clash")
     for name in ("a3", "clone"):
         problems = fleet.daemons[name].components.probes.world.links.problems  # type: ignore[attr-defined]
         fleet.until(lambda ask=problems: any("another program" in words for words in ask()), f"{name} to notice")

@@ -1,4 +1,4 @@
-"""Whole swarms with the real probe, reporters and budgets: who speaks, what the ground reads, what it costs."""
+"""Whole swarms with the real probe, reporters and budgets: who leads, what the ground reads, what it costs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.fakes.mavlink import Sender, heartbeat
 def test_one_agent_speaks_and_its_line_is_not_repeated_aloud() -> None:
     fleet = Fleet(8)
     fleet.run(60)
-    assert {agent.probe.look().speaker for agent in fleet.agents.values()} == {1}
+    assert {agent.probe.look().leader for agent in fleet.agents.values()} == {1}
     assert fleet.lines(5) == []
     fleet.run(20)
     assert {text for text in fleet.lines() if text.startswith("SWARM")} == {"SWARM 8/8 OK"}
@@ -26,7 +26,7 @@ def test_a_lost_speaker_is_replaced_and_told() -> None:
     fleet.lines()
     fleet.down = {1}
     fleet.run(40)
-    assert {fleet.agents[number].probe.look().speaker for number in range(2, 9)} == {2}
+    assert {fleet.agents[number].probe.look().leader for number in range(2, 9)} == {2}
     assert "SWARM 7/8 FAIL A01:lost" in fleet.lines()
 
 
@@ -44,19 +44,19 @@ def test_an_agent_without_its_ground_radio_is_told_through_its_peers() -> None:
 
 
 def test_a_new_speaker_repeats_nothing_aloud() -> None:
-    """Nothing has changed for A03; the ground was told of it by the speaker before."""
+    """Nothing has changed for A03; the ground was told of it by the leader before."""
     fleet = Fleet(4)
     fleet.deaf = {3}
     fleet.run(60)
     fleet.lines()
     fleet.down = {1}
     fleet.run(60)
-    assert fleet.agents[2].probe.look().speaker == 2
+    assert fleet.agents[2].probe.look().leader == 2
     assert fleet.lines(4) == []
 
 
 def test_what_a_speaker_was_lost_with_is_told_by_the_next() -> None:
-    """A03 fails in the moment in which the speaker dies."""
+    """A03 fails in the moment in which the leader dies."""
     fleet = Fleet(4)
     fleet.deaf = {3}
     fleet.run(60)
@@ -68,7 +68,7 @@ def test_what_a_speaker_was_lost_with_is_told_by_the_next() -> None:
 
 
 def test_a_ground_station_that_appears_is_told_of_the_deaf_once_more() -> None:
-    """As each agent sends it its full state, the speaker does for those that cannot."""
+    """As each agent sends it its full state, the leader does for those that cannot."""
     fleet = Fleet(4)
     fleet.deaf = {3}
     fleet.run(60)
@@ -121,7 +121,7 @@ def test_a_radio_that_comes_back_takes_the_word_back() -> None:
     fleet.run(60)
     fleet.deaf = set()
     fleet.run(30)
-    assert fleet.agents[1].probe.look().deaf == ()
+    assert fleet.agents[1].probe.look().no_gcs == ()
     fleet.lines()
     fleet.run(20)
     assert "SWARM 4/4 OK" in fleet.lines()
@@ -134,10 +134,10 @@ def test_both_sides_of_a_split_speak_for_themselves() -> None:
     fleet.run(60)
     assert fleet.agents[1].probe.look().split == (3, 4, 5, 6)
     assert fleet.agents[6].probe.look().split == (1, 2)
-    assert (fleet.agents[2].probe.look().speaker, fleet.agents[6].probe.look().speaker) == (1, 3)
+    assert (fleet.agents[2].probe.look().leader, fleet.agents[6].probe.look().leader) == (1, 3)
     fleet.cut = set()
     fleet.run(60)
-    assert {agent.probe.look().speaker for agent in fleet.agents.values()} == {1}
+    assert {agent.probe.look().leader for agent in fleet.agents.values()} == {1}
     assert {agent.probe.look().living for agent in fleet.agents.values()} == {6}
 
 
@@ -162,7 +162,7 @@ def test_a_swarm_that_falls_in_two_knows_it_before_single_agents_are_missed() ->
             for number in side:
                 fact = fleet.agents[number].probe.look()
                 assert set(fact.split) == set(fleet.agents) - side
-                assert fact.speaker == min(side)
+                assert fact.leader == min(side)
         fleet.run(20)  # as long as no fade lasts
         fleet.cut = set()
         fleet.run(60)
@@ -212,5 +212,5 @@ def test_a_hundred_agents_agree_and_stay_within_budget() -> None:
     assert "SWARM 96/100 FAIL A05:lost A50:lost A95:lost +1" in lines
     assert any(line.startswith("A07 no GCS radio, heard by A01 A02") for line in lines)
     rate = (sum(agent.port.bytes_out for agent in fleet.agents.values()) - before) / 80
-    # Heartbeats alone are 6.6 % of a 64 kbit/s radio, and a fifth of the share each is left to the rest and to the speaker; see docs/reference/mavlink.md.
+    # Heartbeats alone are 6.6 % of a 64 kbit/s radio, and a fifth of the share each is left to the rest and to the leader; see docs/reference/mavlink.md.
     assert rate <= 100 * 21 / 10 + 0.4 * SWARM_BYTES_S + 100 * BURST_MIN / 80

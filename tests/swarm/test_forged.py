@@ -17,9 +17,9 @@ from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.mavlink_signing import EPOCH_S, TICKS
-from phm.transport.priority import SIZES, periods
+from phm.transport.priority import SIZES, default_periods
 from phm.wire import status_word, tunnel
-from phm.wire.tunnel import Seen, View
+from phm.wire.tunnel import PeerState, PeerView
 from tests.fakes.mavlink import free_port, heartbeat
 from tests.fakes.until import until
 
@@ -91,29 +91,29 @@ def start(tmp_path: Path) -> Iterator[Start]:
         one.close()
 
 
-def view(gcs: bool, peers: dict[int, Seen]) -> Any:
-    payload = tunnel.encode(View(1, gcs, True, True, peers))
+def view(gcs: bool, peers: dict[int, PeerState]) -> Any:
+    payload = tunnel.encode(PeerView(1, gcs, True, True, peers))
     return mavlink.MAVLink_tunnel_message(0, 0, tunnel.PAYLOAD_TYPE, len(payload), list(payload.ljust(128, b"\0")))
 
 
-LOST = view(True, {2: Seen.LOST, 3: Seen.LOST})
+LOST = view(True, {2: PeerState.LOST, 3: PeerState.LOST})
 
 
 def test_made_up_agents_count_for_nothing_where_the_agents_are_listed(start: Start) -> None:
-    """Not for the heartbeat's period and the budget, not as votes, not as speaker; they are named."""
+    """Not for the heartbeat's period and the budget, not as votes, not as leader; they are named."""
     agent = start([*OURS])
     for _turn in range(3):
         for forged in range(4, 251):
             agent.send(forged, heartbeat(WELL), LOST)
         for ours in (2, 3):
-            agent.send(ours, heartbeat(WELL), view(False, {1: Seen.ALIVE, 5 - ours: Seen.ALIVE}))
+            agent.send(ours, heartbeat(WELL), view(False, {1: PeerState.ALIVE, 5 - ours: PeerState.ALIVE}))
         agent.read()
     agent.swarm.wake_if_changed()
     fact = agent.swarm.look()
     assert agent.hub.agents == 3
-    assert periods(agent.hub.agents) == SIZES[0][1:]
+    assert default_periods(agent.hub.agents) == SIZES[0][1:]
     assert {number: peer.state for number, peer in fact.peers.items()} == {2: "alive", 3: "alive"}
-    assert (fact.members, fact.speaker, len(fact.strangers)) == (3, None, 247)
+    assert (fact.members, fact.leader, len(fact.unlisted)) == (3, None, 247)
 
 
 def test_made_up_agents_slow_nobody_down_at_once(start: Start) -> None:
@@ -125,7 +125,7 @@ def test_made_up_agents_slow_nobody_down_at_once(start: Start) -> None:
         agent.read()
         agent.swarm.wake_if_changed()
     assert agent.hub.agents < 30
-    assert periods(agent.hub.agents)[0] <= SIZES[1][1]
+    assert default_periods(agent.hub.agents)[0] <= SIZES[1][1]
 
 
 def test_with_signing_an_unsigned_frame_is_no_agents(start: Start) -> None:

@@ -9,7 +9,7 @@ from statistics import mean
 import pytest
 
 from phm.swarm.peers import LOST_PERIODS, Peers
-from phm.wire.tunnel import Seen
+from phm.wire.tunnel import PeerState
 
 PERIOD_S = 2.0
 STEP_S = 0.2
@@ -48,7 +48,7 @@ class Air:
         return self.now - began
 
     def lost(self) -> set[int]:
-        return {agent for agent, seen in self.peers.seen(self.now).items() if seen is Seen.LOST}
+        return {agent for agent, seen in self.peers.states(self.now).items() if seen is PeerState.LOST}
 
     def cut(self, agents: Iterable[int]) -> float:
         """Seconds until all of these are lost; a random part of a period passes before."""
@@ -84,7 +84,7 @@ def test_random_loss_is_never_taken_for_a_cut(peers: int, share: float) -> None:
     """Two hours, a fifth of all heartbeats lost: no group ever vanished."""
     air = Air(peers, 1)
     air.lossy(share)
-    air.run(7200.0, until=lambda: any(peer.vanished for peer in air.peers.all().values()))
+    air.run(7200.0, until=lambda: any(peer.lost_together for peer in air.peers.all().values()))
     assert air.now >= 7200.0
 
 
@@ -190,7 +190,7 @@ def test_agents_that_fall_silent_one_after_another_have_not_vanished_together() 
 
 
 def test_two_agents_with_one_id_are_never_lost_between_their_heartbeats() -> None:
-    """Their heartbeats come in pairs, which is no pulse of one."""
+    """Their heartbeats come in pairs, which is no stats of one."""
     peers = Peers(1, PERIOD_S, (2, 3, 4))
     for step in range(2000):
         now = step / 5
@@ -198,7 +198,7 @@ def test_two_agents_with_one_id_are_never_lost_between_their_heartbeats() -> Non
             if step % 10 in (agent, agent + 2):
                 peers.heartbeat(agent, WORD, now)
         peers.watch(now, PERIOD_S)
-        assert Seen.LOST not in peers.seen(now).values()
+        assert PeerState.LOST not in peers.states(now).values()
 
 
 def test_who_is_heard_again_is_back() -> None:

@@ -30,13 +30,13 @@ def fits(line: str) -> bool:
 def test_every_line_fits_whatever_the_names_are(agent: int, level: Level, slot: Slot, first: str, second: str) -> None:
     """No name from outside makes a line longer than 50 characters or puts anything but printable ASCII into it."""
     lines = [
-        status_line.bad(agent, level, slot, first),
-        status_line.over(agent, slot, first, second),
+        status_line.failing(agent, level, slot, first),
+        status_line.recovered(agent, slot, first, second),
         status_line.advise(agent, slot, first, second),
         status_line.advise(agent, slot, first, second, 123_456_789),
         status_line.gave_up(agent, slot, first, second),
         status_line.gave_up(agent, slot, first, second, 123_456_789),
-        status_line.asked(agent, slot, first, "refused", second),
+        status_line.operator_request(agent, slot, first, "refused", second),
         status_line.refresh(agent, [*WELL, unit(slot, level, first, second)]),
     ]
     assert all(fits(line) for line in lines), lines
@@ -55,15 +55,15 @@ def test_the_refresh_fits_whatever_is_wrong(agent: int, units: list[tuple[Slot, 
 
 def test_a_fault_names_agent_slot_and_cause() -> None:
     """The line of a fault reads as in the README."""
-    assert status_line.bad(1, Level.ERROR, Slot.NODES, "node_1 dead") == "A01 FAIL 6 node_1 dead"
-    assert status_line.bad(250, Level.WARN, Slot.HOST, "disk / 88%") == "A250 WARN 9 disk / 88%"
+    assert status_line.failing(1, Level.ERROR, Slot.NODES, "node_1 dead") == "A01 FAIL 6 node_1 dead"
+    assert status_line.failing(250, Level.WARN, Slot.HOST, "disk / 88%") == "A250 WARN 9 disk / 88%"
 
 
 def test_an_end_says_what_ended_it() -> None:
     """The operator sees whether it healed itself or PHM did it."""
-    assert status_line.over(1, Slot.NODES, "node_1 dead", "restart") == "A01 OK 6 restart fixed: node_1 dead"
-    assert status_line.over(1, Slot.NODES, "node_1 dead", "itself") == "A01 OK 6 cleared itself: node_1 dead"
-    assert status_line.over(1, Slot.HOST, "disk / 88%") == "A01 OK 9 cleared: disk / 88%"
+    assert status_line.recovered(1, Slot.NODES, "node_1 dead", "restart") == "A01 OK 6 restart fixed: node_1 dead"
+    assert status_line.recovered(1, Slot.NODES, "node_1 dead", "itself") == "A01 OK 6 cleared itself: node_1 dead"
+    assert status_line.recovered(1, Slot.HOST, "disk / 88%") == "A01 OK 9 cleared: disk / 88%"
 
 
 def test_advice_and_giving_up_name_the_target() -> None:
@@ -74,8 +74,14 @@ def test_advice_and_giving_up_name_the_target() -> None:
         status_line.advise(250, Slot.CONTAINER, "restart", long, 17)
         == "A250 ADVISE 2 restart a_container..y_long_name #17"
     )
-    assert status_line.asked(1, Slot.CONTAINER, "restart", "done", "ros_app") == "A01 OK 2 restart done: ros_app"
-    assert status_line.asked(1, Slot.CONTAINER, "restart", "failed", "ros_app") == "A01 WARN 2 restart failed: ros_app"
+    assert (
+        status_line.operator_request(1, Slot.CONTAINER, "restart", "done", "ros_app")
+        == "A01 OK 2 restart done: ros_app"
+    )
+    assert (
+        status_line.operator_request(1, Slot.CONTAINER, "restart", "failed", "ros_app")
+        == "A01 WARN 2 restart failed: ros_app"
+    )
     assert status_line.gave_up(1, Slot.CONTAINER, "ros_app", "ros_app exited") == "A01 GAVE UP 2 ros_app exited"
     assert status_line.gave_up(1, Slot.NODES, "ros_app", "node_1 dead") == "A01 GAVE UP 6 ros_app: node_1 dead"
 
@@ -99,7 +105,7 @@ def test_what_is_not_known_is_never_ok() -> None:
 
 def test_a_long_name_keeps_its_head_and_what_happened() -> None:
     """Cutting takes the middle: which node and what about it both stay."""
-    line = status_line.bad(1, Level.ERROR, Slot.NODES, "a_very_long_node_name_of_somebody_else_entirely_1 dead")
+    line = status_line.failing(1, Level.ERROR, Slot.NODES, "a_very_long_node_name_of_somebody_else_entirely_1 dead")
     assert line.startswith("A01 FAIL 6 a_very_long")
     assert line.endswith("_1 dead")
     assert len(line) == 50
@@ -108,7 +114,7 @@ def test_a_long_name_keeps_its_head_and_what_happened() -> None:
 @pytest.mark.parametrize("text", ["nod\x00e", "nod\x1b[31me", "nod\ne", "nodé", "nod\u202ee", "node\x7f"])
 def test_control_characters_do_not_reach_the_ground(text: str) -> None:
     """What could steer a terminal or hide becomes a question mark."""
-    assert "?" in status_line.bad(1, Level.ERROR, Slot.NODES, text)
+    assert "?" in status_line.failing(1, Level.ERROR, Slot.NODES, text)
 
 
 def test_severities_are_those_of_the_contract() -> None:

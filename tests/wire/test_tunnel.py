@@ -10,29 +10,31 @@ from phm.wire.tunnel import (
     MAX_BYTES,
     MAX_PARTS,
     MAX_WORDS,
-    Detail,
-    Digest,
-    Message,
-    Seen,
+    FaultDetail,
+    PeerState,
+    PeerView,
+    StatusWords,
+    SwarmDigest,
     TunnelError,
-    View,
-    Words,
+    TunnelMessage,
     decode,
     details,
     encode,
 )
 
 agents = st.integers(1, 250)
-seen = st.sampled_from([Seen.ALIVE, Seen.LATE, Seen.LOST])
+seen = st.sampled_from([PeerState.ALIVE, PeerState.LATE, PeerState.LOST])
 levels = st.sampled_from([Level.OK, Level.WARN, Level.ERROR])
-views = st.builds(View, st.integers(0, 255), st.booleans(), st.booleans(), st.booleans(), st.dictionaries(agents, seen))
+views = st.builds(
+    PeerView, st.integers(0, 255), st.booleans(), st.booleans(), st.booleans(), st.dictionaries(agents, seen)
+)
 digests = st.integers(0, 250).flatmap(
-    lambda members: st.builds(Digest, st.just(members), st.integers(0, members), st.dictionaries(agents, levels))
+    lambda members: st.builds(SwarmDigest, st.just(members), st.integers(0, members), st.dictionaries(agents, levels))
 )
 
 
 @given(st.one_of(views, digests))
-def test_what_is_written_is_what_is_read(message: Message) -> None:
+def test_what_is_written_is_what_is_read(message: TunnelMessage) -> None:
     """Also when MAVLink has cut trailing zero bytes."""
     payload = encode(message)
     assert decode(payload) == message
@@ -41,22 +43,24 @@ def test_what_is_written_is_what_is_read(message: Message) -> None:
 
 @given(st.integers(1, 250 - MAX_WORDS), st.lists(st.integers(1, 2**32 - 1), min_size=1, max_size=MAX_WORDS))
 def test_words_come_back(first: int, words: list[int]) -> None:
-    message = Words(dict(enumerate(words, first)))
+    message = StatusWords(dict(enumerate(words, first)))
     assert decode(encode(message)) == message
     assert decode(encode(message).rstrip(b"\0")) == message
 
 
 def test_the_layout_is_the_documented_one() -> None:
     """Bytes written out by hand from the module's text."""
-    assert encode(View(7, True, False, True, {2: Seen.ALIVE, 4: Seen.LOST})) == bytes((0x11, 7, 0b101, 2, 0b110001))
-    assert encode(Digest(8, 7, {1: Level.OK, 3: Level.ERROR})) == bytes((0x12, 8, 7, 1, 0b110001))
-    assert encode(Words({3: 0x40025D55})) == bytes((0x13, 3, 0x55, 0x5D, 0x02, 0x40))
-    assert encode(Detail("ab-1", 0, 1, b"text")) == bytes((0x14, 0, 1, 4)) + b"ab-1text"
+    assert encode(PeerView(7, True, False, True, {2: PeerState.ALIVE, 4: PeerState.LOST})) == bytes(
+        (0x11, 7, 0b101, 2, 0b110001)
+    )
+    assert encode(SwarmDigest(8, 7, {1: Level.OK, 3: Level.ERROR})) == bytes((0x12, 8, 7, 1, 0b110001))
+    assert encode(StatusWords({3: 0x40025D55})) == bytes((0x13, 3, 0x55, 0x5D, 0x02, 0x40))
+    assert encode(FaultDetail("ab-1", 0, 1, b"text")) == bytes((0x14, 0, 1, 4)) + b"ab-1text"
 
 
 def test_a_hundred_agents_fit_into_one_digest() -> None:
     """25 bytes of levels and four of head: 46 bytes on the wire with TUNNEL's own 17."""
-    assert len(encode(Digest(100, 100, dict.fromkeys(range(1, 101), Level.OK)))) == 29
+    assert len(encode(SwarmDigest(100, 100, dict.fromkeys(range(1, 101), Level.OK)))) == 29
 
 
 @given(st.binary(max_size=140))
@@ -66,7 +70,7 @@ def test_strange_bytes_are_refused_in_words_and_never_crash(payload: bytes) -> N
         message = decode(payload)
     except TunnelError:
         return
-    if not isinstance(message, Detail):
+    if not isinstance(message, FaultDetail):
         assert decode(encode(message)) == message
 
 
@@ -80,9 +84,14 @@ def test_what_is_not_of_the_contract_is_refused(payload: bytes) -> None:
 
 @pytest.mark.parametrize(
     "message",
-    [View(0, True, True, True, {0: Seen.ALIVE}), Digest(1, 1, {251: Level.OK}), Words({1: 5, 200: 5}), Digest(256, 1)],
+    [
+        PeerView(0, True, True, True, {0: PeerState.ALIVE}),
+        SwarmDigest(1, 1, {251: Level.OK}),
+        StatusWords({1: 5, 200: 5}),
+        SwarmDigest(256, 1),
+    ],
 )
-def test_what_cannot_be_said_is_not_sent(message: Message) -> None:
+def test_what_cannot_be_said_is_not_sent(message: TunnelMessage) -> None:
     with pytest.raises(ValueError):
         encode(message)
 

@@ -16,7 +16,7 @@ from phm.recovery.actions._common import present
 from phm.recovery.actions._paths import open_plain
 from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
 from phm.recovery.safety.flight_critical import Impact
-from phm.transport.docker import Engine, EngineMissing, FileCopy
+from phm.transport.docker import DockerEngine, EngineMissing, FileCopy
 
 LIMIT = 16 << 20
 """Bytes of the largest file that is put back: it is held in memory, beside the archive that carries it."""
@@ -62,7 +62,7 @@ class RestoreFile(Action):
         return f"restored in {target.key}: {', '.join(done)}"
 
 
-def put_back(file: FileSettings, fact: ContainerFact, engine: Engine) -> bool:
+def put_back(file: FileSettings, fact: ContainerFact, engine: DockerEngine) -> bool:
     """Restore one file; False when it is as it must be. Raises ActionFailed and the engine's errors."""
     place = _place(engine, fact.id, file.path)
     if _well(engine, fact.id, place, file):
@@ -77,7 +77,7 @@ def put_back(file: FileSettings, fact: ContainerFact, engine: Engine) -> bool:
     return True
 
 
-def _place(engine: Engine, container: str, path: str) -> str:
+def _place(engine: DockerEngine, container: str, path: str) -> str:
     """Where a path leads in the container: the end of a symbolic link, else the path itself."""
     path = posixpath.normpath(path)
     try:
@@ -87,7 +87,7 @@ def _place(engine: Engine, container: str, path: str) -> str:
     return posixpath.normpath(str(seen["linkTarget"])) if int(seen["mode"]) & _GO_LINK else path
 
 
-def _well(engine: Engine, container: str, path: str, file: FileSettings) -> bool:
+def _well(engine: DockerEngine, container: str, path: str, file: FileSettings) -> bool:
     """Whether nothing needs to be done. Raises ActionFailed when something else than a file stands there."""
     try:
         seen = engine.stat_path(container, path)
@@ -106,7 +106,7 @@ def _well(engine: Engine, container: str, path: str, file: FileSettings) -> bool
     return digest.hexdigest() == file.sha256.lower()
 
 
-def _base(engine: Engine, container: str, path: str) -> str:
+def _base(engine: DockerEngine, container: str, path: str) -> str:
     """The nearest folder above `path` that is there: what is missing below it is made."""
     folder = posixpath.dirname(path)
     while folder != "/":
@@ -119,7 +119,7 @@ def _base(engine: Engine, container: str, path: str) -> str:
     return folder
 
 
-def _from_image(engine: Engine, fact: ContainerFact, path: str) -> FileCopy:
+def _from_image(engine: DockerEngine, fact: ContainerFact, path: str) -> FileCopy:
     """The file as the image has it, read from a container that is made for this and never started."""
     image = str(engine.inspect(fact.id).get("Image", ""))
     name = f"phm-restore-{fact.id[:12]}"

@@ -10,7 +10,7 @@ from typing import Protocol
 from phm.core.clock import Clock
 from phm.core.model import Event, FaultClosed, Level, UnitState
 from phm.facts import CannotTell, ContainerFact
-from phm.transport.docker import Engine
+from phm.transport.docker import DockerEngine
 
 LOW_SHARES = 64
 """A sixteenth of the engine's default of 1024: enough to stay alive, and next to nothing beside a container that wants the core."""
@@ -46,7 +46,11 @@ class CpuWeights:
     period_s = 1.0
 
     def __init__(
-        self, engine: Engine, container: Callable[[str], ContainerFact | None], pipeline: PublishedStates, clock: Clock
+        self,
+        engine: DockerEngine,
+        container: Callable[[str], ContainerFact | None],
+        pipeline: PublishedStates,
+        clock: Clock,
     ) -> None:
         self._engine, self._container, self._pipeline, self._clock = engine, container, pipeline, clock
         self._lowered: dict[str, LoweredWeight] = {}
@@ -63,7 +67,7 @@ class CpuWeights:
         with self._lock:
             return tuple(self._lowered.values())
 
-    def lower(self, key: str, fact: ContainerFact, unit: str, engine: Engine) -> bool:
+    def lower(self, key: str, fact: ContainerFact, unit: str, engine: DockerEngine) -> bool:
         """Lower the CPU weight of a running container by `engine`; False: it is as low already. Raises CannotTell."""
         host = engine.inspect(fact.id).get("HostConfig")
         found = host.get("CpuShares") if isinstance(host, dict) else None

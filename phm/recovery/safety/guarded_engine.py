@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from phm.recovery.safety.flight_critical import FlightCriticalError, FlightCriticalGuard, Impact
-from phm.transport.docker import Engine, EngineNotConnected, EngineTimeout, EngineUnreachable
+from phm.transport.docker import DockerEngine, EngineNotConnected, EngineTimeout, EngineUnreachable
 
 READS = frozenset(
     {
@@ -48,10 +48,10 @@ Forbids = Callable[[str, Impact], str]
 
 
 class GuardedEngine:
-    """Has the methods of `Engine`, for one run of one action. Those that change a container raise FlightCritical while that
+    """Has the methods of `DockerEngine`, for one run of one action. Those that change a container raise FlightCritical while that
     is forbidden."""
 
-    def __init__(self, engine: Engine, flight_critical_guard: FlightCriticalGuard, forbids: Forbids) -> None:
+    def __init__(self, engine: DockerEngine, flight_critical_guard: FlightCriticalGuard, forbids: Forbids) -> None:
         """forbids: a container's key and what is taken down -> why not, empty: it may be done."""
         self._engine, self._safeguard, self._forbids = engine, flight_critical_guard, forbids
         self._down: set[str] = set()
@@ -93,6 +93,6 @@ class GuardedEngine:
             self._down.add(ref)
 
 
-def guarded(engine: Engine, flight_critical_guard: FlightCriticalGuard, forbids: Forbids) -> Engine:
+def guarded(engine: DockerEngine, flight_critical_guard: FlightCriticalGuard, forbids: Forbids) -> DockerEngine:
     """The same engine to its users."""
-    return cast(Engine, GuardedEngine(engine, flight_critical_guard, forbids))
+    return cast(DockerEngine, GuardedEngine(engine, flight_critical_guard, forbids))

@@ -12,10 +12,10 @@ from typing import Any, cast
 from hypothesis import strategies as st
 
 from phm.core.clock import SystemClock
-from phm.gcs.serve import MAX_REQUEST, Server
+from phm.gcs.server import MAX_REQUEST, GcsServer
 from tests.fuzz.hostile import torn
 from tests.fuzz.targets import fuzzed
-from tests.gcs.test_serve import Source
+from tests.gcs.test_server import Source
 
 LIMIT_S = 30.0
 ASKED = [
@@ -30,13 +30,13 @@ STATUSES = (b"200", b"403", b"404", b"405", b"408", b"431", b"503")
 
 
 @cache
-def _server() -> Server:
-    made = Server("127.0.0.1", 0, cast(Any, Source()), SystemClock())
+def _server() -> GcsServer:
+    made = GcsServer("127.0.0.1", 0, cast(Any, Source()), SystemClock())
     made.start()
     return made
 
 
-def _read(server: Server, pieces: list[bytes]) -> bytes:
+def _read(server: GcsServer, pieces: list[bytes]) -> bytes:
     """All that comes until the server ends the connection or has said its first line."""
     answer = b""
     with socket.create_connection(server.address, LIMIT_S) as client, contextlib.suppress(OSError):

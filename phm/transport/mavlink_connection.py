@@ -17,7 +17,7 @@ from phm.transport.dns import Address, Resolver
 from phm.transport.mavlink_channels import Channel, StreamChannel, TcpServer, tune
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_udp import UdpBroadcast, UdpIn, UdpOut
-from phm.transport.serial_errors import LineCount, count, keep_dtr
+from phm.transport.serial_errors import SerialErrorCount, keep_dtr, read_counts
 
 CONNECT_LIMIT_S = 5.0
 RESOLVE_LIMIT_S = 5.0
@@ -25,7 +25,7 @@ _SLICE_S = 0.1
 """How soon an opening notices that it is to end."""
 
 
-class Opener:
+class ChannelOpener:
     """Opens one endpoint again and again. `open` is called in the endpoint's own thread, and given up when `enough` is set."""
 
     def __init__(self, settings: EndpointSettings, codec: Codec, clock: Clock, enough: threading.Event) -> None:
@@ -169,8 +169,8 @@ def _closed_on_failure(sock: socket.socket) -> Iterator[None]:
 class SerialChannel(StreamChannel):
     """A serial port. What was not sent is thrown away at the end: a stuck port keeps `close` waiting for it."""
 
-    def line(self) -> LineCount | None:
-        return count(self._owner.fileno())
+    def line(self) -> SerialErrorCount | None:
+        return read_counts(self._owner.fileno())
 
     def close(self) -> None:
         with contextlib.suppress(OSError, termios.error):  # the port may be gone, and is closed either way

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 
 from phm.core import threads
 from phm.core.clock import Clock
-from phm.gcs.events import News
-from phm.gcs.station import Station
-from phm.gcs.subscriber_queue import Item, SubscriberQueue
+from phm.gcs.events import GcsEvent
+from phm.gcs.station import GroundStation
+from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 
 logger = logging.getLogger(__name__)
 
@@ -65,17 +65,17 @@ class _Feed(SubscriberQueue):
         super().__init__(clock)
         self._bell = bell
 
-    def put(self, item: Item) -> bool:
+    def put(self, item: QueuedEvent) -> bool:
         kept = super().put(item)
         with contextlib.suppress(OSError):  # full: it rings already; closed: nobody listens
             self._bell.send(b"x")
         return kept
 
 
-class Server:
+class GcsServer:
     """Listens from the start. Raises OSError when it cannot."""
 
-    def __init__(self, host: str, port: int, station: Station, clock: Clock) -> None:
+    def __init__(self, host: str, port: int, station: GroundStation, clock: Clock) -> None:
         self._station, self._clock = station, clock
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self._listener = socket.create_server((host, port), family=family, backlog=MAX_CLIENTS)
@@ -146,7 +146,7 @@ class Server:
         if now >= self._alive_at:
             self._alive_at = now + ALIVE_S
             number, at = self._station.snapshot()[0], self._clock.stamp()
-            self._tell(self._station.line(number, News(at, "alive", {})))
+            self._tell(self._station.line(number, GcsEvent(at, "alive", {})))
         for item in items:
             self._tell(item.line, item.number)
         for client in list(self._clients.values()):

@@ -15,13 +15,13 @@ STEADY = 3
 """So many different heartbeats make a sender count."""
 
 
-class Share:
+class SmoothedAgentCount:
     """Not thread-safe."""
 
     def __init__(self, agents: int, now: float) -> None:
         self._value, self._at = float(max(1, agents)), now
 
-    def follow(self, agents: int, now: float) -> int:
+    def update(self, agents: int, now: float) -> int:
         """How many to count with at `now`, seconds, when there are so many: at most twice or half as many a minute."""
         factor = 2.0 ** ((now - self._at) / DOUBLES_S)
         self._at = now

@@ -27,7 +27,7 @@ def test_a_link_is_tried_at_once_when_its_container_was_started(container: str) 
         until(lambda: bool(hub.links()), "the first attempt")
         clock.wait_for_sleepers(1)
         with socket.create_server(("127.0.0.1", port)) as door:
-            hub.hurry(container)
+            hub.retry_now(container)
             door.settimeout(5.0 if container == "router" else 0.3)
             if container == "router":
                 door.accept()[0].close()

@@ -13,10 +13,9 @@ from typing import Any
 import pytest
 
 from phm.core.clock import SystemClock
-from phm.gcs import serve
-from phm.gcs.events import News, encode
-from phm.gcs.serve import Server
-from phm.gcs.subscriber_queue import Item, SubscriberQueue
+from phm.gcs.events import GcsEvent, encode
+from phm.gcs.server import MAX_CLIENTS, MAX_REQUEST, PER_HOST, GcsServer
+from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 from tests.fakes.until import until
 
 
@@ -24,30 +23,30 @@ class Source:
     """As much of a station as the server uses. Its snapshot is the number of the last news."""
 
     def __init__(self) -> None:
-        self._outlets: list[SubscriberQueue] = []
+        self._queues: list[SubscriberQueue] = []
         self._number, self._clock = 0, SystemClock()
 
     def subscribe(self, outlet: SubscriberQueue) -> None:
-        self._outlets.append(outlet)
+        self._queues.append(outlet)
 
-    def snapshot(self) -> tuple[int, News]:
-        return self._number, News(self._clock.stamp(), "snapshot", {"agents": []})
+    def snapshot(self) -> tuple[int, GcsEvent]:
+        return self._number, GcsEvent(self._clock.stamp(), "snapshot", {"agents": []})
 
-    def line(self, number: int, news: News) -> bytes:
+    def line(self, number: int, news: GcsEvent) -> bytes:
         return encode(news, "run", number)
 
     def say(self, text: str = "x") -> int:
         self._number += 1
-        news = News(self._clock.stamp(), "said", {"text": text})
-        for outlet in self._outlets:
-            outlet.put(Item(self._number, news, self.line(self._number, news)))
+        news = GcsEvent(self._clock.stamp(), "said", {"text": text})
+        for outlet in self._queues:
+            outlet.put(QueuedEvent(self._number, news, self.line(self._number, news)))
         return self._number
 
 
 class Client:
     """A TCP client; `lines` are the events that came so far."""
 
-    def __init__(self, server: Server, request: bytes = b"", *, window: int | None = None) -> None:
+    def __init__(self, server: GcsServer, request: bytes = b"", *, window: int | None = None) -> None:
         self.sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         if window is not None:
             self.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, window)
@@ -85,7 +84,7 @@ Connect = Callable[..., Client]
 
 
 @pytest.fixture
-def connect(server: Server) -> Iterator[Connect]:
+def connect(server: GcsServer) -> Iterator[Connect]:
     """Makes clients, and closes them."""
     made: list[Client] = []
 
@@ -99,18 +98,18 @@ def connect(server: Server) -> Iterator[Connect]:
 
 
 @pytest.fixture
-def server(source: Source) -> Iterator[Server]:
-    made = Server("127.0.0.1", 0, source, SystemClock())  # type: ignore[arg-type]
+def server(source: Source) -> Iterator[GcsServer]:
+    made = GcsServer("127.0.0.1", 0, source, SystemClock())  # type: ignore[arg-type]
     made.start()
     yield made
     made.close()
 
 
-def url(server: Server, path: str) -> str:
+def url(server: GcsServer, path: str) -> str:
     return f"http://127.0.0.1:{server.address[1]}{path}"
 
 
-def test_a_silent_client_gets_a_snapshot_and_then_the_news(server: Server, connect: Connect, source: Source) -> None:
+def test_a_silent_client_gets_a_snapshot_and_then_the_news(server: GcsServer, connect: Connect, source: Source) -> None:
     """Without a gap and without one twice, whenever it comes."""
     for _ in range(5):
         source.say()
@@ -124,7 +123,7 @@ def test_a_silent_client_gets_a_snapshot_and_then_the_news(server: Server, conne
     assert client.news() == list(range(6, 106))
 
 
-def test_http_streams_the_same_lines(server: Server, connect: Connect, source: Source) -> None:
+def test_http_streams_the_same_lines(server: GcsServer, connect: Connect, source: Source) -> None:
     """A head, then the lines; also for a client that closes its side after it has asked."""
     client = connect(b"GET / HTTP/1.1\r\nHost: localhost:1\r\n\r\n")
     client.sock.shutdown(socket.SHUT_WR)
@@ -134,7 +133,7 @@ def test_http_streams_the_same_lines(server: Server, connect: Connect, source: S
     until(client.news, "the news")
 
 
-def test_http_gives_one_snapshot(server: Server) -> None:
+def test_http_gives_one_snapshot(server: GcsServer) -> None:
     """And ends."""
     with urllib.request.urlopen(url(server, "/snapshot"), timeout=15) as answer:
         assert json.load(answer)["event"] == "snapshot"
@@ -147,11 +146,11 @@ def test_http_gives_one_snapshot(server: Server) -> None:
         (b"POST / HTTP/1.1\r\n\r\n", b"405"),
         (b"\x16\x03\x01 nonsense\r\n\r\n", b"405"),
         (b"GET / HTTP/1.1\r\nHost: evil.example:80\r\n\r\n", b"403"),
-        (b"x" * serve.MAX_REQUEST, b"431"),
+        (b"x" * MAX_REQUEST, b"431"),
     ],
     ids=["path", "method", "nonsense", "a web page elsewhere", "too long"],
 )
-def test_what_is_not_served_is_refused(server: Server, connect: Connect, request_: bytes, status: bytes) -> None:
+def test_what_is_not_served_is_refused(server: GcsServer, connect: Connect, request_: bytes, status: bytes) -> None:
     """With a status that says why, and closed."""
     client = connect(request_)
     until(lambda: client.read() and client.closed, "the end")
@@ -159,9 +158,9 @@ def test_what_is_not_served_is_refused(server: Server, connect: Connect, request
     assert server.about().endswith("to 0, 0 dropped as too slow")
 
 
-def test_half_a_request_has_a_deadline(server: Server, connect: Connect, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_half_a_request_has_a_deadline(server: GcsServer, connect: Connect, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody keeps a place by saying little."""
-    monkeypatch.setattr(serve, "REQUEST_S", 0.2)
+    monkeypatch.setattr("phm.gcs.server.REQUEST_S", 0.2)
     client = connect(b"GET / HT")
     until(lambda: client.read() and client.closed, "the end")
     assert b" 408 " in client.data
@@ -169,10 +168,10 @@ def test_half_a_request_has_a_deadline(server: Server, connect: Connect, monkeyp
 
 @pytest.mark.parametrize("limit", ["MAX_BACKLOG", "STUCK_S"])
 def test_a_client_that_does_not_read_is_dropped(
-    server: Server, connect: Connect, source: Source, monkeypatch: pytest.MonkeyPatch, limit: str
+    server: GcsServer, connect: Connect, source: Source, monkeypatch: pytest.MonkeyPatch, limit: str
 ) -> None:
     """By what waits for it, or by how long; the others get every line meanwhile."""
-    monkeypatch.setattr(serve, limit, {"MAX_BACKLOG": 200_000, "STUCK_S": 0.3}[limit])
+    monkeypatch.setattr(f"phm.gcs.server.{limit}", {"MAX_BACKLOG": 200_000, "STUCK_S": 0.3}[limit])
     slow, quick = connect(window=4096), connect()
     until(lambda: slow.events() and quick.events(), "both snapshots")
     said = 0
@@ -189,9 +188,9 @@ def test_a_client_that_does_not_read_is_dropped(
     assert server.dropped == 1
 
 
-def test_too_many_clients_are_refused(server: Server, connect: Connect, source: Source) -> None:
+def test_too_many_clients_are_refused(server: GcsServer, connect: Connect, source: Source) -> None:
     """Those that are served stay; one that has gone makes room."""
-    clients = [connect() for _ in range(serve.MAX_CLIENTS)]
+    clients = [connect() for _ in range(MAX_CLIENTS)]
     for client in clients:
         until(client.events, "the snapshot")
     more = connect()
@@ -205,14 +204,14 @@ def test_too_many_clients_are_refused(server: Server, connect: Connect, source: 
             until(client.news, "the news")
 
 
-def test_one_host_does_not_take_all_places(server: Server, connect: Connect) -> None:
+def test_one_host_does_not_take_all_places(server: GcsServer, connect: Connect) -> None:
     """Idle connections of another machine leave room for the next one."""
     with contextlib.ExitStack() as stack:
         crowd = [
             stack.enter_context(socket.create_connection(server.address, source_address=("127.0.0.2", 0)))
-            for _ in range(serve.MAX_CLIENTS)
+            for _ in range(MAX_CLIENTS)
         ]
-        until(lambda: server.about().endswith(f"to {serve.PER_HOST}, 0 dropped as too slow"), "the rest being refused")
+        until(lambda: server.about().endswith(f"to {PER_HOST}, 0 dropped as too slow"), "the rest being refused")
         assert b" 503 " in crowd[-1].recv(300)
         until(lambda: _served(connect), "a place for another host")
 
@@ -224,16 +223,16 @@ def _served(connect: Connect) -> bool:
 
 
 def test_a_stream_without_news_shows_that_it_lives(
-    server: Server, connect: Connect, source: Source, monkeypatch: pytest.MonkeyPatch
+    server: GcsServer, connect: Connect, source: Source, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whoever reads can tell silence from a broken connection."""
-    monkeypatch.setattr(serve, "ALIVE_S", 0.1)
+    monkeypatch.setattr("phm.gcs.server.ALIVE_S", 0.1)
     server._alive_at = 0.0
     client = connect()
     until(lambda: [event for event in client.events() if event["event"] == "alive"], "a sign of life")
 
 
-def test_serving_ends_with_the_program(server: Server, connect: Connect) -> None:
+def test_serving_ends_with_the_program(server: GcsServer, connect: Connect) -> None:
     """Its clients see the end, and the port is free again."""
     client = connect()
     until(client.events, "the snapshot")
