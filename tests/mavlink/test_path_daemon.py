@@ -45,9 +45,9 @@ class Flight:
             mavlink={
                 "endpoints": endpoints,
                 "heartbeat": 0.5,
-                "gcs_timeout": 2,
-                "autopilot_timeout": 2,
-                "radio_timeout": 4,
+                "gcs_timeout": 5,
+                "autopilot_timeout": 5,
+                "radio_timeout": 8,
             },
         )
         self.events: list[Event] = []
