@@ -72,7 +72,9 @@ def test_what_needs_the_unit_is_waited_for_as_long_as_the_action_says(
 class Starved(Silent):
     """As Silent and Alone, of a container that is starved until `until`."""
 
-    def __init__(self, started: float, *, well: bool, until: float = 100.0, condition: str = "node_unreachable") -> None:
+    def __init__(
+        self, started: float, *, well: bool, until: float = 100.0, condition: str = "node_unreachable"
+    ) -> None:
         super().__init__(started)
         self.well, self.until, self.now, self.condition = well, until, 0.0, condition
 

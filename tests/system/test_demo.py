@@ -13,8 +13,8 @@ from rich.console import Console
 
 from sitl.demo.main import main
 from sitl.harness.compose_stack import Stack
-from sitl.harness.log_follower import Record
 from sitl.harness.config_overrides import derived, write
+from sitl.harness.log_follower import Record
 from tests.system.conftest import poll
 
 
