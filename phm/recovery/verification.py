@@ -12,7 +12,7 @@ from phm.recovery.base import Action
 from phm.recovery.containers.container_generation import ENGINE, Generation, by_phm
 from phm.recovery.policy import OUTSIDE
 from phm.recovery.shop import Shop
-from phm.tracker.starvation import explained
+from phm.tracker.starvation import explanation
 
 POLL_S = 0.05
 LOOK_AGAIN_S = 0.5
@@ -105,7 +105,7 @@ class Verification:
         """Whether starvation can explain that the first unit has not recovered. It cannot where a network is detached, for
         instance: such a failure counts, or the same step would be repeated for as long as the machine is busy."""
         newest = seen.newest(self.waiting[0], self.done + self.verify_after_s)
-        return newest is None or newest.level is not Level.ERROR or explained(newest) is not None
+        return newest is None or newest.level is not Level.ERROR or explanation(newest) is not None
 
     def decides_s(self, seen: CheckResults) -> float:
         """How long the unit's check needs from the start of the container, as it now says; 0: it does not wait for time."""
