@@ -27,7 +27,7 @@ class _Step:
     known_s: float = 0.0
 
 
-class Cadence:
+class AdaptiveTimeout:
     """Not thread-safe. most_s: the configured timeout, under which every limit is. least_s: no limit is under that."""
 
     def __init__(self, most_s: float, least_s: float = UNEVEN_S) -> None:

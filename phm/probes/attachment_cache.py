@@ -8,7 +8,7 @@ from __future__ import annotations
 from phm.facts import Attachment, ContainerFact, DockerProbe, ProcessFact
 
 
-class RememberingDocker:
+class AttachmentCache:
     """A `phm.facts.DockerProbe` that keeps the last attachment of each container to each network.
 
     Bounded by the configuration: one entry per configured container and network that it was seen on.

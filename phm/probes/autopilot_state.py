@@ -12,7 +12,7 @@ from typing import Any
 
 from phm.core.scheduling_delay import Late, never_late
 from phm.facts.links import AutopilotFact
-from phm.probes.adaptive_timeout import Cadence
+from phm.probes.adaptive_timeout import AdaptiveTimeout
 from phm.transport.dialect import mavlink
 
 BACK_S = 3.0
@@ -27,11 +27,11 @@ ALIVE_S = 1.0
 """While other frames of it come, its heartbeats are late or lost, and it is not."""
 
 
-class Pilot:
+class AutopilotState:
     """Not thread-safe. timeout_s: after which it counts as lost in any case. late_s: for how long PHM did not run."""
 
     def __init__(self, timeout_s: float = 3.5, late_s: Late = never_late) -> None:
-        self._cadence, self._timeout_s, self._late_s = Cadence(timeout_s), timeout_s, late_s
+        self._cadence, self._timeout_s, self._late_s = AdaptiveTimeout(timeout_s), timeout_s, late_s
         self._said: dict[str, tuple[float, bool]] = {}
         """By link: when a heartbeat came last, and whether it said armed."""
         self._said_armed: dict[bool, float] = {}

@@ -35,7 +35,7 @@ class _Job(Generic[T]):
         return self.value  # type: ignore[return-value]  # set by run, and T may itself be None
 
 
-class Worker:
+class BlockingCallWorker:
     """Runs one call at a time with a deadline.
 
     Invariant: at most one thread and one call. While a call hangs, every further one is refused at once,

@@ -28,7 +28,7 @@ _NO_LIMIT = 1 << 60
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class Cgroup:
     """One container's directories. `unified` may be that of version 2 alone, or beside version 1."""
 
     unified: str
@@ -42,7 +42,7 @@ class Group:
         return 1 if self.cpu else 2
 
 
-def find(root: Path, container: ContainerFact) -> Group | None:
+def find(root: Path, container: ContainerFact) -> Cgroup | None:
     """The cgroup of a running container below `root`, where the host's /sys/fs/cgroup is seen; None when it is not there."""
     if not _ID.fullmatch(container.id):
         return None
@@ -70,23 +70,23 @@ def _slice(name: str) -> str:
     return "/".join("-".join(words[: count + 1]) + ".slice" for count in range(len(words)))
 
 
-def _group(root: Path, place: str) -> Group | None:
+def _group(root: Path, place: str) -> Cgroup | None:
     if (root / "cgroup.controllers").exists():
-        return Group(str(root / place)) if (root / place).is_dir() else None
+        return Cgroup(str(root / place)) if (root / place).is_dir() else None
     cpu = root / "cpu" / place
     if not cpu.is_dir():
         return None
     unified = root / "unified" / place
     others = (str(root / name / place) for name in ("cpuacct", "memory", "pids"))
-    return Group(str(unified) if unified.is_dir() else "", str(cpu), *others)
+    return Cgroup(str(unified) if unified.is_dir() else "", str(cpu), *others)
 
 
-def read(group: Group, at: float) -> PressureFact:
+def read(group: Cgroup, at: float) -> PressureFact:
     """What the files say at monotonic second `at`. Raises OSError when the container has gone, ValueError when they make no sense."""
     return _read_v1(group, at) if group.version == 1 else _read_v2(group, at)
 
 
-def _read_v2(group: Group, at: float) -> PressureFact:
+def _read_v2(group: Cgroup, at: float) -> PressureFact:
     base = group.unified
     cpu = _table(f"{base}/cpu.stat")
     quota, _, period = (_text(f"{base}/cpu.max") or "max").partition(" ")
@@ -115,7 +115,7 @@ def _read_v2(group: Group, at: float) -> PressureFact:
     )
 
 
-def _read_v1(group: Group, at: float) -> PressureFact:
+def _read_v1(group: Cgroup, at: float) -> PressureFact:
     cpu = _table(f"{group.cpu}/cpu.stat")
     quota_us, period_us = _number(f"{group.cpu}/cpu.cfs_quota_us"), _number(f"{group.cpu}/cpu.cfs_period_us")
     period_s = (period_us or 0) / 1e6 or PERIOD_S
@@ -159,7 +159,7 @@ def used_by_all(root: Path) -> dict[str, float]:
     return found
 
 
-def used_s(group: Group) -> float | None:
+def used_s(group: Cgroup) -> float | None:
     return _used_s(group.cpuacct or group.unified)
 
 

@@ -18,7 +18,7 @@ _MOST_SCHEDSTAT = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
-class Use:
+class CpuUsage:
     """Shares since the reading before. See `phm.facts.HostFact`."""
 
     busy_percent: float
@@ -36,17 +36,17 @@ class _Reading:
     io_us: int | None
 
 
-class Processor:
+class CpuMonitor:
     """Not thread-safe. `proc` is where the kernel's /proc is."""
 
     def __init__(self, clock: Clock, proc: Path = Path("/proc")) -> None:
         self._clock, self._proc = clock, str(proc)
         self._last: _Reading | None = None
-        self._use = Use(0.0)
+        self._use = CpuUsage(0.0)
         with contextlib.suppress(OSError, ValueError, IndexError):  # whoever asks is told
             self.use()  # the first reading has nothing to compare with, so it is taken here
 
-    def use(self) -> Use:
+    def use(self) -> CpuUsage:
         """Raises OSError, ValueError or IndexError when the kernel's figures cannot be read."""
         now = self._clock.mono()
         if self._last is not None and now - self._last.at < SHORTEST_S:
@@ -85,7 +85,7 @@ class Processor:
         return sum(delays_ns) // 1000 // len(delays_ns) if delays_ns else None
 
 
-def _since(last: _Reading, new: _Reading) -> Use:
+def _since(last: _Reading, new: _Reading) -> CpuUsage:
     spent = [max(0, now - old) for now, old in zip(new.ticks, last.ticks, strict=True)]  # iowait may go back
     total = sum(spent)
     busy = 100.0 * (total - spent[_IDLE] - spent[_IOWAIT]) / total if total else 0.0
@@ -95,7 +95,7 @@ def _since(last: _Reading, new: _Reading) -> Use:
             return None
         return min(100.0, max(0.0, (now_us - old_us) / (new.at - last.at) / 1e4))
 
-    return Use(
+    return CpuUsage(
         busy,
         share(new.waited_us, last.waited_us),
         share(new.memory_us, last.memory_us),

@@ -18,8 +18,8 @@ from serial.tools.list_ports_linux import SysFS
 from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.facts import CannotTell, DeviceFact
-from phm.probes.blocking_call import Worker
-from phm.probes.inotify import Notices
+from phm.probes.blocking_call import BlockingCallWorker
+from phm.probes.inotify import FileWatcher
 
 LOOK_S = 1.5
 """Deadline of one look; opening a device whose driver is stuck can hang."""
@@ -54,14 +54,14 @@ class Devices:
         self,
         settings: Settings,
         clock: Clock,
-        notices: Notices | None = None,
+        notices: FileWatcher | None = None,
         changed: Callable[[], None] = lambda: None,
     ) -> None:
         self._changed = changed
         self._watch = notices.on(changed) if notices is not None else lambda directory, name: False
         self._root = Path(settings.host.dev_root)
         self._clock = clock
-        self._worker = Worker("devices")
+        self._worker = BlockingCallWorker("devices")
         self._lock = threading.Lock()
         self._described: dict[str, tuple[float, str]] = {}
 

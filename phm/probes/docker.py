@@ -14,7 +14,7 @@ from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.facts import CannotTell, ContainerFact, ProcessFact
 from phm.probes import ping
-from phm.probes.docker_facts import Budget, container_fact, find
+from phm.probes.docker_facts import TimeBudget, container_fact, find
 from phm.probes.docker_processes import Processes
 from phm.transport.docker import DockerEngine, EngineMissing
 
@@ -47,7 +47,7 @@ class Docker:
         self._generation = 0
         self._my_id = ""
         self._processes = Processes(engine, clock)
-        self._reach = ping.Reach()
+        self._pinger = ping.Pinger()
         engine.on_change = self.invalidate
 
     def engine(self) -> str:
@@ -82,7 +82,7 @@ class Docker:
     def reachable(self, address: str) -> bool:
         facts = [entry.fact for entry in self._entries.values() if entry.fact is not None]
         holder = next((fact for fact in facts if any(one.address == address for one in fact.networks)), None)
-        return self._reach.answers(address, holder.life if holder is not None else "")
+        return self._pinger.answers(address, holder.life if holder is not None else "")
 
     def answering(self) -> tuple[str, ...]:
         """Addresses of configured containers that run and have answered in this life; see `phm.probes.reachability_monitor`."""
@@ -92,12 +92,12 @@ class Docker:
             for fact in facts
             if fact.running
             for one in fact.networks
-            if one.address and self._reach.heard(one.address, fact.life)
+            if one.address and self._pinger.heard(one.address, fact.life)
         )
 
-    def knock(self, address: str) -> bool:
+    def ping(self, address: str) -> bool:
         """Whether the address answers by itself just now: one question, not a verdict."""
-        return self._reach.knock(address)
+        return self._pinger.ping(address)
 
     def invalidate(self) -> None:
         """Something happened: what was read before now is old. Called with each Docker event and after each action of PHM."""
@@ -105,7 +105,9 @@ class Docker:
 
     # ------------------------------------------------------------ one question for all who ask at once
 
-    def _shared(self, key: str, ask: Callable[[Budget], ContainerFact | None], young_s: float) -> ContainerFact | None:
+    def _shared(
+        self, key: str, ask: Callable[[TimeBudget], ContainerFact | None], young_s: float
+    ) -> ContainerFact | None:
         """The answer to a question that was asked at most `young_s` before this call, or since: who waits while another thread
         asks shares its answer with those who wait, too. A check's result counts from when its run began, so nothing that it
         is made of may be older.
@@ -129,11 +131,11 @@ class Docker:
             return True  # failed while we waited: to try again would only queue up the deadlines
         return entry.generation == self._generation and called_at - entry.asked_at <= young_s
 
-    def _ask(self, entry: _Entry, ask: Callable[[Budget], ContainerFact | None]) -> None:
+    def _ask(self, entry: _Entry, ask: Callable[[TimeBudget], ContainerFact | None]) -> None:
         entry.asked_at, entry.generation = self._clock.mono(), self._generation
         entry.fact = entry.error = None
         try:
-            entry.fact = ask(Budget(self._clock, self._engine.timeout_s))
+            entry.fact = ask(TimeBudget(self._clock, self._engine.timeout_s))
         except CannotTell as error:
             entry.error = error
         finally:
@@ -141,7 +143,7 @@ class Docker:
 
     # ------------------------------------------------------------ PHM's own container
 
-    def _find_myself(self, budget: Budget) -> ContainerFact | None:
+    def _find_myself(self, budget: TimeBudget) -> ContainerFact | None:
         configured = self._settings.docker.container
         if configured:
             try:

@@ -20,8 +20,8 @@ from phm.core.clock import Clock
 from phm.core.model import Stamp
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import CannotTell, EventStreamFact
-from phm.probes.docker_facts import Budget, find
-from phm.probes.docker_reconcile import Expected, after, differences
+from phm.probes.docker_facts import TimeBudget, find
+from phm.probes.docker_reconcile import ExpectedState, after, differences
 from phm.transport.docker import DockerEngine, EngineTimeout, EventStream
 
 logger = logging.getLogger(__name__)
@@ -118,7 +118,7 @@ class DockerEvent:
         return f"{self.kind} {self.key}{of}: {self.action}" + (f" ({self.detail})" if self.detail else "")
 
 
-class Watch:
+class ContainerWatcher:
     """Two threads: one follows the stream, one compares. `on_event` is called from either, one at a time; `on_turn` when the
     stream broke, could not be opened, or is open again: mostly the engine itself has gone or come.
 
@@ -137,7 +137,7 @@ class Watch:
         self._containers = {entry.key: entry for entry in settings.containers}
         self._networks = {name for entry in settings.containers for name in entry.networks}
         self._compare_s = settings.docker.compare
-        self._expected: dict[str, Expected] = {}
+        self._expected: dict[str, ExpectedState] = {}
         self._stops: dict[str, tuple[int, float | None]] = {}
         """By which signal each container is stopped, and how long it asks to be waited for."""
         self._ids: dict[str, str] = {}
@@ -394,19 +394,19 @@ class Watch:
             )
         return True
 
-    def _look(self, key: str) -> tuple[int, Expected] | None:
+    def _look(self, key: str) -> tuple[int, ExpectedState] | None:
         """How often the stream had spoken about the container before we looked, and what we saw."""
         with self._lock:
             touched = self._touched[key]
         try:
-            fact = find(self._engine, self._containers[key], Budget(self._clock, self._engine.timeout_s))
+            fact = find(self._engine, self._containers[key], TimeBudget(self._clock, self._engine.timeout_s))
         except CannotTell as error:
             logger.debug("comparison of %s: %s", key, error)
             return None
         if fact is not None:
             with self._lock:
                 self._stops[key] = (fact.stop_signal, fact.stop_timeout_s)
-        return touched, Expected.of(fact)
+        return touched, ExpectedState.of(fact)
 
     def _turned(self) -> None:
         if self._stopping.is_set():

@@ -17,7 +17,7 @@ _ALIVE = ("running", "paused", "restarting")
 _LEAST_S = 0.05
 
 
-class Budget:
+class TimeBudget:
     """What is left of a method's deadline, for the calls that it makes one after another."""
 
     def __init__(self, clock: Clock, limit_s: float) -> None:
@@ -31,7 +31,7 @@ class Budget:
         return max(_LEAST_S, self._until - self._clock.mono())
 
 
-def find(engine: DockerEngine, entry: ContainerSettings, budget: Budget) -> ContainerFact | None:
+def find(engine: DockerEngine, entry: ContainerSettings, budget: TimeBudget) -> ContainerFact | None:
     """The container that `entry` names, or None. Raises CannotTell when a label names several."""
     ref = entry.name or _by_label(engine, entry.label or "", budget)
     if not ref:
@@ -44,7 +44,7 @@ def find(engine: DockerEngine, entry: ContainerSettings, budget: Budget) -> Cont
     return None if entry.name and fact.name != entry.name else fact
 
 
-def _by_label(engine: DockerEngine, label: str, budget: Budget) -> str:
+def _by_label(engine: DockerEngine, label: str, budget: TimeBudget) -> str:
     """Id of the container with that label, or empty. One that lives wins over the stopped ones it replaced."""
     found = [
         entry

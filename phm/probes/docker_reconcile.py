@@ -8,7 +8,7 @@ from phm.facts import ContainerFact
 
 
 @dataclass(frozen=True, slots=True)
-class Expected:
+class ExpectedState:
     """A container as last seen, changed by the events since. None: an event made it unknown, so it cannot differ.
 
     id:       empty when there is no container.
@@ -23,17 +23,17 @@ class Expected:
     networks: frozenset[tuple[str, str]] | None = frozenset()
 
     @classmethod
-    def of(cls, fact: ContainerFact | None) -> Expected:
+    def of(cls, fact: ContainerFact | None) -> ExpectedState:
         if fact is None:
             return cls()
         networks = frozenset((attached.name, attached.network_id) for attached in fact.networks)
         return cls(fact.id, fact.status, fact.started_at, fact.health, fact.exit_code, networks)
 
 
-_UNKNOWN = Expected(None, None, None, None, None, None)
+_UNKNOWN = ExpectedState(None, None, None, None, None, None)
 
 
-def after(expected: Expected, action: str, detail: str, subject: str) -> Expected:
+def after(expected: ExpectedState, action: str, detail: str, subject: str) -> ExpectedState:
     """What to expect once an event was told.
 
     detail:  the health for ``health_status``, the network's name for ``connect`` and ``disconnect``.
@@ -46,7 +46,7 @@ def after(expected: Expected, action: str, detail: str, subject: str) -> Expecte
         return replace(expected, networks=others | {(detail, subject)} if action == "connect" else others)
     if action == "start":
         # A container that ends at once is told by its own `die`; its networks get new ids only by `connect`.
-        return Expected(subject, "running", None, None, None, expected.networks)
+        return ExpectedState(subject, "running", None, None, None, expected.networks)
     if action == "die":
         # It may be restarting already by its policy.
         return replace(_UNKNOWN, id=subject)
@@ -61,7 +61,7 @@ def after(expected: Expected, action: str, detail: str, subject: str) -> Expecte
     return expected
 
 
-def differences(expected: Expected, now: Expected) -> list[tuple[str, str, str]]:
+def differences(expected: ExpectedState, now: ExpectedState) -> list[tuple[str, str, str]]:
     """Events that explain the way from `expected` to `now`: (kind, action, detail or network name)."""
     if expected.id is not None and expected.id != now.id:
         # Another container, or none: the rest cannot be compared.
@@ -78,7 +78,7 @@ def differences(expected: Expected, now: Expected) -> list[tuple[str, str, str]]
     return found
 
 
-def _status_change(expected: Expected, now: Expected) -> tuple[str, str] | None:
+def _status_change(expected: ExpectedState, now: ExpectedState) -> tuple[str, str] | None:
     if expected.status in (None, now.status):
         again = expected.started_at not in (None, now.started_at)
         return ("restart", "") if again and now.status == "running" else None

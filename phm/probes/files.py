@@ -16,9 +16,9 @@ from typing import Any, Final
 from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
-from phm.probes.docker_facts import Budget
-from phm.probes.inotify import Notices
-from phm.probes.volume_path import MAX_LINKS, Outside, join, normal, resolve
+from phm.probes.docker_facts import TimeBudget
+from phm.probes.inotify import FileWatcher
+from phm.probes.volume_path import MAX_LINKS, OutsideVolumes, join, normal, resolve
 from phm.transport.docker import DockerEngine, EngineMissing
 
 MAX_BYTES = 1 << 30
@@ -45,7 +45,7 @@ class Files:
         engine: DockerEngine,
         settings: Settings,
         clock: Clock,
-        notices: Notices | None = None,
+        notices: FileWatcher | None = None,
         changed: Callable[[], None] = lambda: None,
     ) -> None:
         self._docker, self._engine, self._clock = docker_probe, engine, clock
@@ -70,7 +70,7 @@ class Files:
         self._last[container] = (fact, me)
         try:
             return self._through_volume(fact, me, path, digest)
-        except Outside:
+        except OutsideVolumes:
             return self._through_engine(fact, path, digest)
 
     def _without_engine(self, container: str, path: str, digest: bool, error: CannotTell) -> FileFact | None:
@@ -80,7 +80,7 @@ class Files:
             raise error
         try:
             return self._through_volume(*last, path, digest)
-        except Outside:
+        except OutsideVolumes:
             raise error from None
 
     # ------------------------------------------------------------ volume
@@ -138,7 +138,7 @@ class Files:
                         raise _too_large(path, size)
                 now = os.fstat(content.fileno())
         except OSError as error:
-            raise Outside(f"{path}: {error}") from error
+            raise OutsideVolumes(f"{path}: {error}") from error
         if key != (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns):
             raise CannotTell(f"{path} changed while it was read")
         return self._keep(key, total.hexdigest())
@@ -146,7 +146,7 @@ class Files:
     # ------------------------------------------------------------ engine
 
     def _through_engine(self, fact: ContainerFact, path: str, digest: bool) -> FileFact | None:
-        budget = Budget(self._clock, self._engine.timeout_s)
+        budget = TimeBudget(self._clock, self._engine.timeout_s)
         found = self._follow(fact, path, budget)
         if found is None:
             return None
@@ -159,7 +159,7 @@ class Files:
         sha256 = self._sum_by_engine(fact, real, (size, str(told.get("mtime", "")))) if wanted else ""
         return _file_fact(path, mode, size, sha256, "engine")
 
-    def _follow(self, fact: ContainerFact, path: str, budget: Budget) -> tuple[str, dict[str, Any]] | None:
+    def _follow(self, fact: ContainerFact, path: str, budget: TimeBudget) -> tuple[str, dict[str, Any]] | None:
         """The path at the end of all links and what the engine says about it."""
         real = path
         for _ in range(MAX_LINKS):

@@ -20,8 +20,8 @@ from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.facts import CannotTell, DiskFact, HostFact
 from phm.facts.disk_space import space
-from phm.probes.blocking_call import Worker
-from phm.probes.cpu_usage import Processor
+from phm.probes.blocking_call import BlockingCallWorker
+from phm.probes.cpu_usage import CpuMonitor
 from phm.probes.kernel_file import head
 
 DISK_S = 1.0
@@ -95,9 +95,9 @@ class Host:
         self._clock = clock
         self._sysfs = sysfs
         self._meminfo = str(proc / "meminfo")
-        self._processor = Processor(clock, proc)
+        self._processor = CpuMonitor(clock, proc)
         self._slow: _Slow | None = None
-        self._disks = {path: Worker(f"disk-{path}") for path in settings.host.disks}
+        self._disks = {path: BlockingCallWorker(f"disk-{path}") for path in settings.host.disks}
         self._lock = threading.Lock()
         self._offset: float | None = None
 
@@ -151,7 +151,7 @@ class Host:
         return self._slow
 
     @staticmethod
-    def _disk(path: str, worker: Worker) -> DiskFact:
+    def _disk(path: str, worker: BlockingCallWorker) -> DiskFact:
         """One disk; one that cannot be read has its `problem`."""
         try:
             return worker.call(lambda: space(path), DISK_S)

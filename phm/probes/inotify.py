@@ -62,7 +62,7 @@ class _Directory:
     wanted: dict[str, list[_Listener]] = field(default_factory=dict)
 
 
-class Notices:
+class FileWatcher:
     """One inotify instance and one thread for all listeners; both are made when the first directory is watched.
 
     Invariant: `_directories` and `_numbers` name the same directories, and are read and written with `_lock` held.

@@ -20,7 +20,7 @@ ENOUGH = 4
 MEAN_OF = 5
 
 
-class Radio:
+class RadioState:
     """The radio that one endpoint leads to. Not thread-safe."""
 
     def __init__(self, link: str) -> None:

@@ -22,7 +22,7 @@ MIN_FRAMES = 20
 _Counts = dict[tuple[int, int], tuple[int, int]]
 
 
-class Flow:
+class LinkStats:
     """Not thread-safe. own: PHM's own system and component, whose frames a router may send back. late_s: for how long PHM did not
     run, which is taken out of every silence."""
 

@@ -11,13 +11,13 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.facts import AutopilotFact, GcsFact, LinkFact, RadioFact
-from phm.probes.adaptive_timeout import UNEVEN_S, Cadence
-from phm.probes.autopilot_state import Pilot
-from phm.probes.blocking_call import Worker
-from phm.probes.link_radio import Radio
-from phm.probes.link_stats import Flow
+from phm.probes.adaptive_timeout import UNEVEN_S, AdaptiveTimeout
+from phm.probes.autopilot_state import AutopilotState
+from phm.probes.blocking_call import BlockingCallWorker
+from phm.probes.link_radio import RadioState
+from phm.probes.link_stats import LinkStats
 from phm.probes.serial_port_users import users
-from phm.probes.unexpected_senders import Strays
+from phm.probes.unexpected_senders import UnexpectedSenders
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.mavlink_endpoint import IDLE_S
@@ -54,18 +54,18 @@ class Links:
         self._system, self._settings = settings.agent.id, settings.mavlink
         self._gcs: tuple[float, int, int, str] | None = None
         # A ground station may stand still while its operator loads a map, and all agents would tell: half of the timeout.
-        self._gcs_beats = Cadence(self._settings.gcs_timeout, max(UNEVEN_S, self._settings.gcs_timeout / 2))
+        self._gcs_beats = AdaptiveTimeout(self._settings.gcs_timeout, max(UNEVEN_S, self._settings.gcs_timeout / 2))
         self._unreached = False
         """It was out of reach, and was not heard since: a radio at the edge of its range finds and loses the other one."""
-        self._pilot = Pilot(self._settings.autopilot_timeout, clock.late_s)
+        self._pilot = AutopilotState(self._settings.autopilot_timeout, clock.late_s)
         self._pilot_links = frozenset(entry.key for entry in self._settings.endpoints if entry.to_autopilot)
-        self._strays = Strays()
+        self._strays = UnexpectedSenders()
         self._sampled: float | None = None
         self._ground = frozenset(entry.key for entry in self._settings.endpoints if entry.to_ground)
-        self._radios: dict[str, Radio] = {}
-        self._flows: dict[str, Flow] = {}
+        self._radios: dict[str, RadioState] = {}
+        self._flows: dict[str, LinkStats] = {}
         self._doubles: deque[float] = deque(maxlen=DOUBLES)
-        self._worker = Worker("ports")
+        self._worker = BlockingCallWorker("ports")
         self._shown: tuple[object, ...] = ()
         self._lock = threading.RLock()
         hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
@@ -176,7 +176,7 @@ class Links:
             if self._pilot.link in closed:
                 self._pilot.broke(now)
             for name, traffic in self._hub.traffic().items():
-                self._flows.setdefault(name, Flow(own, self._clock.late_s)).sample(now, traffic)
+                self._flows.setdefault(name, LinkStats(own, self._clock.late_s)).sample(now, traffic)
         self.look()
 
     def _picture(self) -> tuple[object, ...]:
@@ -235,7 +235,7 @@ class Links:
     def _hear_radio(self, message: Any, link: str) -> None:
         asked_s = self._settings.heartbeat or default_periods(self._hub.agents)[0]
         with self._lock:
-            self._radios.setdefault(link, Radio(link)).hear(self._clock.mono(), message, asked_s)
+            self._radios.setdefault(link, RadioState(link)).hear(self._clock.mono(), message, asked_s)
         self.look()
 
     def _hear_time(self, message: Any, link: str) -> None:

@@ -33,7 +33,7 @@ _DISCARD_PORT = 9
 _COMPLETE = 0x2  # ATF_COM in /proc/net/arp: the address has answered with its hardware address
 
 
-class Reach:
+class Pinger:
     """Remembers who has answered, and in which life: whoever did and no longer does is silent, whatever ARP remembers.
 
     The kernel remembers a neighbour that is gone for up to a minute, so ARP speaks only for an address that has never
@@ -41,25 +41,25 @@ class Reach:
     """
 
     def __init__(
-        self, knock: Callable[[str, float], bool] | None = None, known: Callable[[str], bool] | None = None
+        self, ping: Callable[[str, float], bool] | None = None, known: Callable[[str], bool] | None = None
     ) -> None:
-        self._knock, self._known = knock or _knock, known or _neighbour
+        self._ping, self._known = ping or _ping, known or _neighbour
         self._answered: dict[str, str] = {}
         self._took: dict[str, tuple[int, float]] = {}
 
     def answers(self, address: str, life: str = "") -> bool:
         """`life`: of the container that has the address. Raises CannotTell as `answers` does."""
-        if self.knock(address):
+        if self.ping(address):
             if len(self._answered) >= MOST_REMEMBERED:
                 self._answered.clear()
             self._answered[address] = life
             return True
         return self._answered.get(address) != life and self._known(address)
 
-    def knock(self, address: str) -> bool:
+    def ping(self, address: str) -> bool:
         """Whether it answers by itself, within what it is given. Raises CannotTell as `answers` does."""
         began = time.monotonic()
-        there = self._knock(address, self.limit_s(address))
+        there = self._ping(address, self.limit_s(address))
         if there:
             if address not in self._took and len(self._took) >= MOST_REMEMBERED:
                 self._took.clear()
@@ -79,10 +79,10 @@ class Reach:
 
 def answers(address: str) -> bool:
     """Raises CannotTell when `address` is no IP address or this machine cannot open sockets."""
-    return _knock(address) or _neighbour(address)
+    return _ping(address) or _neighbour(address)
 
 
-def _knock(address: str, limit_s: float = LIMIT_S) -> bool:
+def _ping(address: str, limit_s: float = LIMIT_S) -> bool:
     """Whether it answers by itself, by either way."""
     try:
         version = ipaddress.ip_address(address).version
@@ -90,10 +90,10 @@ def _knock(address: str, limit_s: float = LIMIT_S) -> bool:
         raise CannotTell(f"{address!r} is no IP address") from error
     family = socket.AF_INET if version == 4 else socket.AF_INET6
     try:
-        with socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as knock:
+        with socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as tcp:
             echo = _echo(family, address)
             try:
-                return _race(knock, echo, address, limit_s)
+                return _any_answers(tcp, echo, address, limit_s)
             finally:
                 if echo is not None:
                     echo.close()
@@ -119,16 +119,16 @@ def _echo(family: socket.AddressFamily, address: str) -> socket.socket | None:
     return echo
 
 
-def _race(knock: socket.socket, echo: socket.socket | None, address: str, limit_s: float) -> bool:
+def _any_answers(tcp: socket.socket, echo: socket.socket | None, address: str, limit_s: float) -> bool:
     """The first proof of life of either; False when both were told `no` or the time is over."""
-    started = knock.connect_ex((address, _DISCARD_PORT))
+    started = tcp.connect_ex((address, _DISCARD_PORT))
     if started in (0, errno.ECONNREFUSED):
         return True
     poll = select.poll()
     open_ends: dict[int, socket.socket] = {}
     if started == errno.EINPROGRESS:
-        open_ends[knock.fileno()] = knock
-        poll.register(knock, select.POLLOUT)
+        open_ends[tcp.fileno()] = tcp
+        poll.register(tcp, select.POLLOUT)
     if echo is not None:
         open_ends[echo.fileno()] = echo
         poll.register(echo, select.POLLIN)

@@ -10,7 +10,7 @@ from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.facts import CannotTell, ConsumerFact, DockerProbe, PressureFact
 from phm.probes import cgroups, engine_stats
-from phm.probes.top_consumers import Consumers
+from phm.probes.top_consumers import TopConsumers
 from phm.transport.docker import DockerEngine, EngineMissing
 
 ENGINE_EVERY_S = 2.0
@@ -23,7 +23,7 @@ class _Entry:
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     id: str = ""
-    group: cgroups.Group | None = None
+    group: cgroups.Cgroup | None = None
     answer: PressureFact | None = None
     asked_at: float = float("-inf")
 
@@ -35,7 +35,7 @@ class Pressure:
         self._engine, self._docker, self._clock = engine, docker, clock
         self._root = Path(settings.pressure.cgroups)
         self._entries = {entry.key: _Entry() for entry in settings.containers}
-        self._consumers = Consumers(engine, self._root, clock, self._known)
+        self._consumers = TopConsumers(engine, self._root, clock, self._known)
 
     def container(self, name: str) -> PressureFact | None:
         entry = self._entries.get(name)

@@ -22,7 +22,7 @@ GIVEN_UP_S = 30.0
 MOST = 32
 
 
-class Pulse:
+class ReachabilityMonitor:
     """One thread. `turned` is called when an address has fallen silent, or answers again.
 
     addresses: those that have answered. knock: whether one answers within what it is given; may raise CannotTell.
@@ -32,10 +32,10 @@ class Pulse:
         self,
         clock: Clock,
         addresses: Callable[[], Iterable[str]],
-        knock: Callable[[str], bool],
+        ping: Callable[[str], bool],
         turned: Callable[[], None],
     ) -> None:
-        self._clock, self._addresses, self._knock, self._turned = clock, addresses, knock, turned
+        self._clock, self._addresses, self._ping, self._turned = clock, addresses, ping, turned
         self._silent_since: dict[str, float] = {}
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="phm-pulse", daemon=True)
@@ -46,7 +46,7 @@ class Pulse:
     def stop(self) -> None:
         self._stopping.set()
 
-    def feel(self) -> None:
+    def poll(self) -> None:
         """Knock once at each address."""
         addresses = list(self._addresses())[:MOST]
         self._silent_since = {known: since for known, since in self._silent_since.items() if known in addresses}
@@ -55,7 +55,7 @@ class Pulse:
             since = self._silent_since.get(address)
             if self._stopping.is_set() or (since is not None and now - since > GIVEN_UP_S):
                 continue
-            there = self._knock(address)
+            there = self._ping(address)
             if there and since is not None:
                 del self._silent_since[address]
             elif not there and since is None:
@@ -66,7 +66,7 @@ class Pulse:
     def _loop(self) -> None:
         while not self._clock.wait(self._stopping, PERIOD_S):
             try:
-                self.feel()
+                self.poll()
             except CannotTell as error:
                 logger.debug("no pulse can be felt: %s", error)
             except Exception:  # a defect here must not end the watch for ever

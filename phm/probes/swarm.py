@@ -24,7 +24,7 @@ LINK_S = 60.0
 """A link on which no other agent was heard for so long leads to none."""
 
 
-class Swarm:
+class SwarmMonitor:
     """A `phm.facts.SwarmProbe`. `on_wake` is called when the picture changes, be it by silence; it must not wait.
 
     gcs_age_s: seconds since a ground station was heard, None for never.

@@ -11,7 +11,7 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.facts import CannotTell, ConsumerFact, NotPermitted
 from phm.probes import cgroups
-from phm.probes.docker_facts import Budget
+from phm.probes.docker_facts import TimeBudget
 from phm.probes.kernel_file import head
 from phm.transport.docker import DockerEngine
 
@@ -31,7 +31,7 @@ _MOST_NAMES = 1000
 _IDLE, _IOWAIT, _STEAL = 3, 4, 7
 
 
-class Consumers:
+class TopConsumers:
     """Thread-safe. `known` gives the keys of configured containers by their full ids."""
 
     def __init__(
@@ -112,7 +112,7 @@ class Consumers:
 
     def _by_engine(self) -> dict[str, float]:
         """CPU seconds by container: of the configured ones first, as many as the engine answers for within the budget."""
-        budget, used = Budget(self._clock, BUDGET_S), {}
+        budget, used = TimeBudget(self._clock, BUDGET_S), {}
         running = [str(entry.get("Id")) for entry in self._list() if entry.get("State") == "running"]
         known = self._known()
         for container in [*known, *(each for each in running if each not in known)][:MOST_ASKED]:

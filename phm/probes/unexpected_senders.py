@@ -13,7 +13,7 @@ SAME_BOOT_S = 3.0
 """Times since boot that differ by less are of one autopilot: frames are late on a radio."""
 
 
-class Strays:
+class UnexpectedSenders:
     """Not thread-safe. Of the link by which a heartbeat came last."""
 
     def __init__(self) -> None:

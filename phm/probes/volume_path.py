@@ -18,7 +18,7 @@ _OPEN = os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC
 _MISSING = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
 
 
-class Outside(Exception):
+class OutsideVolumes(Exception):
     """The path, or what it leads to, cannot be seen through a volume: ask the engine."""
 
 
@@ -48,7 +48,7 @@ def resolve(path: str, roots: Mapping[str, str], passing: Passing | None = None)
         except OSError as error:
             if error.errno in _MISSING:
                 return None
-            raise Outside(f"{path}: {error}") from error
+            raise OutsideVolumes(f"{path}: {error}") from error
 
 
 class _Walk:
@@ -86,7 +86,7 @@ class _Walk:
                 self._move(None)
                 pending.extendleft(reversed([piece for piece in target.split("/") if piece not in ("", ".")]))
         if self._number is None:
-            raise Outside(path)
+            raise OutsideVolumes(path)
         found, self._number = self._number, None
         return found
 
@@ -111,15 +111,15 @@ class _Walk:
         covering = [root for root in self._roots if here == root or here.startswith(root.rstrip("/") + "/")]
         if not covering:
             if not any(root.startswith(here + "/") for root in self._roots):
-                raise Outside(here)
+                raise OutsideVolumes(here)
             return
         root = max(covering, key=len)
         if not self._roots[root]:
-            raise Outside(here)
+            raise OutsideVolumes(here)
         try:
             self._move(os.open(self._roots[root], os.O_PATH | os.O_CLOEXEC))
         except OSError as error:
-            raise Outside(f"{self._roots[root]}: {error}") from error  # not to be seen from here after all
+            raise OutsideVolumes(f"{self._roots[root]}: {error}") from error  # not to be seen from here after all
         for below in here[len(root) :].split("/"):
             if below:
                 self._step(below)

@@ -49,7 +49,7 @@ class MavlinkSender(Protocol):
 
 
 class DiagnosticsPublisher(Protocol):
-    """The way to /diagnostics (`phm.probes.ros.supervisor.RosProcess`)."""
+    """The way to /diagnostics (`phm.probes.ros.supervisor.RosSupervisor`)."""
 
     def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
         """Have these published, by name; never blocks. Returns how many times in a row that did not succeed."""

@@ -12,18 +12,18 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.facts import COMPLETE, Attachment, CannotTell, EventStreamFact, LinkFact, RosFact, RosProbe, SelfFact, World
-from phm.probes.attachment_cache import RememberingDocker
+from phm.probes.attachment_cache import AttachmentCache
 from phm.probes.devices import Devices
 from phm.probes.docker import Docker
-from phm.probes.docker_events import DockerEvent, Watch
+from phm.probes.docker_events import ContainerWatcher, DockerEvent
 from phm.probes.files import Files
 from phm.probes.host import Host, clock_synchronized
-from phm.probes.inotify import Notices
+from phm.probes.inotify import FileWatcher
 from phm.probes.links import Links
 from phm.probes.pressure import Pressure
-from phm.probes.reachability_monitor import Pulse
-from phm.probes.ros.supervisor import RosProcess
-from phm.probes.swarm import Swarm
+from phm.probes.reachability_monitor import ReachabilityMonitor
+from phm.probes.ros.supervisor import RosSupervisor
+from phm.probes.swarm import SwarmMonitor
 from phm.transport.docker import DockerEngine
 from phm.transport.mavlink import MavlinkHub
 
@@ -43,7 +43,7 @@ class SelfProbe:
     """Probe of PHM itself: the daemon's condition and that of its ROS child process."""
 
     read_self: ReadSelf
-    ros: RosProcess | None
+    ros: RosSupervisor | None
     links: Links
 
     def look(self) -> SelfFact:
@@ -58,12 +58,12 @@ class ProbeSet:
     """The probes with their connections; `world` is what checks see of them."""
 
     engine: DockerEngine
-    docker: RememberingDocker
-    watch: Watch | None
-    pulse: Pulse | None
-    notices: Notices
+    docker: AttachmentCache
+    watch: ContainerWatcher | None
+    pulse: ReachabilityMonitor | None
+    notices: FileWatcher
     mavlink: MavlinkHub | None
-    ros: RosProcess | None
+    ros: RosSupervisor | None
     world: World
 
     def start(self, *, links: bool = True) -> None:
@@ -113,7 +113,7 @@ class ProbeSet:
         return self.docker.remembered(container, network)
 
     def caught_up(self) -> bool:
-        """Whether every reported Docker event is applied: see `Watch.caught_up`."""
+        """Whether every reported Docker event is applied: see `ContainerWatcher.caught_up`."""
         return self.watch is None or self.watch.caught_up()
 
     def catch_up(self) -> None:
@@ -153,19 +153,23 @@ def build_probes(
     """Build the probes that this configuration needs. hub: MAVLink endpoints that are open already (after a reload)."""
     engine = DockerEngine(settings.docker.socket, settings.docker.timeout, clock)
     fresh = Docker(engine, settings, clock)
-    docker = RememberingDocker(fresh)
+    docker = AttachmentCache(fresh)
 
     def happened(event: DockerEvent) -> None:
         fresh.invalidate()  # before a check is woken to read it again
         docker_event(event)
 
-    watch = Watch(engine, settings, clock, happened, lambda: wake("engine")) if settings.containers else None
-    pulse = Pulse(clock, fresh.answering, fresh.knock, lambda: wake("network")) if _addressed(settings) else None
-    notices = Notices(clock)
+    watch = ContainerWatcher(engine, settings, clock, happened, lambda: wake("engine")) if settings.containers else None
+    pulse = (
+        ReachabilityMonitor(clock, fresh.answering, fresh.ping, lambda: wake("network"))
+        if _addressed(settings)
+        else None
+    )
+    notices = FileWatcher(clock)
     hub = hub or MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir, clock_synchronized)
     links = Links(hub, settings, clock, lambda: wake("link"))
-    swarm = Swarm(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"), links.deaf)
-    ros = RosProcess(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None
+    swarm = SwarmMonitor(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"), links.deaf)
+    ros = RosSupervisor(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None
     probe: RosProbe = ros if ros is not None else RosNotConfigured()
     world = World(
         clock=clock,

@@ -11,7 +11,7 @@ import time
 from typing import Any
 
 from phm.facts.ros import DiagnosticFact
-from phm.probes.ros.diagnostics import Diagnostics
+from phm.probes.ros.diagnostics import DiagnosticsListener
 from phm.probes.ros.protocol import Publish
 
 
@@ -29,7 +29,7 @@ class _Node:
 
 def main() -> int:
     statuses = {name: DiagnosticFact(**fact) for name, fact in json.load(sys.stdin).items()}
-    Diagnostics(_Node(), ()).publish(Publish(time.time(), statuses))
+    DiagnosticsListener(_Node(), ()).publish(Publish(time.time(), statuses))
     return 0
 
 

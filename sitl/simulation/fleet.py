@@ -9,7 +9,7 @@ from typing import Any
 
 from phm.core.model import Layer, Level, Report, Result, Slot, Transition, UnitState
 from phm.facts import LinkFact
-from phm.probes.swarm import Swarm as Probe
+from phm.probes.swarm import SwarmMonitor as Probe
 from phm.reporters.base import ReporterContext
 from phm.reporters.mavlink import MavlinkReporter
 from phm.reporters.swarm import SwarmReporter

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm.probes.cpu_usage import SHORTEST_S, Processor
+from phm.probes.cpu_usage import SHORTEST_S, CpuMonitor
 from phm_checks._cpu import STAYS_S, WAITING_PERCENT
 from phm_checks.host import Host
 
@@ -145,7 +145,7 @@ def test_use_is_counted_since_the_reading_before(tmp_path: Path) -> None:
     """Idle and waiting for a disk are no use; guests are counted in user already; pressure is a share of the time."""
     clock = testing.FakeClock()
     write(tmp_path, "100 0 100 1000 100 0 0 0 50 0", 1_000_000)
-    processor = Processor(clock, tmp_path)
+    processor = CpuMonitor(clock, tmp_path)
     clock.advance(1.0)
     write(tmp_path, "150 0 125 1100 125 0 0 0 90 0", 1_400_000)
     use = processor.use()
@@ -157,7 +157,7 @@ def test_a_reading_too_soon_gives_the_last_one(tmp_path: Path) -> None:
     """The kernel counts in hundredths of a second."""
     clock = testing.FakeClock()
     write(tmp_path, "100 0 100 1000 0 0 0 0 0 0", 0)
-    processor = Processor(clock, tmp_path)
+    processor = CpuMonitor(clock, tmp_path)
     clock.advance(1.0)
     write(tmp_path, "200 0 100 1000 0 0 0 0 0 0", 0)
     first = processor.use()
@@ -170,7 +170,7 @@ def test_a_kernel_without_pressure_tells_none(tmp_path: Path) -> None:
     """As a Raspberry Pi's without `psi=1` on its command line."""
     clock = testing.FakeClock()
     write(tmp_path, "1 0 1 1 0 0 0 0 0 0", None)
-    processor = Processor(clock, tmp_path)
+    processor = CpuMonitor(clock, tmp_path)
     clock.advance(1.0)
     assert processor.use().waiting_percent is None
 
@@ -187,7 +187,7 @@ def test_without_pressure_the_run_queues_show_who_waits(tmp_path: Path) -> None:
     clock = testing.FakeClock()
     write(tmp_path, "1 0 1 1 0 0 0 0 0 0", None)
     waited(0, 10**9)
-    processor = Processor(clock, tmp_path)
+    processor = CpuMonitor(clock, tmp_path)
     clock.advance(1.0)
     waited(2 * 10**8, 10**9 + 3 * 10**8)
     assert processor.use().waiting_percent == pytest.approx(25.0)
@@ -204,7 +204,7 @@ def test_stalls_for_memory_and_disks_are_those_of_all_tasks(tmp_path: Path) -> N
     clock = testing.FakeClock()
     write(tmp_path, "1 0 1 1 0 0 0 0 0 0", 0)
     stalled(1_000)
-    processor = Processor(clock, tmp_path)
+    processor = CpuMonitor(clock, tmp_path)
     clock.advance(2.0)
     stalled(501_000)
     use = processor.use()

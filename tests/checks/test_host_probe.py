@@ -11,7 +11,7 @@ import pytest
 from phm import testing
 from phm.core.clock import SystemClock
 from phm.facts import CannotTell
-from phm.probes.blocking_call import Worker
+from phm.probes.blocking_call import BlockingCallWorker
 from phm.probes.host import Host
 
 
@@ -108,7 +108,7 @@ def test_a_jump_of_the_clock_is_measured_against_the_monotonic_one(tmp_path: Pat
 
 def test_a_call_that_hangs_costs_one_thread_and_is_refused_until_it_is_back() -> None:
     """A dead network mount is asked again and again; it must not eat a thread each time."""
-    worker, let_go, back = Worker("test"), threading.Event(), threading.Event()
+    worker, let_go, back = BlockingCallWorker("test"), threading.Event(), threading.Event()
 
     def hang() -> None:
         let_go.wait(10)
@@ -125,7 +125,7 @@ def test_a_call_that_hangs_costs_one_thread_and_is_refused_until_it_is_back() ->
     assert _until_answered(worker) == 1
 
 
-def _until_answered(worker: Worker) -> int:
+def _until_answered(worker: BlockingCallWorker) -> int:
     """Ask until the worker is free; the hung call ends a moment after its last act."""
     for _ in range(1000):
         try:
@@ -137,7 +137,7 @@ def _until_answered(worker: Worker) -> int:
 
 def test_an_exception_goes_to_the_caller() -> None:
     """And the worker goes on."""
-    worker = Worker("test-error")
+    worker = BlockingCallWorker("test-error")
     with pytest.raises(ZeroDivisionError):
         worker.call(lambda: 1 // 0, 5.0)
     assert worker.call(lambda: 2, 5.0) == 2

@@ -11,7 +11,7 @@ import pytest
 
 from phm.core.clock import SystemClock
 from phm.probes.devices import Devices
-from phm.probes.inotify import Notices, Watch
+from phm.probes.inotify import FileWatcher, Watch
 from phm.testing import settings
 
 LIMIT_S = 5.0
@@ -38,13 +38,13 @@ class Ear:
 
 
 @pytest.fixture
-def notices() -> Iterator[Notices]:
-    made = Notices(SystemClock())
+def notices() -> Iterator[FileWatcher]:
+    made = FileWatcher(SystemClock())
     yield made
     made.close()
 
 
-def watching(notices: Notices, folder: Path, name: str, *, content: bool = False) -> tuple[Ear, Watch]:
+def watching(notices: FileWatcher, folder: Path, name: str, *, content: bool = False) -> tuple[Ear, Watch]:
     ear = Ear()
     watch = notices.on(ear, content=content)
     assert watch(str(folder), name)
@@ -60,7 +60,7 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_change_of_a_watched_entry_is_told(notices: Notices, tmp_path: Path, change: str) -> None:
+def test_a_change_of_a_watched_entry_is_told(notices: FileWatcher, tmp_path: Path, change: str) -> None:
     """Coming, going and new rights of what is watched."""
     (tmp_path / "file").write_text("a")
     ear, _ = watching(notices, tmp_path, "file")
@@ -68,21 +68,21 @@ def test_a_change_of_a_watched_entry_is_told(notices: Notices, tmp_path: Path, c
     assert ear.heard()
 
 
-def test_an_entry_that_comes_is_told(notices: Notices, tmp_path: Path) -> None:
+def test_an_entry_that_comes_is_told(notices: FileWatcher, tmp_path: Path) -> None:
     """What is not there yet can be watched."""
     ear, _ = watching(notices, tmp_path, "file")
     os.mkfifo(tmp_path / "file")
     assert ear.heard()
 
 
-def test_another_entry_of_the_directory_is_not_told(notices: Notices, tmp_path: Path) -> None:
+def test_another_entry_of_the_directory_is_not_told(notices: FileWatcher, tmp_path: Path) -> None:
     """Only what was asked for."""
     ear, _ = watching(notices, tmp_path, "file")
     (tmp_path / "log").write_text("a")
     assert ear.silent()
 
 
-def test_new_content_is_told_to_whom_content_matters(notices: Notices, tmp_path: Path) -> None:
+def test_new_content_is_told_to_whom_content_matters(notices: FileWatcher, tmp_path: Path) -> None:
     """A device that is opened and closed has not changed; a file that was written has."""
     (tmp_path / "file").write_text("a")
     device, _ = watching(notices, tmp_path, "file")
@@ -91,14 +91,14 @@ def test_new_content_is_told_to_whom_content_matters(notices: Notices, tmp_path:
     assert file.heard() and device.silent()
 
 
-def test_watching_again_is_nothing_new(notices: Notices, tmp_path: Path) -> None:
+def test_watching_again_is_nothing_new(notices: FileWatcher, tmp_path: Path) -> None:
     """True only when the watch began: then what was seen before may be old."""
     _, watch = watching(notices, tmp_path, "file")
     assert not watch(str(tmp_path), "file")
     assert not watch(str(tmp_path / "none"), "file"), "a directory that is not there cannot be watched"
 
 
-def test_a_directory_that_was_made_anew_is_watched_anew(notices: Notices, tmp_path: Path) -> None:
+def test_a_directory_that_was_made_anew_is_watched_anew(notices: FileWatcher, tmp_path: Path) -> None:
     """Its end is told, and whoever looks next watches the new one."""
     folder = tmp_path / "folder"
     folder.mkdir()
@@ -111,7 +111,7 @@ def test_a_directory_that_was_made_anew_is_watched_anew(notices: Notices, tmp_pa
     assert ear.heard()
 
 
-def test_a_directory_that_was_moved_away_is_no_longer_watched(notices: Notices, tmp_path: Path) -> None:
+def test_a_directory_that_was_moved_away_is_no_longer_watched(notices: FileWatcher, tmp_path: Path) -> None:
     """Another one may stand at its path."""
     folder = tmp_path / "folder"
     folder.mkdir()
@@ -124,7 +124,7 @@ def test_a_directory_that_was_moved_away_is_no_longer_watched(notices: Notices, 
     assert watch(str(folder), "file")
 
 
-def test_an_entry_that_changes_all_the_time_is_told_now_and_then(notices: Notices, tmp_path: Path) -> None:
+def test_an_entry_that_changes_all_the_time_is_told_now_and_then(notices: FileWatcher, tmp_path: Path) -> None:
     """A file that is written without end does not keep its check busy, and its last change is told."""
     ear, _ = watching(notices, tmp_path, "file", content=True)
     for number in range(200):
@@ -137,7 +137,7 @@ def test_an_entry_that_changes_all_the_time_is_told_now_and_then(notices: Notice
         assert ear.heard()
 
 
-def test_a_listener_that_fails_does_not_end_the_watch(notices: Notices, tmp_path: Path) -> None:
+def test_a_listener_that_fails_does_not_end_the_watch(notices: FileWatcher, tmp_path: Path) -> None:
     """Its defect costs one telling."""
     ear = Ear()
 
@@ -153,7 +153,7 @@ def test_a_listener_that_fails_does_not_end_the_watch(notices: Notices, tmp_path
     assert ear.heard()
 
 
-def test_a_device_behind_a_link_is_followed_through_all_steps(notices: Notices, tmp_path: Path) -> None:
+def test_a_device_behind_a_link_is_followed_through_all_steps(notices: FileWatcher, tmp_path: Path) -> None:
     """Folder, link and device may each come and go; the folder may not be there at first."""
     ear = Ear()
     devices = Devices(settings(host={"dev_root": str(tmp_path)}), SystemClock(), notices, ear)

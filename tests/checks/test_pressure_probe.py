@@ -14,7 +14,7 @@ from phm import testing
 from phm.facts import CannotTell, ConsumerFact, ContainerFact, StallFact
 from phm.probes import cgroups, engine_stats
 from phm.probes.pressure import ENGINE_EVERY_S, Pressure
-from phm.probes.top_consumers import LEAST_S, MOST_S, Consumers
+from phm.probes.top_consumers import LEAST_S, MOST_S, TopConsumers
 from phm.transport.docker import EngineMissing, EngineRefused
 
 ID = "ab" * 32
@@ -307,7 +307,7 @@ class Crowd:
         if files:
             write(self.root, {"cgroup.controllers": "cpu\n"})
         self.after(0, 0, 0)
-        self.consumers = Consumers(self.engine, self.root, self.clock, lambda: {ID: "ros_app"}, self.proc)  # type: ignore[arg-type]
+        self.consumers = TopConsumers(self.engine, self.root, self.clock, lambda: {ID: "ros_app"}, self.proc)  # type: ignore[arg-type]
 
     def after(self, ours_s: float, slam_s: float, all_s: float) -> None:
         """So many CPU seconds have been used in all since the start."""

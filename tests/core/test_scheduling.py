@@ -15,9 +15,9 @@ from phm import api
 from phm.checking.scheduler import CheckRun, CheckScheduler, ScheduledCheck
 from phm.core.clock import SystemClock
 from phm.core.scheduling_delay import NOISE_S, PERIOD_S, Lateness
-from phm.probes.adaptive_timeout import Cadence
-from phm.probes.autopilot_state import Pilot
-from phm.probes.link_stats import Flow
+from phm.probes.adaptive_timeout import AdaptiveTimeout
+from phm.probes.autopilot_state import AutopilotState
+from phm.probes.link_stats import LinkStats
 from phm.swarm.peers import LOST_PERIODS, Peers
 from phm.testing import FakeClock, world
 from phm.transport.call_deadlines import CallDeadlines
@@ -138,7 +138,7 @@ def test_a_check_is_overdue_only_by_time_in_which_phm_ran() -> None:
 def test_an_autopilot_is_not_lost_while_phm_does_not_run(late: str) -> None:
     """Neither by its timeout nor by its cadence; its silence in the time in which PHM runs is still a loss."""
     clock = FakeClock()
-    pilot = Pilot(3.5, clock.late_s)
+    pilot = AutopilotState(3.5, clock.late_s)
     for _ in range(130):
         pilot.heartbeat(clock.mono(), heartbeat(kind=2, autopilot=3), "fc")
         clock.advance(1.0)
@@ -162,7 +162,7 @@ def test_an_autopilot_is_not_lost_while_phm_does_not_run(late: str) -> None:
 def test_a_starved_phm_still_reports_a_lost_autopilot_after_twice_the_timeout() -> None:
     """However little PHM runs, a real loss is not hidden for ever."""
     clock = FakeClock()
-    pilot = Pilot(3.5, clock.late_s)
+    pilot = AutopilotState(3.5, clock.late_s)
     pilot.heartbeat(clock.mono(), heartbeat(kind=2, autopilot=3), "fc")
     starved(clock, 5.0, share=0.9)
     fact = pilot.fact(clock.mono())
@@ -177,7 +177,7 @@ def test_a_starved_phm_still_reports_a_lost_autopilot_after_twice_the_timeout() 
 def test_pauses_that_were_phms_own_are_no_habit_of_a_sender() -> None:
     """Else a sender that was steady would be missed late for an hour after each starvation."""
     clock = FakeClock()
-    cadence = Cadence(10.0)
+    cadence = AdaptiveTimeout(10.0)
     for _ in range(130):
         cadence.beat(clock.mono())
         clock.advance(1.0)
@@ -191,7 +191,7 @@ def test_pauses_that_were_phms_own_are_no_habit_of_a_sender() -> None:
 def test_a_router_is_not_silent_while_phm_does_not_run() -> None:
     """The age of what came by a link counts without the time in which PHM did not run."""
     clock = FakeClock()
-    flow = Flow((7, 193), clock.late_s)
+    flow = LinkStats((7, 193), clock.late_s)
     flow.sample(clock.mono(), Traffic(10, 0, 1, 0, {(7, 1): (1, 0)}))
     clock.be_late(6.0)
     clock.advance(1.0)

@@ -17,7 +17,7 @@ from phm.core.bus import Bus
 from phm.core.model import Event, Note, Phase, Stamp
 from phm.core.watchdog import DaemonWatchdog
 from phm.facts import CannotTell
-from phm.probes.blocking_call import Worker
+from phm.probes.blocking_call import BlockingCallWorker
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dns import Resolver
@@ -134,7 +134,7 @@ def test_an_action_that_cannot_have_a_thread_is_no_attempt(limit: Full, worlds: 
 
 def test_a_call_into_the_kernel_is_refused_and_works_again(limit: Full) -> None:
     """No call is left to a thread that does not exist."""
-    worker = Worker("disk")
+    worker = BlockingCallWorker("disk")
     limit.full = True
     for _ in range(2):
         with pytest.raises(CannotTell, match="limit of processes"):

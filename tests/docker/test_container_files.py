@@ -13,8 +13,8 @@ import pytest
 
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
 from phm.probes.files import MAX_BYTES, Files
-from phm.probes.inotify import Notices
-from phm.probes.volume_path import Outside, resolve
+from phm.probes.inotify import FileWatcher
+from phm.probes.volume_path import OutsideVolumes, resolve
 from phm.testing import FakeClock, FakeDocker, container as fact, settings
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, Hang, container
@@ -188,7 +188,7 @@ def test_a_mount_below_a_volume_that_phm_does_not_see_hides_it(place: Place) -> 
     """A tmpfs on /data/cache: what lies there in the volume is not what the container sees."""
     (place.here / "cache").mkdir()
     (place.here / "cache" / "old").write_bytes(b"")
-    with pytest.raises(Outside):
+    with pytest.raises(OutsideVolumes):
         resolve("/data/cache/old", {"/data": str(place.here), "/data/cache": ""})
 
 
@@ -264,7 +264,7 @@ def test_a_change_in_a_volume_is_told(tmp_path: Path, fake: FakeEngine, ask: Doc
     here = tmp_path / "volume"
     here.mkdir()
     app = fact("app", id="c1", mounts=(Mount(kind="bind", source=str(here), destination="/data"),))
-    told, notices = threading.Semaphore(0), Notices()
+    told, notices = threading.Semaphore(0), FileWatcher()
     files = Files(FakeDocker(app), ask, settings(), FakeClock(), notices, told.release)
     try:
         (here / "models").mkdir()

@@ -13,7 +13,7 @@ from phm.core.clock import SystemClock
 from phm.facts import CannotTell, HealthcheckFact
 from phm.probes.docker import Docker, own_ids
 from phm.probes.docker_facts import container_fact
-from phm.probes.ping import Reach
+from phm.probes.ping import Pinger
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, Hang, Status, container
@@ -303,7 +303,7 @@ def test_this_machine_answers(ask: DockerEngine, address: str) -> None:
 def test_who_has_answered_and_no_longer_does_is_silent() -> None:
     """ARP remembers a neighbour that is gone for up to a minute; it speaks only for who has never answered in this life."""
     there = True
-    reach = Reach(knock=lambda _, limit_s: there, known=lambda _: True)
+    reach = Pinger(ping=lambda _, limit_s: there, known=lambda _: True)
     assert reach.answers("10.0.0.2", "first life")
     there = False
     assert not reach.answers("10.0.0.2", "first life")

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from phm.core.clock import SystemClock
-from phm.probes.docker_events import ENDLESS_STOP_S, KILL_S, STOP_S, DockerEvent, Watch
-from phm.probes.docker_reconcile import Expected, after, differences
+from phm.probes.docker_events import ENDLESS_STOP_S, KILL_S, STOP_S, ContainerWatcher, DockerEvent
+from phm.probes.docker_reconcile import ExpectedState, after, differences
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import DropStream, FakeEngine, Hang, Status, container
@@ -25,14 +25,14 @@ class Heard(list[DockerEvent]):
 
 
 @pytest.fixture
-def watch(fake: FakeEngine) -> Iterator[Callable[..., tuple[Watch, Heard]]]:
+def watch(fake: FakeEngine) -> Iterator[Callable[..., tuple[ContainerWatcher, Heard]]]:
     """Starts a watch on the fake and waits until it follows and has seen the containers once."""
-    started: list[tuple[Watch, DockerEngine]] = []
+    started: list[tuple[ContainerWatcher, DockerEngine]] = []
 
-    def start(*containers: dict[str, Any], compare: float = 60.0) -> tuple[Watch, Heard]:
+    def start(*containers: dict[str, Any], compare: float = 60.0) -> tuple[ContainerWatcher, Heard]:
         heard = Heard()
         engine = DockerEngine(fake.url, timeout_s=2)
-        made = Watch(
+        made = ContainerWatcher(
             engine,
             settings(containers=list(containers), docker={"compare": compare}),
             SystemClock(),
@@ -49,7 +49,9 @@ def watch(fake: FakeEngine) -> Iterator[Callable[..., tuple[Watch, Heard]]]:
         engine.close()
 
 
-def test_events_of_a_configured_container_are_told(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
+def test_events_of_a_configured_container_are_told(
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
+) -> None:
     """Death comes with its exit code, health with its word, and both wake the container's checks."""
     fake.containers["app"] = container("app", health="healthy")
     _, heard = watch({"name": "app", "alias": "ros"})
@@ -62,7 +64,7 @@ def test_events_of_a_configured_container_are_told(fake: FakeEngine, watch: Call
 
 
 def test_other_containers_and_exec_events_are_not_told(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
     """What happens to a container that nobody configured, and each run of a healthcheck, wakes nobody."""
     fake.containers["app"], fake.containers["db"] = container("app"), container("db")
@@ -77,7 +79,7 @@ def test_other_containers_and_exec_events_are_not_told(
 
 
 def test_a_container_that_was_renamed_away_is_still_known(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
     """The configured name is gone then: its check must look."""
     fake.containers["app"] = container("app")
@@ -92,7 +94,7 @@ def test_a_container_that_was_renamed_away_is_still_known(
 
 @pytest.mark.parametrize("entry", [{"name": "app"}, {"label": "role=app"}])
 def test_the_end_of_a_container_that_was_replaced_is_not_told(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], entry: dict[str, Any]
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]], entry: dict[str, Any]
 ) -> None:
     """Renamed away, a copy started in its place, then removed: the running copy is not concerned."""
     fake.containers["app"] = container("app", labels={"role": "app"})
@@ -111,7 +113,9 @@ def test_the_end_of_a_container_that_was_replaced_is_not_told(
     assert [event.id for event in heard] == [old, "copy", "copy", "copy"]
 
 
-def test_a_container_is_known_by_its_label(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
+def test_a_container_is_known_by_its_label(
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
+) -> None:
     """Events carry labels, so a container that Compose made anew is known at once."""
     _, heard = watch({"label": "role=app"})
     fake.containers["swarm-app-1"] = container("swarm-app-1", status="created", labels={"role": "app"})
@@ -119,7 +123,9 @@ def test_a_container_is_known_by_its_label(fake: FakeEngine, watch: Callable[...
     until(lambda: "app start" in heard.texts(), "the start")
 
 
-def test_network_events_wake_the_network_checks(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
+def test_network_events_wake_the_network_checks(
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
+) -> None:
     """Connecting and disconnecting names the network and the container."""
     fake.containers["app"] = container("app", networks=["swarm"])
     made, heard = watch({"name": "app", "networks": ["swarm"]})
@@ -136,7 +142,7 @@ def test_network_events_wake_the_network_checks(fake: FakeEngine, watch: Callabl
 
 
 def test_a_network_that_is_removed_and_created_again_wakes_the_network_checks(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
     """What waited for it goes on at once; networks that nobody has configured wake nobody."""
     made, heard = watch({"name": "app", "networks": ["swarm"]})
@@ -152,7 +158,7 @@ def test_a_network_that_is_removed_and_created_again_wakes_the_network_checks(
 
 
 def test_a_disconnect_that_the_engine_tells_twice_is_told_once(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
     """The echo is left out; a connection in between, another container, or a later time makes it a disconnect of its own."""
     fake.containers["app"], fake.containers["two"] = container("app"), container("two")
@@ -183,7 +189,7 @@ def test_a_disconnect_that_the_engine_tells_twice_is_told_once(
 
 
 def test_a_disconnect_seconds_after_another_is_told(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
     """The engine's own clock counts: what was missed meanwhile is a connection, and both disconnects were real."""
     fake.containers["app"] = container("app")
@@ -197,7 +203,7 @@ def test_a_disconnect_seconds_after_another_is_told(
 
 
 def test_what_the_stream_lost_is_found_by_comparing(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
     """A change without an event is told within a comparison period, marked as lost."""
     fake.containers["app"] = container("app", health="healthy", networks=["swarm"])
@@ -210,7 +216,9 @@ def test_what_the_stream_lost_is_found_by_comparing(
     assert all(event.lost for event in heard)
 
 
-def test_what_the_stream_told_is_not_told_again(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
+def test_what_the_stream_told_is_not_told_again(
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
+) -> None:
     """The comparison knows what the events have led to."""
     fake.containers["app"] = container("app", health="healthy")
     made, heard = watch({"name": "app"}, compare=0.5)
@@ -223,7 +231,7 @@ def test_what_the_stream_told_is_not_told_again(fake: FakeEngine, watch: Callabl
 
 
 def test_a_dropped_stream_is_followed_again_and_what_was_missed_is_told(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
     """After a reconnect the containers are compared at once, whatever the period."""
     fake.containers["app"] = container("app")
@@ -240,7 +248,7 @@ def test_a_dropped_stream_is_followed_again_and_what_was_missed_is_told(
 
 
 def test_events_while_the_stream_was_down_are_read_from_the_engines_memory(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
     """The stream is taken up where it broke off, so nothing is told twice and nothing is left out."""
     fake.containers["app"] = container("app")
@@ -259,7 +267,7 @@ def test_events_while_the_stream_was_down_are_read_from_the_engines_memory(
 
 @pytest.mark.parametrize("fault", [Status(500), Hang()])
 def test_a_failing_engine_is_tried_again_and_shows_in_healthy(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]], fault: Any
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]], fault: Any
 ) -> None:
     """While the engine fails the watch says so; afterwards it goes on by itself."""
     fake.containers["app"] = container("app")
@@ -285,7 +293,7 @@ def test_a_listener_that_raises_does_not_end_the_watch(fake: FakeEngine) -> None
         raise RuntimeError("injected")
 
     engine = DockerEngine(fake.url, timeout_s=2)
-    made = Watch(engine, settings(containers=[{"name": "app"}]), SystemClock(), listen)
+    made = ContainerWatcher(engine, settings(containers=[{"name": "app"}]), SystemClock(), listen)
     made.start()
     assert fake.wait(lambda server: server.streams == 1)
     fake.set("app", status="paused")
@@ -295,7 +303,7 @@ def test_a_listener_that_raises_does_not_end_the_watch(fake: FakeEngine) -> None
     engine.close()
 
 
-def test_stop_ends_both_threads(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
+def test_stop_ends_both_threads(fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]) -> None:
     """Nothing of the watch goes on after `stop`, although the stream was silent."""
     made, _ = watch({"name": "app"})
     made.stop()
@@ -303,7 +311,7 @@ def test_stop_ends_both_threads(fake: FakeEngine, watch: Callable[..., tuple[Wat
     assert not names & {"phm-docker-events", "phm-docker-compare"}
 
 
-def test_a_start_begins_a_life_once(fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]) -> None:
+def test_a_start_begins_a_life_once(fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]) -> None:
     """`docker restart` tells `start` and then `restart`, which are one life; a restart that was lost is one, too."""
     fake.containers["app"] = container("app")
     made, heard = watch({"name": "app"}, compare=0.5)
@@ -324,44 +332,46 @@ def test_a_start_begins_a_life_once(fake: FakeEngine, watch: Callable[..., tuple
     ]
 
 
-RUNNING = Expected("a", "running", "t1", "healthy", 0, frozenset({("swarm", "n1")}))
+RUNNING = ExpectedState("a", "running", "t1", "healthy", 0, frozenset({("swarm", "n1")}))
 
 
 @pytest.mark.parametrize(
     ("now", "told"),
     [
         (RUNNING, []),
-        (Expected(), [("container", "destroy", "")]),
-        (Expected("b", "running", "t2", "healthy", 0, RUNNING.networks), [("container", "create", "")]),
-        (Expected("a", "running", "t2", "healthy", 0, RUNNING.networks), [("container", "restart", "")]),
-        (Expected("a", "paused", "t1", "healthy", 0, RUNNING.networks), [("container", "pause", "")]),
+        (ExpectedState(), [("container", "destroy", "")]),
+        (ExpectedState("b", "running", "t2", "healthy", 0, RUNNING.networks), [("container", "create", "")]),
+        (ExpectedState("a", "running", "t2", "healthy", 0, RUNNING.networks), [("container", "restart", "")]),
+        (ExpectedState("a", "paused", "t1", "healthy", 0, RUNNING.networks), [("container", "pause", "")]),
         (
-            Expected("a", "running", "t1", "unhealthy", 0, RUNNING.networks),
+            ExpectedState("a", "running", "t1", "unhealthy", 0, RUNNING.networks),
             [("container", "health_status", "unhealthy")],
         ),
         (
-            Expected("a", "running", "t1", "healthy", 0, frozenset({("swarm", "n2")})),
+            ExpectedState("a", "running", "t1", "healthy", 0, frozenset({("swarm", "n2")})),
             [("network", "disconnect", "swarm"), ("network", "connect", "swarm")],
         ),
     ],
 )
-def test_each_difference_has_its_event(now: Expected, told: list[tuple[str, str, str]]) -> None:
+def test_each_difference_has_its_event(now: ExpectedState, told: list[tuple[str, str, str]]) -> None:
     """A container or network that was made anew under the same name is another one: ids are compared."""
     assert differences(RUNNING, now) == told
 
 
 def test_what_an_event_leaves_open_does_not_differ() -> None:
     """After a start the health and the time of start are not known until they are read."""
-    started = after(Expected("a", "exited", "t1", "none", 1, RUNNING.networks), "start", "", "a")
+    started = after(ExpectedState("a", "exited", "t1", "none", 1, RUNNING.networks), "start", "", "a")
     assert differences(started, RUNNING) == []
-    assert differences(after(RUNNING, "die", "", "a"), Expected("a", "exited", "t1", "none", 137)) == []
-    assert differences(after(RUNNING, "disconnect", "swarm", "n1"), Expected("a", "running", "t1", "healthy")) == []
+    assert differences(after(RUNNING, "die", "", "a"), ExpectedState("a", "exited", "t1", "none", 137)) == []
+    assert (
+        differences(after(RUNNING, "disconnect", "swarm", "n1"), ExpectedState("a", "running", "t1", "healthy")) == []
+    )
 
 
 def test_a_death_after_a_start_that_was_told_is_still_found() -> None:
     """Losing the last of several events is no less a loss."""
-    started = after(Expected("a", "exited", "t1", "none", 1), "start", "", "a")
-    dead = Expected("a", "exited", "t2", "none", 2)
+    started = after(ExpectedState("a", "exited", "t1", "none", 1), "start", "", "a")
+    dead = ExpectedState("a", "exited", "t2", "none", 2)
     assert differences(started, dead) == [("container", "die", "exit code 2")]
 
 
@@ -369,7 +379,7 @@ def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine) -> None:
     """Mostly the engine itself has gone or come: its check looks at once, and again when it cannot be reached."""
     turns: list[int] = []
     engine = DockerEngine(fake.url, timeout_s=2)
-    made = Watch(
+    made = ContainerWatcher(
         engine, settings(containers=[{"name": "app"}]), SystemClock(), lambda event: None, lambda: turns.append(1)
     )
     made.start()
@@ -400,7 +410,7 @@ def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine) -> None:
 )
 def test_a_kill_says_how_long_the_container_may_take_to_end(
     fake: FakeEngine,
-    watch: Callable[..., tuple[Watch, Heard]],
+    watch: Callable[..., tuple[ContainerWatcher, Heard]],
     config: dict[str, Any],
     signal: str,
     end_s: float,
@@ -417,7 +427,7 @@ def test_a_kill_says_how_long_the_container_may_take_to_end(
 
 
 def test_events_are_replayed_also_when_none_had_come_before_the_stream_broke(
-    fake: FakeEngine, watch: Callable[..., tuple[Watch, Heard]]
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
     """From when the stream was first open."""
     fake.containers["app"] = container("app")
@@ -435,7 +445,7 @@ def test_events_are_replayed_also_when_none_had_come_before_the_stream_broke(
 @pytest.mark.parametrize(("missed_s", "complete"), [(60.0, True), (0.0, False)])
 def test_the_stream_says_since_when_nothing_was_missed(
     fake: FakeEngine,
-    watch: Callable[..., tuple[Watch, Heard]],
+    watch: Callable[..., tuple[ContainerWatcher, Heard]],
     monkeypatch: pytest.MonkeyPatch,
     missed_s: float,
     complete: bool,

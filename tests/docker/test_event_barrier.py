@@ -10,7 +10,7 @@ import pytest
 
 from phm.checking.scheduler import CheckRun
 from phm.core.clock import SystemClock
-from phm.probes.docker_events import DockerEvent, Watch
+from phm.probes.docker_events import ContainerWatcher, DockerEvent
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
@@ -33,10 +33,12 @@ class Late:
 
 
 @pytest.fixture
-def late(fake: FakeEngine) -> Iterator[tuple[Watch, Late]]:
+def late(fake: FakeEngine) -> Iterator[tuple[ContainerWatcher, Late]]:
     fake.containers["app"] = container("app")
     engine, listener = DockerEngine(fake.url, timeout_s=4.0), Late()
-    watch = Watch(engine, settings(containers=[{"name": "app"}], docker={"compare": 60.0}), SystemClock(), listener)
+    watch = ContainerWatcher(
+        engine, settings(containers=[{"name": "app"}], docker={"compare": 60.0}), SystemClock(), listener
+    )
     watch.start()
     assert fake.wait(lambda server: server.streams == 1)
     yield watch, listener
@@ -45,13 +47,17 @@ def late(fake: FakeEngine) -> Iterator[tuple[Watch, Late]]:
     engine.close()
 
 
-def test_a_reader_that_waits_for_the_next_event_has_caught_up(fake: FakeEngine, late: tuple[Watch, Late]) -> None:
+def test_a_reader_that_waits_for_the_next_event_has_caught_up(
+    fake: FakeEngine, late: tuple[ContainerWatcher, Late]
+) -> None:
     """With nothing sent, nobody has to wait for it, however long the stream has been open."""
     watch, _ = late
     until(watch.caught_up, "the open stream")
 
 
-def test_an_event_that_is_being_applied_or_unread_is_waited_for(fake: FakeEngine, late: tuple[Watch, Late]) -> None:
+def test_an_event_that_is_being_applied_or_unread_is_waited_for(
+    fake: FakeEngine, late: tuple[ContainerWatcher, Late]
+) -> None:
     """The first is in the late listener's hands, the second lies on the socket; both are applied when the wait is over."""
     watch, listener = late
     until(watch.caught_up, "the open stream")
@@ -74,7 +80,7 @@ def test_an_event_that_is_being_applied_or_unread_is_waited_for(fake: FakeEngine
     assert waited == [2]
 
 
-def test_a_stream_that_is_closed_is_not_waited_for(fake: FakeEngine, late: tuple[Watch, Late]) -> None:
+def test_a_stream_that_is_closed_is_not_waited_for(fake: FakeEngine, late: tuple[ContainerWatcher, Late]) -> None:
     """An engine that is away sends nothing that could be applied."""
     watch, _ = late
     until(watch.caught_up, "the open stream")

@@ -12,7 +12,7 @@ import pytest
 from phm.core.clock import SystemClock
 from phm.facts import CannotTell, ContainerFact
 from phm.probes.docker import Docker
-from phm.probes.docker_events import DockerEvent, Watch
+from phm.probes.docker_events import ContainerWatcher, DockerEvent
 from phm.probes.files import Files
 from phm.testing import settings
 from phm.transport.docker import DockerEngine, EngineConflict, EngineError, EngineMissing
@@ -43,11 +43,11 @@ def fact_of(docker: Docker, name: str) -> ContainerFact:
 @pytest.fixture
 def heard(engine: DockerEngine) -> Iterator[Callable[..., list[DockerEvent]]]:
     """Starts a watch on the real engine; the list fills as events come."""
-    watches: list[Watch] = []
+    watches: list[ContainerWatcher] = []
 
     def start(**more: Any) -> list[DockerEvent]:
         events: list[DockerEvent] = []
-        watch = Watch(engine, settings(docker={"compare": 60.0}, **more), SystemClock(), events.append)
+        watch = ContainerWatcher(engine, settings(docker={"compare": 60.0}, **more), SystemClock(), events.append)
         watches.append(watch)
         watch.start()
         until(watch.healthy, "the watch to follow")

@@ -17,11 +17,11 @@ from typing import IO, Any
 from phm.core.clock import SystemClock
 from phm.core.settings import Settings
 from phm.facts import CannotTell, RosFact
-from phm.probes.ros.supervisor import COMMAND, Limits, RosProcess
+from phm.probes.ros.supervisor import COMMAND, RosSupervisor, SupervisorLimits
 from tests.fakes import until as wait
 
 ROOT = Path(__file__).resolve().parents[2]
-LIMITS = Limits()
+LIMITS = SupervisorLimits()
 FIRST_DOMAIN, DOMAINS = 60, 42
 """Clear of 0, which others use, and up to 101: the ports of 102 are ephemeral ones, which any socket may have."""
 _turns = itertools.count(os.getpid())
@@ -62,7 +62,7 @@ class Bench:
         self.notes: list[str] = []
         self.changes = 0
         self.on_change: Callable[[], object] = lambda: None
-        self._probes: list[RosProcess] = []
+        self._probes: list[RosSupervisor] = []
         self._processes: list[subprocess.Popen[bytes]] = []
         self._closing = contextlib.ExitStack()
         self._closing.callback(lock.close)
@@ -90,13 +90,13 @@ class Bench:
         topics: Sequence[Mapping[str, Any]] = (),
         *,
         command: Sequence[str] = COMMAND,
-        limits: Limits = LIMITS,
+        limits: SupervisorLimits = LIMITS,
         environ: Mapping[str, str] | None = None,
         **ros: Any,
-    ) -> RosProcess:
+    ) -> RosSupervisor:
         settings = Settings.model_validate({"ros": {"topics": list(topics), "domain": self.domain, **ros}})
         merged = {**self.environ, **(environ or {})}
-        probe = RosProcess(
+        probe = RosSupervisor(
             settings, SystemClock(), self._changed, self.notes.append, merged, command=command, limits=limits
         )
         self._probes.append(probe)
@@ -132,7 +132,7 @@ class Bench:
         self._closing.close()
 
 
-def seen(probe: RosProcess, condition: Callable[[RosFact], Any], what: str, limit_s: float = 60.0) -> Any:
+def seen(probe: RosSupervisor, condition: Callable[[RosFact], Any], what: str, limit_s: float = 60.0) -> Any:
     """Wait until a picture satisfies `condition`; STALE moments are waited out."""
 
     def look() -> Any:
@@ -144,7 +144,7 @@ def seen(probe: RosProcess, condition: Callable[[RosFact], Any], what: str, limi
     return until(look, what, limit_s)
 
 
-def stale(probe: RosProcess) -> str:
+def stale(probe: RosSupervisor) -> str:
     """The sentence with which the probe cannot tell, or empty when it can."""
     try:
         probe.look()

@@ -16,10 +16,10 @@ import pytest
 from hypothesis import strategies as st
 
 from phm.facts import CannotTell, ContainerFact
-from phm.probes.docker_events import DockerEvent, Watch
+from phm.probes.docker_events import ContainerWatcher, DockerEvent
 from phm.probes.docker_facts import container_fact
 from phm.probes.docker_processes import processes
-from phm.probes.docker_reconcile import Expected, differences
+from phm.probes.docker_reconcile import ExpectedState, differences
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
 from phm.transport.docker_session import FAILURES
@@ -78,7 +78,7 @@ def test_any_inspect_answer_is_a_fact_or_none(answer: Any) -> None:
         assert all(isinstance(text, str) for text in (fact.id, fact.name, fact.status, fact.health, fact.network_mode))
         assert isinstance(fact.exit_code, int)
         hash(fact)
-        differences(Expected.of(container_fact(INSPECT)), Expected.of(fact))
+        differences(ExpectedState.of(container_fact(INSPECT)), ExpectedState.of(fact))
 
 
 FOUND: list[dict[str, Any]] = [
@@ -114,7 +114,7 @@ def test_any_event_is_told_or_passed_over(said: list[Any]) -> None:
     """What is told has the words of a configured container or network, and memory stays bounded."""
     told: list[DockerEvent] = []
     chosen = settings(containers=[{"name": "app", "networks": ["net"]}, {"label": "a=b"}])
-    watch = Watch(cast(DockerEngine, SimpleNamespace(timeout_s=1.0)), chosen, FakeClock(), told.append)
+    watch = ContainerWatcher(cast(DockerEngine, SimpleNamespace(timeout_s=1.0)), chosen, FakeClock(), told.append)
     for raw in said:
         if isinstance(raw, dict):
             event = watch._understand(raw)

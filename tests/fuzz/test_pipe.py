@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from phm.facts.ros import BeaconFact, DiagnosticFact, NeighbourFact
 from phm.probes.ros import protocol as pipe
-from phm.probes.ros.line_splitter import Lines
+from phm.probes.ros.line_splitter import LineSplitter
 from tests.fuzz.hostile import messages
 from tests.fuzz.targets import fuzzed
 
@@ -54,7 +54,7 @@ def test_any_line_is_a_message_or_a_protocol_error(line: bytes) -> None:
 )
 def test_lines_are_the_same_however_the_stream_is_cut(pieces: list[bytes]) -> None:
     """No line is longer than the limit, and each that is too long is counted."""
-    cut, whole = Lines(), Lines()
+    cut, whole = LineSplitter(), LineSplitter()
     lines = [line for piece in pieces for line in cut.add(piece)]
     stream = b"".join(pieces)
     complete = stream.split(b"\n")[:-1]

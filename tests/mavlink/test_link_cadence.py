@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from phm.probes.adaptive_timeout import LEARN_S, STEP_S, STEPS, UNEVEN_S, Cadence
+from phm.probes.adaptive_timeout import LEARN_S, STEP_S, STEPS, UNEVEN_S, AdaptiveTimeout
 
 BOUND_S = 10.0
 LOOK_S = 0.5
@@ -53,7 +53,7 @@ def bursts(share: float, length: float) -> Callable[[random.Random], Iterator[fl
 
 def false_alarms(beats: Iterator[float]) -> int:
     """How many pauses were taken for a loss although the sender was heard again within the configured timeout."""
-    cadence, last, found = Cadence(BOUND_S), None, 0
+    cadence, last, found = AdaptiveTimeout(BOUND_S), None, 0
     for at in beats:
         if last is not None and at > last:
             looks = (last + LOOK_S * count for count in range(1, int((min(at, last + BOUND_S) - last) / LOOK_S) + 1))
@@ -73,7 +73,7 @@ def test_an_hour_raises_no_false_alarm(trace: Callable[[random.Random], Iterator
     assert [false_alarms(trace(random.Random(seed))) for seed in range(8)] == [0] * 8
 
 
-def learned(cadence: Cadence, beats: int = int(LEARN_S) + 3, period_s: float = 1.0) -> float:
+def learned(cadence: AdaptiveTimeout, beats: int = int(LEARN_S) + 3, period_s: float = 1.0) -> float:
     for count in range(beats):
         cadence.beat(count * period_s)
     return (beats - 1) * period_s
@@ -81,7 +81,7 @@ def learned(cadence: Cadence, beats: int = int(LEARN_S) + 3, period_s: float = 1
 
 def test_a_steady_sender_is_known_to_be_lost_early() -> None:
     """Two and a half seconds after the last of its beats, one a second; one lost beat is no loss."""
-    cadence = Cadence(BOUND_S)
+    cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
     assert cadence.due_s() == UNEVEN_S
     assert not cadence.overdue(last + 2.1)
@@ -90,7 +90,7 @@ def test_a_steady_sender_is_known_to_be_lost_early() -> None:
 
 def test_no_limit_is_under_the_least() -> None:
     """A ground station is given more time than an autopilot."""
-    cadence = Cadence(BOUND_S, 5.0)
+    cadence = AdaptiveTimeout(BOUND_S, 5.0)
     last = learned(cadence)
     assert not cadence.overdue(last + 4.9)
     assert cadence.overdue(last + 5.1)
@@ -98,7 +98,7 @@ def test_no_limit_is_under_the_least() -> None:
 
 def test_what_is_not_known_for_long_has_no_limit_of_its_own() -> None:
     """The configured timeout alone holds."""
-    cadence = Cadence(BOUND_S)
+    cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence, int(LEARN_S) - 5)
     assert cadence.due_s() is None
     assert not cadence.overdue(last + 9.9)
@@ -106,7 +106,7 @@ def test_what_is_not_known_for_long_has_no_limit_of_its_own() -> None:
 
 def test_a_lost_beat_makes_the_limit_longer_for_a_while() -> None:
     """And two lost in a row end it; after an hour that is forgotten."""
-    cadence = Cadence(BOUND_S)
+    cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
     cadence.beat(last + 2.0)
     assert cadence.due_s() == pytest.approx(4.4)
@@ -119,14 +119,14 @@ def test_a_lost_beat_makes_the_limit_longer_for_a_while() -> None:
 
 def test_a_slow_sender_is_left_to_the_configured_timeout() -> None:
     """A beat every five seconds."""
-    cadence = Cadence(BOUND_S)
+    cadence = AdaptiveTimeout(BOUND_S)
     learned(cadence, 60, 5.0)
     assert cadence.due_s() is None
 
 
 def test_a_limit_beyond_the_configured_one_is_none() -> None:
     """The configured timeout is the upper bound."""
-    cadence = Cadence(3.5)
+    cadence = AdaptiveTimeout(3.5)
     last = learned(cadence)
     cadence.beat(last + 1.7)
     assert cadence.due_s() is None
@@ -134,7 +134,7 @@ def test_a_limit_beyond_the_configured_one_is_none() -> None:
 
 def test_an_outage_is_no_habit() -> None:
     """A silence beyond the configured timeout was told as a fault; the next is found as early."""
-    cadence = Cadence(BOUND_S)
+    cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
     cadence.beat(last + 30.0)
     assert cadence.due_s() == UNEVEN_S
@@ -142,7 +142,7 @@ def test_an_outage_is_no_habit() -> None:
 
 def test_who_is_overdue_is_so_until_the_next_beat() -> None:
     """Also when its link is closed or opened anew meanwhile."""
-    cadence = Cadence(BOUND_S)
+    cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
     assert cadence.overdue(last + 2.6)
     cadence.broke(last + 3.0)
@@ -154,7 +154,7 @@ def test_who_is_overdue_is_so_until_the_next_beat() -> None:
 
 def test_what_broke_is_no_pause_of_the_sender() -> None:
     """The link was closed for a moment: silence counts from then on, and the pause before is forgotten, too."""
-    cadence = Cadence(BOUND_S)
+    cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
     cadence.beat(last + 2.4)
     cadence.broke(last + 4.0)

@@ -16,9 +16,9 @@ from hypothesis import given, strategies as st
 
 from phm.facts import LinkFact
 from phm.probes.adaptive_timeout import LEARN_S
-from phm.probes.autopilot_state import TWINS, Pilot
-from phm.probes.link_radio import Radio
-from phm.probes.link_stats import LOSS_S, MIN_FRAMES, Flow
+from phm.probes.autopilot_state import TWINS, AutopilotState
+from phm.probes.link_radio import RadioState
+from phm.probes.link_stats import LOSS_S, MIN_FRAMES, LinkStats
 from phm.probes.serial_port_users import users
 from phm.transport import serial_errors
 from phm.transport.dialect import mavlink
@@ -104,7 +104,7 @@ def test_the_old_number_of_radio_status_is_understood() -> None:
 
 def test_nothing_is_known_of_traffic_at_first() -> None:
     """One sample makes no rate."""
-    flow = Flow((7, 193))
+    flow = LinkStats((7, 193))
     assert flow.fact(0.0, BASE) == BASE
     flow.sample(10.0, Traffic(bytes_in=100))
     fact = flow.fact(10.2, BASE)
@@ -114,7 +114,7 @@ def test_nothing_is_known_of_traffic_at_first() -> None:
 
 def test_rates_are_means_over_the_last_seconds() -> None:
     """Bytes, frames, false starts and errors on the line, a second; a pause shows in its age."""
-    flow = Flow((7, 193))
+    flow = LinkStats((7, 193))
     for second in range(20):
         moving = min(second, 10)
         flow.sample(
@@ -133,7 +133,7 @@ def test_rates_are_means_over_the_last_seconds() -> None:
 
 def test_samples_may_be_offered_at_any_rate() -> None:
     """Each endpoint's thread asks for them."""
-    flow = Flow((7, 193))
+    flow = LinkStats((7, 193))
     for step in range(2000):
         flow.sample(step * 0.01, Traffic(bytes_in=step))
     assert len(flow._totals) < 20
@@ -142,7 +142,7 @@ def test_samples_may_be_offered_at_any_rate() -> None:
 
 def test_loss_is_told_by_sender_over_a_window() -> None:
     """Of the last half minute, and only where there were frames enough; PHM's own echo is no sender."""
-    flow = Flow((7, 193))
+    flow = LinkStats((7, 193))
     counts = {(1, 1): (0, 0), (255, 190): (0, 0), (7, 193): (0, 0)}
     for second in range(int(LOSS_S) + 70):
         lost = min(60, second)
@@ -161,7 +161,7 @@ def test_loss_is_told_by_sender_over_a_window() -> None:
 
 def test_a_sender_that_was_forgotten_and_came_back_has_lost_nothing() -> None:
     """Its counters begin anew."""
-    flow = Flow((7, 193))
+    flow = LinkStats((7, 193))
     flow.sample(0.0, Traffic(senders={(1, 1): (500, 90)}))
     flow.sample(5.0, Traffic(senders={(1, 1): (30, 0)}))
     (sender,) = flow.fact(5.0, BASE).senders
@@ -179,12 +179,12 @@ def status(**fields: int) -> Any:
 
 def test_a_radio_never_heard_is_none() -> None:
     """Not known is not zero."""
-    assert Radio("ground").fact(5.0) is None
+    assert RadioState("ground").fact(5.0) is None
 
 
 def test_a_radio_tells_its_numbers() -> None:
     """Age, margins as means, and errors as rates."""
-    radio = Radio("ground")
+    radio = RadioState("ground")
     for second in range(6):
         radio.hear(float(second), status(rssi=180 + second, rxerrors=4 * second, fixed=second), 1.0)
     fact = radio.fact(7.0)
@@ -196,7 +196,7 @@ def test_a_radio_tells_its_numbers() -> None:
 
 def test_what_a_radio_does_not_know_is_none() -> None:
     """255 stands for unknown; without noise there is no margin."""
-    radio = Radio("ground")
+    radio = RadioState("ground")
     radio.hear(0.0, status(remrssi=255, noise=255), 1.0)
     fact = radio.fact(0.0)
     assert fact is not None
@@ -206,7 +206,7 @@ def test_what_a_radio_does_not_know_is_none() -> None:
 
 def test_a_radio_that_lost_the_other_one_is_alone() -> None:
     """Zeros in place of what the other one told, as a SiK radio sends them; they are no weak signal, and end at once."""
-    radio = Radio("ground")
+    radio = RadioState("ground")
     radio.hear(0.0, status(), 1.0)
     radio.hear(1.0, status(remrssi=0, remnoise=0), 1.0)
     fact = radio.fact(1.0)
@@ -220,7 +220,7 @@ def test_a_radio_that_lost_the_other_one_is_alone() -> None:
 
 def test_a_radio_that_never_tells_of_the_other_one_is_not_alone() -> None:
     """Some report zeros always."""
-    radio = Radio("ground")
+    radio = RadioState("ground")
     for second in range(5):
         radio.hear(float(second), status(remrssi=0, remnoise=0), 1.0)
     fact = radio.fact(4.0)
@@ -230,7 +230,7 @@ def test_a_radio_that_never_tells_of_the_other_one_is_not_alone() -> None:
 
 def test_counters_of_a_radio_that_was_restarted() -> None:
     """They begin anew, and nothing is negative."""
-    radio = Radio("ground")
+    radio = RadioState("ground")
     for second, errors in enumerate([60000, 60002, 3, 4]):
         radio.hear(float(second), status(rxerrors=errors), 1.0)
     fact = radio.fact(3.0)
@@ -240,7 +240,7 @@ def test_counters_of_a_radio_that_was_restarted() -> None:
 
 def test_how_often_a_radio_is_due() -> None:
     """Until it is known, as often as PHM's heartbeats ask it; then as it comes; one long pause does not count."""
-    radio = Radio("ground")
+    radio = RadioState("ground")
     radio.hear(0.0, status(), 5.0)
     first = radio.fact(0.0)
     assert first is not None
@@ -259,11 +259,11 @@ def test_how_often_a_radio_is_due() -> None:
 # ---------------------------------------------------------------- the autopilot's boots
 
 
-def beat(pilot: Pilot, at: float, *, armed: bool = False) -> None:
+def beat(pilot: AutopilotState, at: float, *, armed: bool = False) -> None:
     pilot.heartbeat(at, heartbeat(5, kind=2, autopilot=3, base_mode=81 | (ARMED if armed else 0)), "fc")
 
 
-def fact_of(pilot: Pilot, now: float) -> Any:
+def fact_of(pilot: AutopilotState, now: float) -> Any:
     fact = pilot.fact(now)
     assert fact is not None
     return fact
@@ -271,14 +271,14 @@ def fact_of(pilot: Pilot, now: float) -> Any:
 
 def test_a_pilot_never_heard_is_none() -> None:
     """A time since boot alone is no heartbeat."""
-    pilot = Pilot()
+    pilot = AutopilotState()
     pilot.booted(1.0, 500)
     assert pilot.fact(2.0) is None
 
 
 def test_a_reboot_is_seen_by_its_time_going_back() -> None:
     """Counted once, with its age; the time since boot goes on from there."""
-    pilot = Pilot()
+    pilot = AutopilotState()
     beat(pilot, 0.0)
     for second in range(10):
         pilot.booted(float(second), 60_000 + 1000 * second)
@@ -293,7 +293,7 @@ def test_a_reboot_is_seen_by_its_time_going_back() -> None:
 
 def test_messages_that_overtake_each_other_are_no_reboot() -> None:
     """Some carry the time of a measurement, and the number begins anew after 49.7 days."""
-    pilot = Pilot()
+    pilot = AutopilotState()
     beat(pilot, 0.0)
     for at, boot_ms in ((1.0, 60_000), (1.1, 58_500), (1.2, 60_200), (2.0, 2**32 - 500), (3.0, 400)):
         pilot.booted(at, boot_ms)
@@ -303,7 +303,7 @@ def test_messages_that_overtake_each_other_are_no_reboot() -> None:
 @pytest.mark.parametrize("beats_first", [True, False], ids=["heartbeat first", "time first"])
 def test_a_reboot_while_armed_is_told_as_such(beats_first: bool) -> None:
     """Also when the first heartbeat after it, disarmed, comes before the new time."""
-    pilot = Pilot()
+    pilot = AutopilotState()
     beat(pilot, 0.0)
     beat(pilot, 1.0, armed=True)
     pilot.booted(1.0, 90_000)
@@ -317,7 +317,7 @@ def test_a_reboot_while_armed_is_told_as_such(beats_first: bool) -> None:
 
 def test_a_reboot_after_landing_is_not_in_the_air() -> None:
     """Disarmed before it rebooted: an operator may have meant it to."""
-    pilot = Pilot()
+    pilot = AutopilotState()
     beat(pilot, 1.0, armed=True)
     beat(pilot, 5.0)
     pilot.booted(6.0, 98_000)
@@ -328,7 +328,7 @@ def test_a_reboot_after_landing_is_not_in_the_air() -> None:
 
 def test_how_long_a_pilot_has_said_disarmed_ends_with_a_pause() -> None:
     """Armed ends it, and silence for longer than the timeout begins it anew."""
-    pilot = Pilot()
+    pilot = AutopilotState()
     for at in (0.0, 3.0, 6.0):
         beat(pilot, at)
     assert fact_of(pilot, 7.0).disarmed_for_s == 7.0
@@ -342,21 +342,21 @@ def test_how_long_a_pilot_has_said_disarmed_ends_with_a_pause() -> None:
 
 def test_two_autopilots_with_one_identity_are_no_reboots() -> None:
     """Their times alternate faster than anything can boot; a vehicle that boots again and again takes longer."""
-    pilot = Pilot()
+    pilot = AutopilotState()
     beat(pilot, 0.0)
     for step in range(TWINS * 2 + 1):
         pilot.booted(step * 0.5, 600_000 if step % 2 else 20_000)
     assert pilot.twins(4.0)
     assert fact_of(pilot, 4.0).rebooted_s is None
     assert not pilot.twins(30.0)
-    slow = Pilot()
+    slow = AutopilotState()
     for number in range(TWINS):
         slow.booted(10.0 * number, 8_000)
         slow.booted(10.0 * number + 5.0, 500)
     assert not slow.twins(36.0)
 
 
-def known(pilot: Pilot, period_s: float = 1.0) -> float:
+def known(pilot: AutopilotState, period_s: float = 1.0) -> float:
     """Heard steadily for as long as it takes to know it; the moment of the last heartbeat."""
     count = int(LEARN_S / period_s) + 5
     for number in range(count):
@@ -365,7 +365,7 @@ def known(pilot: Pilot, period_s: float = 1.0) -> float:
     return (count - 1) * period_s
 
 
-def overdue(pilot: Pilot, now: float, read_at: float | None) -> bool:
+def overdue(pilot: AutopilotState, now: float, read_at: float | None) -> bool:
     fact = pilot.fact(now, lambda link: read_at)
     assert fact is not None
     return fact.overdue
@@ -373,7 +373,7 @@ def overdue(pilot: Pilot, now: float, read_at: float | None) -> bool:
 
 def test_a_steady_autopilot_is_overdue_early() -> None:
     """After two and a half of its heartbeats, as far as its link was read; where that is not known, never."""
-    pilot = Pilot()
+    pilot = AutopilotState()
     last = known(pilot)
     assert not overdue(pilot, last + 2.1, last + 2.1)
     assert not overdue(pilot, last + 9.0, last + 2.1)
@@ -385,7 +385,7 @@ def test_a_steady_autopilot_is_overdue_early() -> None:
 
 def test_an_autopilot_whose_other_frames_come_is_not_overdue() -> None:
     """Its heartbeats are lost or late."""
-    pilot = Pilot()
+    pilot = AutopilotState()
     last = known(pilot)
     pilot.booted(last + 2.2, 300_000)
     assert not overdue(pilot, last + 2.8, last + 2.8)
@@ -395,7 +395,7 @@ def test_an_autopilot_whose_other_frames_come_is_not_overdue() -> None:
 @pytest.mark.parametrize("beats_first", [True, False], ids=["heartbeat first", "time first"])
 def test_the_pause_of_a_reboot_is_no_habit(beats_first: bool) -> None:
     """After it the autopilot is known as well as before."""
-    pilot = Pilot()
+    pilot = AutopilotState()
     last = known(pilot)
     at = last + 2.3
     if beats_first:

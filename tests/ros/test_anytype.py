@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from phm.facts import RosFact
-from phm.probes.ros.supervisor import RosProcess
+from phm.probes.ros.supervisor import RosSupervisor
 from tests.fakes import app_messages
 from tests.fakes.app_messages import OTHER_DISTRIBUTION, OWN_DISTRIBUTION
 from tests.fakes.ros_bench import ROOT, Bench, seen
@@ -61,7 +61,7 @@ def application(bench: Bench, tmp_path: Path) -> Iterator[Application]:
     made.close()
 
 
-def all_measured(probe: RosProcess, sent: Path) -> None:
+def all_measured(probe: RosSupervisor, sent: Path) -> None:
     """Each topic's rate is that with which it was published, by a child that never had to be replaced."""
 
     def right(fact: RosFact) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from phm.facts import BeaconFact, RosFact
-from phm.probes.ros.supervisor import RosProcess
+from phm.probes.ros.supervisor import RosSupervisor
 from tests.fakes.ros_bench import ROOT, Bench, seen, until
 
 A, B, C = "/agent_1/a", "/agent_1/b", "/agent_1/c"
@@ -34,7 +34,7 @@ def agree(fact: RosFact, *names: str) -> bool:
     ) and beats(fact, *names)
 
 
-def beacon(probe: RosProcess, name: str) -> BeaconFact:
+def beacon(probe: RosSupervisor, name: str) -> BeaconFact:
     return probe.look().beacons[name]
 
 

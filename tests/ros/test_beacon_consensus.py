@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 from phm import api, testing
-from phm.probes.ros.supervisor import RosProcess
+from phm.probes.ros.supervisor import RosSupervisor
 from phm_checks.consensus import Consensus
 from tests.fakes.ros_bench import Bench, seen, until
 
@@ -23,7 +23,7 @@ class Scene:
         nodes = [{"name": f"/agent_1/{name}"} for name in (*NAMES, *extra)]
         (self._check,) = Consensus.build(testing.settings(ros={"nodes": nodes}))
         self.nodes = {name: bench.script(SCRIPT, name) for name in NAMES}
-        self.probe: RosProcess = bench.probe(nodes=nodes)
+        self.probe: RosSupervisor = bench.probe(nodes=nodes)
         self._world = testing.world(ros=self.probe)
 
     def run(self) -> api.Result:

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from phm.beacon import BEACON_FORMAT
 from phm.probes.ros.beacon_text import log_texts
-from phm.probes.ros.ledger import Ledger, portions
+from phm.probes.ros.ledger import BeaconRegistry, portions
 from phm.probes.ros.protocol import LINE_LIMIT, Heard, decode, encode
-from phm.probes.ros.self_reports import Hearsay
+from phm.probes.ros.self_reports import SelfReports
 from tests.fuzz.hostile import messages, torn
 from tests.fuzz.targets import fuzzed
 
@@ -53,7 +53,7 @@ def test_any_bytes_are_two_texts_or_refused(data: bytes) -> None:
 def test_any_beacon_is_counted_or_told(said: list[tuple[bytes, float, bytes | None]]) -> None:
     """Nothing raises, and what is told goes through the pipe and is kept by the daemon."""
     nodes = frozenset({"/agent_1/a"})
-    ledger, kept = Ledger(nodes, lambda: {b"1": "/agent_1/a"}), Hearsay()
+    ledger, kept = BeaconRegistry(nodes, lambda: {b"1": "/agent_1/a"}), SelfReports()
     for text, at_s, writer in said:
         ledger.add(BEACON_FORMAT, text.decode("utf-8", "replace"), at_s, writer)
         news = ledger.news(at_s)

@@ -12,9 +12,9 @@ from phm.beacon import BEACON_FORMAT, HELLO_FORMAT, MAX_NEIGHBOURS, MAX_NODES, _
 from phm.facts.ros import BeaconFact, NeighbourFact
 from phm.probes.ros.beacon_text import beacons_in, log_texts
 from phm.probes.ros.beacons import MAX_BYTES, OTHERS_BYTES, choose
-from phm.probes.ros.ledger import FORGET_S, MAX_RIVALS, MAX_STRANGERS, Ledger, portions
+from phm.probes.ros.ledger import FORGET_S, MAX_RIVALS, MAX_STRANGERS, BeaconRegistry, portions
 from phm.probes.ros.protocol import LINE_LIMIT, Heard, encode
-from phm.probes.ros.self_reports import MAX_NAMES, Hearsay, Own
+from phm.probes.ros.self_reports import MAX_NAMES, Own, SelfReports
 
 A, B = "/agent_1/a", "/agent_1/b"
 
@@ -30,11 +30,11 @@ def text(nodes: dict[str, Any] | None = None, *, witness: str = "w", views: obje
     return json.dumps(said)
 
 
-def ledger(*names: str) -> Ledger:
-    return Ledger(frozenset(names))
+def ledger(*names: str) -> BeaconRegistry:
+    return BeaconRegistry(frozenset(names))
 
 
-def heard(book: Ledger, now_s: float) -> Heard:
+def heard(book: BeaconRegistry, now_s: float) -> Heard:
     news = book.news(now_s)
     assert news is not None
     return news
@@ -182,7 +182,7 @@ def test_configured_nodes_have_room_whatever_strangers_do() -> None:
 
 def test_the_daemon_keeps_the_newest_and_its_age() -> None:
     """An age alone makes a known beacon young again; an unknown name is passed over."""
-    kept = Hearsay().with_news(Heard(beacons={A: BeaconFact(0.1, 0.2)}, refused=2), 10.0)
+    kept = SelfReports().with_news(Heard(beacons={A: BeaconFact(0.1, 0.2)}, refused=2), 10.0)
     kept = kept.with_news(Heard(ages={A: 0.05, B: 0.05}, refused=2), 10.5)
     beacons, _ = kept.since(10.6)
     assert beacons[A].age_s == pytest.approx(0.15)
@@ -202,9 +202,9 @@ def test_the_daemon_keeps_the_newest_and_its_age() -> None:
 )
 def test_checks_are_woken_by_what_matters(fact: BeaconFact, differs: bool) -> None:
     """Silence, lateness, another life; not by each beat."""
-    kept = Hearsay().with_news(Heard(beacons={A: BeaconFact(0.1, 0.2, 0.0, "w.1")}), 10.0)
+    kept = SelfReports().with_news(Heard(beacons={A: BeaconFact(0.1, 0.2, 0.0, "w.1")}), 10.0)
     assert kept.differs(Heard(beacons={A: fact})) is differs
-    assert Hearsay().differs(Heard(beacons={A: fact}))
+    assert SelfReports().differs(Heard(beacons={A: fact}))
     assert not kept.differs(Heard(ages={A: 0.1}))
 
 
@@ -322,7 +322,7 @@ def listing(*writers: bytes) -> Any:
 
 def test_an_identity_belongs_to_the_writer_that_used_it_first() -> None:
     """What another one says in its name is refused, and who that is is reported; the first one goes on to count."""
-    book = Ledger(frozenset({A}), listing(ONE, TWO))
+    book = BeaconRegistry(frozenset({A}), listing(ONE, TWO))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
     book.news(1.0)
     book.add(BEACON_FORMAT, text({A: node(late_s=99.0)}), 1.1, TWO)
@@ -336,7 +336,7 @@ def test_an_identity_belongs_to_the_writer_that_used_it_first() -> None:
 
 def test_a_copied_identity_does_not_keep_a_dead_node_alive() -> None:
     """Its first writer is listed until its lease ends: so long the silence is what it is."""
-    book = Ledger(frozenset({A}), listing(ONE, TWO))
+    book = BeaconRegistry(frozenset({A}), listing(ONE, TWO))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
     for number in range(1, 20):
         book.add(BEACON_FORMAT, text(), 1.0 + number / 10, TWO)
@@ -345,7 +345,7 @@ def test_a_copied_identity_does_not_keep_a_dead_node_alive() -> None:
 
 def test_a_copied_identity_adds_no_nodes_to_a_process() -> None:
     """The message is refused as one."""
-    book = Ledger(frozenset({A, B}), listing(ONE, TWO))
+    book = BeaconRegistry(frozenset({A, B}), listing(ONE, TWO))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
     book.add(BEACON_FORMAT, text({B: node()}), 1.0, TWO)
     assert set(heard(book, 1.0).beacons) == {A}
@@ -354,7 +354,7 @@ def test_a_copied_identity_adds_no_nodes_to_a_process() -> None:
 @pytest.mark.parametrize("listed", [(TWO,), (ONE, TWO)])
 def test_an_identity_is_free_again_when_its_writer_is_silent_and_gone(listed: tuple[bytes, ...]) -> None:
     """As behind a bridge that was restarted. Neither will do alone: PHM may have lost a lease, and a node may be stopped."""
-    book = Ledger(frozenset({A}), listing(*listed))
+    book = BeaconRegistry(frozenset({A}), listing(*listed))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
     book.add(BEACON_FORMAT, text(), 1.3, TWO)
     assert heard(book, 1.3).beacons[A].age_s == 0.3
@@ -366,7 +366,7 @@ def test_an_identity_is_free_again_when_its_writer_is_silent_and_gone(listed: tu
 
 def test_a_node_that_was_started_again_is_taken_at_once() -> None:
     """It is another process with another writer; the first one, which is silent, may be listed for as long as its lease."""
-    book = Ledger(frozenset({A}), listing(ONE, TWO))
+    book = BeaconRegistry(frozenset({A}), listing(ONE, TWO))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
     book.add(BEACON_FORMAT, text(witness="v"), 1.7, TWO)
     fact = heard(book, 1.7).beacons[A]
@@ -375,7 +375,7 @@ def test_a_node_that_was_started_again_is_taken_at_once() -> None:
 
 def test_writers_that_are_bound_are_no_more_than_nodes() -> None:
     """Names of processes come from outside without end."""
-    book = Ledger(frozenset({A}), listing())
+    book = BeaconRegistry(frozenset({A}), listing())
     for number in range(MAX_STRANGERS * 3):
         book.add(BEACON_FORMAT, text({f"/x{number}": node()}, witness=f"w{number}"), 1.0, ONE)
     book.news(1.0)
@@ -418,7 +418,7 @@ def test_what_strangers_say_of_strangers_is_dropped() -> None:
 
 def test_strangers_displace_no_configured_node_in_the_daemon() -> None:
     """The oldest of the configured ones is kept: a dead node is known by its silence."""
-    kept = Hearsay(own=Own(frozenset({A}))).with_news(Heard(beacons={A: BeaconFact(0.1, 0.2)}), 1.0)
+    kept = SelfReports(own=Own(frozenset({A}))).with_news(Heard(beacons={A: BeaconFact(0.1, 0.2)}), 1.0)
     for number in range(3 * MAX_NAMES):
         kept = kept.with_news(Heard(beacons={f"/x{number}": BeaconFact(0.1, 0.2)}), 2.0 + number)
     assert A in kept.beacons and len(kept.beacons) == MAX_NAMES + 1
@@ -426,7 +426,7 @@ def test_strangers_displace_no_configured_node_in_the_daemon() -> None:
 
 def test_silence_while_beacons_are_lost_proves_nothing() -> None:
     """Whoever has been silent since before the loss is not known; one that beat after it is."""
-    kept = Hearsay().with_news(Heard(beacons={A: BeaconFact(0.0, 0.2), B: BeaconFact(0.0, 0.2)}), 10.0)
+    kept = SelfReports().with_news(Heard(beacons={A: BeaconFact(0.0, 0.2), B: BeaconFact(0.0, 0.2)}), 10.0)
     kept = kept.with_news(Heard(lost=True), 12.0)
     kept = kept.with_news(Heard(ages={B: 0.0}), 13.0)
     assert set(kept.since(15.0)[0]) == {B}
@@ -435,6 +435,6 @@ def test_silence_while_beacons_are_lost_proves_nothing() -> None:
 
 def test_a_rival_is_news_worth_a_look() -> None:
     """Checks are to look at once."""
-    known = Hearsay().with_news(Heard(beacons={A: BeaconFact(0.0, 0.2)}), 1.0)
+    known = SelfReports().with_news(Heard(beacons={A: BeaconFact(0.0, 0.2)}), 1.0)
     assert known.differs(Heard(beacons={A: BeaconFact(0.0, 0.2, rivals=1)}))
     assert not known.differs(Heard(beacons={A: BeaconFact(0.1, 0.2)}))

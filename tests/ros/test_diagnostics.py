@@ -15,8 +15,8 @@ from typing import Any
 from phm.facts import DiagnosticFact, RosFact
 from phm.probes.ros.diagnostics import MAX_TEXT, MAX_VALUES, portions
 from phm.probes.ros.protocol import LINE_LIMIT, Heard, encode
-from phm.probes.ros.self_reports import MAX_NAMES, Hearsay, Own
-from phm.probes.ros.supervisor import RosProcess
+from phm.probes.ros.self_reports import MAX_NAMES, Own, SelfReports
+from phm.probes.ros.supervisor import RosSupervisor
 from phm.wire import json_log
 from tests.fakes.ros_bench import ROOT, Bench, seen, until
 
@@ -58,7 +58,7 @@ def heard(fact: RosFact, name: str = FREQUENCY) -> DiagnosticFact | None:
     return fact.diagnostics.get(name)
 
 
-def listening(bench: Bench, **diagnostics: Any) -> RosProcess:
+def listening(bench: Bench, **diagnostics: Any) -> RosSupervisor:
     return bench.probe(nodes=[{"name": "/agent_1/camera"}], diagnostics=diagnostics)
 
 
@@ -289,7 +289,7 @@ def test_statuses_of_any_size_fit_into_messages() -> None:
 
 def test_strangers_displace_no_status_that_is_watched() -> None:
     """The daemon keeps what is configured, by name or pattern, however long ago it was heard."""
-    kept = Hearsay(own=Own(statuses=("camera: *",))).with_news(
+    kept = SelfReports(own=Own(statuses=("camera: *",))).with_news(
         Heard(diagnostics={"camera: a": DiagnosticFact(0.0, 0)}), 1.0
     )
     for number in range(3 * MAX_NAMES):

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from phm.facts import EndpointFact, NameFact, RateFact, RosFact
-from phm.probes.ros.supervisor import Limits
+from phm.probes.ros.supervisor import SupervisorLimits
 from tests.fakes.ros_bench import Bench, gone, seen, stale, until
 from tests.fakes.ros_truth import within_2_percent
 
@@ -155,7 +155,7 @@ def test_an_unknown_type_is_a_problem_and_not_a_crash(bench: Bench) -> None:
 def test_the_real_child_is_replaced(bench: Bench, number: signal.Signals) -> None:
     """Killed or stopped, the child is replaced, and the new one sees the same nodes."""
     bench.node("node_1")
-    probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}], limits=Limits(silent_s=1.0, backoff_s=0.1))
+    probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}], limits=SupervisorLimits(silent_s=1.0, backoff_s=0.1))
     seen(probe, lambda fact: "/agent_1/node_1" in fact.nodes, "the node")
     first = probe.pid
     os.kill(first, number)
@@ -167,7 +167,7 @@ def test_the_real_child_is_replaced(bench: Bench, number: signal.Signals) -> Non
 
 def test_a_leaking_child_is_replaced(bench: Bench) -> None:
     """Above the memory limit it is killed, and the note gives both figures."""
-    limits = Limits(weigh_s=0.1, backoff_s=0.1)
+    limits = SupervisorLimits(weigh_s=0.1, backoff_s=0.1)
     probe = bench.probe(
         nodes=[{"name": "/a"}], max_memory="120MB", limits=limits, environ={"PHM_DEBUG_ROS_LEAK_MB": "20"}
     )
@@ -179,8 +179,8 @@ def test_the_child_ends_with_its_parent(bench: Bench) -> None:
     """A daemon that is killed leaves no child behind: neither a running nor a stopped one."""
     code = (
         "import sys, time; from phm.core.clock import SystemClock; from phm.core.settings import Settings\n"
-        "from phm.probes.ros.supervisor import RosProcess\n"
-        "p = RosProcess(Settings(), SystemClock(), lambda: print(p.pid, flush=True), print); p.start(); time.sleep(60)"
+        "from phm.probes.ros.supervisor import RosSupervisor\n"
+        "p = RosSupervisor(Settings(), SystemClock(), lambda: print(p.pid, flush=True), print); p.start(); time.sleep(60)"
     )
     daemon = subprocess.Popen([sys.executable, "-c", code], env=bench.environ, stdout=subprocess.PIPE)
     assert daemon.stdout is not None
@@ -201,7 +201,7 @@ SLEEPY = (
 def test_a_change_of_the_graph_is_seen_at_once(bench: Bench) -> None:
     """Nodes and ends that come and go, and a publisher that is made anew with another quality: nobody waits for the next look."""
     probe = bench.probe(
-        [{"name": TOPIC}], command=(sys.executable, "-c", SLEEPY), limits=Limits(start_s=60.0, silent_s=60.0)
+        [{"name": TOPIC}], command=(sys.executable, "-c", SLEEPY), limits=SupervisorLimits(start_s=60.0, silent_s=60.0)
     )
     node = bench.node("node_1", "--publish", "topic_1:10", "--subscribe", "topic_1", "--no-beacon")
     seen(

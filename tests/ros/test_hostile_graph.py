@@ -7,12 +7,12 @@ import signal
 import pytest
 
 from phm.facts import EndpointFact, RosFact, TopicFact
-from phm.probes.ros.graph_snapshot import View
-from phm.probes.ros.line_splitter import Lines
+from phm.probes.ros.graph_snapshot import GraphSnapshot
+from phm.probes.ros.line_splitter import LineSplitter
 from phm.probes.ros.name_limits import MAX_STRANGERS, kept_ends, kept_nodes
 from phm.probes.ros.protocol import LINE_LIMIT, Picture, Tick, encode
 from phm.probes.ros.raw_names import LONGEST, printable
-from phm.probes.ros.supervisor import OVERLONG, RosProcess
+from phm.probes.ros.supervisor import OVERLONG, RosSupervisor
 from tests.fakes.ros_bench import Bench, seen, stale, until
 from tests.ros.test_supervision import FAST, fake
 
@@ -20,7 +20,7 @@ TOPIC, NODE = "/agent_1/topic_1", "/agent_1/node_1"
 STRING = "std_msgs/msg/String"
 
 
-def looking(bench: Bench) -> RosProcess:
+def looking(bench: Bench) -> RosSupervisor:
     """PHM, that sees the node and measures its topic."""
     probe = bench.probe([{"name": TOPIC, "rate": 10}], nodes=[{"name": NODE}])
     seen(probe, lambda fact: NODE in fact.nodes and measured(fact) and NODE in fact.beacons, "node, rate and beacon")
@@ -77,7 +77,7 @@ def test_a_message_that_is_too_long_is_a_loss_of_sight(bench: Bench) -> None:
 
 def test_a_tick_does_not_refresh_another_picture() -> None:
     """The age of a picture is its own: a tick counts for the picture that it names alone, and other messages for none."""
-    view = View().with_message(Picture(5.0, {NODE: 1}, number=1), 100.0)
+    view = GraphSnapshot().with_message(Picture(5.0, {NODE: 1}, number=1), 100.0)
     assert view.picture is not None
     assert view.with_message(Tick(6.0, {}, 1), 101.0).fact(view.picture, 101.5).age_s == 0.5
     lost = view.with_message(Tick(6.0, {}, 2), 101.0)
@@ -87,7 +87,7 @@ def test_a_tick_does_not_refresh_another_picture() -> None:
 def test_a_line_that_is_too_long_is_counted_once_and_dropped() -> None:
     """Whether it comes in one piece or in many."""
     for size in (1000, LINE_LIMIT * 4):
-        lines, data, got = Lines(), b"a\n" + b"x" * (LINE_LIMIT + 1) + b"\nb\n", []
+        lines, data, got = LineSplitter(), b"a\n" + b"x" * (LINE_LIMIT + 1) + b"\nb\n", []
         for at in range(0, len(data), size):
             got += lines.add(data[at : at + size])
         assert (got, lines.dropped) == ([b"a", b"b"], 1)

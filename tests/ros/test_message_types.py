@@ -13,7 +13,7 @@ import pytest
 
 from phm.probes.ros import message_types, opaque_types
 from phm.probes.ros.message_types import UnknownType, load_type
-from phm.probes.ros.opaque_types import AnyTypes, NotHere
+from phm.probes.ros.opaque_types import OpaqueTypes, TypeUnavailable
 from phm.probes.ros.protocol import INSTALLS
 from tests.fakes import app_messages
 from tests.fakes.app_messages import OTHER_DISTRIBUTION, OWN_DISTRIBUTION, OWN_PYTHON
@@ -39,7 +39,7 @@ NAMES = (
 def by_name_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a middleware that is not known: classes cannot be made from a name."""
     monkeypatch.setattr(opaque_types, "KNOWN", {})
-    monkeypatch.setattr(message_types, "_any_types", AnyTypes())
+    monkeypatch.setattr(message_types, "_any_types", OpaqueTypes())
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -95,16 +95,16 @@ def test_a_middleware_that_is_not_known_is_left_alone(
     monkeypatch.delenv("ROS_DISTRO", raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    with pytest.raises(NotHere) as caught:
-        AnyTypes().make("a", "msg", "B")
+    with pytest.raises(TypeUnavailable) as caught:
+        OpaqueTypes().make("a", "msg", "B")
     assert reason in str(caught.value)
 
 
 def test_another_middleware_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The layout is that of one middleware; what another one makes of it is not known."""
     monkeypatch.setattr("rclpy.utilities.get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
-    with pytest.raises(NotHere, match="the middleware is rmw_cyclonedds_cpp, not rmw_fastrtps_cpp"):
-        AnyTypes().make("a", "msg", "B")
+    with pytest.raises(TypeUnavailable, match="the middleware is rmw_cyclonedds_cpp, not rmw_fastrtps_cpp"):
+        OpaqueTypes().make("a", "msg", "B")
 
 
 @pytest.mark.parametrize("offset", [-(2**20) * 2**30, -8, 8, 16, 2**13])
@@ -118,31 +118,31 @@ def test_memory_that_is_laid_out_otherwise_is_told_and_not_followed(
         return real(address + offset, size)
 
     monkeypatch.setattr(opaque_types, "_peek", shifted)
-    with pytest.raises(NotHere, match="not laid out as known"):
-        AnyTypes().make("a", "msg", "B")
+    with pytest.raises(TypeUnavailable, match="not laid out as known"):
+        OpaqueTypes().make("a", "msg", "B")
 
 
 def test_the_copied_names_must_be_where_they_are_expected(monkeypatch: pytest.MonkeyPatch) -> None:
     """The original's own names, found where they are to be changed, say that the layout is the known one."""
     monkeypatch.setattr(opaque_types, "_BASE", ("rcl_interfaces", "msg", "Log"))
-    with pytest.raises(NotHere, match="its names are not where they were"):
-        AnyTypes().make("a", "msg", "B")
+    with pytest.raises(TypeUnavailable, match="its names are not where they were"):
+        OpaqueTypes().make("a", "msg", "B")
 
 
 def test_functions_must_be_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where functions are expected there must be addresses of code."""
     monkeypatch.setattr(opaque_types, "_code", lambda: [(0, 1)])
-    with pytest.raises(NotHere, match="its functions are not where they were"):
-        AnyTypes().make("a", "msg", "B")
+    with pytest.raises(TypeUnavailable, match="its functions are not where they were"):
+        OpaqueTypes().make("a", "msg", "B")
 
 
 def test_what_is_made_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """What was made stays for ever, and names come from outside."""
     monkeypatch.setattr(opaque_types, "MAX_TYPES", 2)
-    types = AnyTypes()
+    types = OpaqueTypes()
     for name in ("A", "B", "A"):
         types.make("a", "msg", name)
-    with pytest.raises(NotHere, match="more than 2 types"):
+    with pytest.raises(TypeUnavailable, match="more than 2 types"):
         types.make("a", "msg", "C")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from phm.facts import BeaconFact, DiagnosticFact, EndpointFact, NameFact, NeighbourFact, RateFact, TopicFact
-from phm.probes.ros.graph_snapshot import View
+from phm.probes.ros.graph_snapshot import GraphSnapshot
 from phm.probes.ros.protocol import (
     Heard,
     Message,
@@ -112,7 +112,7 @@ def test_an_order_that_is_none_is_refused(line: bytes) -> None:
 def test_silence_goes_on_between_two_pictures() -> None:
     """A tick tells how long topics with a rate are silent; all else is as in the last picture, and all ages grow."""
     topics = {"/t": TopicFact((END,), (), RateFact(9.9, 0.1)), "/u": TopicFact((), (END,))}
-    view = View().with_message(Picture(5.0, {"/a/n": 1}, topics), 100.0)
+    view = GraphSnapshot().with_message(Picture(5.0, {"/a/n": 1}, topics), 100.0)
     view = view.with_message(Heard({"/a/n": BeaconFact(0.1, 0.2)}), 100.0)
     view = view.with_message(Tick(5.25, {"/t": 0.35}), 100.25)
     assert view.picture is not None

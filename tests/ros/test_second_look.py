@@ -154,14 +154,14 @@ def test_where_no_second_participant_can_be_had_the_first_has_to_do() -> None:
 
 
 DEAF = (
-    "import phm.probes.ros.graph as g; plain = g.Graph.look; first = []\n"
+    "import phm.probes.ros.graph as g; plain = g.GraphReader.look; first = []\n"
     "def look(self, now_s, *, told=False):\n"
     "    first.append(self) if not first else None\n"
     "    changed = plain(self, now_s, told=told)\n"
     "    if self is first[0]:\n"
     "        self.nodes, self.publishers = {}, dict.fromkeys(self.publishers, ())\n"
     "    return changed\n"
-    "g.Graph.look = look; from phm.probes.ros.child import main; raise SystemExit(main())"
+    "g.GraphReader.look = look; from phm.probes.ros.child import main; raise SystemExit(main())"
 )
 """A child whose first participant misses all nodes and publishers for good."""
 

@@ -11,11 +11,11 @@ import pytest
 from phm import api
 from phm.core.scheduling_delay import Lateness, Progress
 from phm.probes.ros import supervisor
-from phm.probes.ros.graph_snapshot import AGAIN_S, BREAK_S, View, again_s
+from phm.probes.ros.graph_snapshot import AGAIN_S, BREAK_S, GraphSnapshot, again_s
 from phm.probes.ros.protocol import Heard, Picture, Tick
 from phm.probes.ros.publisher_stats import Sample
-from phm.probes.ros.rate_meter import Meter
-from phm.probes.ros.supervisor import Limits
+from phm.probes.ros.rate_meter import RateMeter
+from phm.probes.ros.supervisor import SupervisorLimits
 from phm_checks._quorum import silent
 from tests.fakes.ros_bench import Bench, until
 from tests.ros.test_supervision import fake
@@ -29,7 +29,7 @@ class Child:
 
     def __init__(self, grace_s: float = 8.0) -> None:
         self.now, self.up_s, self.late = 1000.0, 100.0, Lateness()
-        self.view = View(again_s=again_s(grace_s)).with_message(PICTURE, self.now)
+        self.view = GraphSnapshot(again_s=again_s(grace_s)).with_message(PICTURE, self.now)
 
     def hear(self) -> None:
         self.view = self.view.with_message(Heard({NODE: api.BeaconFact(0.0, 0.2)}), self.now)
@@ -87,7 +87,7 @@ def sample(number: int, at_s: float) -> Sample:
 @pytest.mark.parametrize(("gap_s", "most_s"), [(0.9, 7.0), (2.0, 8.5), (5.0, 15.5)])
 def test_looks_that_are_late_count_half_at_most(gap_s: float, most_s: float) -> None:
     """A topic is not silent because PHM looked late; one that is, is found within twice its limit, the longest pause and a look."""
-    meter = Meter(10.0, 3.0)
+    meter = RateMeter(10.0, 3.0)
     meter.look(100.0, [sample(1, 100.0)])
     now = 100.0
     while (fact := meter.look(now := now + gap_s, [])).hz != 0.0:
@@ -133,7 +133,7 @@ def test_a_break_does_not_undo_that_a_slow_topic_was_listened_for() -> None:
 
 def test_looks_in_time_count_in_full() -> None:
     """On a machine with time to spare a silent topic is found as soon as ever."""
-    meter = Meter(10.0, 3.0)
+    meter = RateMeter(10.0, 3.0)
     meter.look(100.0, [sample(1, 100.0)])
     found = [step for step in range(1, 20) if meter.look(100.0 + 0.25 * step, []).hz == 0.0]
     assert found[0] == 13
@@ -183,7 +183,7 @@ def test_a_child_is_replaced_for_silence_only_if_it_could_run(
 ) -> None:
     """A starved child is waited for up to `starved_s`, since its successor would be starved as well; one that hangs is not."""
     held(monkeypatch, share)
-    limits = Limits(start_s=20.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, farewell_s=0.2, starved_s=2.0)
+    limits = SupervisorLimits(start_s=20.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, farewell_s=0.2, starved_s=2.0)
     probe = bench.probe(command=fake("mute"), limits=limits)
     until(lambda: probe.restarts >= 1, "a replacement")
     words = bench.notes[0]
@@ -207,11 +207,11 @@ def held(monkeypatch: pytest.MonkeyPatch, share: float) -> None:
 
 def test_what_was_heard_is_sent_before_the_picture(bench: Bench) -> None:
     """So that no silence is judged by a picture that is newer than what was heard until then."""
-    from phm.probes.ros.observer import Watch
+    from phm.probes.ros.observer import Observer
 
     order: list[str] = []
 
-    class Looked(Watch):
+    class Looked(Observer):
         def __init__(self) -> None:
             part = type("Part", (), {"look": lambda self, *_: [Heard()]})()
             self._beacons = self._diagnostics = part

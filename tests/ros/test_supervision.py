@@ -12,10 +12,10 @@ import pytest
 
 from phm.core.settings import Settings
 from phm.probes.ros.protocol import INSTALLS
-from phm.probes.ros.supervisor import NOT_INSTALLED, Limits, child_environ, wanted
+from phm.probes.ros.supervisor import NOT_INSTALLED, SupervisorLimits, child_environ, wanted
 from tests.fakes.ros_bench import ROOT, Bench, gone, seen, stale, until
 
-FAST = Limits(start_s=2.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, backoff_max_s=0.2, farewell_s=0.5)
+FAST = SupervisorLimits(start_s=2.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, backoff_max_s=0.2, farewell_s=0.5)
 
 
 def fake(behaviour: str, folder: Path | str = "") -> tuple[str, ...]:
@@ -151,9 +151,9 @@ def test_closing_leaves_no_process(bench: Bench, tmp_path: Path, behaviour: str)
 def test_before_the_start_it_cannot_tell() -> None:
     """Silence is never OK: a probe that has seen nothing yet says so."""
     from phm.core.clock import SystemClock
-    from phm.probes.ros.supervisor import RosProcess
+    from phm.probes.ros.supervisor import RosSupervisor
 
-    probe = RosProcess(Settings(), SystemClock(), lambda: None, lambda _: None, {})
+    probe = RosSupervisor(Settings(), SystemClock(), lambda: None, lambda _: None, {})
     assert "not been started" in stale(probe)
     probe.close()
 

@@ -6,7 +6,7 @@ import signal
 from itertools import pairwise
 
 from phm.facts import EndpointFact, RateFact, RosFact, TopicFact
-from phm.probes.ros.unnamed_participants import REST_MOST_S, REST_S, UNNAMED_S, Unnamed
+from phm.probes.ros.unnamed_participants import REST_MOST_S, REST_S, UNNAMED_S, UnnamedParticipants
 from tests.fakes.ros_bench import Bench, seen
 
 STRING = "std_msgs/msg/String"
@@ -34,7 +34,7 @@ def test_a_node_that_lost_its_lease_is_listed_again_by_name(bench: Bench) -> Non
 
 def test_names_that_are_lost_are_looked_for_with_a_new_participant() -> None:
     """After some seconds, as an endpoint comes a moment before its name; and not again and again when that does not help."""
-    unnamed = Unnamed()
+    unnamed = UnnamedParticipants()
     assert unnamed.look(NAMED, 0.0) == ()
     assert unnamed.look(NAMELESS, 1.0) == ()
     assert unnamed.look(NAMELESS, 0.9 + UNNAMED_S) == ()
@@ -51,7 +51,7 @@ def test_names_that_are_lost_are_looked_for_with_a_new_participant() -> None:
 
 def test_an_endpoint_that_never_had_a_name_is_left_alone_unless_its_data_come() -> None:
     """Where data are blocked no name ever comes, and a new participant gets none either."""
-    unnamed = Unnamed()
+    unnamed = UnnamedParticipants()
     assert not any(unnamed.look(NAMELESS, float(at)) for at in range(100))
     flowing = {TOPIC: TopicFact((EndpointFact("", STRING),), (), FLOWING)}
     assert any(unnamed.look(flowing, float(at)) for at in range(100, 110))
@@ -60,13 +60,13 @@ def test_an_endpoint_that_never_had_a_name_is_left_alone_unless_its_data_come() 
 def test_data_of_a_publisher_that_is_not_listed_are_a_reason_to_look_anew() -> None:
     """The picture contradicts itself: it is not the vehicle that is at fault."""
     flowing = {TOPIC: TopicFact((), (), FLOWING)}
-    unnamed = Unnamed()
+    unnamed = UnnamedParticipants()
     assert any(unnamed.look(flowing, float(at)) for at in range(10))
-    assert not any(Unnamed().look({TOPIC: TopicFact()}, float(at)) for at in range(100))
+    assert not any(UnnamedParticipants().look({TOPIC: TopicFact()}, float(at)) for at in range(100))
 
 
 def test_a_node_that_beats_and_is_not_listed_is_a_reason_to_look_anew() -> None:
     """Its beacon comes through the same participant that does not list it."""
-    unnamed = Unnamed()
+    unnamed = UnnamedParticipants()
     assert any(unnamed.look({}, float(at), {NODE}) for at in range(10))
-    assert not any(Unnamed().look({}, float(at), {NODE} if at % 4 else set()) for at in range(100))
+    assert not any(UnnamedParticipants().look({}, float(at), {NODE} if at % 4 else set()) for at in range(100))

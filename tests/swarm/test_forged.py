@@ -12,7 +12,7 @@ import pytest
 from phm.core.clock import SystemClock
 from phm.core.model import Level, Slot
 from phm.core.settings import MavlinkSettings
-from phm.probes.swarm import Swarm
+from phm.probes.swarm import SwarmMonitor
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
@@ -44,7 +44,7 @@ class Aboard:
         )
         assert isinstance(chosen.mavlink, MavlinkSettings)
         self.hub = MavlinkHub(chosen.mavlink, 1, self.clock)
-        self.swarm = Swarm(self.hub, chosen, self.clock, lambda: None, lambda: None)
+        self.swarm = SwarmMonitor(self.hub, chosen, self.clock, lambda: None, lambda: None)
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._sent = 0
         self._senders: dict[tuple[int, bool], Any] = {}

@@ -15,8 +15,8 @@ from typing import Any
 from phm.beacon import BEACON, MAX_TEXT
 from phm.probes.ros.beacon_text import log_texts
 from phm.probes.ros.graph import full_name
-from phm.probes.ros.ledger import Ledger, portions
-from phm.probes.ros.message_taker import GID_BYTES, Taken, Taker
+from phm.probes.ros.ledger import BeaconRegistry, portions
+from phm.probes.ros.message_taker import GID_BYTES, MessageTaker, Taken
 from phm.probes.ros.protocol import Heard, Message
 from phm.probes.ros.raw_names import printable
 
@@ -30,7 +30,7 @@ OTHERS_BYTES = 200_000
 SHORT_S = 1.0
 
 
-class Beacons:
+class BeaconListener:
     """The reader, which is in no executor: its queue is emptied once a tick.
 
     Writers that the configured nodes beat with come first, each with room of its own; all others share what is left.
@@ -41,7 +41,7 @@ class Beacons:
         from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
         self._node, self._nodes = node, nodes
-        self._ledger = Ledger(nodes, self._listed)
+        self._ledger = BeaconRegistry(nodes, self._listed)
         self._lost = False
         self._looked_s = time.monotonic()
         qos = QoSProfile(
@@ -51,7 +51,7 @@ class Beacons:
             durability=QoSDurabilityPolicy.VOLATILE,
         )
         self._reader = node.create_subscription(Log, BEACON, _never_called, qos, raw=True)
-        self._taker = Taker(self._reader)
+        self._taker = MessageTaker(self._reader)
 
     def look(self) -> list[Message]:
         """Called once a tick."""

@@ -14,7 +14,7 @@ import time
 from typing import TYPE_CHECKING
 
 from phm.probes.ros import sandbox
-from phm.probes.ros.line_splitter import Lines
+from phm.probes.ros.line_splitter import LineSplitter
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
     INSTALLS,
@@ -30,7 +30,7 @@ from phm.probes.ros.protocol import (
 from phm.probes.ros.second_look import SecondLook
 
 if TYPE_CHECKING:
-    from phm.probes.ros.observer import Watch
+    from phm.probes.ros.observer import Observer
 
 MISSED = "the ROS child looks with a new participant: the one before had missed {}"
 MAX_MISSED = 300
@@ -62,9 +62,9 @@ def main() -> int:
         return 2
     _send(out, _restrict())
     try:
-        from phm.probes.ros.observer import Watch
+        from phm.probes.ros.observer import Observer
 
-        watch = Watch(wanted)
+        watch = Observer(wanted)
     except ImportError as error:
         _send(out, Missing(error.name or "", str(error)))
         return EXIT_MISSING
@@ -84,12 +84,12 @@ def _restrict() -> Sandbox:
     return Sandbox(sandbox.enter(os.environ.get(INSTALLS, "").split(os.pathsep)))
 
 
-def _report(watch: Watch, out: int, tick_s: float) -> Watch:
+def _report(watch: Observer, out: int, tick_s: float) -> Observer:
     """Until the pipe is closed. Returns the watch of then, which need not be the one of the start."""
     leak = _Leak(os.environ.get("PHM_DEBUG_ROS_LEAK_MB", ""))
     next_s = time.monotonic()
     second = SecondLook(watch.second, next_s)
-    orders = Lines()
+    orders = LineSplitter()
     told, late_s = False, 0.0
     while True:
         _send(out, *watch.look(told=told, late_s=late_s))
@@ -108,7 +108,7 @@ def _report(watch: Watch, out: int, tick_s: float) -> Watch:
         late_s = max(0.0, time.monotonic() - next_s)
 
 
-def _wait(until_s: float, orders: Lines, watch: Watch) -> bool | None:
+def _wait(until_s: float, orders: LineSplitter, watch: Observer) -> bool | None:
     """Sleep, and carry out what the daemon writes meanwhile. True: the graph may have changed. None: the pipe is closed."""
     ears = [0] if watch.events is None else [0, watch.events]
     while True:

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import IO
 
-from phm.probes.ros.line_splitter import Lines
+from phm.probes.ros.line_splitter import LineSplitter
 
 _PIECE = 65536
 _REAP_S = 2.0
@@ -19,7 +19,7 @@ _TAIL = 500
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
-class Life:
+class ChildProcess:
     """A started process. Owned by one thread, which must live as long as the process: the kernel's
     parent-death signal goes by the thread that started it.
 
@@ -38,8 +38,8 @@ class Life:
             bufsize=0,
         )
         self._stderr: deque[bytes] = deque(maxlen=20)
-        self._out = Lines()
-        self._err = Lines()
+        self._out = LineSplitter()
+        self._err = LineSplitter()
         self._outgoing = b""
         self._selector = selectors.DefaultSelector()
         for pipe, lines in ((self._process.stdout, self._out), (self._process.stderr, self._err)):
@@ -130,7 +130,7 @@ class Life:
         self._close(self._process.stdout)
         self._close(self._process.stderr)
 
-    def obituary(self) -> str:
+    def exit_reason(self) -> str:
         """How it ended, in words, with its last line on standard error. Call after `end`."""
         code = self._process.poll()
         if code is None:
@@ -146,7 +146,7 @@ class Life:
 
     def _kill(self) -> None:
         self._process.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):  # in the kernel's hands (state D); `obituary` says so
+        with contextlib.suppress(subprocess.TimeoutExpired):  # in the kernel's hands (state D); `exit_reason` says so
             self._process.wait(_REAP_S)
 
     def _write(self, data: bytes) -> None:

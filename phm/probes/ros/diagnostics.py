@@ -35,7 +35,7 @@ _MISSING = (
 )
 
 
-class Diagnostics:
+class DiagnosticsListener:
     """Readers of the topics that are to be listened to, and the publisher, made when there is something to publish.
 
     None of them is in an executor: the queue is emptied once a tick.

@@ -30,7 +30,7 @@ _HASH_SHOWN = 15
 _UNKNOWN = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
 
 
-class Graph:
+class GraphReader:
     """The newest view. `nodes`: full name -> how often it is listed; `publishers`, `subscribers`: by topic.
 
     names_known: whether the names of nodes could be read at all. problems: sentences about what could not be read, or was

@@ -10,7 +10,7 @@ from phm.facts import RosFact, TopicFact
 from phm.facts.ros import NameFact, RateFact
 from phm.probes.ros.fact_codec import changer
 from phm.probes.ros.protocol import Heard, Message, Others, Picture, Tick
-from phm.probes.ros.self_reports import Hearsay
+from phm.probes.ros.self_reports import SelfReports
 
 BREAK_S, AGAIN_S = 1.0, 30.0
 """A child that was so late may have lost others whose leases ended meanwhile, and finds them again. After such a break another
@@ -29,12 +29,12 @@ def again_s(grace_s: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class GraphSnapshot:
     """Immutable, so that it can be read without a lock. seen_s: when the picture was made or confirmed, monotonic seconds."""
 
     picture: Picture | None = None
     seen_s: float = 0.0
-    hearsay: Hearsay = field(default_factory=Hearsay)
+    hearsay: SelfReports = field(default_factory=SelfReports)
     others: Mapping[str, NameFact] = field(default_factory=dict)
     silent_s: Mapping[str, float | None] = field(default_factory=dict)
     """Of topics with a rate, as of `seen_s`, where that is newer than the picture."""
@@ -43,7 +43,7 @@ class View:
     again_s: float = AGAIN_S
     """So much later another break counts: see `again_s`."""
 
-    def with_message(self, message: Message, now_s: float) -> View:
+    def with_message(self, message: Message, now_s: float) -> GraphSnapshot:
         picture, hearsay, others, silent_s = self.picture, self.hearsay, self.others, self.silent_s
         seen_s, break_s = self.seen_s, self.break_s
         if isinstance(message, (Picture, Tick)) and message.late_s >= BREAK_S and now_s - break_s >= self.again_s:
@@ -56,9 +56,9 @@ class View:
             picture, silent_s, seen_s = message, {}, now_s
         elif isinstance(message, Tick) and picture is not None and message.picture == picture.number:
             picture, silent_s, seen_s = replace(picture, up_s=message.up_s), message.silent_s, now_s
-        return View(picture, seen_s, hearsay, others, silent_s, break_s, self.again_s)
+        return GraphSnapshot(picture, seen_s, hearsay, others, silent_s, break_s, self.again_s)
 
-    def without_picture(self) -> View:
+    def without_picture(self) -> GraphSnapshot:
         """A message was lost, which may have been a picture."""
         return replace(self, picture=None, silent_s={})
 

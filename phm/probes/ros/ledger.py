@@ -83,7 +83,7 @@ class _Heard:
         )
 
 
-class Ledger:
+class BeaconRegistry:
     """Whose beacons the child has received. Pure but for what it remembers: times are handed in, monotonic seconds.
 
     nodes: those of the configuration, which are never passed over for want of room. listed: asked for the writers that

@@ -5,7 +5,7 @@ from __future__ import annotations
 from phm.probes.ros.protocol import LINE_LIMIT
 
 
-class Lines:
+class LineSplitter:
     """Cuts a stream into lines; one that is longer than the limit is dropped, and memory stays bounded."""
 
     def __init__(self) -> None:

@@ -50,7 +50,7 @@ class _Message(ctypes.Structure):
     )
 
 
-class Taker:
+class MessageTaker:
     """Of a raw subscription, which no executor spins."""
 
     def __init__(self, subscription: Any) -> None:

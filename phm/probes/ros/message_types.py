@@ -14,12 +14,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from phm.probes.ros.mounted_packages import Mounted
-from phm.probes.ros.opaque_types import AnyTypes, NotHere
+from phm.probes.ros.mounted_packages import MountedPackages
+from phm.probes.ros.opaque_types import OpaqueTypes, TypeUnavailable
 from phm.probes.ros.protocol import INSTALLS
 
 _NAME = re.compile(r"([a-z][a-z0-9_]{0,99})/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]{0,99})")
-_any_types = AnyTypes()
+_any_types = OpaqueTypes()
 _mounted: dict[str, Any] = {}
 """What the application's folders gave, which has them searched once: a large topic is subscribed to every few seconds."""
 
@@ -37,25 +37,25 @@ def load_type(name: str, publishers: Iterable[Any] = ()) -> Any:
     if match is None:
         raise UnknownType(f"type unknown: {name!r} is no name of a ROS type")
     package, kind, short = match.groups()
-    mounted = Mounted(os.environ.get(INSTALLS, "").split(os.pathsep))
+    mounted = MountedPackages(os.environ.get(INSTALLS, "").split(os.pathsep))
     try:
         return _installed(package, kind, short, mounted)
-    except NotHere as reason:
+    except TypeUnavailable as reason:
         reasons = [str(reason)]
     try:
         return _any_types.make(package, kind, short, _announced(name, publishers))
-    except NotHere as reason:
+    except TypeUnavailable as reason:
         reasons.append(f"it cannot be read by its name alone, as {reason}")
     try:
         if name not in _mounted:
             _mounted[name] = mounted.load(package, kind, short)
         return _mounted[name]
-    except NotHere as reason:
+    except TypeUnavailable as reason:
         reasons.append(str(reason))
     raise UnknownType(f"type unknown: {name} {'; '.join(reasons)}")
 
 
-def _installed(package: str, kind: str, short: str, mounted: Mounted) -> Any:
+def _installed(package: str, kind: str, short: str, mounted: MountedPackages) -> Any:
     """Names come from the network: nothing is imported that does not look like a package of messages."""
     try:
         spec = importlib.util.find_spec(package)
@@ -63,8 +63,8 @@ def _installed(package: str, kind: str, short: str, mounted: Mounted) -> Any:
         if any(Path(folder, kind).is_dir() and not mounted.holds(folder) for folder in folders):
             return getattr(importlib.import_module(f"{package}.{kind}"), short)
     except (ImportError, AttributeError, ValueError) as error:
-        raise NotHere(f"is not installed beside PHM ({error})") from error
-    raise NotHere("is not installed beside PHM")
+        raise TypeUnavailable(f"is not installed beside PHM ({error})") from error
+    raise TypeUnavailable("is not installed beside PHM")
 
 
 def _announced(name: str, publishers: Iterable[Any]) -> bytes:

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from phm.probes.ros.opaque_types import NotHere
+from phm.probes.ros.opaque_types import TypeUnavailable
 
 PYTHON = f"{sys.version_info[0]}.{sys.version_info[1]}"
 _LAYOUTS = ("lib/python{}/site-packages", "local/lib/python{}/dist-packages", "lib/python{}/dist-packages")
@@ -24,7 +24,7 @@ _MISSING = re.compile(r"^([^:/]+\.so[.\d]*): cannot open shared object file")
 _OF_MESSAGES = re.compile(r"lib[a-z0-9_]+__rosidl_[a-z_]+\.so")
 
 
-class Mounted:
+class MountedPackages:
     """The folders of `ros.installs`, merged (`install/lib`) or isolated (`install/PACKAGE/lib`)."""
 
     def __init__(self, installs: Iterable[str]) -> None:
@@ -37,13 +37,15 @@ class Mounted:
     def load(self, package: str, kind: str, short: str) -> Any:
         """The class of `package/kind/short`. Raises NotHere."""
         if not self._installs:
-            raise NotHere("ros.installs names no folder with it (mount the application's install/ and name it there)")
+            raise TypeUnavailable(
+                "ros.installs names no folder with it (mount the application's install/ and name it there)"
+            )
         try:
             return self._loaded(package, kind, short)
-        except NotHere:
+        except TypeUnavailable:
             raise
         except Exception as error:  # folders that cannot be read; modules that raise anything while they are imported
-            raise NotHere(f"ros.installs has it, but it cannot be loaded ({error})") from error
+            raise TypeUnavailable(f"ros.installs has it, but it cannot be loaded ({error})") from error
 
     def _loaded(self, package: str, kind: str, short: str) -> Any:
         self._demand_package(package)
@@ -63,10 +65,12 @@ class Mounted:
             if (folder / package / "__init__.py").is_file()
         ]
         if not found:
-            raise NotHere(f"none of the folders of ros.installs has {package}")
+            raise TypeUnavailable(f"none of the folders of ros.installs has {package}")
         versions = sorted({match[1] for path in found if (match := _VERSION.search(path.as_posix()))})
         if PYTHON not in versions:
-            raise NotHere(f"ros.installs has it for Python {' and '.join(versions)}, while PHM runs Python {PYTHON}")
+            raise TypeUnavailable(
+                f"ros.installs has it for Python {' and '.join(versions)}, while PHM runs Python {PYTHON}"
+            )
 
     def _prefixes(self) -> Iterator[Path]:
         for install in self._installs:
@@ -99,11 +103,11 @@ def _load(path: Path, folders: list[Path], depth: int = 0) -> None:
         except OSError as error:
             missing = _MISSING.match(str(error))
             if missing is None or depth > 50:
-                raise NotHere(f"ros.installs has it, but it cannot be loaded ({error})") from error
+                raise TypeUnavailable(f"ros.installs has it, but it cannot be loaded ({error})") from error
         name = missing[1]
         found = [folder / name for folder in folders if (folder / name).is_file()]
         if not found or not _OF_MESSAGES.fullmatch(name):
-            raise NotHere(
+            raise TypeUnavailable(
                 f"ros.installs has it, but {path.name} needs {name}, which PHM's ROS lacks: it was built for another"
             )
         _load(found[0], folders, depth + 1)
@@ -113,12 +117,12 @@ def _demand_same_generation(package: str, kind: str, short: str) -> None:
     """From Iron on each type has a hash, and the middleware calls for it; a type without one would end this process."""
     theirs = ctypes.CDLL(f"lib{package}__rosidl_generator_c.so")
     if not hasattr(theirs, f"{package}__{kind}__{short}__init"):
-        raise NotHere(f"ros.installs has {package}, but without this type")
+        raise TypeUnavailable(f"ros.installs has {package}, but without this type")
     ours = ctypes.CDLL("librcl_interfaces__rosidl_generator_c.so")
     if hasattr(ours, "rcl_interfaces__msg__Log__get_type_hash") != hasattr(
         theirs, f"{package}__{kind}__{short}__get_type_hash"
     ):
-        raise NotHere("ros.installs has it, but built for another ROS distribution than PHM's")
+        raise TypeUnavailable("ros.installs has it, but built for another ROS distribution than PHM's")
 
 
 def _with_support(package: str, kind: str, short: str) -> Any:

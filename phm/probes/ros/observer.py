@@ -14,19 +14,19 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from phm.facts.ros import RateFact, TopicFact
-from phm.probes.ros.beacons import Beacons
-from phm.probes.ros.diagnostics import Diagnostics
-from phm.probes.ros.graph import OWN, Graph
+from phm.probes.ros.beacons import BeaconListener
+from phm.probes.ros.diagnostics import DiagnosticsListener
+from phm.probes.ros.graph import OWN, GraphReader
 from phm.probes.ros.graph_events import GraphEvents
 from phm.probes.ros.graph_snapshot import flow
 from phm.probes.ros.protocol import Message, Others, Picture, Publish, Tick, Wanted
 from phm.probes.ros.second_look import Known, Scout
 from phm.probes.ros.self_reports import Own
-from phm.probes.ros.topic_monitor import Gauge
-from phm.probes.ros.unconfigured_topics import Names
+from phm.probes.ros.topic_monitor import TopicMonitor
+from phm.probes.ros.unconfigured_topics import UnconfiguredTopics
 
 
-class Watch:
+class Observer:
     """One look a tick; nothing in it waits."""
 
     def __init__(self, wanted: Wanted, number: int = 0) -> None:
@@ -36,13 +36,15 @@ class Watch:
         """What the last look has found of nodes and ends that are configured."""
         self._context, self._node = _participant(wanted, wanted.agent)
         self._began_s = time.monotonic()
-        self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
+        self._graph = GraphReader(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
         self._gauges = {
-            topic.name: Gauge(self._node, topic, wanted.tick_s) for topic in wanted.topics if topic.rate_hz is not None
+            topic.name: TopicMonitor(self._node, topic, wanted.tick_s)
+            for topic in wanted.topics
+            if topic.rate_hz is not None
         }
-        self._names = Names(self._node, {topic.name for topic in wanted.topics})
-        self._diagnostics = Diagnostics(self._node, wanted.listen, Own(statuses=wanted.watch).is_status)
-        self._beacons = Beacons(self._node, frozenset(wanted.nodes))
+        self._names = UnconfiguredTopics(self._node, {topic.name for topic in wanted.topics})
+        self._diagnostics = DiagnosticsListener(self._node, wanted.listen, Own(statuses=wanted.watch).is_status)
+        self._beacons = BeaconListener(self._node, frozenset(wanted.nodes))
         self._events = GraphEvents(self._node, self._context)
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
@@ -77,10 +79,10 @@ class Watch:
         """Another participant, that looks at the same graph."""
         return _Second(self._wanted)
 
-    def renewed(self) -> Watch:
+    def renewed(self) -> Observer:
         """Closes this one. Returns one that has a participant of its own, and begins anew."""
         self.close()
-        return Watch(self._wanted, self._number)
+        return Observer(self._wanted, self._number)
 
     def obey(self, order: Publish) -> None:
         """Called as soon as the daemon has said so."""
@@ -122,7 +124,7 @@ class _Second:
 
     def __init__(self, wanted: Wanted) -> None:
         self._context, self._node = _participant(wanted, f"{wanted.agent}_second")
-        self._graph = Graph(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
+        self._graph = GraphReader(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
 
     def known(self, now_s: float) -> Known:
         self._graph.look(now_s)
@@ -149,7 +151,7 @@ def _participant(wanted: Wanted, name: str) -> tuple[Any, Any]:
     return context, node
 
 
-def _known(graph: Graph) -> Known:
+def _known(graph: GraphReader) -> Known:
     """Of strangers only what they have to do with a configured topic: nobody else is to keep PHM busy."""
     nodes = {(name,) for name in graph.nodes if name in graph.configured}
     sides = {"publisher": graph.publishers, "subscriber": graph.subscribers}

@@ -49,11 +49,11 @@ _new_capsule = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_cha
 )
 
 
-class NotHere(Exception):
+class TypeUnavailable(Exception):
     """A class for any type cannot be made here, and why."""
 
 
-class AnyTypes:
+class OpaqueTypes:
     """Makes classes by name. `make` raises NotHere where the middleware is none of those that are known."""
 
     def __init__(self) -> None:
@@ -66,7 +66,7 @@ class AnyTypes:
         name = f"{package}/{kind}/{short}"
         if name not in self._made:
             if len(self._made) >= MAX_TYPES:
-                raise NotHere(f"more than {MAX_TYPES} types were seen")
+                raise TypeUnavailable(f"more than {MAX_TYPES} types were seen")
             self._base = self._base or _Base.found()
             self._made[name] = self._build(self._base, f"{package}::{kind}", short, type_hash)
         return self._made[name]
@@ -106,7 +106,7 @@ class _Base:
         try:
             ask = ctypes.CDLL("librosidl_runtime_c.so").get_message_typesupport_handle
         except (OSError, AttributeError) as error:
-            raise NotHere(f"the middleware is not as known ({error})") from error
+            raise TypeUnavailable(f"the middleware is not as known ({error})") from error
         ask.restype, ask.argtypes = ctypes.c_void_p, (ctypes.c_void_p, ctypes.c_char_p)
         original = _base_pointer()
         _demand(
@@ -136,16 +136,16 @@ def _known_middleware() -> bool:
 
     used = get_rmw_implementation_identifier()
     if used != MIDDLEWARE:
-        raise NotHere(f"the middleware is {used}, not {MIDDLEWARE}")
+        raise TypeUnavailable(f"the middleware is {used}, not {MIDDLEWARE}")
     loaded = {match.groups() for line in _maps() if (match := _LIBRARY.search(line))}
     known = [KNOWN[library] for library in loaded if library in KNOWN]
     if len(loaded) != 1 or not known:
         versions = ", ".join(sorted(" ".join(library) for library in loaded)) or "none"
-        raise NotHere(f"this version of Fast DDS is not known ({versions})")
+        raise TypeUnavailable(f"this version of Fast DDS is not known ({versions})")
     distribution, needs_introspection = known[0]
     named = os.environ.get("ROS_DISTRO", distribution)
     if named != distribution:
-        raise NotHere(f"the distribution is {named}, and its Fast DDS that of {distribution}")
+        raise TypeUnavailable(f"the distribution is {named}, and its Fast DDS that of {distribution}")
     return needs_introspection
 
 
@@ -180,7 +180,7 @@ def _address(function: Any) -> int:
 
 def _demand(holds: bool, otherwise: str) -> None:
     if not holds:
-        raise NotHere(f"the middleware's memory is not laid out as known: {otherwise}")
+        raise TypeUnavailable(f"the middleware's memory is not laid out as known: {otherwise}")
 
 
 def _peek(address: int, size: int) -> bytes:
@@ -189,7 +189,7 @@ def _peek(address: int, size: int) -> bytes:
         with open("/proc/self/mem", "rb", buffering=0) as memory:
             data = os.pread(memory.fileno(), size, address)
     except (OSError, OverflowError) as error:
-        raise NotHere(f"the middleware's memory is not laid out as known: {error}") from error
+        raise TypeUnavailable(f"the middleware's memory is not laid out as known: {error}") from error
     _demand(len(data) == size, "it ends")
     return data
 

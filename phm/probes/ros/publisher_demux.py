@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from phm.probes.ros.publisher_stats import Sample, Track
+from phm.probes.ros.publisher_stats import PublisherStats, Sample
 
 MOST = 8
 """Publishers that are told apart; of more, a queue of bearable length shows too few samples each."""
@@ -62,14 +62,14 @@ class _Line:
             self.period_ns = (at_ns - self.base[1]) / count
 
 
-class Sorter:
+class PublisherDemux:
     """Gives each sample the name of its line as writer, and counts them all together."""
 
     def __init__(self, counted_over_s: float) -> None:
         self._lines: list[_Line] = []
         self._made = 0
         self._births: deque[float] = deque(maxlen=4 * MOST)
-        self._all = Track(counted_over_s)
+        self._all = PublisherStats(counted_over_s)
         self._began_s: float | None = None
 
     def sort(self, samples: Sequence[Sample], publishers: int, *, complete: bool) -> list[Sample]:

@@ -11,7 +11,7 @@ import math
 from collections import OrderedDict, deque
 from dataclasses import dataclass
 
-from phm.probes.ros.publisher_stats import Sample, Track
+from phm.probes.ros.publisher_stats import PublisherStats, Sample
 
 GONE_S = 1.0
 """A publisher is gone when another was heard this much later, or GONE_PERIODS of its own where that is longer."""
@@ -36,7 +36,7 @@ class _End:
     hz: float
 
 
-class Restarts:
+class PublisherRestarts:
     """`count` may fall again: a publisher that was taken for gone came back. expected_hz: of the topic."""
 
     def __init__(self, expected_hz: float) -> None:
@@ -65,7 +65,7 @@ class Restarts:
                 self._ends.remove(end)
                 self.count += 1
 
-    def gone(self, writer: bytes | None, track: Track, others: list[Track]) -> None:
+    def gone(self, writer: bytes | None, track: PublisherStats, others: list[PublisherStats]) -> None:
         """A publisher that can be told from the others fell silent: did one of them take its place?"""
         most = 1 + NEW_S * max(track.hz or 0.0, self._expected_hz)
         heir = next((other for other in others if other.takes_place(track, most)), None)

@@ -6,8 +6,8 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 
-from phm.probes.ros.rate_change import Pace
-from phm.probes.ros.windowed_max import Recent
+from phm.probes.ros.rate_change import RateChange
+from phm.probes.ros.windowed_max import WindowedMax
 
 SHORTEST_S = 1.0
 """Below this span of publication time the jitter of two stamps is too large a share of it."""
@@ -36,7 +36,7 @@ class Sample:
     """From reception to the look that took it."""
 
 
-class Track:
+class PublisherStats:
     """One publisher.
 
     Invariant: of what is kept, sequence numbers rise and source times do not fall; whatever breaks that
@@ -49,13 +49,13 @@ class Track:
         self._counted = 0
         self._falls: deque[float] = deque(maxlen=FALLS)
         self._beat = Beat()
-        self._pace = Pace()
+        self._pace = RateChange()
         self._usual: tuple[float | None, float | None] = (None, None)
         """Rate and jitter as of the last look that was as usual."""
         self._odd_from: Sample | None = None
         self._changed_from: Sample | None = None
         """The newest sample before the looks that show another rate; the same where they were enough."""
-        self._quickest = Recent(QUICKEST_S)
+        self._quickest = WindowedMax(QUICKEST_S)
         self.last: Sample | None = None
         self.fell = False
         """Whether the number of the newest sample fell below that of the one before."""
@@ -154,7 +154,7 @@ class Track:
         """When its newest sample was looked at; -inf before the first."""
         return -math.inf if self.last is None else self.last.at_s
 
-    def takes_place(self, of: Track, most: float) -> bool:
+    def takes_place(self, of: PublisherStats, most: float) -> bool:
         """Whether it is the new life of another one: began after its end, with a number of `most`, and for no third one."""
         assert self._first is not None
         return self._first <= most and self.began_s > of.at_s and not self.replaced

@@ -9,7 +9,7 @@ OFF = 0.15
 JITTERS = 4.0
 
 
-class Pace:
+class RateChange:
     """Watches one publisher, look by look. Costs a few operations a look, and nothing grows."""
 
     def __init__(self) -> None:

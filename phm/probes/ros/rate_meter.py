@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from phm.facts.ros import RateFact
-from phm.probes.ros.publisher_demux import Sorter
-from phm.probes.ros.publisher_restarts import Restarts, gone_after_s
-from phm.probes.ros.publisher_stats import Sample, Track
-from phm.probes.ros.rate_uncertainty import Spread
-from phm.probes.ros.silence_timeout import Silence
+from phm.probes.ros.publisher_demux import PublisherDemux
+from phm.probes.ros.publisher_restarts import PublisherRestarts, gone_after_s
+from phm.probes.ros.publisher_stats import PublisherStats, Sample
+from phm.probes.ros.rate_uncertainty import RateUncertainty
+from phm.probes.ros.silence_timeout import SilenceTimeout
 
 WINDOW_S, PERIODS = 3.0, 3
 """A rate is measured over this time, or so many expected periods where that is longer."""
@@ -54,11 +54,11 @@ class Listening:
 ALONE = Listening()
 
 
-class Meter:
+class RateMeter:
     """Judges nothing: turns the samples of one topic into a `RateFact`.
 
     expected_hz and silence_s only set for how long samples are kept and from when on the topic
-    counts as silent, max(3 periods, silence_s) at most (see `Silence`); then the rate is 0.0. expected_hz 0 is a
+    counts as silent, max(3 periods, silence_s) at most (see `SilenceTimeout`); then the rate is 0.0. expected_hz 0 is a
     latched topic, which never counts as silent.
     """
 
@@ -67,17 +67,17 @@ class Meter:
         self._narrow_s = max(WINDOW_S, PERIODS / expected_hz) if expected_hz else WINDOW_S
         wide_s = min(WIDE_MOST_S, WIDE_PERIODS / expected_hz) if expected_hz else 0.0
         self._wide_s = max(WIDE_S, wide_s, self._narrow_s)
-        self._spread = Spread(self._narrow_s)
+        self._spread = RateUncertainty(self._narrow_s)
         self._counted_over_s = max(WINDOW_S, COUNTED / expected_hz) if expected_hz else WINDOW_S
-        self._silence = Silence(expected_hz, max(3.0 / expected_hz, silence_s)) if expected_hz else None
-        self._tracks: dict[bytes | None, Track] = {}
-        self._sorter: Sorter | None = None
+        self._silence = SilenceTimeout(expected_hz, max(3.0 / expected_hz, silence_s)) if expected_hz else None
+        self._tracks: dict[bytes | None, PublisherStats] = {}
+        self._sorter: PublisherDemux | None = None
         self._last_look_s: float | None = None
         self._last_s: float | None = None
         self._quiet_s = 0.0
         self._paused_s = 0.0
         self._held: tuple[float, float] | None = None
-        self._restarts = Restarts(expected_hz)
+        self._restarts = PublisherRestarts(expected_hz)
         self._samples = 0
         self._uneven = False
         self.sample_bytes: float | None = None
@@ -133,7 +133,7 @@ class Meter:
         before_s, self._last_s = self._last_s, now_s
         if listening.several and samples[0].writer is None and samples[0].sequence is not None:
             if self._sorter is None:
-                self._sorter = Sorter(self._counted_over_s)
+                self._sorter = PublisherDemux(self._counted_over_s)
                 self._hand_over()
             samples = self._sorter.sort(samples, listening.publishers, complete=listening.complete)
         elif self._sorter is not None:
@@ -165,7 +165,7 @@ class Meter:
         track = self._tracks.get(sample.writer)
         new = track is None
         if track is None:
-            track = self._tracks[sample.writer] = Track(self._narrow_s)
+            track = self._tracks[sample.writer] = PublisherStats(self._narrow_s)
             self._restarts.back(sample.writer)
         if self.sample_bytes is None:
             self.sample_bytes = float(sample.size)
@@ -245,7 +245,7 @@ class Meter:
             return ""
         return f"ambiguous: {publishers} publishers, whose numbers cannot be told apart"
 
-    def _age_s(self, newest: Track | None, now_s: float) -> float | None:
+    def _age_s(self, newest: PublisherStats | None, now_s: float) -> float | None:
         if newest is None:
             return None
         return newest.age_s(now_s) if self._silence is not None else newest.clock_age_s(now_s)

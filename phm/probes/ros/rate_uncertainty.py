@@ -11,7 +11,7 @@ _ALIKE = 0.7
 """Windows are compared when one is at least this share of the other."""
 
 
-class Spread:
+class RateUncertainty:
     """Compares each rate with the one before its window began: both are of the same publisher, and share no sample.
 
     So jitter, bursts and stalls are seen as what they do to the rate. A rate that really changes is one difference

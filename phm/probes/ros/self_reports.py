@@ -45,7 +45,7 @@ def _pattern(words: str) -> re.Pattern[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Hearsay:
+class SelfReports:
     """Immutable, so that it can be read without a lock. Values are (monotonic seconds when it was told, fact)."""
 
     beacons: Mapping[str, tuple[float, BeaconFact]] = field(default_factory=dict)
@@ -56,13 +56,13 @@ class Hearsay:
     """When more beacons came than are read."""
     own: Own = field(default_factory=Own)
 
-    def with_news(self, news: Heard, now_s: float) -> Hearsay:
+    def with_news(self, news: Heard, now_s: float) -> SelfReports:
         beacons = {**self.beacons, **{name: (now_s, fact) for name, fact in news.beacons.items()}}
         for name, age_s in news.ages.items():
             if name in beacons:
                 beacons[name] = (now_s, _aged_beacon(beacons[name][1], age_s))
         diagnostics = {**self.diagnostics, **{name: (now_s, fact) for name, fact in news.diagnostics.items()}}
-        return Hearsay(
+        return SelfReports(
             _newest(beacons, self.own.is_node),
             _newest(diagnostics, self.own.is_status),
             max(self.refused, news.refused),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phm.probes.ros.windowed_max import Recent
+from phm.probes.ros.windowed_max import WindowedMax
 
 FLOOR_S = 1.0
 """Nothing is silent before: a process that waits for its processor is not."""
@@ -21,7 +21,7 @@ HORIZON = 60
 _SHARE = 0.05
 
 
-class Silence:
+class SilenceTimeout:
     """The silence limit of one topic.
 
     `most_s` is the configured limit, and never exceeded. Below it the limit follows the pauses that ended by
@@ -35,7 +35,7 @@ class Silence:
         self.most_s = most_s
         period_s = 1.0 / expected_hz
         self._least_s = max(FLOOR_S, PERIODS * period_s, period_s + MARGIN_S)
-        self._longest = Recent(max(HORIZON_S, HORIZON * period_s))
+        self._longest = WindowedMax(max(HORIZON_S, HORIZON * period_s))
         self._usual_s = 0.0
         self._seen = 0
         self._began_s: float | None = None

@@ -13,7 +13,7 @@ DOUBT_S = 22.0
 """Listed twice for longer than any lease (Fast DDS: 20 s by default): either two nodes of one name live, or one is a ghost."""
 
 
-class Ghosts:
+class StaleNodes:
     """Says for which nodes a look with new eyes is due: for each once, until it was listed once for as long."""
 
     def __init__(self, doubt_s: float = DOUBT_S) -> None:

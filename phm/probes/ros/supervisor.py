@@ -23,8 +23,8 @@ from phm.core.scheduling_delay import NOISE_S, Lateness, Progress
 from phm.core.settings import Settings
 from phm.facts import CannotTell, RosFact
 from phm.facts.ros import DiagnosticFact
-from phm.probes.ros.child_process import Life
-from phm.probes.ros.graph_snapshot import View, again_s
+from phm.probes.ros.child_process import ChildProcess
+from phm.probes.ros.graph_snapshot import GraphSnapshot, again_s
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
     INSTALLS,
@@ -43,9 +43,9 @@ from phm.probes.ros.protocol import (
     encode_order,
     encode_wanted,
 )
-from phm.probes.ros.self_reports import SILENT_MISSES, Hearsay, Own
-from phm.probes.ros.stale_nodes import DOUBT_S, Ghosts
-from phm.probes.ros.unnamed_participants import UNNAMED_S, Unnamed
+from phm.probes.ros.self_reports import SILENT_MISSES, Own, SelfReports
+from phm.probes.ros.stale_nodes import DOUBT_S, StaleNodes
+from phm.probes.ros.unnamed_participants import UNNAMED_S, UnnamedParticipants
 
 NOT_INSTALLED = (
     "rclpy is not installed here: ROS checks are off; "
@@ -94,7 +94,7 @@ _PREFIXES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class SupervisorLimits:
     """Deadlines of supervision, in seconds. Tests shorten them."""
 
     start_s: float = 20.0
@@ -118,7 +118,7 @@ class Limits:
     """For a child that is asked to go, before SIGKILL."""
 
 
-class RosProcess:
+class RosSupervisor:
     """Implements `phm.facts.RosProbe`.
 
     `on_change` is called when the set of nodes or of endpoints, or a topic's silence changed, and when the
@@ -135,7 +135,7 @@ class RosProcess:
         environ: Mapping[str, str] | None = None,
         *,
         command: Sequence[str] = COMMAND,
-        limits: Limits = Limits(),
+        limits: SupervisorLimits = SupervisorLimits(),
     ) -> None:
         self._clock = clock
         self._on_change = on_change
@@ -144,12 +144,14 @@ class RosProcess:
         looked_for = wanted(settings)
         self._first_line = encode_wanted(looked_for)
         self._nodes = frozenset(looked_for.nodes)
-        self._blank = View(hearsay=Hearsay(own=Own(self._nodes, looked_for.watch)), again_s=again_s(settings.ros.grace))
+        self._blank = GraphSnapshot(
+            hearsay=SelfReports(own=Own(self._nodes, looked_for.watch)), again_s=again_s(settings.ros.grace)
+        )
         self._max_memory = settings.ros.max_memory
         self._command = tuple(command)
         self._limits = limits
-        self._ghosts = Ghosts(limits.doubt_s)
-        self._unnamed = Unnamed(limits.unnamed_s)
+        self._ghosts = StaleNodes(limits.doubt_s)
+        self._unnamed = UnnamedParticipants(limits.unnamed_s)
         self._lock = threading.Lock()
         self._view = self._blank
         self._late = Lateness()
@@ -271,7 +273,7 @@ class RosProcess:
             self._why = "the ROS child is starting" if self._restarts == 0 else f"{self._why}; a new one is starting"
             self._renew = ""
         try:
-            life = Life(self._command, self._environ, self._first_line)
+            life = ChildProcess(self._command, self._environ, self._first_line)
         except OSError as error:
             return self._told(f"the ROS child cannot be started: {error}"), None
         self._pid = life.pid
@@ -288,9 +290,9 @@ class RosProcess:
             return self._told(f"the ROS child is renewed: {self._renew}"), 0.0
         if life.exit_code == EXIT_MISSING and missing:
             return self._told(_missing_sentence(missing[-1])), self._limits.missing_s
-        return self._told(f"the ROS child {reason or life.obituary()}"), None
+        return self._told(f"the ROS child {reason or life.exit_reason()}"), None
 
-    def _attend(self, life: Life, missing: list[Missing]) -> str:
+    def _attend(self, life: ChildProcess, missing: list[Missing]) -> str:
         """Read until it must be replaced; returns why, or nothing when it ended by itself or on request."""
         heard_s = weighed_s = looked_s = self._clock.mono()
         progress, held_s = Progress(life.pid), 0.0
@@ -352,7 +354,7 @@ class RosProcess:
             names = ", ".join(unnamed[:3])
             self.renew(f"{names} is in use, and the graph has not named all its nodes for {self._limits.unnamed_s:g} s")
 
-    def _say_goodbye(self, life: Life) -> None:
+    def _say_goodbye(self, life: ChildProcess) -> None:
         """What waits to be published may be the last word of PHM: the child reads it before the end of its input."""
         self._hand_post(life)
         until_s = self._clock.mono() + self._limits.goodbye_s
@@ -360,7 +362,7 @@ class RosProcess:
             life.read(0.02, self._wake)
             self._drain()
 
-    def _hand_post(self, life: Life) -> None:
+    def _hand_post(self, life: ChildProcess) -> None:
         with self._lock:
             if self._post and not life.writing:
                 life.hand(self._post)

@@ -11,7 +11,7 @@ from phm.probes.ros.message_types import UnknownType
 from phm.probes.ros.protocol import WantedTopic
 from phm.probes.ros.publisher_demux import DEPTH_MOST, PER_PUBLISHER
 from phm.probes.ros.publisher_stats import SHORTEST_S, Sample
-from phm.probes.ros.rate_meter import Listening, Meter
+from phm.probes.ros.rate_meter import Listening, RateMeter
 from phm.probes.ros.reader import Quality, Reader
 
 LARGE_BPS = 1e6
@@ -32,7 +32,7 @@ TYPES = 3
 COUNTED, COUNTED_MOST = 10, 1000
 
 
-class Gauge:
+class TopicMonitor:
     """Follows the publishers of one topic; it never raises for what they are."""
 
     def __init__(self, node: Any, topic: WantedTopic, tick_s: float = 0.25) -> None:
@@ -41,7 +41,7 @@ class Gauge:
         self._name = topic.name
         self._expected_hz = topic.rate_hz
         self._tick_s = tick_s
-        self._meter = Meter(topic.rate_hz, topic.silence_s)
+        self._meter = RateMeter(topic.rate_hz, topic.silence_s)
         self._reader: Reader | None = None
         self._type = ""
         self._unknown = ""

@@ -26,7 +26,7 @@ _UNREAD = (-1, -1)
 _EVERYWHERE = ("/parameter_events", "/rosout", "/phm/beacon", "/phm/hello")
 
 
-class Names:
+class UnconfiguredTopics:
     """The newest view; `look` says whether it is another than before."""
 
     def __init__(self, node: Any, configured: Collection[str]) -> None:

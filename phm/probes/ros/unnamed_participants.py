@@ -19,7 +19,7 @@ REST_S, REST_MOST_S = 60.0, 900.0
 """Between two looks with a new participant. Doubled while they do not help: anyone can make endpoints without a name."""
 
 
-class Unnamed:
+class UnnamedParticipants:
     """Decides for which topics and nodes a new participant is due."""
 
     def __init__(self, unnamed_s: float = UNNAMED_S) -> None:

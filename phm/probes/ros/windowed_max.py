@@ -7,7 +7,7 @@ from collections import deque
 BUCKETS = 10
 
 
-class Recent:
+class WindowedMax:
     """The largest number of the last `least_s` seconds, or up to a tenth longer. Times must not go back."""
 
     def __init__(self, least_s: float) -> None:
