@@ -17,6 +17,7 @@ from phm.core.settings import ContainerSettings, Settings
 from phm.facts import Attachment, AutopilotFact, CannotTell, ContainerFact, LinkFact
 from phm.recovery.containers.cpu_weights import CpuWeights
 from phm.recovery.safety.flight_critical import Impact
+from phm.recovery.target import Target
 from phm.transport.docker import DockerEngine
 
 
@@ -36,6 +37,13 @@ class NotYet(ActionFailed):
 
     The message says what is waited for.
     """
+
+
+def container_settings(target: Target) -> ContainerSettings:
+    """The settings of a container. Raises ActionFailed for another kind of target."""
+    if target.container is None:
+        raise ActionFailed(f"{target.name} is not a configured container: correct recovery.ladders")
+    return target.container
 
 
 def _no_graph() -> Mapping[str, int]:
@@ -112,11 +120,11 @@ class Action(ABC):
     and two seconds, and `verify_after_s`."""
 
     @classmethod
-    def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
+    def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
         """Whether the configuration has what this step needs; a rung that does not apply is left out of the ladder."""
         return True
 
-    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
         """What must be there before this step can be done and is not, as a sentence; empty: nothing.
 
         Asked before the step is begun, as often as once a second, so it must come back soon. Raises CannotTell.
@@ -124,14 +132,14 @@ class Action(ABC):
         return ""
 
     @abstractmethod
-    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         """Do it; return a sentence for the log. Raises ActionFailed, NotYet, NotPermitted or CannotTell.
 
         Called again after a failure or a restart of PHM: doing it twice must be harmless. An action that has found nothing to
         do returns its sentence as `NotNeeded`.
         """
 
-    def other_cause(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def other_cause(self, target: Target, fault: Fault, context: ActionContext) -> str:
         """Asked once the unit is OK again after `run`, of the same object: what else has made it OK, as a clause for the log.
 
         Empty: nothing speaks against the action. Raises CannotTell, which counts as empty.

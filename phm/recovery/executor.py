@@ -1,33 +1,88 @@
-"""Hands each fault to the thread of its container (`phm.recovery.worker`), and gives back what an earlier PHM knew."""
+"""Passes each fault to the worker of its target (`phm.recovery.worker`), and restores what an earlier PHM knew."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 
+from phm.checking.pipeline import Pipeline
+from phm.core.clock import Clock
 from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Level, Outcome, Transition
-from phm.recovery import disks, links
+from phm.recovery.actions.catalog import ActionCatalog
+from phm.recovery.attempt import Attempt
+from phm.recovery.base import Action, ActionContext
+from phm.recovery.containers.container_generation import GenerationTracker
+from phm.recovery.containers.external_changes import ExternalChanges
+from phm.recovery.fault_cases import FaultCases
 from phm.recovery.history import History
-from phm.recovery.operator.manual_restart import NotAllowed, NotNow
+from phm.recovery.holds.hold_registry import HoldRegistry
+from phm.recovery.operator.announcements import ActionReporter
+from phm.recovery.operator.approvals import Approvals
+from phm.recovery.operator.manual_restart import ManualRestart
+from phm.recovery.operator.refusals import NotAllowed, NotApprovable, NotNow
 from phm.recovery.persistence.state import PersistedCase, PersistedState, RecoveryState
-from phm.recovery.shop import Shop
-from phm.recovery.worker import NotApprovable, TargetWorker
+from phm.recovery.safety.action_limits import ActionLimits
+from phm.recovery.safety.armed_state import ArmedStatus
+from phm.recovery.safety.flight_critical import FlightCriticalGuard
+from phm.recovery.safety.target_locks import TargetLocks
+from phm.recovery.target import Target, TargetKind
+from phm.recovery.verification import Verifier
+from phm.recovery.worker import TargetWorker
 
-__all__ = ["Executor", "NotAllowed", "NotApprovable", "NotNow", "Shop"]
+__all__ = ["Executor", "NotAllowed", "NotApprovable", "NotNow"]
+
+
+def _no_dependents(unit: str) -> Mapping[str, frozenset[str]]:
+    return {}
 
 
 class Executor:
-    """Hands faults to the thread of their target. A fault without a target is only reported."""
+    """A fault without a target is only reported.
+
+    armed:   the armed state of the vehicle now.
+    grace_s: of a unit, seconds.
+    below:   units that need a unit and are other targets', by target (`phm.checking.plan.CheckPlan.below`).
+    """
 
     kinds = (FaultOpened, FaultClosed, Transition)
 
-    def __init__(self, shop: Shop) -> None:
-        self._shop = shop
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        publish: Callable[[Event], None],
+        clock: Clock,
+        actions: Mapping[str, type[Action]],
+        context: ActionContext,
+        armed: Callable[[], ArmedStatus],
+        grace_s: Callable[[str], float],
+        below: Callable[[str], Mapping[str, frozenset[str]]] = _no_dependents,
+        holds: HoldRegistry | None = None,
+    ) -> None:
+        self._pipeline, self._publish, self._clock, self._context = pipeline, publish, clock, context
+        self._armed, self._grace_s, self._below = armed, grace_s, below
+        self._settings = context.settings
+        verify_s = self._settings.recovery.verify
+        self.holds = holds if holds is not None else HoldRegistry()
+        self.catalog = ActionCatalog(actions, self._settings)
+        self.locks = TargetLocks(pipeline, clock)
+        self._guard = FlightCriticalGuard(self._settings, context.container, context.myself, armed)
+        self._generations = GenerationTracker(context.container, clock, verify_s)
+        self._new_attempt = partial(
+            Attempt,
+            context=context,
+            pipeline=pipeline,
+            clock=clock,
+            locks=self.locks,
+            generations=self._generations,
+            guard=self._guard,
+            verifier=Verifier(pipeline, clock, self._generations, grace_s, verify_s),
+        )
         self._workers: dict[str, TargetWorker] = {}
         self._histories: dict[str, History] = {}
         self._given_up: dict[str, Fault] = {}
         self._lock = threading.Lock()
-        shop.holds.changed = self._wake_all
+        self.holds.changed = self._wake_all
 
     @staticmethod
     def key(event: Event) -> tuple[str, str]:
@@ -37,22 +92,43 @@ class Executor:
         return ("transition", event.unit) if isinstance(event, Transition) else ("other", "")
 
     def handle(self, event: Event) -> None:
+        """Take an event from the bus."""
         if isinstance(event, FaultClosed):
-            worker = self._workers.get(event.fault.result.target)
-            if worker is not None:
-                worker.closed(event.fault)
-            if event.fault.outcome is Outcome.ESCALATED:
-                self._given_up[event.fault.unit] = event.fault
-            elif event.fault.outcome is Outcome.RESOLVED:
-                self._recovered(event.fault)
+            self._closed(event.fault)
         elif isinstance(event, FaultOpened):
-            self._give(event.fault)
+            self._opened(event.fault)
         elif isinstance(event, Transition) and event.changed_text and event.state.fault:
-            self._reworded(event)
+            self._changed(event)
         elif isinstance(event, Transition) and event.new is Level.OK:
             fault = self._given_up.pop(event.unit, None)
             if fault is not None:
                 self._recovered(fault)
+
+    def _closed(self, fault: Fault) -> None:
+        worker = self._workers.get(fault.result.target)
+        if worker is not None:
+            worker.closed(fault)
+        if fault.outcome is Outcome.ESCALATED:
+            self._given_up[fault.unit] = fault
+        elif fault.outcome is Outcome.RESOLVED:
+            self._recovered(fault)
+
+    def _opened(self, fault: Fault) -> None:
+        if fault.result.target:
+            self._worker(fault.result.target).opened(fault)
+
+    def _changed(self, event: Transition) -> None:
+        """The same fault has another condition now (exited, then dead): the ladder may be another."""
+        for fault in self._pipeline.open_faults():
+            if fault.id == event.state.fault:
+                self._opened(fault)
+
+    def _recovered(self, fault: Fault) -> None:
+        """Inform the targets that need what has recovered; the verification of one attempt reaches that far back."""
+        down_from = fault.opened.mono - self._settings.recovery.verify
+        for target, units in self._below(fault.unit).items():
+            if target in self._histories:
+                self._worker(target).dependency_recovered(units, down_from)
 
     def _wake_all(self) -> None:
         with self._lock:
@@ -60,133 +136,136 @@ class Executor:
         for worker in workers:
             worker.wake()
 
-    def _recovered(self, fault: Fault) -> None:
-        """What is well again may be what others waited for, who are told so; one attempt's proof reaches that far back."""
-        down_from = fault.opened.mono - self._shop.context.settings.recovery.verify
-        for target, units in self._shop.below(fault.unit).items():
-            if target in self._histories:
-                self._worker(target).dependency_recovered(units, down_from)
-
-    def _reworded(self, event: Transition) -> None:
-        """The same fault now stands for something else (exited, then dead): the ladder may be another."""
-        for fault in self._shop.pipeline.open_faults():
-            if fault.id == event.state.fault:
-                self._give(fault)
-
-    def _give(self, fault: Fault) -> None:
-        if fault.result.target:
-            self._worker(fault.result.target).opened(fault)
-
-    def _worker(self, target: str) -> TargetWorker:
+    def _worker(self, name: str) -> TargetWorker:
         with self._lock:
-            worker = self._workers.get(target)
+            worker = self._workers.get(name)
             if worker is None:
-                container = (
-                    self._shop.context.settings.container(target)
-                    or links.as_container(target)
-                    or disks.as_container(target)
-                )
-                history = self._histories.setdefault(target, History())
-                worker = self._workers[target] = TargetWorker(target, container, self._shop, history)
+                worker = self._workers[name] = self._new_worker(Target.parse(name, self._settings))
             return worker
+
+    def _new_worker(self, target: Target) -> TargetWorker:
+        name, pipeline, clock, recovery = target.name, self._pipeline, self._clock, self._settings.recovery
+        history = self._histories.setdefault(name, History())
+        reporter = ActionReporter(name, clock, self._publish)
+        limits = ActionLimits(name, self.catalog, self.holds, self._guard, clock)
+        approvals = Approvals(name, clock, self._generations, self._armed, recovery.approval, reporter)
+        return TargetWorker(
+            target,
+            history,
+            FaultCases(name),
+            settings=self._settings,
+            catalog=self.catalog,
+            limits=limits,
+            changes=ExternalChanges(
+                name, history, pipeline, clock, self._generations, self.locks, limits, self._grace_s
+            ),
+            approvals=approvals,
+            manual_restart=ManualRestart(target, history, recovery, limits, approvals, reporter, pipeline, clock),
+            reporter=reporter,
+            new_attempt=self._new_attempt,
+            pipeline=pipeline,
+            generations=self._generations,
+            locks=self.locks,
+            clock=clock,
+            grace_s=self._grace_s,
+        )
 
     # ------------------------------------------------------------ over a restart of PHM
 
     def restore(self, state: PersistedState) -> tuple[str, ...]:
-        """Take over attempts and open faults, before the first event; sentences about actions that were cut short.
+        """Take over attempts and open faults, before the first event; sentences about actions that were interrupted.
 
-        Such an action counts as an attempt that did not help; what to do is decided afresh, once a fresh
-        result has said that the fault is still there.
+        Such an action counts as an attempt that did not help. What to do is decided again, once a new result has said that
+        the fault is still there.
         """
-        for target, attempts in state.recovery.attempts.items():
+        recovery = state.recovery
+        for target, attempts in recovery.attempts.items():
             self._histories[target] = History(list(attempts))
         notes = []
-        for target, cut in state.recovery.under_way.items():
-            self._histories.setdefault(target, History()).add(cut.attempt)
-            what = f"{cut.attempt.action} of {target} for {cut.attempt.unit} ({cut.fault})"
-            notes.append(
-                f"{what} was cut short when PHM ended: it counts as an attempt and is taken up again if needed"
-            )
-        self._shop.lives.restore(state.recovery.generations)
-        interrupted = {target for target, cut in state.recovery.under_way.items() if self._starts(cut.attempt.action)}
-        for key, who in {**state.recovery.unfinished, **{target: target for target in interrupted}}.items():
-            self._shop.lives.unfinished(key, who)
-        if self._shop.context.relief is not None:
-            self._shop.context.relief.restore(state.recovery.lowered)
-        last = state.recovery.armed
-        self._shop.holds.restore(
-            state.recovery.holds, state.recovery.stops, state.recovery.windows, armed=last is not None and last.armed
-        )
-        for fault in self._shop.pipeline.given_up():
+        for target, interrupted in recovery.under_way.items():
+            self._histories.setdefault(target, History()).add(interrupted.attempt)
+            what = f"{interrupted.attempt.action} {target} for {interrupted.attempt.unit} ({interrupted.fault})"
+            notes.append(f"{what} was interrupted when PHM stopped: it counts as an attempt and is repeated if needed")
+        self._restore_generations(recovery)
+        if self._context.relief is not None:
+            self._context.relief.restore(recovery.lowered)
+        armed = recovery.armed is not None and recovery.armed.armed
+        self.holds.restore(recovery.holds, recovery.stops, recovery.windows, armed=armed)
+        for fault in self._pipeline.given_up():
             self._given_up[fault.unit] = fault
             if fault.result.target:
-                self._worker(fault.result.target)  # which sees whether somebody else begins anew
-        for fault in self._shop.pipeline.open_faults():
+                self._worker(fault.result.target)  # which notices when something else starts the container
+        for fault in self._pipeline.open_faults():
             if fault.result.target:
-                target, case = fault.result.target, state.recovery.cases.get(fault.id, PersistedCase())
-                action = state.recovery.under_way.get(target)
-                mine = action if action is not None and action.fault == fault.id else None
-                self._worker(target).restored(fault, case, mine)
+                self._restore_fault(fault, recovery)
         return tuple(notes)
 
-    def _starts(self, action: str) -> bool:
-        """Whether it may start its container again; True also for one that is no longer installed."""
-        kind = self._shop.actions.get(action)
-        return kind is None or kind.starts
+    def _restore_generations(self, recovery: RecoveryState) -> None:
+        self._generations.restore(recovery.generations)
+        starts = {name for name, cut in recovery.under_way.items() if self.catalog.may_start(cut.attempt.action)}
+        for key, who in {**recovery.unfinished, **{name: name for name in starts}}.items():
+            self._generations.add_unfinished(key, who)
 
-    def kept(self) -> RecoveryState:
-        """What is to survive PHM; any thread may ask."""
+    def _restore_fault(self, fault: Fault, recovery: RecoveryState) -> None:
+        target, case = fault.result.target, recovery.cases.get(fault.id, PersistedCase())
+        action = recovery.under_way.get(target)
+        interrupted = action if action is not None and action.fault == fault.id else None
+        self._worker(target).restored(fault, case, interrupted)
+
+    def persisted(self) -> RecoveryState:
+        """What is to survive a restart of PHM; any thread may ask."""
         with self._lock:
             workers, histories = dict(self._workers), dict(self._histories)
         cases: dict[str, PersistedCase] = {}
         under_way = {}
-        attempts = {target: tuple(history.attempts) for target, history in histories.items()}
+        attempts = {target: tuple(history.attempts) for target, history in histories.items() if history.attempts}
         for target, worker in workers.items():
-            said, action = worker.kept()
-            cases.update(said)
+            reported, action = worker.persisted()
+            cases.update(reported)
             if action is not None:
                 under_way[target] = action
-        made = {target: tried for target, tried in attempts.items() if tried}
-        lives, holds = self._shop.lives, self._shop.holds
+        relief = self._context.relief
         return RecoveryState(
-            made,
+            attempts,
             cases,
             under_way,
-            lives.kept(),
-            unfinished=lives.unfinished_now(),
-            lowered=self._shop.context.relief.kept() if self._shop.context.relief is not None else (),
-            holds=holds.kept(self._shop.clock.mono()),
-            stops=holds.stops(),
-            windows=holds.done(),
+            self._generations.snapshot(),
+            unfinished=self._generations.unfinished(),
+            lowered=relief.kept() if relief is not None else (),
+            holds=self.holds.kept(self._clock.mono()),
+            stops=self.holds.stops(),
+            windows=self.holds.done(),
         )
 
-    # ------------------------------------------------------------ the operator's hand
+    # ------------------------------------------------------------ requests of an operator
 
     def approve(self, fault_id: str) -> str:
         """An operator approves what is advised for an open fault; what will be done.
 
-        Raises NotApprovable, and NotNow when it may be later.
+        Raises NotApprovable, and NotNow when it may be possible later.
         """
-        faults = self._shop.pipeline.open_faults()
+        faults = self._pipeline.open_faults()
         fault = next((fault for fault in faults if fault.id == fault_id), None)
         if fault is None:
             raise NotApprovable(f"there is no open fault {fault_id}; open: {_listed(faults)}")
         worker = self._workers.get(fault.result.target)
         if worker is None:
-            raise NotApprovable(f"{fault_id} ({fault.unit}) is only reported: no container can be acted on for it")
+            raise NotApprovable(f"{fault_id} ({fault.unit}) is only reported: there is no container to act on")
         return worker.approve(fault_id)
 
-    def action_on(self, target: str) -> bool:
-        """Whether what the engine does to it may be PHM's doing: an action at work, or a call without an answer."""
-        return target in self._shop.lives.unfinished_now()
+    def restart(self, container: str, by: str) -> str:
+        """An operator requests a restart of a container; what will be done. Raises NotAllowed, and NotNow when it may be later."""
+        target = Target.parse(container, self._settings)
+        if target.kind is not TargetKind.CONTAINER or not target.configured:
+            raise NotAllowed(f"there is no container {container!r} in the configuration")
+        return self._worker(container).restart(by)
 
-    def restart(self, target: str, by: str) -> str:
-        """An operator wants a container restarted; what will be done. Raises NotAllowed, and NotNow when it may be later."""
-        if self._shop.context.settings.container(target) is None:
-            raise NotAllowed(f"there is no container {target!r} in the configuration")
-        return self._worker(target).restart(by)
+    def action_on(self, target: str) -> bool:
+        """Whether what the engine does to it may be PHM's doing: an action is at work, or a call got no answer."""
+        return target in self._generations.unfinished()
 
     def stop(self) -> None:
+        """Have all workers begin nothing more."""
         for worker in self._workers.values():
             worker.stop()
 

@@ -16,7 +16,7 @@ class FaultCase:
     """One open fault. `reported` remembers what was said, to say it once."""
 
     fault: Fault
-    life: str = field(init=False)
+    generation: str = field(init=False)
     """Generation of the container (`Generation.name`): nothing is done for the fault in another one before it was found there,
     too. Empty: any."""
     reported: set[str] = field(default_factory=set)
@@ -32,7 +32,7 @@ class FaultCase:
     """Restored, with an action under way: the target is held until it is healed or acted on anew."""
 
     def __post_init__(self) -> None:
-        self.life = self.fault.life
+        self.generation = self.fault.life
 
     def update_fault(self, fault: Fault) -> None:
         """What is wrong may be another thing by now, for which other actions are known."""
@@ -82,13 +82,13 @@ class FaultCases:
         with self._lock:
             return next((case for case in self._of.values() if case.fault.id == fault_id), None)
 
-    def kept(self) -> dict[str, PersistedCase]:
+    def persisted(self) -> dict[str, PersistedCase]:
         """For the state file, by fault id."""
         with self._lock:
             cases = list(self._of.values())
-        return {case.fault.id: _kept(case) for case in cases}
+        return {case.fault.id: _persisted(case) for case in cases}
 
 
-def _kept(case: FaultCase) -> PersistedCase:
+def _persisted(case: FaultCase) -> PersistedCase:
     approved = case.approval.situation.action if case.approval is not None else ""
     return PersistedCase(case.refused, tuple(sorted(case.reported)[:MAX_REPORTED]), approved)

@@ -17,10 +17,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from phm.core.model import Fault
-from phm.core.settings import ContainerSettings, RecoverySettings
-from phm.recovery.failures import Failures
-from phm.recovery.history import AttemptRecord, History
+from phm.core.settings import RecoverySettings
+from phm.recovery.history import AttemptRecord, Failures, History
 from phm.recovery.holds.hold_registry import BEING_STOPPED
+from phm.recovery.target import Target
 
 HOLD, STARVED, START = "hold", "starved", "start"
 LADDERS: Mapping[str, tuple[str, ...]] = {
@@ -99,7 +99,7 @@ class Wait:
 
     until: float
     why: str
-    tell: bool = False
+    report: bool = False
     subject: str = "wait"
 
 
@@ -125,17 +125,17 @@ def decide(
     history: History,
     now: float,
     *,
-    container: ContainerSettings | None,
+    target: Target,
     forbids: Callable[[str], str],
     settings: RecoverySettings,
-    unrestricted_actions: frozenset[str] = frozenset(),
+    unrestricted: frozenset[str] = frozenset(),
     approved: bool = False,
     usable: frozenset[str] | None = None,
     start_s: float = 8.0,
     hold: tuple[float, str] | None = None,
     undecided: float | None = None,
     stopped_by_hand: bool = False,
-    container_actions: frozenset[str] = frozenset(),
+    container_wide: frozenset[str] = frozenset(),
     starved: str = "",
     given_up: bool = False,
 ) -> Decision:
@@ -163,27 +163,27 @@ def decide(
     failures = Failures(history, fault, now, settings.verify)
     same = failures.of_the_unit()
     action = START if given_up else _rung(ladder, condition, same, settings)
-    if action not in unrestricted_actions:
-        refused = _refused(container, settings, hold, undecided)
+    if action not in unrestricted:
+        refused = _refused(target, settings, hold, undecided)
         if refused is not None:
             return refused
         if starved:
             return Wait(
                 now + STARVED_AGAIN_S,
                 f"{starved} explains it, and a restart would cost more of it",
-                tell=True,
+                report=True,
                 subject=STARVED,
             )
     most = 1 if _once(condition, settings) else settings.same_failure
     if not given_up and len(same) >= most:
         goes_on = f", one start every {settings.backoff_max:g} s goes on" if condition in DOWN else ""
         return GiveUp(action, f"{_in_vain(len(same))}{goes_on}")
-    elsewhere = failures.of_the_action(action) if action in container_actions and condition not in DOWN else []
+    elsewhere = failures.of_the_action(action) if action in container_wide and condition not in DOWN else []
     if len(elsewhere) >= most:
         return GiveUp(action, _in_vain_elsewhere(action, len(elsewhere), fault.unit))
     if condition in PATIENT and now < fault.opened.mono + settings.patience:
         return Wait(fault.opened.mono + settings.patience, "it may come back by itself")
-    bound = action not in unrestricted_actions and not approved
+    bound = action not in unrestricted and not approved
     forbidden = forbids(action) if bound else ""
     if forbidden:
         return Advise(action, forbidden, again_at=now + ARMED_AGAIN_S)
@@ -192,11 +192,11 @@ def decide(
     if bound and settings.mode == "advise":
         return Advise(action, "recovery only advises")
     act = Act(action, len(same) + 1)
-    return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in unrestricted_actions)
+    return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in unrestricted)
 
 
 def _refused(
-    container: ContainerSettings | None,
+    target: Target,
     settings: RecoverySettings,
     hold: tuple[float, str] | None,
     undecided: float | None,
@@ -204,12 +204,12 @@ def _refused(
     """Why nothing may be done to the container, whatever is wrong with it."""
     if settings.mode == "off":
         return Skip("recovery is off")
-    if container is None:
+    if not target.configured:
         return Skip("no container to act on")
-    if not container.recover:
-        return Skip(f"{container.key} has not opted in (recover: true)")
+    if not target.opted_in:
+        return Skip(f"{target.name} has not opted in (recover: true)")
     if hold is not None:
-        return Wait(hold[0], hold[1], tell=True, subject=HOLD)
+        return Wait(hold[0], hold[1], report=True, subject=HOLD)
     return Wait(undecided, BEING_STOPPED) if undecided is not None else None
 
 
@@ -231,11 +231,11 @@ def _when(
     most = settings.budget if down or free else max(1, settings.budget - settings.reserve)
     if len(recent) >= most and not down:
         kept = f", {settings.budget - most} kept for a container that is down" if most < settings.budget else ""
-        return Wait(recent[-most].at + settings.window, f"budget of {most} actions used up{kept}", tell=True)
+        return Wait(recent[-most].at + settings.window, f"budget of {most} actions used up{kept}", report=True)
     if recent and (given_up or len(recent) >= most):
         ready = recent[-1].at + settings.backoff_max
         why = f"budget of {most} actions used up, one attempt every {settings.backoff_max:g} s"
-        return Wait(ready, why, tell=not given_up) if now < ready else act
+        return Wait(ready, why, report=not given_up) if now < ready else act
     ready = failures.ready_at(settings, elsewhere)
     return Wait(ready, "backing off") if now < ready else act
 

@@ -1,4 +1,4 @@
-"""Proves that an action has helped: by runs of the checks that began after it, of the unit and of all that needs it."""
+"""Verifies that an action has helped: by check runs that began after it, of the unit and of everything that needs it."""
 
 from __future__ import annotations
 
@@ -7,21 +7,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from phm.checking.pipeline import Pipeline
+from phm.core.clock import Clock
 from phm.core.model import Fault, Level, Result
 from phm.recovery.base import Action
-from phm.recovery.containers.container_generation import ENGINE, Generation, by_phm
+from phm.recovery.containers.container_generation import ENGINE, Generation, GenerationTracker, by_phm
 from phm.recovery.policy import OUTSIDE
-from phm.recovery.shop import Shop
 from phm.tracker.starvation import explanation
 
 POLL_S = 0.05
-LOOK_AGAIN_S = 0.5
+RERUN_S = 0.5
+"""While a verification waits, the checks run again this often."""
 STILL_BAD_S = 2.0
 """A run that began this long after the action (beyond the unit's grace) and is still ERROR ends the wait."""
 
 
 class CheckResults(Protocol):
-    """What runs have found; `phm.checking.pipeline.Pipeline` is one."""
+    """What check runs have found; `phm.checking.pipeline.Pipeline` is one."""
 
     def ok_since(self, unit: str, mono: float) -> bool: ...
 
@@ -34,14 +36,15 @@ class CheckResults(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class VerificationResult:
-    """How it ended. Proven when both are empty.
+    """How a verification ended. Verified when `missing` and `superseded_by` are empty.
 
-    missing:   the first unit that has not come back.
-    overtaken: who has started the container again meanwhile, in words; what was found then says little about the action.
-    excused:   PHM itself has started it, for another container, or what is missing now is outside of every container, or the
-               unit was starved meanwhile: the action is not to blame.
-    partly:    the unit itself is OK; what is missing is something that needs it.
-    undecided: only time can show whether the unit is OK (`Result.decides_s`): the action has neither helped nor failed.
+    missing:       the first unit that has not recovered.
+    superseded_by: how the container was started again meanwhile, in words: what checks found after that says little about the
+                   action.
+    not_counted:   the action did not cause the failure: PHM itself started the container for another one, what is missing
+                   now is outside of every container, or the unit was starved meanwhile.
+    partly:        the unit itself is OK; what is missing is something that needs it.
+    undecided:     only time can show whether the unit is OK (`Result.decides_s`): the action has neither helped nor failed.
     """
 
     missing: str = ""
@@ -53,11 +56,11 @@ class VerificationResult:
 
 @dataclass(slots=True)
 class Verification:
-    """The proof of one action that was over at `done` (monotonic seconds). Pure.
+    """The verification of one action that ended at `done` (monotonic seconds). Pure.
 
-    The unit itself gets `verify_s`, less when it is surely still bad, more while its check says that only time can tell
-    (a HEALTHCHECK that is `starting`); what needs it gets its grace. Runs count that began `verify_after_s` after the action, which is
-    the action's own, as are `still_bad_after_s` and `dependents_within_s` (`phm.recovery.base.Action`).
+    The unit itself gets `verify_s`, less when it is certainly still bad, more while its check says that only time can tell
+    (a HEALTHCHECK that is `starting`). What needs the unit gets its grace. Runs count that began `verify_after_s` after the
+    action; that time, `still_bad_after_s` and `dependents_within_s` are the action's (`phm.recovery.base.Action`).
     """
 
     unit: str
@@ -68,110 +71,130 @@ class Verification:
     still_bad_after_s: float | None = None
     dependents_within_s: float | None = None
     waiting: tuple[str, ...] = ()
-    """Units that have not come back."""
+    """Units that have not recovered."""
     starved: bool = False
-    """It was short of the processor, memory or the disk at some time since."""
+    """Whether the unit was short of CPU, memory or disk at some time since the action."""
 
-    def verdict(self, seen: CheckResults, now: float) -> VerificationResult | None:
-        """None: to be seen."""
+    def result(self, checks: CheckResults, now: float) -> VerificationResult | None:
+        """None: not decided yet."""
         self.waiting = (self.unit,)
-        self.starved = self.starved or bool(seen.active_pressure(self.unit))
-        # What starts without the processor or the disk that it needs gets as much more as recovery waits for anything.
+        self.starved = self.starved or bool(checks.active_pressure(self.unit))
+        # What starts without the CPU or disk that it needs gets the time of one more verification.
         more_s = self.verify_s if self.starved else 0.0
-        if not seen.ok_since(self.unit, self.done):
-            late = self.done + (
-                self.grace_s(self.unit) + STILL_BAD_S if self.still_bad_after_s is None else self.still_bad_after_s
-            )
-            newest = seen.newest(self.unit, late + more_s)
-            if newest is not None and newest.level is Level.ERROR:
-                return VerificationResult(missing=self.unit, not_counted=newest.condition in OUTSIDE or self.starved)
-            decides_s = self.decides_s(seen)
-            if now - self.done <= self.verify_s + decides_s + more_s:
-                return None
-            return VerificationResult(missing=self.unit, undecided=decides_s > 0, not_counted=self.starved)
-        failing = seen.failing_dependents(self.unit, self.done + self.verify_after_s)
-        if not failing and seen.ok_since(self.unit, self.done + self.verify_after_s):
+        if not checks.ok_since(self.unit, self.done):
+            return self._of_the_unit(checks, now, more_s)
+        return self._of_dependents(checks, now, more_s)
+
+    def decides_s(self, checks: CheckResults) -> float:
+        """How long the unit's check needs from the start of the container, as it says now; 0: it does not wait for time."""
+        newest = checks.newest(self.unit, self.done)
+        return (newest.decides_s or 0.0) if newest is not None and newest.level is Level.STALE else 0.0
+
+    def _of_the_unit(self, checks: CheckResults, now: float, more_s: float) -> VerificationResult | None:
+        still_bad_s = self.still_bad_after_s
+        if still_bad_s is None:
+            still_bad_s = self.grace_s(self.unit) + STILL_BAD_S
+        newest = checks.newest(self.unit, self.done + still_bad_s + more_s)
+        if newest is not None and newest.level is Level.ERROR:
+            return VerificationResult(missing=self.unit, not_counted=newest.condition in OUTSIDE or self.starved)
+        decides_s = self.decides_s(checks)
+        if now - self.done <= self.verify_s + decides_s + more_s:
+            return None
+        return VerificationResult(missing=self.unit, undecided=decides_s > 0, not_counted=self.starved)
+
+    def _of_dependents(self, checks: CheckResults, now: float, more_s: float) -> VerificationResult | None:
+        failing = checks.failing_dependents(self.unit, self.done + self.verify_after_s)
+        if not failing and checks.ok_since(self.unit, self.done + self.verify_after_s):
             return VerificationResult()
         self.waiting = failing or self.waiting
         longest_s = self.dependents_within_s
         if longest_s is None:
             longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.verify_after_s
-        starved = self.starved and self._may_be_starvation(seen)
+        starved = self.starved and self._may_be_starvation(checks)
         if now - self.done <= longest_s + (more_s if starved else 0.0):
             return None
-        return VerificationResult(missing=self.waiting[0], partly=self.waiting[0] != self.unit, not_counted=starved)
+        missing = self.waiting[0]
+        return VerificationResult(missing=missing, partly=missing != self.unit, not_counted=starved)
 
-    def _may_be_starvation(self, seen: CheckResults) -> bool:
+    def _may_be_starvation(self, checks: CheckResults) -> bool:
         """Whether starvation can explain that the first unit has not recovered. It cannot where a network is detached, for
         instance: such a failure counts, or the same step would be repeated for as long as the machine is busy."""
-        newest = seen.newest(self.waiting[0], self.done + self.verify_after_s)
+        newest = checks.newest(self.waiting[0], self.done + self.verify_after_s)
         return newest is None or newest.level is not Level.ERROR or explanation(newest) is not None
-
-    def decides_s(self, seen: CheckResults) -> float:
-        """How long the unit's check needs from the start of the container, as it now says; 0: it does not wait for time."""
-        newest = seen.newest(self.unit, self.done)
-        return (newest.decides_s or 0.0) if newest is not None and newest.level is Level.STALE else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class VerificationHooks:
-    """What a long verification must not hold back.
+    """What a long verification must not hold up.
 
-    stopping: PHM ends.
-    settled:  called once when `recovery.verify` is over and only time can tell about the unit: all else in the container is
-              judged by itself from now on.
-    wanted:   another fault of the container calls for an action; asked only after that.
+    stopping:  whether PHM stops.
+    undecided: called once when `recovery.verify` is over and only time can tell about the unit: from then on the other units
+               of the container are judged separately.
+    wanted:    whether another fault of the container calls for an action; asked only after that.
     """
 
     stopping: Callable[[], bool]
-    settled: Callable[[], None] = lambda: None
+    undecided: Callable[[], None] = lambda: None
     wanted: Callable[[], bool] = lambda: False
 
 
-def prove(
-    shop: Shop, fault: Fault, target: str, kind: type[Action], meanwhile: VerificationHooks
-) -> VerificationResult:
-    """Wait for the verdict. A life of the container that is not this action's doing ends the wait."""
-    clock, pipeline = shop.clock, shop.pipeline
-    verify_s = shop.context.settings.recovery.verify
-    proving = Verification(
-        fault.unit,
-        clock.mono(),
-        kind.verify_after_s,
-        verify_s,
-        shop.grace_s,
-        kind.still_bad_after_s,
-        kind.dependents_within_s,
-    )
-    mine = shop.lives.look(target)
-    asked, settled = float("-inf"), False
-    while not meanwhile.stopping():
-        now = clock.mono()
-        recheck = now - asked >= LOOK_AGAIN_S
-        if recheck:
-            asked = now
-            taken = superseded(shop.lives.look(target), mine, target)
-            if taken is not None:
-                return taken
-        proof = proving.verdict(pipeline, now)
-        if proof is not None:
-            return proof
-        if not settled and now - proving.done > verify_s and proving.decides_s(pipeline) > 0:
-            settled = True
-            meanwhile.settled()
-        if recheck and settled and meanwhile.wanted():
-            return VerificationResult(missing=fault.unit, undecided=True)
-        if recheck:
-            pipeline.recheck(fault.unit, *proving.waiting)
-        clock.wait(threading.Event(), POLL_S)
-    return VerificationResult(missing=fault.unit)
+class Verifier:
+    """Waits until verifications are decided. grace_s: of a unit, seconds. verify_s: `recovery.verify`."""
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        clock: Clock,
+        generations: GenerationTracker,
+        grace_s: Callable[[str], float],
+        verify_s: float,
+    ) -> None:
+        self._pipeline, self._clock, self._generations = pipeline, clock, generations
+        self._grace_s, self._verify_s = grace_s, verify_s
+
+    def verify(self, fault: Fault, target: str, action: type[Action], hooks: VerificationHooks) -> VerificationResult:
+        """Verify an action that has just ended. A start of the container that the action did not cause ends the wait."""
+        verification = Verification(
+            fault.unit,
+            self._clock.mono(),
+            action.verify_after_s,
+            self._verify_s,
+            self._grace_s,
+            action.still_bad_after_s,
+            action.dependents_within_s,
+        )
+        expected = self._generations.current(target)
+        rerun_at, undecided = float("-inf"), False
+        while not hooks.stopping():
+            now = self._clock.mono()
+            rerun = now - rerun_at >= RERUN_S
+            if rerun:
+                rerun_at = now
+                superseded = superseded_by(self._generations.current(target), expected, target)
+                if superseded is not None:
+                    return superseded
+            result = verification.result(self._pipeline, now)
+            if result is not None:
+                return result
+            if (
+                not undecided
+                and now - verification.done > self._verify_s
+                and verification.decides_s(self._pipeline) > 0
+            ):
+                undecided = True
+                hooks.undecided()
+            if rerun and undecided and hooks.wanted():
+                return VerificationResult(missing=fault.unit, undecided=True)
+            if rerun:
+                self._pipeline.recheck(fault.unit, *verification.waiting)
+            self._clock.wait(threading.Event(), POLL_S)
+        return VerificationResult(missing=fault.unit)
 
 
-def superseded(now: Generation | None, mine: Generation | None, target: str) -> VerificationResult | None:
-    """The engine's own restart policy overtakes nobody: whether the container is well then is what is to be proven."""
-    if now is None or mine is None or now.same(mine) or now.by in (ENGINE, by_phm(target)):
+def superseded_by(now: Generation | None, expected: Generation | None, target: str) -> VerificationResult | None:
+    """A restart by the engine's restart policy supersedes nothing: whether the container is OK then is what to verify."""
+    if now is None or expected is None or now.same(expected) or now.by in (ENGINE, by_phm(target)):
         return None
-    whose = now.whose
-    return VerificationResult(
-        superseded_by=f"the repair of {whose}" if whose else "somebody else", not_counted=bool(whose)
-    )
+    owner = now.whose
+    by = f"by the recovery of {owner}" if owner else "outside PHM"
+    return VerificationResult(superseded_by=by, not_counted=bool(owner))

@@ -139,7 +139,7 @@ class Daemon:
 
     def action_in_progress(self) -> str:
         """The recovery actions in progress; empty: none."""
-        acts = self.components.executor.kept().under_way
+        acts = self.components.executor.persisted().under_way
         return ", ".join(f"{act.attempt.action} of {target}" for target, act in acts.items())
 
     # ------------------------------------------------------------ stop

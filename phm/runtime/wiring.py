@@ -31,7 +31,6 @@ from phm.recovery.holds.hold_service import HoldInputs, HoldService
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedMonitor
 from phm.recovery.safety.flight_critical import critical_containers
-from phm.recovery.shop import Shop
 from phm.reporters.base import ReporterContext
 from phm.reporters.reporter_manager import ReporterManager
 from phm.runtime.docker_events import DockerEventRouter
@@ -141,7 +140,7 @@ class Components:
             relief=self.relief,
         )
         graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
-        shop = Shop(
+        self.executor = Executor(
             pipeline,
             self._publish_action,
             clock,
@@ -152,7 +151,6 @@ class Components:
             self.plan.below,
             held,
         )
-        self.executor = Executor(shop)
 
     # ------------------------------------------------------------ what flows back
 

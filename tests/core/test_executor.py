@@ -17,8 +17,9 @@ from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, 
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import NotPermitted
 from phm.recovery.base import Action, ActionContext, ActionFailed
-from phm.recovery.executor import Executor, Shop
+from phm.recovery.executor import Executor
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
+from phm.recovery.target import Target
 from phm.tracker import TrackedUnit, Tracker
 from tests.fakes.until import until
 
@@ -52,8 +53,9 @@ class World:
             else ArmedStatus(ArmedState.DISARMED, "it is disarmed")
         )
         actions = self.actions = {name: self._action(name) for name in ("restart", "start")}
-        shop = Shop(self.pipeline, self.publish, self.clock, actions, context, lambda: state, lambda unit: 0.0)
-        self.executor = Executor(shop)
+        self.executor = Executor(
+            self.pipeline, self.publish, self.clock, actions, context, lambda: state, lambda unit: 0.0
+        )
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
         self.bus.subscribe("test", self.events.append)
 
@@ -65,7 +67,7 @@ class World:
             deadline_s = 5.0
             verify_after_s = 2.0
 
-            def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+            def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
                 world.runs.append(action)
                 world.behave(action)
                 return f"{action}ed"
@@ -180,7 +182,7 @@ def test_a_container_given_up_while_down_is_started_again_without_a_new_alarm(wo
 
 
 def test_not_permitted_is_told_once_and_never_tried_again(worlds: list[World]) -> None:
-    """403 from the engine: healing not permitted, report only."""
+    """403 from the engine: recovery is not permitted, report only."""
     world = make(worlds)
 
     def refuse(name: str) -> None:
@@ -193,7 +195,7 @@ def test_not_permitted_is_told_once_and_never_tried_again(worlds: list[World]) -
         world.clock.advance(1.0)
         world.look()
     assert world.runs == ["restart"]
-    assert "healing not permitted" in [e.detail for e in world.events if isinstance(e, ActionEvent)][-1]
+    assert "recovery is not permitted" in [e.detail for e in world.events if isinstance(e, ActionEvent)][-1]
 
 
 @pytest.mark.parametrize("trouble", [ActionFailed("no such network"), ValueError("boom"), SystemExit(1)])

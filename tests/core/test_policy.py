@@ -11,8 +11,9 @@ from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
 from phm.core.settings import ContainerSettings, RecoverySettings
 from phm.recovery.history import AttemptRecord, History
 from phm.recovery.policy import Act, Advise, GiveUp, Skip, Wait, decide
+from phm.recovery.target import Target
 
-APP = ContainerSettings(name="app", recover=True)
+APP = Target.of(ContainerSettings(name="app", recover=True))
 RULES = RecoverySettings()
 
 
@@ -26,7 +27,7 @@ def attempts(*at: float, worked: bool = False, condition: str = "unhealthy") -> 
 
 
 def say(history: History | None = None, now: float = 1000.0, *, forbidden: str = "", **more: object) -> object:
-    given: dict[str, object] = {"container": APP, "settings": RULES, "fault": fault(), **more}
+    given: dict[str, object] = {"target": APP, "settings": RULES, "fault": fault(), **more}
     return decide(given.pop("fault"), history or History(), now, forbids=lambda action: forbidden, **given)  # type: ignore[arg-type]
 
 
@@ -37,7 +38,7 @@ def test_the_first_attempt_is_made_at_once() -> None:
 
 def test_a_container_that_has_not_opted_in_is_never_touched() -> None:
     """Opt-in by name; cve-search once had a backup restarted by a tool that took `all`."""
-    assert isinstance(say(container=ContainerSettings(name="app")), Skip)
+    assert isinstance(say(target=Target.of(ContainerSettings(name="app"))), Skip)
 
 
 def test_mode_off_does_nothing_and_advise_only_says() -> None:
@@ -213,7 +214,7 @@ def test_eased_attempts_are_not_waited_for_and_count_as_failures() -> None:
 def test_the_budget_counts_what_nothing_else_does() -> None:
     """However much is excused, a container is not restarted more often than that."""
     history = marked(attempts(900.0, 910.0, 920.0, 930.0, 940.0), backoff_reset=True, not_counted=True)
-    assert say(history) == Wait(1510.0, KEPT_BACK, tell=True)
+    assert say(history) == Wait(1510.0, KEPT_BACK, report=True)
 
 
 def test_help_that_lasted_ends_the_count_even_when_excused() -> None:
@@ -253,7 +254,7 @@ KEPT_BACK = "budget of 4 actions used up, 1 kept for a container that is down"
 def test_the_budget_counts_all_actions_on_the_target() -> None:
     """Different faults share one budget; the wait is published."""
     history = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(4)])
-    assert say(history) == Wait(1500.0, KEPT_BACK, tell=True)
+    assert say(history) == Wait(1500.0, KEPT_BACK, report=True)
     assert say(history, settings=replace_rules(reserve=0)) == Act("restart", 1)
 
 
@@ -268,7 +269,7 @@ def test_a_container_that_is_down_is_started_again_when_the_budget_is_used_up(co
     """Once per longest back-off: a start of what is down makes nothing worse."""
     history = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(5)])
     decision = say(history, fault=fault(condition), now=950.0)
-    assert isinstance(decision, Wait) and decision.until == 904.0 + RULES.backoff_max and decision.tell
+    assert isinstance(decision, Wait) and decision.until == 904.0 + RULES.backoff_max and decision.report
     assert say(history, fault=fault(condition), now=964.0) == Act("start", 1)
 
 
@@ -277,10 +278,10 @@ def test_a_container_given_up_while_down_is_started_now_and_then() -> None:
     history = attempts(900.0, 910.0, 920.0, condition="exited")
     down = fault("exited")
     assert isinstance(say(history, fault=down), GiveUp)
-    assert say(history, fault=down, now=979.0, given_up=True) == Wait(980.0, ANY, tell=False)
+    assert say(history, fault=down, now=979.0, given_up=True) == Wait(980.0, ANY, report=False)
     assert say(history, fault=down, now=980.0, given_up=True) == Act("start", 4)
     assert isinstance(say(history, fault=down, given_up=True, forbidden="armed"), Advise)
-    assert isinstance(say(history, fault=down, given_up=True, container=ContainerSettings(name="app")), Skip)
+    assert isinstance(say(history, fault=down, given_up=True, target=Target.of(ContainerSettings(name="app"))), Skip)
 
 
 def elsewhere(*at: float, worked: bool = False, action: str = "restart") -> History:
@@ -293,29 +294,29 @@ SHARED = frozenset({"restart"})
 
 def test_an_action_that_did_not_help_one_fault_is_not_repeated_for_another() -> None:
     """Three restarts that did not help the container are three, whichever of its faults they were for."""
-    assert say(elsewhere(900.0, 950.0), container_actions=SHARED) == Act("restart", 1)
-    decision = say(elsewhere(900.0, 910.0, 950.0), container_actions=SHARED)
+    assert say(elsewhere(900.0, 950.0), container_wide=SHARED) == Act("restart", 1)
+    decision = say(elsewhere(900.0, 910.0, 950.0), container_wide=SHARED)
     assert isinstance(decision, GiveUp) and "not repeated for health/app" in decision.why
-    assert say(elsewhere(900.0, 910.0, 950.0), container_actions=frozenset()) == Act("restart", 1)
+    assert say(elsewhere(900.0, 910.0, 950.0), container_wide=frozenset()) == Act("restart", 1)
 
 
 def test_back_off_follows_the_action_and_not_the_fault() -> None:
     """A failed restart a moment ago is waited after for the other faults of the container, too."""
-    assert say(elsewhere(999.5), container_actions=SHARED) == Wait(1000.5, "backing off")
+    assert say(elsewhere(999.5), container_wide=SHARED) == Wait(1000.5, "backing off")
 
 
 def test_what_helped_others_or_was_before_a_long_good_time_does_not_count() -> None:
     """A restart that healed another fault speaks for the action; a unit that was OK for long has a new fault."""
     helped = History([*elsewhere(900.0, 910.0).attempts, *elsewhere(950.0, worked=True).attempts])
-    assert say(helped, container_actions=SHARED, settings=replace_rules(same_failure=2)) == Act("restart", 1)
+    assert say(helped, container_wide=SHARED, settings=replace_rules(same_failure=2)) == Act("restart", 1)
     fresh = fault(ok_s=RULES.verify + 1)
-    assert say(elsewhere(900.0, 910.0, 950.0), fault=fresh, container_actions=SHARED) == Act("restart", 1)
+    assert say(elsewhere(900.0, 910.0, 950.0), fault=fresh, container_wide=SHARED) == Act("restart", 1)
 
 
 def test_restarts_in_vain_do_not_keep_a_container_that_ended_from_a_restart() -> None:
     """What runs badly and what does not run are two things."""
     history = History([*elsewhere(900.0, 910.0, 920.0).attempts, *attempts(950.0, condition="exited").attempts])
-    assert say(history, fault=fault("exited"), container_actions=SHARED) == Act("restart", 2)
+    assert say(history, fault=fault("exited"), container_wide=SHARED) == Act("restart", 2)
 
 
 def test_what_is_forbidden_in_the_air_is_advice_only() -> None:
@@ -330,8 +331,8 @@ def test_phms_own_steps_need_neither_opt_in_nor_mode(mode: str) -> None:
     """Joining a network moves nothing but PHM itself, and without it PHM sees nothing."""
     decision = say(
         fault=fault("sidecar_disconnected"),
-        container=ContainerSettings(name="app"),
-        unrestricted_actions=frozenset({"join_network"}),
+        target=Target.of(ContainerSettings(name="app")),
+        unrestricted=frozenset({"join_network"}),
         settings=RecoverySettings(mode=mode),  # type: ignore[arg-type]
     )
     assert decision == Act("join_network", 1)
@@ -347,13 +348,13 @@ def test_an_approved_action_is_done_in_advise_mode_and_while_armed() -> None:
     assert say(forbidden="flight-critical, and the autopilot is armed", approved=True) == Act("restart", 1)
     assert say(settings=RecoverySettings(mode="advise"), approved=True) == Act("restart", 1)
     assert isinstance(say(settings=RecoverySettings(mode="off"), approved=True), Skip)
-    assert isinstance(say(container=ContainerSettings(name="app"), approved=True), Skip)
+    assert isinstance(say(target=Target.of(ContainerSettings(name="app")), approved=True), Skip)
 
 
 def test_nothing_is_restarted_for_a_symptom_of_starvation() -> None:
     """A fault that was open before is left alone meanwhile, and that is published; a container that is down is not a symptom."""
     decision = say(starved="pressure/app")
-    assert isinstance(decision, Wait) and decision.tell and "pressure/app explains it" in decision.why
+    assert isinstance(decision, Wait) and decision.report and "pressure/app explains it" in decision.why
     assert say(starved="") == Act("restart", 1)
 
 

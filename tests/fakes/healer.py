@@ -16,7 +16,6 @@ from typing import Any, ClassVar, cast
 from phm.checking.pipeline import Pipeline
 from phm.core.bus import Bus
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase, Transition
-from phm.core.settings import ContainerSettings
 from phm.recovery.actions.join_network import JoinNetwork
 from phm.recovery.actions.reconnect import Reconnect
 from phm.recovery.actions.relaunch import Relaunch
@@ -27,7 +26,7 @@ from phm.recovery.actions.unpause import Unpause
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
-from phm.recovery.shop import Shop
+from phm.recovery.target import Target
 from phm.testing import FakeClock
 from tests.fakes.agent_world import FIXES, Sim
 
@@ -126,10 +125,9 @@ class Healer:
         )
         graces = {entry.unit.id: entry.unit.grace_s for entry in sim.plan.tracked}
         kinds = {name: self._action(kind) for name, kind in KINDS.items()}
-        shop = Shop(
+        self._executor = Executor(
             pipeline, self._publish, self._clock, kinds, context, self._armed, graces.__getitem__, sim.plan.below
         )
-        self._executor = Executor(shop)
         sim.listeners.append(self._queue.append)
         sim.watch.append(self._turn)
 
@@ -181,7 +179,7 @@ class Healer:
             deadline_s: ClassVar[float] = kind.deadline_s
             verify_after_s: ClassVar[float] = kind.verify_after_s
 
-            def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+            def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
                 healer._act(self.name, fault)
                 return "done"
 
@@ -219,7 +217,7 @@ class Healer:
         if action == "restart" and not ends_again:
             up = world.restart(self.sim.now)
         elif action in ("start", "restart") and not world.fact(up).running:
-            world.begin_life(up)
+            world.record_start(up)
         in_part = action not in ("restart", "join_network") and self.sim.random.random() < self.in_part
         for kind in sorted(FIXES[action].intersection(world.active)) if helps else ():
             (world.repair_in_part if in_part else world.repair)(kind, up)

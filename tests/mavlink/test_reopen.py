@@ -238,7 +238,7 @@ def test_what_does_not_help_is_given_up(tmp_path: Path, stale: Stale) -> None:
         (said,) = [
             event.detail for event in aboard.events if isinstance(event, ActionEvent) and event.phase is Phase.ESCALATED
         ]
-        assert "look at what is behind fc by hand" in said
+        assert "check the device behind fc" in said
         assert "docker" not in said
         stale.deaf = False
         assert aboard.daemon.components.probes.reopen("fc", 5.0)

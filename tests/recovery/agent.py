@@ -21,7 +21,7 @@ from phm.recovery.base import Action, ActionContext, NotNeeded
 from phm.recovery.executor import Executor
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState, ArmedStatus
-from phm.recovery.shop import Shop
+from phm.recovery.target import Target
 from phm.tracker import TrackedUnit, Tracker
 from phm.transport.docker import EngineError
 from tests.fakes.until import until
@@ -146,7 +146,7 @@ class Agent:
         )
         plan = CheckPlan((), tracked, DependencyGraph({entry.unit.id: entry.needs for entry in tracked}))
         graces = {name: of.grace_s for name, of in units.items()}
-        shop = Shop(
+        self.executor = Executor(
             self.pipeline,
             self._publish,
             clock,
@@ -156,7 +156,7 @@ class Agent:
             lambda unit: graces[unit],
             plan.below,
         )
-        self.executor, self.hands = Executor(shop), shop.hands
+        self.locks = self.executor.locks
         if self.memory is not None:
             self.memory.resume(self.executor)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
@@ -169,10 +169,10 @@ class Agent:
             starts = of in ("start", "restart")
             deadline_s = 100.0
 
-            def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+            def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
                 return agent.missing if fault.unit not in agent.not_missing else ""
 
-            def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+            def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
                 agent.runs.append((target.key, fault.unit))
                 agent.acting.append(target.key)
                 try:
@@ -181,7 +181,7 @@ class Agent:
                     agent.acting.remove(target.key)
                 return said if isinstance(said, NotNeeded) else "restarted"
 
-            def other_cause(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+            def other_cause(self, target: Target, fault: Fault, context: ActionContext) -> str:
                 return agent.other_cause()
 
         return Simulated

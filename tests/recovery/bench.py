@@ -8,13 +8,14 @@ from dataclasses import dataclass, field
 
 from phm.core.clock import SystemClock
 from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
-from phm.core.settings import ContainerSettings, Settings
+from phm.core.settings import Settings
 from phm.facts import ContainerFact
 from phm.probes.docker import Docker
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
 from phm.recovery.safety.guarded_engine import guarded
+from phm.recovery.target import Target
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
 from tests.proxy.haproxy import BehindProxy
@@ -45,10 +46,10 @@ class Bench:
         docker = self.probe or Docker(self.engine, self.settings, SystemClock())
         return docker.container(key)
 
-    def target(self, key: str) -> ContainerSettings:
+    def target(self, key: str) -> Target:
         found = self.settings.container(key)
         assert found is not None
-        return found
+        return Target.of(found)
 
     def context(self) -> ActionContext:
         flight_critical_guard = FlightCriticalGuard(self.settings, self.fact, lambda: None, self._armed)

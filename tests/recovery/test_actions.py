@@ -177,7 +177,7 @@ def test_a_container_that_somebody_else_has_started_is_not_credited(
     assert running is not None
     monkeypatch.setattr(Bench, "fact", lambda self, key: replace(running, status="exited"))
     said = made.run(Start, "app", EXITED)
-    assert isinstance(said, NotNeeded) and "by somebody else" in said
+    assert isinstance(said, NotNeeded) and "outside PHM" in said
     fake.set("app", status="exited", exit_code=1)
     assert not isinstance(made.run(Start, "app", EXITED), NotNeeded)
 

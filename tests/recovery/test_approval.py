@@ -70,7 +70,7 @@ def advised(agents: list[Agent], folder: Path | None = None, **recovery: object)
 
 def hold_back(made: Agent) -> None:
     """Another repair has the container in hand, so that nothing can be done yet."""
-    assert made.hands.take("app", made)
+    assert made.locks.acquire("app", made)
 
 
 def test_given_on_the_ground_it_is_void_in_the_air(agents: list[Agent]) -> None:
@@ -81,7 +81,7 @@ def test_given_on_the_ground_it_is_void_in_the_air(agents: list[Agent]) -> None:
     made.rest(1.0)
     made.armed = True
     made.until(lambda: expired(made), "the message")
-    made.hands.release_target("app", made)
+    made.locks.release("app", made)
     made.rest(5.0)
     assert made.runs == []
     assert "was disarmed when it was given, and is armed now" in expired(made)[0]
@@ -96,8 +96,8 @@ def test_it_expires_with_a_message(agents: list[Agent]) -> None:
     made.rest(19.0)
     assert expired(made) == []
     made.rest(2.0)
-    assert "restart app no longer holds: it was not possible within 20 s" in expired(made)[0]
-    made.hands.release_target("app", made)
+    assert "restart app expired: it was not possible within 20 s" in expired(made)[0]
+    made.locks.release("app", made)
     made.rest(5.0)
     assert made.runs == []
 
@@ -157,10 +157,10 @@ def test_a_restart_that_was_asked_for_expires_too(agents: list[Agent]) -> None:
     made = Agent({"container/app": Of("app")}, Containers("app"), FakeClock())
     agents.append(made)
     made.step()
-    assert made.hands.take("app", made)
+    assert made.locks.acquire("app", made)
     made.executor.restart("app", "255/190")
     made.rest(61.0)
-    made.hands.release_target("app", made)
+    made.locks.release("app", made)
     made.rest(5.0)
     assert made.runs == []
     assert [event.phase for event in made.of(ActionEvent)] == [Phase.REFUSED]

@@ -36,13 +36,13 @@ def phases(made: Agent) -> list[Phase]:
 def test_it_is_restarted_and_proven_and_no_fault_is_opened(agents: list[Agent]) -> None:
     """The whole way: started, done, verified; it counts in the budget."""
     made = agent(agents)
-    assert made.executor.restart("app", "255/190") == "restart app, asked for by 255/190"
+    assert made.executor.restart("app", "255/190") == "restart app, requested by 255/190"
     made.rest(5.0)
     assert made.runs == [("app", "container/app")]
     assert phases(made) == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
-    assert "asked for by 255/190" in made.of(ActionEvent)[0].detail
+    assert "requested by 255/190" in made.of(ActionEvent)[0].detail
     assert made.opened() == []
-    assert [attempt.condition for attempt in made.executor.kept().attempts["app"]] == ["asked"]
+    assert [attempt.condition for attempt in made.executor.persisted().attempts["app"]] == ["restart_requested"]
 
 
 def test_a_container_that_has_not_opted_in_is_left_alone(agents: list[Agent]) -> None:
@@ -93,7 +93,7 @@ def test_one_restart_at_a_time(agents: list[Agent]) -> None:
     """While one is under way another is for later."""
     made = agent(agents)
     made.executor.restart("app", "255/190")
-    with pytest.raises(NotNow, match="being acted on"):
+    with pytest.raises(NotNow, match="is under way"):
         made.executor.restart("app", "255/190")
 
 
@@ -129,7 +129,7 @@ def test_a_restart_that_waits_for_a_network_says_so_once_and_ends(agents: list[A
     made.missing = "there is no network swarm"
     made.executor.restart("app", "255/190")
     made.rest(20.0)
-    assert [event.detail for event in made.of(ActionEvent)] == ["app is left alone for now: there is no network swarm"]
+    assert [event.detail for event in made.of(ActionEvent)] == ["no action on app for now: there is no network swarm"]
     made.rest(60.0)
     assert phases(made) == [Phase.REFUSED, Phase.REFUSED]
     assert "it was not possible within 30 s" in made.of(ActionEvent)[1].detail

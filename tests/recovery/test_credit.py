@@ -14,7 +14,7 @@ from phm.core.model import ActionEvent, Fault, Layer, Level, Phase, Result, Slot
 from phm.facts import AutopilotFact, LinkFact
 from phm.recovery.actions.reopen import BEHIND_S, BOOT_S, PROMPT_S, Reopen
 from phm.recovery.base import ActionContext, NotNeeded
-from phm.recovery.links import as_container
+from phm.recovery.target import Target, TargetKind
 from phm.testing import settings
 from tests.recovery.agent import Agent, Containers, Of
 
@@ -43,7 +43,7 @@ def resolved(agent: Agent, behave: Callable[..., object]) -> tuple[str, str]:
 def test_an_action_that_helped_is_named(agent: Agent) -> None:
     by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
     assert by == "restart"
-    assert "and not by" not in said
+    assert "not because of" not in said
 
 
 def test_an_action_that_found_nothing_to_do_is_not_named(agent: Agent) -> None:
@@ -55,14 +55,14 @@ def test_an_action_that_found_nothing_to_do_is_not_named(agent: Agent) -> None:
 
     by, said = resolved(agent, nothing)
     assert by == "itself"
-    assert said.endswith("and not by restart: there was nothing to do for it")
+    assert said.endswith("but not because of restart: there was nothing to do")
 
 
 def test_an_action_may_know_what_else_has_helped(agent: Agent) -> None:
     agent.other_cause = lambda: "the moon has moved"
     by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
     assert by == "itself"
-    assert said.endswith("and not by restart: the moon has moved")
+    assert said.endswith("but not because of restart: the moon has moved")
 
 
 def test_a_proven_repair_stands_when_no_thread_can_be_started_to_ask(
@@ -79,7 +79,7 @@ def test_a_proven_repair_stands_when_no_thread_can_be_started_to_ask(
     monkeypatch.setattr(threading.Thread, "start", start)
     by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
     assert by == "restart"
-    assert "and not by" not in said
+    assert "not because of" not in said
 
 
 # ---------------------------------------------------------------- a link
@@ -141,8 +141,7 @@ class Cable:
             autopilot=self.autopilot,
             clock=self.clock,
         )
-        target, action = as_container("link:fc"), Reopen()
-        assert target is not None
+        target, action = Target(TargetKind.LINK, "fc"), Reopen()
         return action.run(target, fault, context), action.other_cause(target, fault, context)
 
 

@@ -18,7 +18,7 @@ from phm.core.settings import FreeDiskSettings, Settings
 from phm.recovery.actions import free_disk
 from phm.recovery.actions.free_disk import FreeDisk
 from phm.recovery.base import ActionFailed
-from phm.recovery.disks import as_container, by_hand, path_of
+from phm.recovery.target import Target
 
 DISK_BYTES = 100_000
 HOUR_S = 3600.0
@@ -61,9 +61,9 @@ def settings_of(disk: Path, *rooms: dict[str, Any]) -> Settings:
 
 
 def ask(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> tuple[FreeDisk, tuple[Any, ...]]:
-    target = as_container(f"disk:{disk}")
-    assert target is not None
-    return FreeDisk(), (target, None, SimpleNamespace(settings=settings_of(disk, *rooms), clock=clock or watched()))
+    settings = settings_of(disk, *rooms)
+    target = Target.parse(f"disk:{disk}", settings)
+    return FreeDisk(), (target, None, SimpleNamespace(settings=settings, clock=clock or watched()))
 
 
 def run(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> str:
@@ -247,10 +247,11 @@ def test_it_applies_to_disks_alone_and_only_where_something_may_go() -> None:
     without = Settings.model_validate({"agent": {"name": "a", "id": 1}})
     room = FreeDiskSettings(path="/data", files=["*.log"])
     allowed = without.model_copy(update={"host": without.host.model_copy(update={"free_disk": [room]})})
-    full, other = as_container("disk:/data"), as_container("ros_app")
-    assert full is not None and full.recover and other is None and path_of("ros_app") == ""
+    full, other = Target.parse("disk:/data", without), Target.parse("ros_app", without)
+    assert full.opted_in and full.key == "/data" and not other.configured
+    assert not FreeDisk.applies(other, None, allowed)  # type: ignore[arg-type]
     assert FreeDisk.applies(full, None, allowed) and not FreeDisk.applies(full, None, without)  # type: ignore[arg-type]
-    assert "make room on /data by hand" in by_hand("disk:/data")
+    assert "free space on /data manually" in full.manual_step()
 
 
 def test_a_real_disk_has_a_share() -> None:

@@ -42,21 +42,21 @@ def told() -> Told:
 
 
 @pytest.fixture
-def hands(told: Told, clock: testing.FakeClock) -> TargetLocks:
+def locks(told: Told, clock: testing.FakeClock) -> TargetLocks:
     return TargetLocks(cast(Any, told), clock)
 
 
 class Repair:
     """A thread that wants one more container and, when it has it, keeps it until `go`."""
 
-    def __init__(self, hands: TargetLocks, wanted: str, owner: object) -> None:
+    def __init__(self, locks: TargetLocks, wanted: str, owner: object) -> None:
         self.outcome, self.go, self.inside = "", threading.Event(), threading.Event()
-        self._hands, self._wanted, self._owner = hands, wanted, owner
+        self._locks, self._wanted, self._owner = locks, wanted, owner
         threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
         try:
-            with self._hands.on(self._wanted, self._owner, LIMIT_S):
+            with self._locks.locked_dependent(self._wanted, self._owner, LIMIT_S):
                 self.inside.set()
                 self.go.wait(LIMIT_S)
             self.outcome = "done"
@@ -69,22 +69,22 @@ def pass_time(clock: testing.FakeClock) -> None:
     time.sleep(0.001)
 
 
-def test_a_container_is_in_one_hand_at_a_time(hands: TargetLocks) -> None:
+def test_a_container_is_in_one_hand_at_a_time(locks: TargetLocks) -> None:
     """Only who has it lets it go."""
     one, two = object(), object()
-    assert hands.take("a", one)
-    assert not hands.take("a", two)
-    hands.release_target("a", two)
-    assert not hands.take("a", two)
-    hands.release_target("a", one)
-    assert hands.take("a", two)
+    assert locks.acquire("a", one)
+    assert not locks.acquire("a", two)
+    locks.release("a", two)
+    assert not locks.acquire("a", two)
+    locks.release("a", one)
+    assert locks.acquire("a", two)
 
 
-def test_whoever_needs_a_dependant_waits_for_it(hands: TargetLocks, clock: testing.FakeClock) -> None:
+def test_whoever_needs_a_dependant_waits_for_it(locks: TargetLocks, clock: testing.FakeClock) -> None:
     """Two repairs, one dependant: one after the other."""
-    first = Repair(hands, "side", object())
+    first = Repair(locks, "side", object())
     assert first.inside.wait(LIMIT_S)
-    second = Repair(hands, "side", object())
+    second = Repair(locks, "side", object())
     clock.wait_for_sleepers(1)
     clock.advance(1.0)
     clock.wait_for_sleepers(1)
@@ -96,41 +96,41 @@ def test_whoever_needs_a_dependant_waits_for_it(hands: TargetLocks, clock: testi
     assert (first.outcome, second.outcome) == ("done", "done")
 
 
-def test_a_wait_has_an_end(hands: TargetLocks, clock: testing.FakeClock) -> None:
+def test_a_wait_has_an_end(locks: TargetLocks, clock: testing.FakeClock) -> None:
     """A repair that hangs with the dependant in hand costs others their time and no more."""
-    assert hands.take("side", object())
-    repair = Repair(hands, "side", object())
+    assert locks.acquire("side", object())
+    repair = Repair(locks, "side", object())
     until(lambda: repair.outcome, "the outcome of the repair", step=lambda: pass_time(clock))
-    assert repair.outcome == "another repair had side in hand for 10 s"
+    assert repair.outcome == "another recovery was acting on side for 10 s"
 
 
 @pytest.mark.parametrize("links", [2, 3])
 def test_repairs_that_wait_for_each_other_do_not_wait_for_ever(
-    hands: TargetLocks, clock: testing.FakeClock, links: int
+    locks: TargetLocks, clock: testing.FakeClock, links: int
 ) -> None:
     """Whoever closes the circle is refused at once; when it lets go, the others go on."""
     owners = [object() for _ in range(links)]
     for number, owner in enumerate(owners):
-        assert hands.take(f"c{number}", owner)
-    waiting = [Repair(hands, f"c{number + 1}", owner) for number, owner in enumerate(owners[:-1])]
+        assert locks.acquire(f"c{number}", owner)
+    waiting = [Repair(locks, f"c{number + 1}", owner) for number, owner in enumerate(owners[:-1])]
     clock.wait_for_sleepers(links - 1)
-    with pytest.raises(TargetBusy, match="waits for this one"), hands.on("c0", owners[-1], LIMIT_S):
+    with pytest.raises(TargetBusy, match="waits for this one"), locks.locked_dependent("c0", owners[-1], LIMIT_S):
         pytest.fail("somebody has what is in another's hand")
     for number in range(links - 1, 0, -1):
-        hands.release_target(f"c{number}", owners[number])
+        locks.release(f"c{number}", owners[number])
         until(waiting[number - 1].inside.is_set, f"number {number} to enter", step=lambda: pass_time(clock))
         waiting[number - 1].go.set()
         until(lambda repair=waiting[number - 1]: repair.outcome, "the next outcome", step=lambda: pass_time(clock))  # type: ignore[misc]
     assert [repair.outcome for repair in waiting] == ["done"] * (links - 1)
 
 
-def test_a_hold_is_ended_by_who_began_it_last(hands: TargetLocks, told: Told) -> None:
+def test_a_hold_is_ended_by_who_began_it_last(locks: TargetLocks, told: Told) -> None:
     """A repair that proves itself while its container is restarted for another's sake does not end the other's hold."""
     own, other = object(), object()
-    hands.hold("side", own, "health/side", "restart", 60.0, proving=True)
-    hands.hold("side", other, "container/app", "restart", 60.0)
-    hands.release("side", own, worked=True)
+    locks.start_hold("side", own, "health/side", "restart", 60.0, proving=True)
+    locks.start_hold("side", other, "container/app", "restart", 60.0)
+    locks.end_hold("side", own, worked=True)
     assert told.calls == [("begin_action", "side", "health/side"), ("begin_action", "side", "container/app")]
-    hands.release("side", other, worked=True)
-    hands.release("side", other, worked=True)
+    locks.end_hold("side", other, worked=True)
+    locks.end_hold("side", other, worked=True)
     assert told.calls[2:] == [("end_action", "side")]

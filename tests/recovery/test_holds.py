@@ -52,7 +52,7 @@ class Scene:
             critical=("app",),
             **{"ladders": LADDERS, **recovery},
         )
-        self.holds: HoldRegistry = self.agent.executor._shop.holds
+        self.holds: HoldRegistry = self.agent.executor.holds
         action_on = self.agent.executor.action_on
         self.stream = COMPLETE
         world = HoldInputs(
@@ -558,7 +558,7 @@ def test_a_hold_binds_up_to_the_beginning_of_an_action(scene: Scene, monkeypatch
             scene.hold(for_s=600)
         return ""
 
-    monkeypatch.setattr(scene.agent.executor._shop.actions["restart"], "waits_for", asks)
+    monkeypatch.setattr(scene.agent.executor.catalog._actions["restart"], "waits_for", asks)
     scene.agent.bad = {"container/app": "broken"}
     scene.agent.until(lambda: scene.service.snapshot(), "the hold")
     scene.agent.rest(10)

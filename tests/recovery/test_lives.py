@@ -44,7 +44,7 @@ class Watch:
 
     @property
     def by(self) -> str:
-        life = self.lives.look("app")
+        life = self.lives.current("app")
         return life.by if life is not None else ""
 
     def anew(self, after_s: float = 0.0) -> bool:
@@ -141,7 +141,7 @@ def test_what_the_probe_remembers_is_not_taken_for_the_outcome() -> None:
     assert watch.by == FOUND
     watch.clock.advance(0.3)
     watch.change(started_at="t2")
-    life = watch.lives.look("app")
+    life = watch.lives.current("app")
     assert life is not None
     assert life.whose == "owner"
 
@@ -168,7 +168,7 @@ def test_an_action_that_phms_end_cut_short_may_still_be_finished_by_the_engine()
     """A restart goes on without PHM: what comes of it in time is PHM's, what comes later is not."""
     watch = Watch()
     watch.anew()
-    watch.lives.unfinished("app", "app")
+    watch.lives.add_unfinished("app", "app")
     watch.clock.advance(60.0)
     watch.change(started_at="t2")
     assert watch.by == by_phm("app")
@@ -216,12 +216,12 @@ def test_a_call_without_an_answer_is_not_waited_for_for_ever() -> None:
 def test_what_is_unfinished_is_known_to_the_next_phm() -> None:
     """While an action is at work and after a call without an answer, not after one that has come back."""
     watch = Watch()
-    assert watch.lives.unfinished_now() == {}
+    assert watch.lives.unfinished() == {}
     with watch.lives.acting("app", "owner"):
-        assert watch.lives.unfinished_now() == {"app": "owner"}
-    assert watch.lives.unfinished_now() == {}
+        assert watch.lives.unfinished() == {"app": "owner"}
+    assert watch.lives.unfinished() == {}
     late(watch)
-    assert watch.lives.unfinished_now() == {"app": "app"}
+    assert watch.lives.unfinished() == {"app": "app"}
 
 
 @pytest.mark.parametrize("what", ["silent", "missing"])
@@ -229,9 +229,9 @@ def test_nobody_can_tell_and_what_was_known_stands(what: str) -> None:
     """An engine that does not answer, a container that is not there: no new life."""
     watch = Watch()
     watch.anew()
-    known = watch.lives.look("app")
+    known = watch.lives.current("app")
     watch.silent, watch.fact = what == "silent", None if what == "missing" else watch.fact
-    assert watch.lives.look("app") == known
+    assert watch.lives.current("app") == known
     assert not watch.anew(after_s=LASTING_S)
 
 
@@ -242,10 +242,10 @@ def test_over_a_restart_of_phm_a_life_goes_on() -> None:
     first.change(started_at="t2")
     first.anew()
     second = Watch(first.fact)
-    second.lives.restore(first.lives.kept())
+    second.lives.restore(first.lives.snapshot())
     assert second.anew(after_s=LASTING_S)
     third = Watch(replace(FIRST, id="two"))
-    third.lives.restore(second.lives.kept())
+    third.lives.restore(second.lives.snapshot())
     assert third.anew()
 
 

@@ -141,11 +141,11 @@ def test_what_is_in_other_hands_is_not_acted_on(agents: list[Owners]) -> None:
     agent = make(agents)
     agent.open = True
     other = object()
-    assert agent.executor._shop.hands.take("a", other)
+    assert agent.executor.locks.acquire("a", other)
     agent.bad["health/a"] = "broken"
     agent.rest(10.0)
     assert agent.steps("a") == []
-    agent.executor._shop.hands.release_target("a", other)
+    agent.executor.locks.release("a", other)
     agent.until(lambda: Phase.VERIFIED in agent.steps("a"), "the repair")
     assert len(agent.runs) == 1
 
@@ -171,7 +171,7 @@ def test_a_proof_that_another_repair_overtakes_is_no_failure_of_the_target(agent
     agent.bad["health/a"] = "broken"
     agent.until(lambda: Phase.FAILED in agent.steps("side"), "the end of its proof")
     told = [event.detail for event in agent.of(ActionEvent) if event.phase is Phase.FAILED]
-    assert told == ["side was started again by the repair of a before restart was proven"]
+    assert told == ["side was started again by the recovery of a before restart was verified"]
     agent.until(lambda: Phase.VERIFIED in agent.steps("side"), "another attempt, which helps")
     assert Phase.ESCALATED not in agent.steps("side")
 
@@ -194,4 +194,4 @@ def test_an_action_that_was_given_up_begins_nothing_more(agents: list[Owners]) -
     agent.until(lambda: Phase.ESCALATED in agent.steps("a"), "the deadline")
     late.append("now")
     agent.until(lambda: not agent.acting, "the end of the action")
-    assert (agent.seen, agent.refused) == ([], ["restart of a was given up meanwhile"])
+    assert (agent.seen, agent.refused) == ([], ["restart of a was abandoned meanwhile"])

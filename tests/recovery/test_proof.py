@@ -42,7 +42,7 @@ class Alone(Silent):
 
 def verdict(started: float, still_bad_after_s: float | None) -> VerificationResult | None:
     """0 is when the action was over."""
-    return Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, still_bad_after_s).verdict(
+    return Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, still_bad_after_s).result(
         Silent(started), started + 2.0
     )
 
@@ -65,8 +65,8 @@ def test_what_needs_the_unit_is_waited_for_as_long_as_the_action_says(
 ) -> None:
     """After a reconnection nothing has to start: the nodes find each other soon, or not before they are restarted."""
     proving = Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, dependents_within_s=dependents_within_s)
-    assert proving.verdict(Alone(0.0), longest_s) is None
-    assert proving.verdict(Alone(0.0), longest_s + 0.1) == VerificationResult(missing="nodes/one", partly=True)
+    assert proving.result(Alone(0.0), longest_s) is None
+    assert proving.result(Alone(0.0), longest_s + 0.1) == VerificationResult(missing="nodes/one", partly=True)
 
 
 class Starved(Silent):
@@ -92,7 +92,7 @@ class Starved(Silent):
 
     def say(self, proving: Verification, now: float) -> VerificationResult | None:
         self.now = now
-        return proving.verdict(self, now)
+        return proving.result(self, now)
 
 
 @pytest.mark.parametrize("until", [1.0, 100.0])

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
 from phm.recovery.actions.relieve import Relieve
 from phm.recovery.actions.unpause import Unpause
-from phm.recovery.attempt import Repair
+from phm.recovery.attempt import Attempt
 from phm.recovery.base import Action, NotNeeded
 from phm.recovery.containers.cpu_weights import CALM_S, DEFAULT_SHARES, LOW_SHARES, CpuWeights
+from phm.recovery.target import Target
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
 from tests.recovery.bench import Bench, bench, fault
@@ -117,8 +118,8 @@ def test_it_applies_to_a_flight_critical_container_where_others_are_named() -> N
     """Opt-in twice: nothing gives way that is not named, and only for what flies the vehicle."""
     named = settings(containers=[{"name": "app"}, {"name": "other"}], recovery={"relieve": ["other"]})
     app = named.containers[0]
-    assert not Relieve.applies(app, STARVED, named)
-    critical = app.model_copy(update={"flight_critical": True})
+    assert not Relieve.applies(Target.of(app), STARVED, named)
+    critical = Target.of(app.model_copy(update={"flight_critical": True}))
     assert Relieve.applies(critical, STARVED, named)
     assert not Relieve.applies(critical, STARVED, settings(containers=[{"name": "app"}]))
 
@@ -139,18 +140,26 @@ def test_weights_that_must_be_lowered_again_and_again_stay_low_for_longer(real: 
 def test_giving_way_holds_nothing_of_the_starved_container(kind: type[Action], held: str) -> None:
     """What breaks there meanwhile does not follow from it, and is a fault as ever."""
     holds: list[str] = []
-    hands = SimpleNamespace(
-        take=lambda key, owner: True,
-        release_target=lambda key, owner: None,
-        hold=lambda key, *more, **marks: holds.append(key),
+    locks = SimpleNamespace(
+        acquire=lambda target, owner: True,
+        release=lambda target, owner: None,
+        start_hold=lambda target, *more, **marks: holds.append(target),
     )
-    pipeline = SimpleNamespace(is_stopping=lambda key: False)
+    pipeline = SimpleNamespace(is_stopping=lambda target: False)
     named = settings(containers=[{"name": "app", "flight_critical": True}], recovery={"relieve": []})
     context = SimpleNamespace(settings=named, engine=None)
-    shop = SimpleNamespace(
-        hands=hands, pipeline=pipeline, clock=FakeClock(), context=context, flight_critical_guard=None
+    others = {"generations": None, "guard": None, "verifier": None}
+    attempt = Attempt(
+        Target.of(named.containers[0]),
+        STARVED,
+        kind,
+        last=True,
+        context=cast(Any, context),
+        pipeline=cast(Any, pipeline),
+        clock=FakeClock(),
+        locks=cast(Any, locks),
+        **cast(Any, others),
     )
-    repair = Repair(shop, named.containers[0], STARVED, kind, last=True)  # type: ignore[arg-type]
-    assert repair.begin()
+    assert attempt.begin()
     assert holds == [held]
-    repair._acting.release_target()
+    attempt._unlock()

@@ -61,7 +61,7 @@ def test_what_was_given_up_is_acted_on_again_when_the_container_was_recreated(ya
     agent.until(lambda: agent.steps().count(Phase.ESCALATED) == 2, "giving up again")
     agent.rest(20.0)
     assert (len(agent.runs), agent.opened()) == (4, ["health/app"] * 2)
-    assert any("started again by somebody else" in note for note in agent.notes())
+    assert any("started again outside PHM" in note for note in agent.notes())
 
 
 def test_what_is_judged_afresh_gets_its_grace(yard: Yard) -> None:
@@ -152,7 +152,7 @@ def test_a_life_that_others_began_ends_the_proof(yard: Yard) -> None:
     restarted = yard.clock.mono()
     agent.until(lambda: Phase.FAILED in agent.steps(), "the end of the proof")
     told = [event.detail for event in agent.of(ActionEvent) if event.phase is Phase.FAILED]
-    assert told == ["app was started again by somebody else before restart was proven"]
+    assert told == ["app was started again outside PHM before restart was verified"]
     agent.until(lambda: len(agent.runs) == 2, "another attempt")
     assert yard.clock.mono() - restarted >= 2.0
 
@@ -272,7 +272,7 @@ def test_a_restart_that_the_engine_finishes_late_excuses_no_attempt(yard: Yard) 
     agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
     agent.rest(60.0)
     assert (len(agent.runs), agent.opened()) == (3, ["health/app"])
-    assert not any("somebody else" in note for note in agent.notes())
+    assert not any("outside PHM" in note for note in agent.notes())
 
 
 def test_a_container_that_comes_up_late_gets_its_grace(yard: Yard) -> None:
@@ -309,7 +309,7 @@ def test_a_restart_that_phms_end_interrupted_excuses_no_attempt(yard: Yard, whil
     second.until(lambda: Phase.ESCALATED in second.steps(), "giving up")
     second.rest(60.0)
     assert (len(second.runs), second.opened()) == (2, [])
-    assert not any("somebody else" in note for note in second.notes())
+    assert not any("outside PHM" in note for note in second.notes())
 
 
 def test_a_dependants_restart_that_phms_end_interrupted_is_phms_own(yard: Yard) -> None:
@@ -327,14 +327,14 @@ def test_a_dependants_restart_that_phms_end_interrupted_is_phms_own(yard: Yard) 
 
     first.behave = act
     first.bad["health/app"] = "broken"
-    first.until(lambda: first.executor.kept().unfinished == {"app": "app", "side": "app"}, "the action")
+    first.until(lambda: first.executor.persisted().unfinished == {"app": "app", "side": "app"}, "the action")
     first.stop()
     yard.containers.start("side")
     second = yard.phm(units=units, opted_in=("app", "side"))
     second.bad["health/side"] = "broken"
     second.rest(60.0)
     assert [target for target, _ in second.runs] == []
-    assert not any("somebody else" in note for note in second.notes())
+    assert not any("outside PHM" in note for note in second.notes())
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,12 @@ from phm.core.settings import ContainerSettings
 from phm.recovery.actions.reopen import Reopen
 from phm.recovery.base import ActionContext, ActionFailed
 from phm.recovery.history import History
-from phm.recovery.links import as_container, by_hand, name_of
 from phm.recovery.policy import Act, Skip, decide
+from phm.recovery.target import Target, TargetKind
 from phm.testing import settings
+
+GROUND = Target.parse("link:ground", settings())
+APP = Target.of(ContainerSettings(name="ros_1", alias="ros_app", recover=True))
 
 
 def fault(condition: str = "radio_silent") -> Fault:
@@ -21,7 +24,7 @@ def fault(condition: str = "radio_silent") -> Fault:
     return Fault("F1", "radio/ground", Slot.RADIO, Layer.LINK, result, Stamp(0.0, 0.0))
 
 
-def run(target: ContainerSettings | None, opened: bool = True) -> tuple[str, list[str]]:
+def run(target: Target, opened: bool = True) -> tuple[str, list[str]]:
     asked: list[str] = []
 
     def reopen(link: str, timeout_s: float) -> bool:
@@ -32,35 +35,33 @@ def run(target: ContainerSettings | None, opened: bool = True) -> tuple[str, lis
     context = ActionContext(
         cast(Any, None), settings(), lambda key: None, lambda: None, lambda key, net: None, reopen=reopen
     )
-    assert target is not None
     return Reopen().run(target, fault(), context), asked
 
 
 def test_it_opens_the_link_that_is_meant() -> None:
     """By its name, whatever characters a url has."""
-    assert run(as_container("link:ground")) == ("reopened the MAVLink endpoint ground", ["ground"])
-    assert run(as_container("link:tcp:10.0.0.1:5760"))[1] == ["tcp:10.0.0.1:5760"]
+    assert run(GROUND) == ("reopened the MAVLink endpoint ground", ["ground"])
+    assert run(Target.parse("link:tcp:10.0.0.1:5760", settings()))[1] == ["tcp:10.0.0.1:5760"]
 
 
 def test_what_does_not_open_again_has_failed() -> None:
     """With a sentence for the log."""
     with pytest.raises(ActionFailed, match="ground did not open again"):
-        run(as_container("link:ground"), opened=False)
+        run(GROUND, opened=False)
 
 
 def test_a_container_is_no_link() -> None:
     """A ladder that names it for a container is told to be wrong."""
     with pytest.raises(ActionFailed, match=r"ros_app is a container: correct recovery\.ladders"):
-        run(ContainerSettings(name="ros_app", recover=True))
+        run(APP)
 
 
-def test_a_link_is_told_from_a_container() -> None:
-    """No container can be called so; hints fit what is meant."""
-    assert name_of("link:ground") == "ground"
-    assert name_of("ros_app") == ""
-    assert as_container("ros_app") is None
-    assert "docker logs --tail 50 ros_1" in by_hand("ros_app", "ros_1")
-    assert "ground" in by_hand("link:ground", None)
+def test_a_link_is_distinguished_from_a_container() -> None:
+    """By the prefix, which no container's name can have; the manual step fits the kind."""
+    assert (GROUND.kind, GROUND.key, GROUND.name, GROUND.opted_in) == (TargetKind.LINK, "ground", "link:ground", False)
+    assert (APP.kind, APP.key, APP.name, APP.opted_in) == (TargetKind.CONTAINER, "ros_app", "ros_app", True)
+    assert "docker logs --tail 50 ros_1" in APP.manual_step()
+    assert "ground" in GROUND.manual_step()
 
 
 @pytest.mark.parametrize("condition", ["link_silent", "radio_silent", "autopilot_silent"])
@@ -72,10 +73,10 @@ def test_it_is_decided_in_any_mode_and_while_armed(condition: str, mode: str) ->
         fault(condition),
         History(),
         10.0,
-        container=as_container("link:ground"),
+        target=GROUND,
         forbids=lambda action: "it is armed",
         settings=chosen,
-        unrestricted_actions=frozenset({"reopen"}),
+        unrestricted=frozenset({"reopen"}),
     )
     assert decision == Act("reopen", 1)
 
@@ -87,9 +88,9 @@ def test_a_link_has_opted_in_to_nothing_else() -> None:
         fault(),
         History(),
         10.0,
-        container=as_container("link:ground"),
+        target=GROUND,
         forbids=lambda action: "",
         settings=chosen,
-        unrestricted_actions=frozenset({"reopen"}),
+        unrestricted=frozenset({"reopen"}),
     )
     assert isinstance(decision, Skip)

@@ -20,7 +20,7 @@ from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor, NotApprovable
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
-from phm.recovery.shop import Shop
+from phm.recovery.target import Target
 from phm.tracker import TrackedUnit, Tracker
 from tests.fakes.until import until
 
@@ -46,7 +46,7 @@ class Life:
         self.memory.restore()
         self.bus.subscribe("test", self.events.append)
         context = ActionContext(cast(Any, None), settings, lambda key: None, lambda: None, lambda a, b: None)
-        shop = Shop(
+        self.executor = Executor(
             self.pipeline,
             self.bus.publish,
             clock,
@@ -55,7 +55,6 @@ class Life:
             lambda: ArmedStatus(ArmedState.DISARMED, "the autopilot is disarmed"),
             lambda unit: 0.0,
         )
-        self.executor = Executor(shop)
         self.memory.resume(self.executor)
         self.bus.subscribe("recovery", self.executor.handle, kinds=Executor.kinds, key=Executor.key)
 
@@ -66,7 +65,7 @@ class Life:
             name = "restart"
             deadline_s = 5.0
 
-            def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+            def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
                 life.runs.append("restart")
                 life.behave("restart")
                 return "restarted"
@@ -178,9 +177,9 @@ def test_an_action_that_was_cut_short_is_an_attempt_and_taken_up_again(lives: Ca
     stuck.set()
     second.behave = lambda name: setattr(second, "well", True)
     second.until(lambda: Phase.VERIFIED in second.phases())
-    assert any("cut short" in event.text for event in second.of(Note))
+    assert any("interrupted" in event.text for event in second.of(Note))
     assert second.of(FaultOpened) == []
-    assert [made.worked for made in second.executor.kept().attempts["app"]] == [False, True]
+    assert [made.worked for made in second.executor.persisted().attempts["app"]] == [False, True]
 
 
 def test_what_healed_meanwhile_is_not_acted_on(lives: Callable[..., Life]) -> None:

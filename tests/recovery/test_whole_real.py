@@ -137,7 +137,7 @@ def test_restarted_by_hand_it_is_acted_on_again_when_it_has_stayed(real: Any, ph
     assert daemon.count(Phase.STARTED) == 2
     made.restart(timeout=1)
     daemon.until(lambda: daemon.count(Phase.STARTED) > 2, "another attempt")
-    assert any("started again by somebody else" in event.text for event in daemon.events if isinstance(event, Note))
+    assert any("started again outside PHM" in event.text for event in daemon.events if isinstance(event, Note))
 
 
 def test_dockers_own_restart_policy_does_not_make_phm_begin_anew(real: Any, phm: Start) -> None:
@@ -249,4 +249,4 @@ def test_restarts_that_the_engine_finishes_late_are_phms_own(
     assert real.client.api.inspect_container(made.id)["State"]["StartedAt"] != started
     assert daemon.count(Phase.STARTED) == 3
     assert daemon.opened().count("files/app") == 1
-    assert not any("somebody else" in text for text in daemon.notes())
+    assert not any("outside PHM" in text for text in daemon.notes())

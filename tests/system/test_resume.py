@@ -101,7 +101,7 @@ def test_killed_in_the_middle_of_a_restart_it_takes_it_up_again(app: Aboard, sta
     poll(lambda: bool(kept(phm).get("under_way")), "the action on the disk", 5)
     kill(phm)
     mark = start_again(phm)
-    note = phm.wait(lambda event: event["event"] == "note" and "cut short" in event["text"], "the note", since=mark)
+    note = phm.wait(lambda event: event["event"] == "note" and "interrupted" in event["text"], "the note", since=mark)
     assert started["fault"] in note["text"]
     end = phm.wait(closed(started["fault"]), "the end of the fault", 60, mark)
     assert end["outcome"] == "resolved"

@@ -39,11 +39,11 @@ def has_its_own(fact: ContainerFact) -> bool:
     return fact.network_mode not in ("host", "none") and not fact.network_mode.startswith("container:")
 
 
-def connect(target: ContainerSettings, fact: ContainerFact, name: str, network: str, context: ActionContext) -> bool:
+def connect(container: ContainerSettings, fact: ContainerFact, name: str, network: str, context: ActionContext) -> bool:
     """Connect the container to the network of this name and id as it was connected before, removing what is left of that;
     False when the network has gone meanwhile. Raises CannotTell."""
     left = next((one for one in fact.networks if one.name == name), None)
-    before = context.remembered(target.key, name) or left
+    before = context.remembered(container.key, name) or left
     try:
         if left is not None:
             context.engine.disconnect(name, fact.name, force=True)
@@ -56,15 +56,15 @@ def connect(target: ContainerSettings, fact: ContainerFact, name: str, network: 
     return True
 
 
-def reconnect_stopped(target: ContainerSettings, fact: ContainerFact, context: ActionContext) -> None:
+def reconnect_stopped(container: ContainerSettings, fact: ContainerFact, context: ActionContext) -> None:
     """The engine refuses to start a container that was on a network which has been created again since it stopped."""
-    for name in stale(target, fact, context):
-        connect(target, fact, name, network_id(name, context), context)
+    for name in stale(container, fact, context):
+        connect(container, fact, name, network_id(name, context), context)
 
 
-def stale(target: ContainerSettings, fact: ContainerFact, context: ActionContext) -> list[str]:
+def stale(container: ContainerSettings, fact: ContainerFact, context: ActionContext) -> list[str]:
     """Configured networks to which the container, which does not run, is attached by the id of one that is gone."""
-    known = [one for one in fact.networks if one.name in target.networks]
+    known = [one for one in fact.networks if one.name in container.networks]
     return [one.name for one in known if one.network_id != network_id(one.name, context)]
 
 

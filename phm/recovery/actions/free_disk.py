@@ -13,12 +13,12 @@ from itertools import islice
 from pathlib import PurePosixPath
 
 from phm.core.model import Fault
-from phm.core.settings import ContainerSettings, FreeDiskSettings, Settings
+from phm.core.settings import FreeDiskSettings, Settings
 from phm.facts.disk_space import space
 from phm.recovery.actions._paths import FOLDER, open_plain
 from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
-from phm.recovery.disks import path_of
 from phm.recovery.safety.flight_critical import Impact
+from phm.recovery.target import Target, TargetKind
 
 ENOUGH = 0.9
 """Files go until the disk is at this share of `host.disk.warn`: at the limit itself it would be full again at once."""
@@ -57,10 +57,10 @@ class FreeDisk(Action):
     deadline_s = 60.0
 
     @classmethod
-    def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
-        return bool(path_of(target.key)) and bool(settings.host.free_disk)
+    def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
+        return target.kind is TargetKind.DISK and bool(settings.host.free_disk)
 
-    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
         needed_s = min(place.older_than for place in context.settings.host.free_disk)
         left_s = needed_s - (context.clock.mono() - context.clock.steps.known_since())
         if left_s <= 0:
@@ -70,8 +70,8 @@ class FreeDisk(Action):
             f"{math.ceil(left_s)} s: what the clock was set to before PHM started to watch it is unknown"
         )
 
-    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        disk, host = path_of(target.key), context.settings.host
+    def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
+        disk, host = target.key, context.settings.host
         goal = ENOUGH * host.disk.warn
         problems: list[str] = []
         removed = [old for place in host.free_disk for old in _clear(place, disk, goal, problems, context)]

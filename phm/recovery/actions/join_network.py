@@ -6,7 +6,8 @@ from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
 from phm.facts import NotPermitted
 from phm.recovery.actions._networks import missing, network_id, not_there
-from phm.recovery.base import Action, ActionContext, NotNeeded
+from phm.recovery.base import Action, ActionContext, NotNeeded, container_settings
+from phm.recovery.target import Target
 
 
 class JoinNetwork(Action):
@@ -19,21 +20,24 @@ class JoinNetwork(Action):
     # A network that PHM's container is on is there at once.
     still_bad_after_s = 1.0
 
-    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        gone = missing(target.networks, context)
-        return not_there(gone) if gone and len(gone) == len(target.networks) else ""
+    def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
+        networks = container_settings(target).networks
+        gone = missing(networks, context)
+        return not_there(gone) if gone and len(gone) == len(networks) else ""
 
-    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        return join_networks(target, context) or NotNeeded(f"PHM is on the networks of {target.key} already")
+    def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
+        return join_networks(container_settings(target), context) or NotNeeded(
+            f"PHM is on the networks of {target.key} already"
+        )
 
 
-def join_networks(target: ContainerSettings, context: ActionContext) -> str:
-    """Join every network of `target` that exists and PHM's container is not on; what was joined, in words, or empty."""
+def join_networks(container: ContainerSettings, context: ActionContext) -> str:
+    """Join every network of the container that exists and PHM's container is not on; what was joined, in words, or empty."""
     me = context.myself()
     if me is None or me.network_mode == "host":
         return ""
     joined = []
-    for name in target.networks:
+    for name in container.networks:
         network = network_id(name, context)
         if not network:
             continue  # joined when it is there: the check of the container's networks sees that

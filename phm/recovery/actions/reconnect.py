@@ -7,8 +7,9 @@ from phm.core.settings import ContainerSettings
 from phm.facts import ContainerFact
 from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import connect, missing, network_id, not_there
-from phm.recovery.base import Action, ActionContext, NotNeeded, NotYet
+from phm.recovery.base import Action, ActionContext, NotNeeded, NotYet, container_settings
 from phm.recovery.safety.flight_critical import Impact
+from phm.recovery.target import Target
 
 
 class Reconnect(Action):
@@ -29,16 +30,17 @@ class Reconnect(Action):
     # keeps its multicast membership on the interface that is gone.
     dependents_within_s = 6.0
 
-    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        gone = missing(target.networks, context)
-        return not_there(gone) if gone and not _due(target, fault, present(target, context), context) else ""
+    def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
+        container = container_settings(target)
+        gone = missing(container.networks, context)
+        return not_there(gone) if gone and not _due(container, fault, present(target, context), context) else ""
 
-    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        fact = present(target, context)
-        gone = missing(target.networks, context)
+    def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
+        container, fact = container_settings(target), present(target, context)
+        gone = missing(container.networks, context)
         done: list[str] = []
-        for name, network in _due(target, fault, fact, context):
-            reached = connect(target, fact, name, network, context)
+        for name, network in _due(container, fault, fact, context):
+            reached = connect(container, fact, name, network, context)
             (done if reached else gone).append(name)
         if gone and not done:
             raise NotYet(not_there(gone))
@@ -48,13 +50,15 @@ class Reconnect(Action):
         return f"reconnected {target.key} to {', '.join(done)}{waits}"
 
 
-def _due(target: ContainerSettings, fault: Fault, fact: ContainerFact, context: ActionContext) -> list[tuple[str, str]]:
+def _due(
+    container: ContainerSettings, fault: Fault, fact: ContainerFact, context: ActionContext
+) -> list[tuple[str, str]]:
     """Name and id of each existing network that the container is to be connected to; all of them when its address is silent."""
     attached = {entry.name: entry for entry in fact.networks}
     due = []
-    for name in target.networks:
+    for name in container.networks:
         network, now = network_id(name, context), attached.get(name)
-        is_as_it_must_be = now is not None and now.network_id == network and (now.address or not target.address)
+        is_as_it_must_be = now is not None and now.network_id == network and (now.address or not container.address)
         if network and (fault.result.condition == "address_silent" or not is_as_it_must_be):
             due.append((name, network))
     return due

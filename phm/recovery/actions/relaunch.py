@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from phm.core.model import Fault
-from phm.core.settings import ContainerSettings, NodeSettings, Settings
+from phm.core.settings import NodeSettings, Settings
 from phm.facts import CannotTell
 from phm.recovery.actions._common import present
 from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
 from phm.recovery.safety.flight_critical import Impact
+from phm.recovery.target import Target
 
 
 class Relaunch(Action):
@@ -24,10 +25,10 @@ class Relaunch(Action):
     verify_after_s = 2.0
 
     @classmethod
-    def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
+    def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
         return _node(target, fault, settings) is not None
 
-    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         node = _node(target, fault, context.settings)
         if node is None:
             raise ActionFailed(f"no relaunch command is configured for {fault.unit}: add it to its node in ros.nodes")
@@ -56,7 +57,7 @@ class Relaunch(Action):
             return not missing
 
 
-def _node(target: ContainerSettings, fault: Fault, settings: Settings) -> NodeSettings | None:
+def _node(target: Target, fault: Fault, settings: Settings) -> NodeSettings | None:
     """The node to start for this fault: of a topic the first publisher; None when it has no command."""
     check, _, subject = fault.unit.partition("/")
     name = subject if check == "nodes" else ""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from phm.core.model import Fault
-from phm.core.settings import ContainerSettings, Settings
+from phm.core.settings import Settings
 from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
 from phm.recovery.containers.cpu_weights import LOW_SHARES
 from phm.recovery.safety.flight_critical import Impact
+from phm.recovery.target import Target
 
 
 class Relieve(Action):
@@ -19,10 +20,11 @@ class Relieve(Action):
     verify_after_s = 1.0
 
     @classmethod
-    def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
-        return target.flight_critical and bool(settings.recovery.relieve)
+    def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
+        container = target.container
+        return container is not None and container.flight_critical and bool(settings.recovery.relieve)
 
-    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         if context.relief is None:
             raise ActionFailed("CPU weights cannot be changed here")
         lowered = []

@@ -5,10 +5,9 @@ from __future__ import annotations
 import threading
 
 from phm.core.model import Fault
-from phm.core.settings import ContainerSettings
 from phm.facts import AutopilotFact
 from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
-from phm.recovery.links import name_of
+from phm.recovery.target import Target, TargetKind
 
 OPEN_S = 8.0
 """A connection is given up after 5 s."""
@@ -41,12 +40,12 @@ class Reopen(Action):
         self._pilot: AutopilotFact | None = None
         """As it was known before."""
 
-    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        link = name_of(target.key)
-        if not link:
+    def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
+        if target.kind is not TargetKind.LINK:
             raise ActionFailed(
-                f"reopen is for MAVLink endpoints, and {target.key} is a container: correct recovery.ladders"
+                f"reopen works on MAVLink endpoints, {target.name} is a {target.kind.value}: correct recovery.ladders"
             )
+        link = target.key
         if _flows(link, context, FLOWS_S):
             return NotNeeded(f"data come by {link} again")
         self._began, self._pilot = context.clock.mono(), context.autopilot()
@@ -57,12 +56,12 @@ class Reopen(Action):
         self._prompt = self._answers(link, _prompt_s(fault, context), context)
         return f"reopened the MAVLink endpoint {link}"
 
-    def other_cause(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def other_cause(self, target: Target, fault: Fault, context: ActionContext) -> str:
         """A reboot, or a stall, of the autopilot explains its silence, and so does an answer that came late."""
         if not self._prompt:
             return "nothing came soon after it was opened, and the other side has come back by itself"
         before = self._pilot
-        if before is None or before.boot_s is None or before.link != name_of(target.key):
+        if before is None or before.boot_s is None or before.link != target.key:
             return ""
         return self._behind(before, before.boot_s, context)
 

@@ -1,12 +1,23 @@
-"""Restart a container."""
+"""Restart a container, and then the containers that depend on it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
-from phm.recovery.actions._common import present, restart_dependants, restart_gracefully
+from phm.facts import CannotTell, ContainerFact
+from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import has_its_own, missing, not_there, reconnect_stopped
-from phm.recovery.base import Action, ActionContext
+from phm.recovery.base import Action, ActionContext, container_settings
+from phm.recovery.containers.dependents import dependents
+from phm.recovery.safety.flight_critical import FlightCriticalError
+from phm.recovery.target import Target
+
+MOST_STOP_S = 120.0
+"""A container that asks for more time to end gets this much when PHM restarts it: it has failed already."""
+FOLLOW_S = 30.0
+"""A dependant is held for its stop time-out and this much longer, in case the thread that restarts it dies."""
 
 
 class Restart(Action):
@@ -21,15 +32,106 @@ class Restart(Action):
     verify_after_s = 2.0
     deadline_s = 240.0
 
-    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
-        if not target.networks or not has_its_own(present(target, context)):
+    def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
+        networks = container_settings(target).networks
+        if not networks or not has_its_own(present(target, context)):
             return ""
-        gone = missing(target.networks, context)
+        gone = missing(networks, context)
         return not_there(gone) if gone else ""
 
-    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
         if not fact.running:
-            reconnect_stopped(target, fact, context)
+            reconnect_stopped(container_settings(target), fact, context)
         restart_gracefully(fact, context)
-        return f"restarted {target.key}{restart_dependants(target, fault, context)}"
+        return f"restarted {target.key}{restart_dependents(target, fault, context)}"
+
+
+def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:
+    """The container's stop signal (SIGTERM unless it names another), its time to end, SIGKILL, start again.
+
+    SIGTERM first matters to ROS: a node that ends by itself takes its DDS participant with it, a killed
+    one lingers in the graph until its lease ends.
+    """
+    if fact.status == "paused":
+        context.engine.unpause(fact.id)  # a frozen process cannot act on SIGTERM
+    context.engine.restart(fact.id, stop_timeout_s(fact, context))
+
+
+def stop_timeout_s(fact: ContainerFact, context: ActionContext) -> float:
+    """`recovery.stop_timeout`, or longer where the container itself asks for it, up to MOST_STOP_S."""
+    asked_s = fact.stop_timeout_s or 0.0
+    own_s = MOST_STOP_S if asked_s < 0 else min(asked_s, MOST_STOP_S)
+    return max(context.settings.recovery.stop_timeout, own_s)
+
+
+def restart_dependents(target: Target, fault: Fault, context: ActionContext) -> str:
+    """Restart whoever depends on the target, once that runs again; what was done, for the log (may be empty).
+
+    What goes wrong here is told and no failure of the action: the target itself has been mended, and a
+    dependant that stays broken is a fault of its own.
+    """
+    facts = _facts(context)
+    order = dependents(target.key, facts, context.settings.containers)
+    if not order:
+        return ""
+    mended = facts.get(target.key)
+    if mended is None or not mended.running:
+        return f"; {', '.join(order)} not restarted, because {target.key} does not run"
+    said, moved = [], False
+    for key in order:
+        # What depends on a restarted dependant must follow it, however new it is.
+        words, restarted = _follow(key, fault, facts, context, always=moved)
+        moved = moved or restarted
+        said.append(f"; {words}")
+    return "".join(said)
+
+
+def _follow(
+    key: str, fault: Fault, facts: Mapping[str, ContainerFact], context: ActionContext, *, always: bool
+) -> tuple[str, bool]:
+    """What came of it, for the log, and whether the dependant was restarted. facts: as observed after the target's start."""
+    entry = context.settings.container(key)
+    if entry is None or key not in facts:
+        return f"{key}, which depends on it, is not there", False
+    if not entry.recover:
+        return f"{key} depends on it and has not opted in (recover: true): restart it by hand", False
+    try:
+        with context.holding(key, fault, "restart", stop_timeout_s(facts[key], context) + FOLLOW_S):
+            left_alone = _restart_dependant(entry, "" if always else facts[key].life, context)
+    except FlightCriticalError as error:
+        return f"{key} depends on it: {error}; restart it by hand when that is safe", False
+    except CannotTell as error:
+        return f"{key} depends on it and could not be restarted: {error}", False
+    return left_alone or f"restarted {key}, which depends on it", not left_alone
+
+
+def _restart_dependant(entry: ContainerSettings, before: str, context: ActionContext) -> str:
+    """All is asked again: there may have been a wait until the repair of another container had it no longer in hand.
+
+    before: its generation (`ContainerFact.life`) as observed after the target's start: one that runs as another generation
+    now was started later than the target, whatever the engine's clock says, and is left alone. Empty: it must follow anyhow.
+    Returns why it was left alone; empty: restarted.
+    """
+    key, fact = entry.key, context.container(entry.key)
+    if fact is None:
+        return f"{key}, which depends on it, is not there"
+    if words := context.on_hold(key):
+        return f"{key}, which depends on it, is {words}: restart it by hand"
+    if fact.running and before and fact.life != before:
+        return f"{key}, which depends on it, was started after it already"
+    restart_gracefully(fact, context)
+    return ""
+
+
+def _facts(context: ActionContext) -> dict[str, ContainerFact]:
+    """All configured containers that can be seen now."""
+    found = {}
+    for entry in context.settings.containers:
+        try:
+            fact = context.container(entry.key)
+        except CannotTell:
+            continue
+        if fact is not None:
+            found[entry.key] = fact
+    return found

@@ -10,12 +10,13 @@ import posixpath
 import stat
 
 from phm.core.model import Fault
-from phm.core.settings import ContainerSettings, FileSettings, Settings
+from phm.core.settings import FileSettings, Settings
 from phm.facts import ContainerFact
 from phm.recovery.actions._common import present
 from phm.recovery.actions._paths import open_plain
-from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
+from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded, container_settings
 from phm.recovery.safety.flight_critical import Impact
+from phm.recovery.target import Target
 from phm.transport.docker import DockerEngine, EngineMissing, FileCopy
 
 LIMIT = 16 << 20
@@ -39,15 +40,18 @@ class RestoreFile(Action):
     deadline_s = 90.0
 
     @classmethod
-    def applies(cls, target: ContainerSettings, fault: Fault, settings: Settings) -> bool:
+    def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
         """The file at fault can be put back; any file can when the check does not say which it is."""
         path = fault.result.evidence.file
-        return any(file.restore and file.present and path in ("", file.path) for file in target.files)
+        container = target.container
+        if container is None:
+            return False
+        return any(file.restore and file.present and path in ("", file.path) for file in container.files)
 
-    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
         done, problems = [], []
-        for file in target.files:
+        for file in container_settings(target).files:
             if not file.restore or not file.present:
                 continue
             try:

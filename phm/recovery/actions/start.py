@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from phm.core.model import Fault, Outcome
-from phm.core.settings import ContainerSettings
-from phm.recovery.actions._common import present, restart_dependants
+from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import missing, not_there, reconnect_stopped, stale
-from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
+from phm.recovery.actions.restart import restart_dependents
+from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded, container_settings
 from phm.recovery.safety.flight_critical import Impact
+from phm.recovery.target import Target
 
 
 class Start(Action):
@@ -19,22 +20,22 @@ class Start(Action):
     verify_after_s = 2.0
     deadline_s = 120.0
 
-    def waits_for(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
-        gone = missing(stale(target, fact, context), context) if not fact.running else []
+        gone = missing(stale(container_settings(target), fact, context), context) if not fact.running else []
         return not_there(gone) if gone else ""
 
-    def run(self, target: ContainerSettings, fault: Fault, context: ActionContext) -> str:
+    def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
         if fact.status == "paused":
             raise ActionFailed(f"{target.key} is paused, not stopped: unpause it")
         if fact.running:
             return NotNeeded(f"{target.key} runs already")
-        reconnect_stopped(target, fact, context)
+        reconnect_stopped(container_settings(target), fact, context)
         if not context.engine.start(fact.id):
-            return NotNeeded(f"{target.key} was started by somebody else meanwhile")
+            return NotNeeded(f"{target.key} was started outside PHM meanwhile")
         if (
             fault.outcome is Outcome.ESCALATED
         ):  # it has ended again and again: who depends on it is not restarted each time
             return f"started {target.key}"
-        return f"started {target.key}{restart_dependants(target, fault, context)}"
+        return f"started {target.key}{restart_dependents(target, fault, context)}"

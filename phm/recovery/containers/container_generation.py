@@ -116,38 +116,38 @@ class GenerationTracker:
     is in, so that an old answer never comes after a newer one. The engine's client bounds how long that takes.
     """
 
-    def __init__(self, look: Callable[[str], ContainerFact | None], clock: Clock, lasting_s: float) -> None:
-        self._ask, self._clock, self._lasting_s = look, clock, lasting_s
-        self._lives: dict[str, Generation] = {}
+    def __init__(self, observe: Callable[[str], ContainerFact | None], clock: Clock, lasting_s: float) -> None:
+        self._observe, self._clock, self._lasting_s = observe, clock, lasting_s
+        self._generations: dict[str, Generation] = {}
         self._actors: dict[str, _Actor] = {}
         self._locks: dict[str, threading.Lock] = {}
 
     def restore(self, known: Mapping[str, Generation]) -> None:
         """What an earlier run of PHM knew; before any look."""
-        self._lives.update(known)
+        self._generations.update(known)
 
-    def kept(self) -> dict[str, Generation]:
-        return dict(self._lives)
+    def snapshot(self) -> dict[str, Generation]:
+        return dict(self._generations)
 
-    def look(self, key: str) -> Generation | None:
+    def current(self, key: str) -> Generation | None:
         """The life at hand; the last known one when nobody can tell."""
         with self._lock(key):
-            self._see(key)
-            return self._lives.get(key)
+            self._update(key)
+            return self._generations.get(key)
 
     def external_start(self, key: str) -> float | None:
         """When a life began that makes attempts count anew (monotonic seconds); said once for each such life."""
         with self._lock(key):
-            fact, life = self._see(key), self._lives.get(key)
+            fact, life = self._update(key), self._generations.get(key)
             if life is None or fact is None or not resets_attempts(life, fact, self._clock.mono(), self._lasting_s):
                 return None
-            self._lives[key] = replace(life, by=COUNTED)
+            self._generations[key] = replace(life, by=COUNTED)
             return life.since
 
     def forget(self, key: str) -> None:
         """No attempt counts any more: what happens from now on need not be told from what was. The next look is the first."""
         with self._lock(key):
-            self._lives.pop(key, None)
+            self._generations.pop(key, None)
 
     @contextlib.contextmanager
     def acting(self, key: str, who: str, unanswered: Callable[[], int] = lambda: 0) -> Iterator[None]:
@@ -157,7 +157,7 @@ class GenerationTracker:
         """
         actor = _Actor(who)
         with self._lock(key):
-            self._see(key)  # what others did until now is theirs
+            self._update(key)  # what others did until now is theirs
             before = self._actors.get(key)
             if before is not None:
                 actor.unanswered, actor.until = before.unanswered, before.until
@@ -170,12 +170,12 @@ class GenerationTracker:
                 actor.unanswered, actor.until = actor.unanswered + count, self._clock.mono() + UNFINISHED_S
             actor.ended = self._clock.mono()
 
-    def unfinished(self, key: str, who: str) -> None:
+    def add_unfinished(self, key: str, who: str) -> None:
         """An action on `key` for the sake of `who` was cut short when PHM ended; the engine may finish it, or has. Before any look."""
         now = self._clock.mono()
         self._actors[key] = _Actor(who, now, 1, now + UNFINISHED_S)
 
-    def unfinished_now(self) -> dict[str, str]:
+    def unfinished(self) -> dict[str, str]:
         """On which containers PHM is acting, or has made a call without an answer, and for whose sake: for the next PHM."""
         actors, now = dict(self._actors), self._clock.mono()
         return {
@@ -187,17 +187,17 @@ class GenerationTracker:
     def _lock(self, key: str) -> threading.Lock:
         return self._locks.setdefault(key, threading.Lock())
 
-    def _see(self, key: str) -> ContainerFact | None:
+    def _update(self, key: str) -> ContainerFact | None:
         began, actor = self._clock.mono(), self._actors.get(key)
         try:
-            fact = self._ask(key)
+            fact = self._observe(key)
         except CannotTell:
             return None  # the last known life stands
         if fact is None:
             return None
         phm_for = actor.who if actor is not None else ""
-        old = self._lives.get(key)
-        life = self._lives[key] = next_generation(old, fact, self._clock.mono(), self._lasting_s, phm_for)
+        old = self._generations.get(key)
+        life = self._generations[key] = next_generation(old, fact, self._clock.mono(), self._lasting_s, phm_for)
         if actor is not None:
             if life is not old and life.whose:
                 actor.unanswered -= 1

@@ -52,7 +52,7 @@ class PersistenceService:
             self._note(interrupted)
 
         def kept() -> RecoveryState:
-            return replace(executor.kept(), armed=self._armed.kept() if self._armed is not None else None)
+            return replace(executor.persisted(), armed=self._armed.kept() if self._armed is not None else None)
 
         keeper = self._keeper = StateWriter(self._file, self._pipeline, kept, self._clock)
         self._bus.subscribe(

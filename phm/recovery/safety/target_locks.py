@@ -1,11 +1,11 @@
-"""Who of PHM's own threads is acting on which container: never two at once, however their repairs overlap.
+"""One action at a time on each container, however recoveries overlap.
 
-Two containers may share a dependant, and a dependant has a thread and faults of its own. Whoever acts on a container, its
-own thread or another's that restarts it as a dependant, must have it in hand; the hold on it, by which the tracker knows
-what follows from a repair, belongs to who acted last and is released by nobody else.
+Two containers may share a dependent, and a dependent has a worker and faults of its own. An attempt locks each container
+that it acts on, its own target and the dependents that it restarts. The action hold, by which the tracker knows which
+faults follow from an action, belongs to the attempt that acted last; only that attempt ends it.
 
-A repair takes its own container first and its dependants one by one, later. Two repairs that wait for each other's
-container could wait for ever: the one that would close the circle is refused at once, and every wait has an end.
+An attempt locks its own target first and dependents one by one, later. Two attempts that wait for each other's container
+would deadlock: the request that would close the circle is refused immediately, and every wait is limited.
 """
 
 from __future__ import annotations
@@ -22,90 +22,93 @@ POLL_S = 0.05
 
 
 class TargetBusy(CannotTell):
-    """Another repair is at work on the container."""
+    """Another attempt is acting on the target."""
 
 
 class TargetLocks:
-    """One for all workers. An owner is whatever stands for one repair; it is told from others by identity.
+    """Shared by all workers. An owner is the object that stands for one attempt, compared by identity.
 
-    Invariant: `_holder` has at most one owner for a container, `_wants` at most one container for an owner.
+    Invariant: `_owners` has at most one owner for a target, `_waiting_for` at most one target for an owner.
     """
 
     def __init__(self, pipeline: Pipeline, clock: Clock) -> None:
         self._pipeline, self._clock = pipeline, clock
-        self._holder: dict[str, object] = {}
-        self._wants: dict[object, str] = {}
-        self._held_by: dict[str, object] = {}
-        self._moved_at: dict[str, float] = {}
+        self._owners: dict[str, object] = {}
+        self._waiting_for: dict[object, str] = {}
+        self._hold_owners: dict[str, object] = {}
+        self._dependent_restart_at: dict[str, float] = {}
         self._lock = threading.Lock()
 
-    def take(self, key: str, owner: object) -> bool:
-        """Take the container in hand unless another owner has it. Whoever takes it lets it go."""
+    def acquire(self, target: str, owner: object) -> bool:
+        """Lock the target unless another owner has it; the caller releases it."""
         with self._lock:
-            return self._holder.setdefault(key, owner) is owner
+            return self._owners.setdefault(target, owner) is owner
 
-    def release_target(self, key: str, owner: object) -> None:
+    def release(self, target: str, owner: object) -> None:
+        """Unlock the target, if this owner has it."""
         with self._lock:
-            if self._holder.get(key) is owner:
-                del self._holder[key]
+            if self._owners.get(target) is owner:
+                del self._owners[target]
 
     @contextlib.contextmanager
-    def on(self, key: str, owner: object, at_most_s: float) -> Iterator[None]:
-        """Have one more container in hand, waiting for it at most so long. Raises InOtherHands."""
-        self._wait_for(key, owner, at_most_s)
-        self._moved_at[key] = float("inf")
+    def locked_dependent(self, target: str, owner: object, at_most_s: float) -> Iterator[None]:
+        """Lock a dependent as well, waiting for it at most so long. Raises TargetBusy."""
+        self._wait_for(target, owner, at_most_s)
+        self._dependent_restart_at[target] = float("inf")
         try:
             yield
         finally:
-            self._moved_at[key] = self._clock.mono()
-            self.release_target(key, owner)
+            self._dependent_restart_at[target] = self._clock.mono()
+            self.release(target, owner)
 
-    def dependent_restart_at(self, key: str) -> float:
-        """When the container was last restarted for another's sake (monotonic seconds), infinite while it is, -inf: never.
+    def dependent_restart_at(self, target: str) -> float:
+        """When the target was last restarted as a dependent (monotonic seconds); infinite while it is, -inf: never.
 
-        What was found before says nothing about how it is now.
+        What checks found before says nothing about its state now.
         """
-        return self._moved_at.get(key, float("-inf"))
+        return self._dependent_restart_at.get(target, float("-inf"))
 
-    def _wait_for(self, key: str, owner: object, at_most_s: float) -> None:
+    def _wait_for(self, target: str, owner: object, at_most_s: float) -> None:
         end = self._clock.mono() + at_most_s
         try:
-            while not self.take(key, owner):
+            while not self.acquire(target, owner):
                 with self._lock:
-                    self._wants[owner] = key
-                    if self._circle(key, owner):
-                        raise TargetBusy(f"{key} is in the hands of a repair that waits for this one")
+                    self._waiting_for[owner] = target
+                    if self._would_deadlock(target, owner):
+                        raise TargetBusy(f"{target} is locked by a recovery that waits for this one")
                 if self._clock.mono() >= end:
-                    raise TargetBusy(f"another repair had {key} in hand for {at_most_s:g} s")
+                    raise TargetBusy(f"another recovery was acting on {target} for {at_most_s:g} s")
                 self._clock.wait(threading.Event(), POLL_S)
         finally:
             with self._lock:
-                self._wants.pop(owner, None)
+                self._waiting_for.pop(owner, None)
 
-    def _circle(self, key: str, owner: object) -> bool:
-        """Whether who has `key` waits, directly or through others, for something that `owner` has."""
+    def _would_deadlock(self, target: str, owner: object) -> bool:
+        """Whether the owner of `target` waits, directly or through others, for something that `owner` has locked."""
         seen: set[str] = set()
-        wanted: str | None = key
+        wanted: str | None = target
         while wanted is not None and wanted not in seen:
             seen.add(wanted)
-            holder = self._holder.get(wanted)
+            holder = self._owners.get(wanted)
             if holder is owner:
                 return True
-            wanted = self._wants.get(holder)
+            wanted = self._waiting_for.get(holder)
         return False
 
-    # ------------------------------------------------------------ what the tracker is told
+    # ------------------------------------------------------------ action holds in the tracker
 
-    def hold(self, key: str, owner: object, unit: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
-        """From now on, what breaks in the container follows from the repair of `unit`: see `Tracker.hold`."""
+    def start_hold(
+        self, target: str, owner: object, unit: str, action: str, at_most_s: float, *, proving: bool = False
+    ) -> None:
+        """From now on, what fails in the target follows from the recovery of `unit`: see `Tracker.begin_action`."""
         with self._lock:
-            self._held_by[key] = owner
-            self._pipeline.begin_action(key, unit, action, at_most_s, proving=proving)
+            self._hold_owners[target] = owner
+            self._pipeline.begin_action(target, unit, action, at_most_s, proving=proving)
 
-    def release(self, key: str, owner: object, *, worked: bool) -> None:
-        """End the hold, if it is still this owner's."""
+    def end_hold(self, target: str, owner: object, *, worked: bool) -> None:
+        """End the action hold, if it is still this owner's."""
         with self._lock:
-            if self._held_by.get(key) is not owner:
+            if self._hold_owners.get(target) is not owner:
                 return
-            del self._held_by[key]
-            self._pipeline.end_action(key, worked=worked)
+            del self._hold_owners[target]
+            self._pipeline.end_action(target, worked=worked)
