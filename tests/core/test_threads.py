@@ -110,9 +110,9 @@ def test_a_check_without_a_thread_runs_when_there_is_room(limit: Full) -> None:
 def test_a_fault_opened_at_the_limit_is_recovered_later(limit: Full, worlds: list[World]) -> None:  # noqa: F811
     """The container's thread is missing when the fault opens; the fault waits for it."""
     world = make(worlds)
-    limit.full, limit.names = True, "phm-heal-"
+    limit.full, limit.names = True, "phm-recover-"
     world.fail()
-    until(lambda: "phm-heal-app" in threads.problem(), "the fault having been handed over")
+    until(lambda: "phm-recover-app" in threads.problem(), "the fault having been handed over")
     limit.room()
     world.until(lambda: Phase.VERIFIED in world.phases())
     assert world.runs == ["restart"]
