@@ -1,4 +1,4 @@
-"""`phm note`: a line of the operator's, or of a test that injects a fault, in the running daemon's log."""
+"""`phm note`: writes an operator's line into the running daemon's log."""
 
 from __future__ import annotations
 
@@ -15,6 +15,6 @@ from phm.cli.options import run_dir_option
 def command(ctx: click.Context, text: str, run_dir: str) -> None:
     """Write a line into the running daemon's log.
 
-    The line is of the kind INJECT. Exit code 0: it is noted; 1: the daemon does not answer.
+    The line has the kind NOTE and at most 500 characters. Exit code 0: written; 1: the daemon does not answer.
     """
-    tell(ctx, run_dir, {"do": "note", "kind": "INJECT", "text": text})
+    tell(ctx, run_dir, {"do": "note", "text": text})

@@ -1,4 +1,4 @@
-"""Whether a command is answered at all, and whether it may be done. Pure: no message, no clock."""
+"""Decides who may request what: MAVLink commands by permission and signature, the control socket by user. Pure."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from phm.wire.command import (
 
 @dataclass(frozen=True, slots=True)
 class Accept:
-    """It may be done."""
+    """It is executed."""
 
     request: Request
 
 
 @dataclass(frozen=True, slots=True)
 class Deny:
-    """It is not done, and the asker is told so."""
+    """It is refused, and the sender gets the result."""
 
     result: CommandResult
     why: str
@@ -35,44 +35,49 @@ class Deny:
 
 @dataclass(frozen=True, slots=True)
 class Ignore:
-    """It is none of our business: no answer."""
+    """It is not for PHM: no answer."""
 
 
 Authorization = Accept | Deny | Ignore
 
 
 def is_addressed_to(target_system: int, target_component: int, system: int, component: int) -> bool:
-    """To us alone, or to all components of our system. What is for all systems is not: nothing here is for a swarm."""
+    """Addressed to PHM, or to all components of its system. Commands to all systems are not accepted."""
     return target_system == system and target_component in (0, component)
 
 
 def authorize(
     command: Command, allowed: Collection[str], *, signing: bool, command_age_s: float = 10.0
 ) -> Authorization:
-    """signing: on, so that only a signed command is obeyed, and only for so long."""
+    """allowed: `mavlink.commands`. signing: only signed commands are accepted, and only until `command_age_s` seconds after signing."""
     try:
         request: Request | None = parse(command.command, command.params)
         wrong = ""
     except UnknownCommand as error:
-        if command.whole:
-            return Ignore()  # another component's; an answer of ours would be taken for the vehicle's
-        return Deny(CommandResult.UNSUPPORTED, f"{error} is not known here")
+        if command.broadcast:
+            return Ignore()  # another component's; an answer would be taken for the vehicle's
+        return Deny(CommandResult.UNSUPPORTED, f"{error} is not supported")
     except InvalidParameters as error:
         request, wrong = None, str(error)
-    if command.whole and (request is None or required_permission(request) not in READ_ONLY):
-        # MAV_CMD_USER_1 to all components means something else to an autopilot's scripts.
+    if command.broadcast and (request is None or required_permission(request) not in READ_ONLY):
+        # To an autopilot's scripts, MAV_CMD_USER_1 means something else.
         return Ignore()
     if signing and not command.signed:
-        return Deny(CommandResult.DENIED, "it is not signed")
+        return Deny(CommandResult.DENIED, "not signed")
     if signing and command.age_s > command_age_s:
         return Deny(
             CommandResult.DENIED,
-            f"it was signed {command.age_s:.0f} s ago by the newest time known here, allowed are {command_age_s:g} s "
-            "(mavlink.signing.command_age): it was recorded, or the clock of its sender is behind",
+            f"signed {command.age_s:.0f} s ago, at most {command_age_s:g} s are allowed (mavlink.signing.command_age): "
+            "a replay, or the sender's clock is slow",
         )
     if request is None:
         return Deny(CommandResult.DENIED, wrong)
     needed: Permission = required_permission(request)
     if needed.value not in allowed:
-        return Deny(CommandResult.DENIED, f"{needed.value!r} is not among mavlink.commands")
+        return Deny(CommandResult.DENIED, f"{needed.value!r} is not in mavlink.commands")
     return Accept(request)
+
+
+def may_use_socket(uid: int, own_uid: int) -> bool:
+    """Whether this user may use the control socket: root and PHM's own user."""
+    return uid in (0, own_uid)

@@ -1,7 +1,7 @@
-"""Which commands are logged one by one, and which are counted. Pure; the caller brings time.
+"""Decides which commands are logged individually and which are only counted. Pure; the caller brings time.
 
-Anybody on a link can send commands that are refused or that only read, ten a second, and the log is a ring: what else is in
-it must outlive them. So of these a few a minute are logged, and the rest becomes one line.
+Any sender on a link can send ten commands a second that are refused or only read, and log files are rotated. So that they do not
+displace everything else, a few of them are logged each minute and the rest is summarized in one line.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from phm.wire.command import Command, CommandResult
 
 PERIOD_S = 60.0
 LOGGED_PER_PERIOD = 5
-"""In each period, of those that anybody can cause."""
+"""Commands a period, of those that any sender can cause."""
 MAX_SENDERS, NAMED = 64, 4
-"""Senders that are counted one by one, and that the line names: they can make up their numbers."""
+"""Senders that are counted individually, and that the summary names: their ids may be forged."""
 _OTHERS = "others"
 
 
@@ -27,10 +27,10 @@ class CommandLog:
         self._results: Counter[str] = Counter()
         self._senders: Counter[str] = Counter()
 
-    def logs(self, command: Command, result: CommandResult, now: float, *, acts: bool) -> bool:
-        """Whether this command has a line of its own; else it is counted. acts: what was asked for does more than read or check."""
+    def should_log(self, command: Command, result: CommandResult, now: float, *, acts: bool) -> bool:
+        """Whether this command gets its own line; else it is counted. acts: it approves or restarts."""
         if command.signed or (acts and result is CommandResult.ACCEPTED):
-            return True  # only who has the key can sign, and what acts is bounded by recovery
+            return True  # signing needs the key, and actions are limited by recovery
         if now - self._began >= PERIOD_S:
             self._began, self._shown = now, 0
         if self._shown < LOGGED_PER_PERIOD:
@@ -41,18 +41,18 @@ class CommandLog:
         self._senders[sender if sender in self._senders or len(self._senders) < MAX_SENDERS else _OTHERS] += 1
         return False
 
-    def dropped(self) -> None:
-        """One was dropped unread."""
+    def count_dropped(self) -> None:
+        """A command was dropped by the rate limit."""
         self._dropped += 1
 
-    def due(self, now: float) -> list[str]:
-        """Lines about what was counted, at most once a period."""
+    def summary(self, now: float) -> list[str]:
+        """Lines about the counted commands, at most once a period."""
         if now - self._logged_at < PERIOD_S or not (self._results or self._dropped):
             return []
         self._logged_at = now
         lines = [self._counted()] if self._results else []
         if self._dropped:
-            lines.append(f"{self._dropped} commands were dropped unread: too many came at once")
+            lines.append(f"{self._dropped} commands dropped: rate limit exceeded")
         self._dropped = 0
         self._results.clear()
         self._senders.clear()
@@ -65,4 +65,4 @@ class CommandLog:
         senders = [f"{count} from {sender}" for sender, count in top]
         if rest := total - sum(count for _sender, count in top):
             senders.append(f"{rest} from {_OTHERS}")
-        return f"{total} more commands, not logged one by one: {results}; {', '.join(senders)}"
+        return f"{total} more commands, not logged individually: {results}; {', '.join(senders)}"

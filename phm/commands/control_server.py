@@ -1,7 +1,7 @@
-"""The daemon's side of the control socket (`phm.wire.control`): approvals, notes and holds from this machine.
+"""The daemon's side of the control socket (`phm.wire.control`): approvals, notes, holds and reloads from this machine.
 
-One thread, few connections, small requests, short deadlines: whoever talks nonsense or nothing is answered with an
-error and let go. The socket belongs to PHM's user alone (mode 0600), and the kernel says who is at the other end.
+One thread, few connections, small requests, short deadlines: a client that sends something else, or nothing, gets an error and is
+disconnected. The socket belongs to PHM's user alone (mode 0600), and the kernel tells the user at the other end.
 """
 
 from __future__ import annotations
@@ -16,60 +16,47 @@ import struct
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
+from phm.commands.authorization import may_use_socket
+from phm.commands.requests import OperatorRequest, Reply, parse
 from phm.core import threads
+from phm.wire.command import CommandResult
 from phm.wire.control import DEADLINE_S, MAX_REQUEST, NAME, address
-from phm.wire.text import one_line
 
 logger = logging.getLogger(__name__)
 
 MAX_CONNECTIONS = 4
 BACKLOG = 16
-"""Who comes when the backlog is full is turned away by the kernel at once."""
-MAX_NOTE = 500
-KINDS = ("INJECT",)
+"""With a full backlog, the kernel refuses further clients."""
 RETRY_S = 5.0
 CLOSING_S = 2.0
 TOO_LONG = f"a request has at most {MAX_REQUEST} bytes"
 _POLL_S = 0.5
 _CREDENTIALS = struct.Struct("3i")
 
+Execute = Callable[[OperatorRequest, str], Reply]
+"""Executes a request of an operator (`phm.commands.handler.CommandHandler.execute`). Never raises."""
 
-class HoldController(Protocol):
-    """Begins and ends holds (`phm.recovery.holds.hold_service.HoldService`): in words and as data, or an exception with its reason."""
 
-    def hold(self, container: str, for_s: float | None, reason: str, by: str) -> tuple[str, dict[str, Any]]: ...
-
-    def release(self, container: str, by: str) -> tuple[str, dict[str, Any]]: ...
+def _not_ready(request: OperatorRequest, by: str) -> Reply:
+    return Reply(CommandResult.TEMPORARILY_REJECTED, "PHM is starting")
 
 
 class ControlServer:
-    """Serves `run_dir/control.sock` until closed. `approve` answers in words or raises an exception with its reason."""
+    """Serves `run_dir/control.sock` until closed. Requests are executed one at a time."""
 
-    def __init__(
-        self,
-        run_dir: str,
-        approve: Callable[[str], str] = lambda fault: "",
-        note: Callable[[str, str], None] = lambda kind, text: None,
-        holds: HoldController | None = None,
-    ) -> None:
-        self._run_dir, self._approve, self._note, self._holds = run_dir, approve, note, holds
+    def __init__(self, run_dir: str, execute: Execute = _not_ready) -> None:
+        self._run_dir = run_dir
+        self.execute = execute
+        """Replaced when the configuration is reloaded."""
         self._connections: dict[socket.socket, tuple[bytearray, float]] = {}
         self._listener: socket.socket | None = None
         self._inode = 0
         self._started = False
         self._problem = ""
-        self.reload: Callable[[], str] | None = None
-        """Reloads the configuration; what came of it, as JSON. Other requests wait meanwhile."""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="phm-control", daemon=True)
-
-    def serve(
-        self, approve: Callable[[str], str], note: Callable[[str, str], None], holds: HoldController | None
-    ) -> None:
-        """From now on these answer: the configuration was reloaded."""
-        self._approve, self._note, self._holds = approve, note, holds
 
     def start(self) -> None:
         self._selector = selectors.DefaultSelector()
@@ -103,8 +90,8 @@ class ControlServer:
         while not self._stop.is_set():
             try:
                 self._turn()
-            except Exception:  # whatever a peer does, the next one is served
-                logger.exception("the control socket stumbled")
+            except Exception:  # whatever one client does, the next one is served
+                logger.exception("serving the control socket failed")
                 self._stop.wait(_POLL_S)
         for peer in list(self._connections):
             self._drop(peer)
@@ -114,7 +101,7 @@ class ControlServer:
         self._selector.close()
 
     def _listen(self) -> bool:
-        """Bound under another name, closed to others, and only then put in place: it is never open to anybody else."""
+        """Bind under another name, restrict its mode, and only then rename it: it is never open to other users."""
         name = f"{NAME}.{os.getpid()}"
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
         try:
@@ -129,7 +116,7 @@ class ControlServer:
                 os.replace(path, os.path.join(os.path.dirname(path), NAME))
         except OSError as error:
             listener.close()
-            self._problem = f"cannot make {os.path.join(self._run_dir, NAME)}: {error.strerror or error}; `phm approve` does not work"
+            self._problem = f"cannot create {os.path.join(self._run_dir, NAME)}: {error.strerror or error}; `phm approve` does not work"
             return False
         self._listener, self._problem = listener, ""
         self._selector.register(listener, selectors.EVENT_READ)
@@ -155,8 +142,8 @@ class ControlServer:
             self._selector.register(peer, selectors.EVENT_READ)
             if len(self._connections) > MAX_CONNECTIONS:
                 self._refuse(peer, f"at most {MAX_CONNECTIONS} connections at a time")
-            elif _user(peer) not in (0, os.geteuid()):
-                self._refuse(peer, "only root and PHM's own user may ask")
+            elif not may_use_socket(_user(peer), os.geteuid()):
+                self._refuse(peer, "only root and PHM's own user may use the control socket")
 
     def _receive(self, peer: socket.socket) -> None:
         data, _end = self._connections[peer]
@@ -183,40 +170,14 @@ class ControlServer:
 
     def _answer(self, peer: socket.socket, line: bytes) -> None:
         try:
-            request = json.loads(line)
-            text, data = self._do(request, f"operator (uid {_user(peer)})")
+            request = parse(json.loads(line))
         except (ValueError, RecursionError):
-            self._refuse(peer, "that is no request: one JSON object a line, with `do`")
-        except Exception as error:
-            self._send(peer, {"ok": False, "error": str(error)})
-        else:
-            self._send(peer, {"ok": True, "text": text, **data})
-
-    def _do(self, request: Any, by: str) -> tuple[str, dict[str, Any]]:
-        """Carry out one request; what was done, in words and as data. ValueError when it is none."""
-        if isinstance(request, dict) and request.get("do") in ("hold", "release") and self._holds is not None:
-            return _hold(self._holds, request, by)
-        return self._do_words(request), {}
-
-    def _do_words(self, request: Any) -> str:
-        if not isinstance(request, dict):
-            raise ValueError
-        words = {key: value for key, value in request.items() if isinstance(value, str)}
-        if request == {"do": "ping"}:
-            return "PHM is here"
-        if request == {"do": "reload"} and self.reload is not None:
-            return self.reload()
-        if request.keys() == words.keys() == {"do", "fault"} and words["do"] == "approve":
-            return self._approve(words["fault"])
-        if (
-            request.keys() == words.keys() == {"do", "kind", "text"}
-            and words["do"] == "note"
-            and words["kind"] in KINDS
-        ):
-            text = one_line(words["text"])[:MAX_NOTE]
-            self._note(words["kind"], text)
-            return f"noted: {text}"
-        raise ValueError
+            self._refuse(peer, "not a request: write one JSON object a line, with `do`")
+            return
+        reply = self.execute(request, f"operator (uid {_user(peer)})")
+        self._send(
+            peer, {"ok": True, "text": reply.text, **reply.data} if reply.ok else {"ok": False, "error": reply.text}
+        )
 
     def _refuse(self, peer: socket.socket, reason: str) -> None:
         self._send(peer, {"ok": False, "error": reason})
@@ -225,10 +186,10 @@ class ControlServer:
     def _send(self, peer: socket.socket, answer: dict[str, Any]) -> None:
         data = json.dumps(answer).encode("ascii") + b"\n"
         try:
-            whole = peer.send(data) == len(data)
+            complete = peer.send(data) == len(data)
         except OSError:
-            whole = False
-        if not whole:  # a peer that does not read what it asked for
+            complete = False
+        if not complete:  # a client that does not read its answers
             self._drop(peer)
 
     def _drop(self, peer: socket.socket) -> None:
@@ -237,20 +198,8 @@ class ControlServer:
             peer.close()
 
 
-def _hold(holds: HoldController, request: dict[str, Any], by: str) -> tuple[str, dict[str, Any]]:
-    container, reason, for_s = request.get("container"), request.get("reason"), request.get("for_s")
-    if request.keys() == {"do", "container"} and request["do"] == "release" and isinstance(container, str):
-        return holds.release(container, by)
-    known_length = for_s is None or (isinstance(for_s, (int, float)) and not isinstance(for_s, bool))
-    if request.keys() != {"do", "container", "for_s", "reason"} or request["do"] != "hold" or not known_length:
-        raise ValueError
-    if not isinstance(container, str) or not isinstance(reason, str):
-        raise ValueError
-    return holds.hold(container, for_s, reason, by)
-
-
 def _user(peer: socket.socket) -> int:
-    """The user id at the other end, as the kernel knows it."""
+    """The user id at the other end, from the kernel."""
     credentials = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     _pid, uid, _gid = _CREDENTIALS.unpack(credentials)
     return int(uid)

@@ -1,4 +1,4 @@
-"""What the desk is given: the way in and out, and what commands may reach."""
+"""What the commands are given: the MAVLink endpoints, and the functions that requests may call."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class MavlinkPort(Protocol):
 
     @property
     def signs(self) -> bool:
-        """Signing is on: only what is signed is obeyed."""
+        """Signing is on: only signed commands are accepted."""
 
     def send(
         self,
@@ -33,16 +33,42 @@ class MavlinkPort(Protocol):
     def listen(self, callback: Callable[[Any, str], None], ids: Iterable[int]) -> None: ...
 
 
+class HoldController(Protocol):
+    """Begins and ends holds (`phm.recovery.holds.hold_service.HoldService`): a sentence and data, or an exception with the reason."""
+
+    def hold(self, container: str, for_s: float | None, reason: str, by: str) -> tuple[str, dict[str, Any]]: ...
+
+    def release(self, container: str, by: str) -> tuple[str, dict[str, Any]]: ...
+
+
+class NoHolds:
+    """Used where there is no recovery."""
+
+    def hold(self, container: str, for_s: float | None, reason: str, by: str) -> tuple[str, dict[str, Any]]:
+        raise LookupError("holds are not available")
+
+    def release(self, container: str, by: str) -> tuple[str, dict[str, Any]]:
+        raise LookupError("holds are not available")
+
+
+NO_HOLDS = NoHolds()
+
+
+def no_reload() -> str:
+    """Used where nothing can be reloaded."""
+    raise LookupError("the configuration cannot be reloaded")
+
+
 @dataclass(frozen=True)
 class CommandServices:
-    """What commands may reach; each answers at once, in words or with an exception that says why not.
+    """What a request may read and do. Each returns immediately, with a sentence or an exception that says why not.
 
-    complete: whether a first report is done. alive: whether the engine lives.
-    approve:  the fault's id. restart: the container's key, and who asks.
-    later:    what `approve` and `restart` raise when the same may be command again later.
-    remember: called before a signed command that changes something is obeyed, so that it is not obeyed again after a restart
-              of PHM; raises OSError when that cannot be made sure.
-    clock_problem: why it is not known how old signed commands are, else empty.
+    complete: whether a first report is done. alive: whether main loop and checks run.
+    approve:  by the fault's id. restart: the container's key, and who requests it.
+    later:    what `approve` and `restart` raise when the same request may succeed later.
+    remember: called before a signed command changes something, so that a replay of it is refused after a restart of PHM;
+              raises OSError when it cannot be stored.
+    clock_problem: why the age of signed commands is unknown, else empty.
     """
 
     states: Callable[[], tuple[UnitState, ...]]
@@ -50,10 +76,12 @@ class CommandServices:
     recent_faults: Callable[[], tuple[Fault, ...]]
     complete: Callable[[], bool]
     alive: Callable[[], bool]
-    look: Callable[[], None]
+    run_checks: Callable[[], None]
     approve: Callable[[str], str]
     restart: Callable[[str, str], str]
     note: Callable[[str, str], None]
     later: type[Exception]
     remember: Callable[[], None] = lambda: None
     clock_problem: Callable[[], str] = lambda: ""
+    holds: HoldController = NO_HOLDS
+    reload: Callable[[], str] = no_reload

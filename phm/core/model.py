@@ -273,7 +273,7 @@ class ActionEvent:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A line for the log that is no judgement: kind DOCKER, INJECT, COMMAND or PHM."""
+    """A line for the log: kind ACTION, COMMAND, DOCKER, HOLD, NOTE (an operator's) or PHM."""
 
     at: Stamp
     kind: str

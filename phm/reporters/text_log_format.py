@@ -33,7 +33,7 @@ from phm.wire.text import one_line
 MAX_BYTES = 8000
 """A line is cut here: text from outside is not bounded, and a line must fit into the smallest log."""
 
-NOTE_KINDS = ("ACTION", "COMMAND", "DOCKER", "HOLD", "INJECT", "PHM")
+NOTE_KINDS = ("ACTION", "COMMAND", "DOCKER", "HOLD", "NOTE", "PHM")
 _KINDS = {Level.OK: "SUCCESS", Level.WARN: "WARNING", Level.ERROR: "FAILURE", Level.STALE: "STALE"}
 # How several well units of one check read as one line: what they are, and what is well about them.
 _WELL = {

@@ -9,6 +9,7 @@ from functools import partial
 
 from phm.api import Check
 from phm.checking import registry
+from phm.commands.services import no_reload
 from phm.core import threads
 from phm.core.clock import Clock, SystemClock
 from phm.core.closing import Closing
@@ -46,7 +47,7 @@ class Daemon:
         watchdog: DaemonWatchdog | None = None,
         *,
         problems: Sequence[Callable[[], str]] = (threads.problem,),
-        reload: Callable[[], str] | None = None,
+        reload: Callable[[], str] = no_reload,
         previous: Daemon | None = None,
     ) -> None:
         """previous: the daemon that this one replaces in `start`, after a reload; problems, reload: see `Components`."""
@@ -84,12 +85,11 @@ class Daemon:
         restored = parts.pipeline.open_faults()
         parts.reporters.start(dataclasses.replace(parts.reporter_context, restored=restored))
         self._start_recovery()
-        parts.control.serve(parts.executor.approve, parts.pipeline.note, parts.holds)
+        parts.control.execute = parts.handler.execute
         if previous is None:
-            parts.control.reload = self._reload
             parts.control.start()
-        if parts.commands is not None:
-            parts.commands.start()
+        if parts.mavlink_commands is not None:
+            parts.mavlink_commands.start()
         self._report_unusable_plugins()
         parts.probes.start(links=previous is None)
         threads.start(threading.Thread(target=self._join_networks, name="phm-join", daemon=True))
@@ -165,8 +165,8 @@ class Daemon:
         return tuple(closing.hung)
 
     def _stop_recovery(self, closing: Closing) -> None:
-        if self.components.commands is not None:
-            closing.step("commands", self.components.commands.close, 0.5)
+        if self.components.mavlink_commands is not None:
+            closing.step("commands", self.components.mavlink_commands.close, 0.5)
         self.components.holds.close()
         self.components.executor.stop()
 

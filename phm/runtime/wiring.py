@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from phm.checking import registry
 from phm.checking.pipeline import Pipeline
@@ -15,7 +16,8 @@ from phm.checking.plan import build_plan
 from phm.checking.scheduler import CheckRun, CheckScheduler
 from phm.commands.control_server import ControlServer
 from phm.commands.handler import CommandHandler
-from phm.commands.services import CommandServices
+from phm.commands.mavlink_commands import MavlinkCommands
+from phm.commands.services import CommandServices, no_reload
 from phm.core.bus import Bus
 from phm.core.clock import Clock
 from phm.core.model import ActionEvent, Event, Phase, Stamp
@@ -57,7 +59,7 @@ class Components:
         *,
         watchdog: DaemonWatchdog | None = None,
         problems: Sequence[Callable[[], str]] = (),
-        reload: Callable[[], str] | None = None,
+        reload: Callable[[], str] = no_reload,
         since: Stamp | None = None,
         hub: MavlinkHub | None = None,
         control: ControlServer | None = None,
@@ -112,8 +114,7 @@ class Components:
             (*own, *guard, *problems),
         )
         self.reporter_context = self._reporter_context(settings)
-        self.reload = reload
-        self.commands = self._build_commands(settings)
+        self._build_commands(settings, reload)
 
     # ------------------------------------------------------------ recovery
 
@@ -208,23 +209,28 @@ class Components:
 
     # ------------------------------------------------------------ operator commands
 
-    def _build_commands(self, settings: Settings) -> CommandHandler | None:
-        """What an operator may request by MAVLink; None without endpoints."""
+    def _build_commands(self, settings: Settings, reload: Callable[[], str]) -> None:
+        """MAVLink and the control socket lead to one handler."""
         hub, pipeline = self.probes.mavlink, self.pipeline
-        if hub is None:
-            return None
         services = CommandServices(
             pipeline.states,
             pipeline.open_faults,
             pipeline.recent_faults,
             lambda: pipeline.complete,
             self.health.alive,
-            look=lambda: pipeline.recheck(*(state.unit for state in pipeline.states())),
+            run_checks=lambda: pipeline.recheck(*(state.unit for state in pipeline.states())),
             approve=self.executor.approve,
             restart=self.executor.restart,
             note=pipeline.note,
             later=NotNow,
-            remember=hub.remember,
-            clock_problem=hub.clock_problem,
+            holds=self.holds,
+            reload=reload,
         )
-        return CommandHandler(hub, services, settings, self.clock)
+        if hub is not None:
+            services = replace(services, remember=hub.remember, clock_problem=hub.clock_problem)
+        self.handler = CommandHandler(services, [entry.key for entry in settings.containers], self.clock)
+        self.mavlink_commands: MavlinkCommands | None = None
+        if hub is not None:
+            self.mavlink_commands = MavlinkCommands(
+                hub, self.handler, services, settings.mavlink, settings.agent.id, self.clock
+            )

@@ -1,6 +1,6 @@
-"""Commands from the ground as data: which COMMAND_LONG and COMMAND_INT mean something here, and what. Pure.
+"""MAVLink commands as data: which COMMAND_LONG and COMMAND_INT PHM supports. Pure.
 
-The contract, for whoever writes a ground station (`docs/reference/mavlink.md`, Commands)::
+The contract for ground stations (`docs/reference/mavlink.md`, Commands)::
 
     MAV_CMD_REQUEST_MESSAGE (512)        param1 the message's number
         0    HEARTBEAT, with the status word
@@ -10,10 +10,10 @@ The contract, for whoever writes a ground station (`docs/reference/mavlink.md`, 
     MAV_CMD_SET_MESSAGE_INTERVAL (511)   param1 253, 390 or 385 (the newest open fault), param2 microseconds; -1 and 0: off
     MAV_CMD_USER_1 (31010)               param1 the operation
         1    run all checks now
-        2    approve what is advised for the fault with number param2
-        3    restart the container with place param2 in the configuration, from 1
+        2    approve the recommended action for the fault with number param2
+        3    restart the container at position param2 in the configuration, from 1
 
-A fault's number is what stands behind the dash of its id: 17 of ``ab12-17``.
+A fault's number is the part of its id after the dash: 17 of ``ab12-17``.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ HEARTBEAT, STATUSTEXT, TUNNEL, ONBOARD_COMPUTER_STATUS = 0, 253, 385, 390
 SET_MESSAGE_INTERVAL, REQUEST_MESSAGE, USER_1 = 511, 512, 31010
 CHECK, APPROVE, RESTART = 1, 2, 3
 SHORTEST_S = {STATUSTEXT: 2.0, ONBOARD_COMPUTER_STATUS: 5.0, TUNNEL: 10.0}
-"""Messages that may be asked for again and again, and how often at most."""
+"""Messages that can be repeated, with their shortest interval."""
 LARGEST = 2**24
-"""Up to here a float of 32 bits holds every whole number."""
+"""Up to here a 32-bit float represents every integer."""
 
 
 class CommandResult(IntEnum):
-    """The part of MAV_RESULT that is used."""
+    """The values of MAV_RESULT that PHM uses."""
 
     ACCEPTED = 0
     TEMPORARILY_REJECTED = 1
@@ -43,7 +43,7 @@ class CommandResult(IntEnum):
 
 
 class Permission(str, Enum):
-    """What the configuration allows one by one (`mavlink.commands`). The first two only read."""
+    """What `mavlink.commands` allows individually. The first two only read."""
 
     STATUS = "status"
     DETAILS = "details"
@@ -57,8 +57,7 @@ READ_ONLY = frozenset((Permission.STATUS, Permission.DETAILS))
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command as it came. `whole`: addressed to all components of this system and not to this one alone. `age_s`: how long
-    ago it was signed, seconds."""
+    """One command as received. broadcast: addressed to all components of the system. age_s: seconds since it was signed."""
 
     command: int
     params: tuple[float, float]
@@ -67,7 +66,7 @@ class Command:
     component: int
     link: str
     signed: bool
-    whole: bool = False
+    broadcast: bool = False
     age_s: float = 0.0
 
     @property
@@ -78,21 +77,21 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class SendMessage:
-    """One message, now."""
+    """Send one message now."""
 
     message: int
 
 
 @dataclass(frozen=True, slots=True)
 class SendDetails:
-    """The text about a fault; `fault` is its number, 0 for the newest open one."""
+    """Send the text about a fault. fault: its number, 0 for the newest open one."""
 
     fault: int
 
 
 @dataclass(frozen=True, slots=True)
 class RepeatMessage:
-    """A message again and again, `every_s` seconds apart; 0: no more."""
+    """Send a message every `every_s` seconds; 0: stop."""
 
     message: int
     every_s: float
@@ -105,14 +104,14 @@ class RunChecks:
 
 @dataclass(frozen=True, slots=True)
 class ApproveAction:
-    """Say yes to what is advised for this fault."""
+    """Approve the recommended action. fault: its number (MAVLink) or its id (control socket)."""
 
-    fault: int
+    fault: int | str
 
 
 @dataclass(frozen=True, slots=True)
 class RestartContainer:
-    """Restart a container, by its place in the configuration, from 1."""
+    """Restart a container. place: its position in the configuration, from 1."""
 
     place: int
 
@@ -121,15 +120,15 @@ Request = SendMessage | SendDetails | RepeatMessage | RunChecks | ApproveAction 
 
 
 class UnknownCommand(Exception):
-    """The command means nothing here: another component's, or a newer PHM's."""
+    """PHM does not support the command: it is another component's, or a newer PHM's."""
 
 
 class InvalidParameters(Exception):
-    """The command is known and its parameters are not allowed; the message says which."""
+    """The command is supported, its parameters are not allowed; the message says which."""
 
 
 def parse(command: int, params: tuple[float, float]) -> Request:
-    """What is wished. params: param1 and param2. Raises Unknown and Wrong."""
+    """The request. params: param1 and param2. Raises UnknownCommand and InvalidParameters."""
     if command not in (REQUEST_MESSAGE, SET_MESSAGE_INTERVAL, USER_1):
         raise UnknownCommand(f"command {command}")
     what = _whole(params[0], "param1")
@@ -139,7 +138,7 @@ def parse(command: int, params: tuple[float, float]) -> Request:
 
 
 def required_permission(request: Request) -> Permission:
-    """What must be allowed for it."""
+    """The permission that a request needs."""
     if isinstance(request, (SendMessage, RepeatMessage)):
         return Permission.DETAILS if request.message == TUNNEL else Permission.STATUS
     words: dict[type, Permission] = {
@@ -151,15 +150,32 @@ def required_permission(request: Request) -> Permission:
     return words[type(request)]
 
 
+def describe(request: Request) -> str:
+    """For the log."""
+    match request:
+        case SendMessage(message):
+            return f"send message {message}"
+        case SendDetails(fault):
+            return f"send details of {f'fault {fault}' if fault else 'the newest fault'}"
+        case RepeatMessage(message, every_s):
+            return f"send message {message} every {every_s:g} s" if every_s else f"stop repeating message {message}"
+        case RunChecks():
+            return "run all checks"
+        case ApproveAction(fault):
+            return f"approve the action for fault {fault}"
+        case RestartContainer(place):
+            return f"restart container {place}"
+
+
 def fault_number(fault_id: str) -> int | None:
-    """The number of a fault by its id, None when the id has none."""
+    """The number in a fault's id, None when it has none."""
     digits = fault_id.rpartition("-")[2]
     return int(digits) if digits.isascii() and digits.isdigit() and len(digits) < 10 else None
 
 
 def _message(what: int, second: float) -> Request:
     if what == TUNNEL:
-        # NaN is what a ground station puts into a parameter that it does not use.
+        # Ground stations send NaN in a parameter that they do not use.
         return SendDetails(0 if math.isnan(second) else _whole(second, "param2"))
     if what in (HEARTBEAT, STATUSTEXT, ONBOARD_COMPUTER_STATUS):
         return SendMessage(what)
@@ -171,7 +187,7 @@ def _repeat(what: int, interval_us: float) -> Request:
         raise UnknownCommand(f"the interval of message {what}")
     if interval_us in (-1.0, 0.0):
         return RepeatMessage(what, 0.0)
-    if not SHORTEST_S[what] * 1e6 <= interval_us <= 3600e6:  # NaN is not, either
+    if not SHORTEST_S[what] * 1e6 <= interval_us <= 3600e6:  # False for NaN, too
         raise InvalidParameters(f"param2 must be -1, 0 or {SHORTEST_S[what]:g} s to 1 h in microseconds")
     return RepeatMessage(what, interval_us / 1e6)
 
@@ -189,5 +205,5 @@ def _operation(what: int, second: float) -> Request:
 
 def _whole(value: float, name: str) -> int:
     if not (0 <= value <= LARGEST and value == int(value)):  # NaN and infinity fail the first half
-        raise InvalidParameters(f"{name} must be a whole number from 0 to {LARGEST}")
+        raise InvalidParameters(f"{name} must be an integer from 0 to {LARGEST}")
     return int(value)

@@ -1,7 +1,7 @@
-"""The control socket: how a verb asks the running daemon for something. One JSON object a line, each way.
+"""The control socket, by which the command line sends requests to the running daemon. One JSON object a line, each way.
 
 Requests are ``{"do": "ping"}``, ``{"do": "reload"}``, ``{"do": "approve", "fault": ID}``,
-``{"do": "note", "kind": "INJECT", "text": TEXT}``, ``{"do": "hold", "container": KEY, "for_s": SECONDS or null, "reason": TEXT}``
+``{"do": "note", "text": TEXT}``, ``{"do": "hold", "container": KEY, "for_s": SECONDS or null, "reason": TEXT}``
 and ``{"do": "release", "container": KEY}``, where an empty KEY stands for all containers; answers are
 ``{"ok": true, "text": ...}`` or ``{"ok": false, "error": ...}``. Standard library only.
 """
@@ -17,7 +17,7 @@ from typing import Any
 
 NAME = "control.sock"
 MAX_REQUEST = 4096
-"""Bytes of one request, its line's end included."""
+"""Bytes of one request, with the newline."""
 MAX_ANSWER = 65536
 DEADLINE_S = 5.0
 
@@ -27,12 +27,12 @@ class NoAnswer(Exception):
 
 
 class Refused(Exception):
-    """The daemon answered that it will not; the message is its reason."""
+    """The daemon refused the request; the message is its reason."""
 
 
 @contextlib.contextmanager
 def address(directory: str, name: str = NAME) -> Iterator[str]:
-    """The socket's address, short whatever the folder is called (the kernel takes 107 bytes). Raises OSError."""
+    """The socket's address, short however long the directory's name is (the kernel allows 107 bytes). Raises OSError."""
     folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
         yield f"/proc/self/fd/{folder}/{name}"
@@ -41,28 +41,30 @@ def address(directory: str, name: str = NAME) -> Iterator[str]:
 
 
 def ask(run_dir: str, request: dict[str, Any], timeout_s: float = DEADLINE_S) -> str:
-    """The daemon's answer in words. Raises NoAnswer and Refused."""
+    """The daemon's answer as a sentence. Raises NoAnswer and Refused."""
     return str(ask_all(run_dir, request, timeout_s).get("text"))
 
 
 def ask_all(run_dir: str, request: dict[str, Any], timeout_s: float = DEADLINE_S) -> dict[str, Any]:
-    """The daemon's whole answer, `text` and data beside it. Raises NoAnswer and Refused."""
+    """The daemon's complete answer, `text` and data. Raises NoAnswer and Refused."""
     where = os.path.join(run_dir, NAME)
     try:
         with address(run_dir) as path, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stream:
             stream.settimeout(timeout_s)
             stream.connect(path)
-            with contextlib.suppress(ConnectionError):  # turned away unheard: the reason is there to be read
+            with contextlib.suppress(
+                ConnectionError
+            ):  # refused before the request was read: the reason can still be read
                 stream.sendall(json.dumps(request).encode("ascii") + b"\n")
             answer = _line(stream)
     except FileNotFoundError:
-        raise NoAnswer(f"there is no {where}: PHM is not running, or its run_dir is another (see --run-dir)") from None
+        raise NoAnswer(f"{where} does not exist: PHM is not running, or uses another run_dir (see --run-dir)") from None
     except PermissionError:
-        raise NoAnswer(f"{where} may not be opened: ask as root or as PHM's own user") from None
+        raise NoAnswer(f"permission denied for {where}: run this as root or as PHM's own user") from None
     except OSError as error:
         raise NoAnswer(f"PHM does not answer at {where}: {error.strerror or error}") from None
     if not isinstance(answer, dict) or not isinstance(answer.get("ok"), bool):
-        raise NoAnswer(f"what answers at {where} is not PHM")
+        raise NoAnswer(f"the process that answers at {where} is not PHM")
     if not answer["ok"]:
         raise Refused(str(answer.get("error")))
     return answer

@@ -17,6 +17,7 @@ from phm.core.settings import Settings
 from phm.reporters.base import ReporterContext
 from phm.reporters.status import StatusReporter
 from phm.wire import control as wire
+from tests.fakes.commands import execute
 from tests.fakes.until import until
 
 
@@ -40,7 +41,7 @@ class HoldService:
 @pytest.fixture
 def holds(tmp_path: Path) -> Iterator[HoldService]:
     made = HoldService()
-    control = ControlServer(str(tmp_path), lambda fault: "", lambda kind, text: None, made)
+    control = ControlServer(str(tmp_path), execute(holds=made))
     control.start()
     until((tmp_path / wire.NAME).exists, "the socket")
     yield made
@@ -115,7 +116,7 @@ def test_a_request_that_is_none_changes_nothing(holds: HoldService, tmp_path: Pa
     with pytest.raises(wire.Refused):
         wire.ask(str(tmp_path), request_)
     assert holds.asked == []
-    assert wire.ask(str(tmp_path), {"do": "ping"}) == "PHM is here"
+    assert wire.ask(str(tmp_path), {"do": "ping"}) == "PHM is running"
 
 
 def test_status_shows_what_is_on_hold(tmp_path: Path) -> None:

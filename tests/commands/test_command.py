@@ -133,20 +133,22 @@ def test_a_faults_number_is_what_stands_behind_its_dash(name: str, expected: int
     assert fault_number(name) == expected
 
 
-def asked(command: int, first: float, second: float, *, signed: bool = False, whole: bool = False) -> Command:
-    return Command(command, (first, second), 0, 255, 190, "radio", signed, whole)
+def asked(command: int, first: float, second: float, *, signed: bool = False, broadcast: bool = False) -> Command:
+    return Command(command, (first, second), 0, 255, 190, "radio", signed, broadcast)
 
 
 def test_a_command_is_done_if_its_word_is_allowed_and_it_is_signed_where_signing_is_on() -> None:
     """Every known command x every set of allowed words x signed or not x signing on or off x to all or to us."""
     done = 0
     sets = [frozenset(chosen) for size in range(6) for chosen in itertools.combinations(sorted(WORDS), size)]
-    for (command, first, second, wanted, needed), allowed, signed, signing, whole in itertools.product(
+    for (command, first, second, wanted, needed), allowed, signed, signing, broadcast in itertools.product(
         KNOWN, sets, (False, True), (False, True), (False, True)
     ):
-        authorization = authorize(asked(command, first, second, signed=signed, whole=whole), allowed, signing=signing)
+        authorization = authorize(
+            asked(command, first, second, signed=signed, broadcast=broadcast), allowed, signing=signing
+        )
         acts = needed in (Permission.CHECK, Permission.APPROVE, Permission.RESTART)
-        if whole and acts:
+        if broadcast and acts:
             assert isinstance(authorization, Ignore)
         elif (signing and not signed) or needed.value not in allowed:
             assert isinstance(authorization, Deny)
@@ -165,7 +167,7 @@ def test_unknown_commands_are_answered_only_when_they_were_meant_for_us_alone(
     authorization = authorize(asked(*given_), WORDS, signing=False)
     assert isinstance(authorization, Deny)
     assert authorization.result is CommandResult.UNSUPPORTED
-    assert authorize(asked(*given_, whole=True), WORDS, signing=False) == Ignore()
+    assert authorize(asked(*given_, broadcast=True), WORDS, signing=False) == Ignore()
 
 
 @pytest.mark.parametrize("given_", WRONG)

@@ -7,15 +7,17 @@ import os
 import random
 import socket
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
-from phm.commands.control_server import MAX_CONNECTIONS, ControlServer, HoldController
+from phm.commands.control_server import MAX_CONNECTIONS, ControlServer
+from phm.commands.services import NO_HOLDS, HoldController
 from phm.wire import control as wire
+from tests.fakes.commands import execute
 from tests.fakes.until import until
 
 
@@ -25,8 +27,15 @@ class Daemon:
     def __init__(self, run_dir: Path, holds: HoldController | None = None) -> None:
         self.run_dir = run_dir
         self.notes: list[tuple[str, str]] = []
+        self.reload: Callable[[], str] = str
         self.control = ControlServer(
-            str(run_dir), self.approve, lambda kind, text: self.notes.append((kind, text)), holds
+            str(run_dir),
+            execute(
+                approve=self.approve,
+                note=lambda kind, text: self.notes.append((kind, text)),
+                holds=holds or NO_HOLDS,
+                reload=lambda: self.reload(),
+            ),
         )
         self.control.start()
         until(lambda: (run_dir / wire.NAME).exists(), "the socket")
@@ -48,7 +57,7 @@ class Daemon:
 
     def serves(self) -> bool:
         try:
-            return self.ping() == "PHM is here"
+            return self.ping() == "PHM is running"
         except (wire.NoAnswer, wire.Refused):
             return False
 
@@ -85,7 +94,7 @@ def test_the_verbs_ask_and_tell(daemon: Daemon) -> None:
     code, said = daemon.phm("approve", "zz")
     assert (code, "open: ab12-1" in said) == (1, True)
     assert daemon.phm("note", "node\x1b[2J killed") == (0, "noted: node\\x1b[2J killed\n")
-    assert daemon.notes == [("INJECT", "node\\x1b[2J killed")]
+    assert daemon.notes == [("NOTE", "node\\x1b[2J killed")]
 
 
 def test_without_a_daemon_the_verbs_say_so(tmp_path: Path, daemon: Daemon) -> None:
@@ -115,7 +124,7 @@ def test_without_a_daemon_the_verbs_say_so(tmp_path: Path, daemon: Daemon) -> No
         b'{"do": "approve", "fault": 3}',
         b'{"do": "approve", "fault": {"a": 1}}',
         b'{"do": "note", "kind": "DOCKER", "text": "forged"}',
-        b'{"do": "note", "kind": "INJECT", "text": null}',
+        b'{"do": "note", "text": null}',
         b"x" * 10_000,
     ],
 )
@@ -178,7 +187,7 @@ def test_only_root_and_its_own_user_may_ask(daemon: Daemon, monkeypatch: pytest.
 def test_a_run_dir_that_cannot_be_made_is_a_problem(tmp_path: Path) -> None:
     """Told in `phm status`; nothing else is hurt."""
     (tmp_path / "file").write_text("")
-    control = ControlServer(str(tmp_path / "file" / "run"), str, lambda kind, text: None)
+    control = ControlServer(str(tmp_path / "file" / "run"))
     control.start()
     until(control.problem, "the problem")
     assert "`phm approve` does not work" in control.problem()

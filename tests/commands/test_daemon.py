@@ -99,7 +99,7 @@ def test_a_command_reaches_what_it_is_for(agent: Agent) -> None:
     assert agent.ask(31010, 3, 1)[-1].result == mavlink.MAV_RESULT_FAILED
     until(lambda: len(agent.notes()) >= 3, "the notes")
     said = " | ".join(agent.notes())
-    for words in ("all checks run now", f"details of {fault.id} are sent", "app has not opted in (recover: true)"):
+    for words in ("running all checks", f"sending details of {fault.id}", "app has not opted in (recover: true)"):
         assert words in said
     log = agent.folder / "log" / "phm.log"
     until(lambda: "---- COMMAND: accepted" in log.read_text(), "the line in the log")

@@ -7,7 +7,8 @@ from typing import Any
 
 from hypothesis import HealthCheck, assume, example, given, settings as hypothesis_settings, strategies as st
 
-from phm.commands.handler import MAX_WAITING, CommandHandler
+from phm.commands.handler import CommandHandler
+from phm.commands.mavlink_commands import MAX_WAITING, MavlinkCommands
 from phm.commands.services import CommandServices
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
@@ -38,14 +39,16 @@ class Scene:
             tuple,
             lambda: True,
             lambda: True,
-            look=lambda: self.did.append("look"),
+            run_checks=lambda: self.did.append("look"),
             approve=lambda name: self._do(name),
             restart=lambda key, by: self._do(key),
             note=lambda kind, words: None,
             later=TimeoutError,
         )
         chosen = settings(agent={"id": 7}, containers=[{"name": "app"}], mavlink={"commands": ALL})
-        self.handler = CommandHandler(self, services, chosen, self.clock)
+        self.handler = MavlinkCommands(
+            self, CommandHandler(services, ["app"], self.clock), services, chosen.mavlink, 7, self.clock
+        )
         self.handler.listen()
 
     def _do(self, what: str) -> str:

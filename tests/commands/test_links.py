@@ -11,6 +11,7 @@ import pytest
 from pymavlink import mavutil
 
 from phm.commands.handler import CommandHandler
+from phm.commands.mavlink_commands import MavlinkCommands
 from phm.commands.services import CommandServices
 from phm.core.clock import SystemClock
 from phm.core.settings import MavlinkSettings
@@ -47,13 +48,15 @@ class Aboard:
             tuple,
             lambda: True,
             lambda: True,
-            look=lambda: self.did.append("look"),
+            run_checks=lambda: self.did.append("look"),
             approve=str,
             restart=lambda key, by: self.did.append(key) or key,
             note=lambda kind, text: self.notes.append(text),
             later=TimeoutError,
         )
-        self.handler = CommandHandler(self.hub, services, chosen, SystemClock())
+        self.handler = MavlinkCommands(
+            self.hub, CommandHandler(services, ["app"], SystemClock()), services, chosen.mavlink, 7, SystemClock()
+        )
         self.hub.start()
         self.handler.start()
 

@@ -52,41 +52,41 @@ def test_whoever_asks_the_whole_is_bounded(floods: list[tuple[int, int, float]])
 def test_a_command_that_comes_again_has_its_first_result() -> None:
     """A rising confirmation is the same command; also by another link."""
     memory = CommandDedup()
-    memory.did(ASKED, b"one", CommandResult.ACCEPTED, 0.0)
+    memory.record(ASKED, b"one", CommandResult.ACCEPTED, 0.0)
     again = replace(ASKED, confirmation=1, link="other")
-    assert memory.before(again, b"two", REPEAT_S) is CommandResult.ACCEPTED
-    assert memory.before(again, b"two", REPEAT_S + 0.1) is None
-    assert memory.before(replace(again, params=(3.0, 2.0)), b"three", 1.0) is None
-    assert memory.before(replace(again, system=254), b"four", 1.0) is None
-    assert memory.before(replace(again, signed=True), b"five", 1.0) is None
+    assert memory.previous_result(again, b"two", REPEAT_S) is CommandResult.ACCEPTED
+    assert memory.previous_result(again, b"two", REPEAT_S + 0.1) is None
+    assert memory.previous_result(replace(again, params=(3.0, 2.0)), b"three", 1.0) is None
+    assert memory.previous_result(replace(again, system=254), b"four", 1.0) is None
+    assert memory.previous_result(replace(again, signed=True), b"five", 1.0) is None
 
 
 def test_the_very_same_frame_is_a_copy_and_another_one_a_new_command() -> None:
     """With confirmation 0 only a copy by another way is the same."""
     memory = CommandDedup()
-    memory.did(ASKED, b"one", CommandResult.FAILED, 0.0)
-    assert memory.before(replace(ASKED, link="other"), b"one", COPY_S) is CommandResult.FAILED
-    assert memory.before(ASKED, b"one", COPY_S + 0.1) is None
-    assert memory.before(ASKED, b"two", 0.1) is None
+    memory.record(ASKED, b"one", CommandResult.FAILED, 0.0)
+    assert memory.previous_result(replace(ASKED, link="other"), b"one", COPY_S) is CommandResult.FAILED
+    assert memory.previous_result(ASKED, b"one", COPY_S + 0.1) is None
+    assert memory.previous_result(ASKED, b"two", 0.1) is None
 
 
 def test_what_was_lost_the_first_time_is_done_when_it_comes_again() -> None:
     """A confirmation above 0 of a command that never arrived is a command."""
-    assert CommandDedup().before(replace(ASKED, confirmation=3), b"one", 0.0) is None
+    assert CommandDedup().previous_result(replace(ASKED, confirmation=3), b"one", 0.0) is None
 
 
 def test_the_memory_is_bounded() -> None:
     """The oldest is forgotten."""
     memory = CommandDedup()
     for n in range(1000):
-        memory.did(replace(ASKED, params=(3.0, float(n))), b"", CommandResult.ACCEPTED, 0.0)
+        memory.record(replace(ASKED, params=(3.0, float(n))), b"", CommandResult.ACCEPTED, 0.0)
     assert len(memory._done[False]) == MAX_DONE
 
 
 def test_unsigned_commands_make_no_signed_one_forgotten() -> None:
     """Its acknowledgement was lost; asked again after a flood of others, it is not done twice."""
     memory, signed = CommandDedup(), replace(ASKED, signed=True)
-    memory.did(signed, b"one", CommandResult.ACCEPTED, 0.0)
+    memory.record(signed, b"one", CommandResult.ACCEPTED, 0.0)
     for n in range(10 * MAX_DONE):
-        memory.did(replace(ASKED, params=(3.0, float(n))), b"", CommandResult.DENIED, 0.0)
-    assert memory.before(replace(signed, confirmation=1), b"two", 1.0) is CommandResult.ACCEPTED
+        memory.record(replace(ASKED, params=(3.0, float(n))), b"", CommandResult.DENIED, 0.0)
+    assert memory.previous_result(replace(signed, confirmation=1), b"two", 1.0) is CommandResult.ACCEPTED

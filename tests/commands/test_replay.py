@@ -10,6 +10,7 @@ import pytest
 from pymavlink import mavutil
 
 from phm.commands.handler import CommandHandler
+from phm.commands.mavlink_commands import MavlinkCommands
 from phm.commands.services import CommandServices
 from phm.core.clock import SystemClock
 from phm.core.settings import MavlinkSettings
@@ -66,7 +67,7 @@ class Aboard:
             tuple,
             lambda: True,
             lambda: True,
-            look=lambda: None,
+            run_checks=lambda: None,
             approve=str,
             restart=self._restart,
             note=lambda kind, text: self.notes.append(text),
@@ -74,7 +75,9 @@ class Aboard:
             remember=self.hub.remember,
             clock_problem=self.hub.clock_problem,
         )
-        self.handler = CommandHandler(self.hub, services, chosen, clock)
+        self.handler = MavlinkCommands(
+            self.hub, CommandHandler(services, ["app"], clock), services, chosen.mavlink, 7, clock
+        )
         self.hub.start()
         self.handler.start()
         until(self.hub.links, "the port opening")
@@ -166,7 +169,7 @@ def test_a_delayed_command_of_a_known_sender_is_too_old(start: Start, ask: Ask, 
     clock.ahead_s = 6 * 3600.0
     assert ground.play(delayed) == MAV.MAV_RESULT_DENIED
     assert agent.did == []
-    assert "was signed 21600 s ago" in until(lambda: agent.notes, "the note")[0]
+    assert "signed 21600 s ago" in until(lambda: agent.notes, "the note")[0]
     ground.at(clock.utc())
     assert ground.play(ground.record(*RESTART)) == MAV.MAV_RESULT_ACCEPTED
     assert agent.did == ["255/190"]

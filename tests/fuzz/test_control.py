@@ -24,7 +24,7 @@ MAX_HOLD_S = 4 * 3600.0
 REQUESTS = [
     {"do": "ping"},
     {"do": "approve", "fault": "ab12-1"},
-    {"do": "note", "kind": "INJECT", "text": "words"},
+    {"do": "note", "text": "words"},
     {"do": "reload"},
     {"do": "hold", "container": "app", "for_s": 60.0, "reason": "new firmware"},
     {"do": "hold", "container": "", "for_s": None, "reason": ""},
@@ -46,7 +46,7 @@ def _holds() -> HoldService:
 @cache
 def _daemon() -> Daemon:
     daemon = Daemon(Path(folder()), _holds())
-    daemon.control.reload = lambda: json.dumps({"changed": []})
+    daemon.reload = lambda: json.dumps({"changed": []})
     return daemon
 
 
@@ -70,7 +70,7 @@ def test_any_request_is_answered_and_the_next_one_served(lines: list[bytes]) -> 
         answer = json.loads(line)
         assert isinstance(answer["ok"], bool)
         assert isinstance(answer["text"] if answer["ok"] else answer["error"], str)
-    assert all(kind == "INJECT" and text.isprintable() for kind, text in daemon.notes)
+    assert all(kind == "NOTE" and text.isprintable() for kind, text in daemon.notes)
     for hold in _holds().snapshot():
         assert (
             hold["container"] in (None, "app", "cam")
@@ -78,4 +78,4 @@ def test_any_request_is_answered_and_the_next_one_served(lines: list[bytes]) -> 
             and hold["reason"].isprintable()
         )
     until(daemon.serves, "the server to answer")
-    assert wire.ask(str(daemon.run_dir), {"do": "ping"}) == "PHM is here"
+    assert wire.ask(str(daemon.run_dir), {"do": "ping"}) == "PHM is running"

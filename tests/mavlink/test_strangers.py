@@ -14,6 +14,7 @@ import pytest
 from pymavlink import mavutil
 
 from phm.commands.handler import CommandHandler
+from phm.commands.mavlink_commands import MavlinkCommands
 from phm.commands.services import CommandServices
 from phm.core.clock import SystemClock
 from phm.core.settings import MavlinkSettings
@@ -55,22 +56,24 @@ class Aboard:
             tuple,
             lambda: True,
             lambda: True,
-            look=lambda: None,
+            run_checks=lambda: None,
             approve=str,
             restart=self._restart,
             note=lambda kind, text: None,
             later=TimeoutError,
         )
-        self.desk = CommandHandler(self.hub, services, chosen, SystemClock())
+        self.commands = MavlinkCommands(
+            self.hub, CommandHandler(services, ["app"], SystemClock()), services, chosen.mavlink, 7, SystemClock()
+        )
         self.hub.start()
-        self.desk.start()
+        self.commands.start()
 
     def _restart(self, key: str, by: str) -> str:
         self.did.append(by)
         return key
 
     def close(self) -> None:
-        self.desk.close()
+        self.commands.close()
         self.hub.close()
 
 

@@ -176,7 +176,7 @@ def action(phase: Phase, detail: str = "") -> ActionEvent:
             "ESCALATED: (6) nodes/agent_1/node_1: PHM has given up after 60.0 s",
         ),
         (Note(at(), "DOCKER", "ros_app: die"), "DOCKER: ros_app: die"),
-        (Note(at(), "INJECT", "killing /agent_1/node_1"), "INJECT: killing /agent_1/node_1"),
+        (Note(at(), "NOTE", "killing /agent_1/node_1"), "NOTE: killing /agent_1/node_1"),
         (Note(at(), "SUCCESS", "forged by a plug-in"), "PHM: forged by a plug-in"),
     ],
 )

@@ -54,7 +54,7 @@ def test_every_line_says_who_where_and_when(tmp_path: Path) -> None:
     started = ReportStarted(at(), 1)
     report = Report(at(2), 1, at(), (DEAD, unit("host", Slot.HOST)))
     log = make(tmp_path)
-    for event in (started, transition(DEAD), opened(DEAD), report, Note(at(), "INJECT", "kill")):
+    for event in (started, transition(DEAD), opened(DEAD), report, Note(at(), "NOTE", "kill")):
         log.handle(event)
     lines = list(json_log.read(tmp_path))
     assert [line["event"] for line in lines] == [
@@ -202,7 +202,7 @@ log = LogReporter.build(ReporterContext(settings, SystemClock(), "b", tuple, lam
 number = 0
 while True:
     number += 1
-    log.handle(Note(Stamp(0.0, 0.0), "INJECT", str(number)))
+    log.handle(Note(Stamp(0.0, 0.0), "NOTE", str(number)))
     print(number, flush=True)
 """
 

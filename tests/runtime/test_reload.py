@@ -151,7 +151,7 @@ def test_a_bad_configuration_is_rejected_and_the_old_one_stays(agent: Agent) -> 
     assert (seen["ok"], [each["line"] for each in seen["problems"]]) == (False, [1, 2])
     assert agent.status()["boot_id"] == boot
     assert agent.status()["interval_s"] == 2.0
-    assert control.ask(str(agent.folder / "run"), {"do": "ping"}) == "PHM is here"
+    assert control.ask(str(agent.folder / "run"), {"do": "ping"}) == "PHM is running"
 
 
 def test_sighup_reloads(agent: Agent) -> None:
@@ -184,7 +184,7 @@ def test_checks_that_go_in_a_circle_are_rejected(agent: Agent) -> None:
     done = agent.reload()
     assert done.returncode in (1, 78), done
     assert "circle" in done.stderr
-    assert control.ask(str(agent.folder / "run"), {"do": "ping"}) == "PHM is here"
+    assert control.ask(str(agent.folder / "run"), {"do": "ping"}) == "PHM is running"
 
 
 def test_without_a_daemon_reload_says_so(tmp_path: Path) -> None:

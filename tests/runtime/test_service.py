@@ -105,7 +105,7 @@ def test_a_second_phm_with_the_same_directories_is_refused(start: Callable[..., 
     assert str(first.folder / "state") in errors
     assert f"process {first.process.pid} on " in errors
     assert "stop it first" in errors
-    assert control.ask(str(first.folder / "run"), {"do": "ping"}) == "PHM is here"
+    assert control.ask(str(first.folder / "run"), {"do": "ping"}) == "PHM is running"
     first.process.kill()
     first.process.wait()
     again = Running(first.folder)
@@ -119,7 +119,7 @@ def test_a_second_phm_with_the_same_directories_is_refused(start: Callable[..., 
 
 def _answers(folder: Path) -> bool:
     try:
-        return control.ask(str(folder / "run"), {"do": "ping"}) == "PHM is here"
+        return control.ask(str(folder / "run"), {"do": "ping"}) == "PHM is running"
     except control.NoAnswer:
         return False
 

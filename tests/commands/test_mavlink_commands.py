@@ -8,7 +8,8 @@ import pytest
 
 from phm.commands import responses
 from phm.commands.command_log import LOGGED_PER_PERIOD, PERIOD_S
-from phm.commands.handler import CHECK_EVERY_S, MAX_WAITING, CommandHandler
+from phm.commands.handler import CHECK_EVERY_S, CommandHandler
+from phm.commands.mavlink_commands import MAX_WAITING, MavlinkCommands
 from phm.commands.rate_limit import SENDER_BURST
 from phm.commands.services import CommandServices
 from phm.core.model import Fault, HostReadings, Layer, Level, Result as Found, Slot, Stamp, UnitState
@@ -62,7 +63,7 @@ class Scene:
             lambda: (),
             lambda: True,
             lambda: self.lives,
-            look=lambda: self.did.append("look"),
+            run_checks=lambda: self.did.append("look"),
             approve=lambda name: self._do(f"approve {name}"),
             restart=lambda key, by: self._do(f"restart {key} for {by}"),
             note=lambda kind, text: self.notes.append(f"{kind}: {text}"),
@@ -72,7 +73,9 @@ class Scene:
         chosen = settings(
             agent={"id": 7}, containers=[{"name": "app"}, {"name": "db"}], mavlink={"commands": list(allowed)}
         )
-        self.handler = CommandHandler(self, services, chosen, self.clock)
+        self.handler = MavlinkCommands(
+            self, CommandHandler(services, ["app", "db"], self.clock), services, chosen.mavlink, 7, self.clock
+        )
         self.handler.listen()
         self.ground = Sender(255, 190)
 
@@ -347,8 +350,8 @@ def test_a_flood_is_bounded_and_told_once() -> None:
         scene.handler.hear(scene.ground.received(long(512, 253, n)), "radio")
     assert len(scene.handler._waiting[False]) == SENDER_BURST <= MAX_WAITING
     scene.handler.turn()
-    assert [note for note in scene.notes if "dropped unread" in note] == [
-        "COMMAND: 990 commands were dropped unread: too many came at once"
+    assert [note for note in scene.notes if "rate limit exceeded" in note] == [
+        "COMMAND: 990 commands dropped: rate limit exceeded"
     ]
 
 
@@ -361,7 +364,7 @@ def test_a_flood_that_is_refused_leaves_the_rest_of_the_log() -> None:
     scene.clock.advance(PERIOD_S)
     scene.handler.turn()
     assert len(scene.notes) <= LOGGED_PER_PERIOD + 3
-    counted = [note for note in scene.notes if "not logged one by one" in note]
+    counted = [note for note in scene.notes if "not logged individually" in note]
     assert sum(int(note.split()[1]) for note in counted) + LOGGED_PER_PERIOD == 600
     assert max(map(len, scene.notes)) < 250
 
@@ -373,7 +376,7 @@ def test_a_command_that_acts_is_logged_in_any_flood() -> None:
         scene.clock.advance(0.5)
         scene.ask(long(31010, 1, n), by=Sender(n + 1, 190))
     scene.ask(long(31010, 3, 1))
-    assert scene.notes[-1].startswith("COMMAND: accepted: Restart")
+    assert scene.notes[-1].startswith("COMMAND: accepted: restart container 1")
     signed = Scene("status", signs=True)
     for n in range(30):
         signed.clock.advance(1.0)
