@@ -120,14 +120,14 @@ class Agent:
             if line.word == "OK":
                 self.bad.clear()
         elif line.word == "HOLD":
-            self.on_hold = not line.text.endswith(" over")
+            self.on_hold = not line.text.endswith(" released")
         if line.level is not None:
             self._worse(line, line.level, at)
-        elif line.over:
-            if line.over.startswith("GCS:"):
+        elif line.recovered:
+            if line.recovered.startswith("GCS:"):
                 self.deaf = False
             units = self.bad.get(line.slot, OrderedDict())
-            for text in [text for text in units if matches(text, line.over)]:
+            for text in [text for text in units if line.resolves(text)]:
                 del units[text]
 
     def _worse(self, line: ParsedLine, level: Level, at: Stamp) -> None:

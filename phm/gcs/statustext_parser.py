@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from phm.core.model import Level
+from phm.wire.status_line import PAST_VERBS
 
 _AGENT = r"A(?P<agent>0[1-9]|[1-9][0-9]{1,2})"
 _REFRESH = re.compile(
@@ -17,7 +18,8 @@ _CHANGE = re.compile(
 )
 _RELAY = re.compile(rf"{_AGENT} (?P<text>no GCS radio[,:] .*)")
 _SWARM = re.compile(r"SWARM (?P<well>[0-9]{1,3})/(?P<members>[0-9]{1,3}) (?P<word>OK|WARN|FAIL)(?: (?P<text>.+))?")
-_OVER = re.compile(r"(?:cleared itself|cleared|\S.{0,15}? fixed): (?P<brief>.+)")
+_VERB = rf"(?:{'|'.join(PAST_VERBS.values())}|fixed by \S{{1,12}})"
+_RECOVERED = re.compile(rf"{_VERB}: (?P<brief>.+)|(?P<subject>\S+) {_VERB}")
 _MORE = re.compile(r" \+[0-9]+$")
 _NAMED = re.compile(r"A([0-9]{2,3}):")
 LEVELS = {"FAIL": Level.ERROR, "GAVE UP": Level.ERROR, "WARN": Level.WARN}
@@ -50,10 +52,23 @@ class ParsedLine:
         return LEVELS.get(self.word) if self.kind in (LineKind.CHANGE, LineKind.REFRESH) and self.text else None
 
     @property
-    def over(self) -> str:
-        """The words of what is over, empty when the line does not say so."""
-        match = _OVER.fullmatch(self.text) if self.kind is LineKind.CHANGE and self.word == "OK" else None
-        return match["brief"] if match else ""
+    def recovered(self) -> str:
+        """The failure that ended, or the name of its unit; empty if the line does not report the end of one."""
+        match = self._recovered()
+        return (match["brief"] or match["subject"]) if match else ""
+
+    def resolves(self, text: str) -> bool:
+        """Whether the line reports the end of the failure that an earlier line reported with `text`."""
+        match = self._recovered()
+        if match is None:
+            return False
+        if match["brief"]:
+            return matches(text, match["brief"])
+        head, dots, _ = text.partition("..")
+        return text.startswith(f"{match['subject']} ") or bool(dots and match["subject"].startswith(head))
+
+    def _recovered(self) -> re.Match[str] | None:
+        return _RECOVERED.fullmatch(self.text) if self.kind is LineKind.CHANGE and self.word == "OK" else None
 
 
 def parse(text: str) -> ParsedLine | None:

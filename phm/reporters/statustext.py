@@ -159,5 +159,10 @@ class StatusTextBuilder:
         if told is None:
             return []
         state = told[0]
-        text = status_line.recovered(self._agent, state.slot, status_line.brief_of(state), by)
+        subject = status_line.subject_of(state)
+        if any(
+            other.slot is state.slot and status_line.subject_of(other) == subject for other, _ in self._told.values()
+        ):
+            subject = ""  # ambiguous: another unit with this name is still failing
+        text = status_line.recovered(self._agent, state.slot, status_line.brief_of(state), by, subject)
         return [StatusTextLine(unit, status_line.severity(Level.OK, state.slot), text)]

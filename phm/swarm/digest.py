@@ -103,9 +103,7 @@ def relay_line(agent: int, heard_by: Collection[int], word: int) -> str:
     A03 no GCS radio, heard by A01 A02 +5: OK
     """
     level, slot = worst_slot(word, no_gcs=True)
-    how = (
-        "not known" if level is Level.STALE else "OK" if level is Level.OK or slot is None else f"{slot:d} {level.name}"
-    )
+    how = "unknown" if level is Level.STALE else "OK" if level is Level.OK or slot is None else f"{slot:d} {level.name}"
     names = [agent_name(other) for other in sorted(heard_by) if other != agent]
     for shown in range(min(len(names), 4), -1, -1):
         more = f" +{len(names) - shown}" if shown < len(names) else ""
@@ -117,7 +115,7 @@ def relay_line(agent: int, heard_by: Collection[int], word: int) -> str:
 
 def flapping_line(agent: int) -> str:
     """An agent loses and finds the ground again and again, or fails and recovers meanwhile; it is not told each time."""
-    return f"{agent_name(agent)} no GCS radio: comes and goes"
+    return f"{agent_name(agent)} no GCS radio: flapping"
 
 
 def relay_severity(word: int) -> Severity:
@@ -140,4 +138,4 @@ def _of_word(word: int, *, no_gcs: bool) -> tuple[Level, str]:
     level, slot = worst_slot(word, no_gcs=no_gcs)
     if level is Level.OK:
         return level, ""
-    return level, _LAYERS.get(slot, "USER") if slot is not None else "mute"
+    return level, _LAYERS.get(slot, "USER") if slot is not None else "unknown"

@@ -1,29 +1,29 @@
 """The lines an operator reads: MAVLink STATUSTEXT, one line each, at most 50 printable ASCII characters.
 
-The contract. Every line begins with the agent (``A01`` to ``A250``) and a word; then comes the slot (1 to
-15) or the array. The array has a digit for each of the slots 1 to 8: ``1`` OK or WARN, ``0`` ERROR,
-``-`` not known or unused::
+A contract. Every line begins with the agent (``A01`` to ``A250``) and a word. The slot (1 to 15) or the array follows.
+The array has a digit for each of the slots 1 to 8: ``1`` OK or WARN, ``0`` ERROR, ``-`` unknown or unused::
 
-    A01 FAIL 6 node_1 dead                    a fault, at its cause
-    A01 WARN 9 disk / 88%                     something to look at
-    A01 OK 6 restart fixed: node_1 dead       over, by what PHM did
-    A01 OK 6 cleared itself: node_1 dead      a fault that ended without an action of PHM
-    A01 OK 9 cleared: disk / 88%              a warning that is over
-    A01 WARN 6 flapping: node_1 dead          it fails and recovers again and again; told when it rests
-    A01 ADVISE 2 restart ros_app #17          what PHM would do, and was told not to do; 17 is the fault's number
-    A01 GAVE UP 2 ros_app exited #17          PHM cannot heal this: it is the operator's now
-    A01 HOLD 2 ros_app 10 min: new firmware   an operator wants it left alone; what is bad there is not a failure
-    A01 HOLD 2 ros_app over                   the end of that
-    A01 OK 2 restart done: ros_app            what an operator asked for is done, and the container is well
-    A01 WARN 2 restart failed: ros_app        it did not help, or was refused in the end
-    A01 OK 11111111                           the refresh: all is well
-    A01 WARN 11111111 9 disk / 88%            the refresh: worst unit first
-    A01 FAIL 11111011 6 node_1 dead +2        the refresh: two more units are bad
-    A01 STALE 11111--- 6                      the refresh: nothing is known to be bad, but not all is known
-    A01 HOLD 1-1--111 2 ros_app on hold       the refresh: the same, and all that is not known is on hold
+    A01 FAIL 6 node_1 dead                    a fault, reported at its cause
+    A01 WARN 9 disk / 88%                     a warning
+    A01 OK 6 node_1 restarted                 the fault ended by an action of PHM
+    A01 OK 6 node_1 recovered                 the fault ended without an action of PHM
+    A01 OK 1 recovered: GCS: no heartbeat 3 s the same where the failure begins with no name
+    A01 OK 9 cleared: disk / 88%              the warning ended
+    A01 WARN 6 flapping: node_1 dead          it fails and recovers repeatedly; reported again when it is stable
+    A01 ADVISE 2 restart ros_app #17          the action that PHM recommends; 17 is the number of the fault
+    A01 GAVE UP 2 ros_app exited #17          PHM cannot fix this: the operator has to
+    A01 HOLD 2 ros_app 10 min: new firmware   an operator holds the container: PHM does nothing to it
+    A01 HOLD 2 ros_app released               the hold ended
+    A01 OK 2 restart done: ros_app            the operator's request succeeded, and the container is OK
+    A01 WARN 2 restart failed: ros_app        the operator's request failed or was refused
+    A01 OK 11111111                           refresh: everything is OK
+    A01 WARN 11111111 9 disk / 88%            refresh: the worst unit
+    A01 FAIL 11111011 6 node_1 dead +2        refresh: two more units are not OK
+    A01 STALE 11111--- 6                      refresh: no failure is known, but some slots are unknown
+    A01 HOLD 1-1--111 2 ros_app on hold       refresh: the same, and all unknown slots are on hold
 
-Names come from outside and are data: what is not printable ASCII becomes ``?``, and what is too long is
-cut in its middle (``..``), because a name's head and the last word say most.
+Names come from outside and are data: a character that is not printable ASCII becomes ``?``. A text that is too long is
+cut in its middle (``..``), because its beginning and its last word say most.
 """
 
 from __future__ import annotations
@@ -34,17 +34,33 @@ from enum import IntEnum
 from phm.core.model import ON_HOLD, Level, Slot, UnitState, worst_by_slot
 
 MAX_CHARS = 50
-"""Of a STATUSTEXT that needs no chunks: ground stations do not join chunks of component 193."""
+"""The length of a STATUSTEXT without chunks: ground stations do not join chunks of component 193."""
+MAX_SUBJECT = 16
+PAST_VERBS: Mapping[str, str] = {
+    "": "cleared",
+    "itself": "recovered",
+    "start": "started",
+    "restart": "restarted",
+    "unpause": "unpaused",
+    "reconnect": "reconnected",
+    "join_network": "connected",
+    "relaunch": "relaunched",
+    "restore_file": "restored",
+    "reopen": "reopened",
+    "free_disk": "freed",
+    "relieve": "relieved",
+}
+"""What happened to a unit that is OK again, by what ended its fault."""
 ARRAY_SLOTS = tuple(Slot)[:8]
 MISSION_SLOTS = frozenset(ARRAY_SLOTS)
-"""An ERROR here means that the mission's function is lost; elsewhere something redundant is."""
+"""An ERROR in one of these means lost mission function; in others, lost redundancy."""
 
 _WORD = {Level.OK: "OK", Level.WARN: "WARN", Level.ERROR: "FAIL", Level.STALE: "STALE"}
 _RANK = {Level.ERROR: 0, Level.WARN: 1, Level.STALE: 2, Level.OK: 3}
 
 
 class Severity(IntEnum):
-    """The part of MAV_SEVERITY that is used. QGroundControl pops up <= 3 and speaks <= 5."""
+    """The levels of MAV_SEVERITY that PHM uses. QGroundControl shows a pop-up for <= 3 and speaks <= 5."""
 
     CRITICAL = 2
     ERROR = 3
@@ -54,7 +70,7 @@ class Severity(IntEnum):
 
 
 def severity(level: Level, slot: Slot) -> Severity:
-    """Of a line that tells a change to `level`: lost mission function, lost redundancy, warning, resolved."""
+    """Severity of a change to `level`: lost mission function, lost redundancy, warning, resolved."""
     if level is Level.ERROR:
         return Severity.CRITICAL if slot in MISSION_SLOTS else Severity.ERROR
     return {Level.WARN: Severity.WARNING, Level.OK: Severity.NOTICE}.get(level, Severity.INFO)
@@ -72,23 +88,35 @@ def array_digits(levels: Mapping[Slot, Level]) -> str:
 
 
 def failing(agent: int, level: Level, slot: Slot, brief: str) -> str:
-    """A unit has become WARN or ERROR. `brief` as in `Result.brief`."""
+    """A unit became WARN or ERROR. `brief` as in `Result.brief`."""
     return _line(f"{agent_name(agent)} {_WORD[level]} {slot:d}", brief)
 
 
-def recovered(agent: int, slot: Slot, brief: str, by: str = "") -> str:
-    """A unit is OK again. `by`: ``itself``, an action's name, or empty when it was only a warning."""
-    how = {"": "cleared", "itself": "cleared itself"}.get(by, f"{_short(by, 12)} fixed")
-    return _line(f"{agent_name(agent)} OK {slot:d} {how}:", brief)
+def recovered(agent: int, slot: Slot, brief: str, by: str = "", subject: str = "") -> str:
+    """A unit is OK again.
+
+    brief: the failure that ended. by: ``itself``, the name of an action, or empty for a warning. subject: a name that
+    identifies the unit in its slot; the line has the brief instead where this is empty.
+    """
+    verb = PAST_VERBS.get(by) or f"fixed by {_short(by, 12)}"
+    head = f"{agent_name(agent)} OK {slot:d}"
+    return f"{head} {subject} {verb}" if subject and by else _line(f"{head} {verb}:", brief)
+
+
+def subject_of(state: UnitState) -> str:
+    """The name of the unit with which its brief begins, e.g. ``node_1`` of ``node_1 dead``; empty if there is none."""
+    name = brief_of(state).partition(" ")[0]
+    named = f"/{state.unit}".endswith(f"/{name}") and len(name) <= MAX_SUBJECT
+    return name if named and all(" " < char <= "~" for char in name) else ""
 
 
 def flapping(agent: int, slot: Slot, brief: str) -> str:
-    """A unit fails and recovers again and again; it is not told each time."""
+    """A unit fails and recovers repeatedly; its changes are not reported one by one."""
     return _line(f"{agent_name(agent)} WARN {slot:d} flapping:", brief)
 
 
 def advise(agent: int, slot: Slot, action: str, target: str, number: int | None = None) -> str:
-    """`number`: the fault's, by which an operator approves; None when it has none. Names are cut, it never is."""
+    """PHM recommends an action. `number`: of the fault, with which an operator approves; None if it has none. It is never cut."""
     return _line(f"{agent_name(agent)} ADVISE {slot:d} {_short(action, 16)}", target, _numbered(number))
 
 
@@ -97,33 +125,33 @@ def approved(agent: int, slot: Slot, action: str, target: str) -> str:
 
 
 def expired(agent: int, slot: Slot, action: str, target: str) -> str:
-    """An approval no longer holds, and what it was for was not done."""
+    """An approval expired before its action was done."""
     return _line(f"{agent_name(agent)} EXPIRED {slot:d} {_short(action, 16)}", target)
 
 
 def gave_up(agent: int, slot: Slot, target: str, brief: str, number: int | None = None) -> str:
-    """`number`: as of `advise`."""
+    """PHM cannot fix the fault. `number`: as in `advise`."""
     said = brief if target in brief else f"{_short(target, 16)}: {brief}"
     return _line(f"{agent_name(agent)} GAVE UP {slot:d}", said, _numbered(number))
 
 
 def operator_request(agent: int, slot: Slot, action: str, end: str, target: str) -> str:
-    """How something ended that an operator had asked for. `end`: ``done``, ``failed`` or ``refused``."""
+    """The result of an operator's request. `end`: ``done``, ``failed`` or ``refused``."""
     word = "OK" if end == "done" else "WARN"
     return _line(f"{agent_name(agent)} {word} {slot:d} {_short(action, 16)} {end}:", target)
 
 
 def hold(agent: int, slot: Slot, target: str, for_s: float | None, reason: str) -> str:
-    """A hold on `target` (empty: all containers) begins, for so many seconds; None: it is over."""
+    """A hold on `target` (empty: all containers) begins for `for_s` seconds; None: it ended."""
     head = f"{agent_name(agent)} HOLD {slot:d}"
     if for_s is None:
-        return _line(head, target or "all", " over")
+        return _line(head, target or "all", " released")
     length = f"{for_s:.0f} s" if for_s < 120 else f"{for_s / 60:.0f} min"
     return _line(head, f"{_short(target or 'all', 16)} {length}{': ' if reason else ''}{reason}")
 
 
 def refresh(agent: int, units: Sequence[UnitState]) -> str:
-    """How the whole agent is, in one line."""
+    """The status of the agent in one line."""
     levels = worst_by_slot(tuple(units))
     ranked = worst_first(units)
     worst = ranked[0] if ranked else None
@@ -141,7 +169,7 @@ def refresh(agent: int, units: Sequence[UnitState]) -> str:
 
 
 def _held(ranked: Sequence[UnitState]) -> UnitState | None:
-    """The first unit on hold; None where something else is not known either."""
+    """The first unit on hold; None if another unit is unknown for another reason."""
     unknown = [state for state in ranked if state.level is Level.STALE and not state.blocked_by]
     held = [state for state in unknown if state.result.condition == ON_HOLD]
     return held[0] if held and len(held) == len(unknown) else None
@@ -153,7 +181,7 @@ def worst_first(units: Sequence[UnitState]) -> list[UnitState]:
 
 
 def brief_of(state: UnitState) -> str:
-    """The check's own few words, else the unit's name: a bad unit is never told without a subject."""
+    """The check's short text, else the name of the unit, so that a line always has a subject."""
     return state.result.brief or state.unit
 
 
@@ -168,7 +196,7 @@ def _line(head: str, text: str, tail: str = "") -> str:
 
 def _short(text: str, room: int) -> str:
     """`text` as printable ASCII in at most `room` (>= 4) characters, cut in the middle when too long."""
-    # Long texts are cut before they are looked at: a name from outside may have any length.
+    # Cut before anything else: a name from outside may have any length.
     if len(text) > 1000:
         text = f"{text[:500]}{text[-500:]}"
     clean = "".join(char if " " <= char <= "~" else "?" for char in text).strip()

@@ -118,7 +118,7 @@ def test_what_is_advised_is_approved_by_the_number_in_its_line(real: Any, tmp_pa
         assert container.status == "exited"
         assert agent.ask(APPROVE, int(number)) == mavlink.MAV_RESULT_ACCEPTED
         agent.until(
-            lambda: any(text.startswith("A07 OK 2 start fixed:") for _, text in agent.lines), "the end of the fault"
+            lambda: any(text.startswith("A07 OK 2 app started") for _, text in agent.lines), "the end of the fault"
         )
     finally:
         agent.close()

@@ -41,10 +41,27 @@ def test_a_change_says_agent_word_slot_and_words() -> None:
 def test_what_is_over_names_what_was_bad(by: str) -> None:
     """Whoever ended it; and where the line had to be cut, the cut name is recognised."""
     for brief in ("node_1 dead", "x" * 20 + "y" * 18):
-        over = read(status_line.recovered(250, Slot.USER_1, brief, by)).over
-        assert over
-        assert statustext_parser.matches(brief, over)
-    assert not statustext_parser.matches("node_2 dead", "node_1 dead")
+        line = read(status_line.recovered(250, Slot.USER_1, brief, by))
+        assert line.recovered
+        assert line.resolves(brief)
+        assert not line.resolves("node_2 dead")
+
+
+@pytest.mark.parametrize("by", ["itself", "restart", "free_disk", "a-long-action"])
+def test_a_recovery_names_the_unit_that_failed(by: str) -> None:
+    """By its name alone, also where the line about the failure was cut; a unit with a longer name is another one."""
+    line = read(status_line.recovered(250, Slot.NODES, "node_1 dead", by, "node_1"))
+    assert line.recovered == "node_1"
+    assert line.resolves("node_1 dead")
+    assert line.resolves("node..d")
+    assert not line.resolves("node_10 dead")
+    assert not line.resolves("node_2 dead")
+
+
+def test_the_result_of_an_operators_request_resolves_no_failure() -> None:
+    line = read(status_line.operator_request(7, Slot.CONTAINER, "restart", "done", "ros_app"))
+    assert not line.recovered
+    assert not line.resolves("ros_app exited")
 
 
 def test_a_refresh_says_how_many_are_bad() -> None:
@@ -63,7 +80,7 @@ def test_what_the_speaker_says_is_read() -> None:
     assert (swarm.kind, swarm.agent, swarm.word, swarm.text) == (LineKind.SWARM, 0, "FAIL", "A03:ROS")
     relay = read(digest.relay_line(3, [1, 2], 0x40025D55))
     assert (relay.kind, relay.agent) == (LineKind.RELAY, 3)
-    assert read("A03 no GCS radio: comes and goes").kind is LineKind.RELAY
+    assert read("A03 no GCS radio: flapping").kind is LineKind.RELAY
 
 
 def test_a_swarm_line_names_who_is_not_well() -> None:

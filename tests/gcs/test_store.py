@@ -154,7 +154,7 @@ def test_lines_name_the_bad_units_until_they_are_over(ground: Ground) -> None:
     """Two units of one slot, one of them cured by name; the heartbeat that calls the slot OK ends the rest."""
     ground.hear(beat(7, {Slot.NODES: Level.ERROR}))
     ground.hear(said(7, "A07 FAIL 6 node_1 dead"), said(7, "A07 FAIL 6 node_2 dead"))
-    ground.hear(said(7, "A07 OK 6 restart fixed: node_2 dead", 5))
+    ground.hear(said(7, "A07 OK 6 node_2 restarted", 5))
     assert [bad["text"] for bad in ground.agent(7)["bad"]] == ["node_1 dead"]
     ground.hear(beat(7))
     assert ground.agent(7)["bad"] == []
@@ -304,7 +304,7 @@ def test_a_relay_speaks_for_an_agent_without_a_radio(ground: Ground) -> None:
 
 def test_a_relay_is_over_when_the_swarm_is_well(ground: Ground) -> None:
     """By the swarm's line that does not name the agent, or by the agent's own; one without room for all says nothing."""
-    for line in (said(1, "SWARM 3/3 OK", 6), said(3, "A03 OK 1 cleared itself: GCS: no heartbeat 10 s", 5)):
+    for line in (said(1, "SWARM 3/3 OK", 6), said(3, "A03 OK 1 recovered: GCS: no heartbeat 10 s", 5)):
         ground.hear(beat(1), beat(3), said(1, "A03 no GCS radio, heard by A01 A02: 2 ERROR"))
         ground.hear(said(1, "SWARM 1/9 FAIL A04:lost +3", 6), said(1, "SWARM 2/3 WARN A03:no-GCS", 6))
         assert ground.agent(3)["hop"]["name"] == "radio"

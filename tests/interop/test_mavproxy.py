@@ -144,7 +144,7 @@ def test_it_shows_the_vehicle_that_it_is_set_to_alone(vehicle: Vehicle, proxy: C
         console.say("vehicle 8:0")
         console.say("set target_system")
         console.wait_for("target_system 8")
-        companion.sendall(other.frame(text("A08 OK 6 cleared itself: node_1 dead", 5)))
+        companion.sendall(other.frame(text("A08 OK 6 node_1 recovered", 5)))
         console.wait_for("AP: A08 OK 6")
     assert not [line for line in console.texts() if line.startswith("A08 FAIL")]
 

@@ -16,7 +16,7 @@ from tests.fakes.mavlink import free_port
 
 SYSTEM, COMPONENT = 7, 193
 FAIL = "A07 FAIL 2 ros_app exited"
-FIXED = "A07 OK 2 cleared itself: ros_app exited"
+FIXED = "A07 OK 2 ros_app recovered"
 WARN, ERROR = "A07 WARN 9 disk", "A07 FAIL 9 memory"
 
 

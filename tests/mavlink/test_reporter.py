@@ -106,11 +106,11 @@ def test_a_fault_is_told_once_at_its_severity() -> None:
 def test_the_end_of_a_fault_says_who_ended_it() -> None:
     """One NOTICE, with the action that healed it, or that it went by itself."""
     scene = Scene().running()
-    for by, words in (("restart", "restart fixed"), ("itself", "cleared itself")):
+    for by, words in (("restart", "restarted"), ("itself", "recovered")):
         scene.become("nodes/a", Level.ERROR, "a dead")
         scene.port.sent.clear()
         scene.become("nodes/a", Level.OK, by=by)
-        assert scene.port.lines() == [(5, f"A01 OK 6 {words}: a dead")]
+        assert scene.port.lines() == [(5, f"A01 OK 6 a {words}")]
 
 
 def test_a_warning_comes_and_goes() -> None:
@@ -357,12 +357,12 @@ def test_what_flaps_is_told_as_such_and_then_when_it_rests() -> None:
         scene.become("nodes/a", Level.OK)
         scene.pass_time(2.0)
     told = [words for severity, words in scene.port.lines() if severity < 6]
-    assert told == ["A01 FAIL 6 a dead", "A01 OK 6 cleared itself: a dead"] * 2 + [
+    assert told == ["A01 FAIL 6 a dead", "A01 OK 6 a recovered"] * 2 + [
         "A01 FAIL 6 a dead",
         "A01 WARN 6 flapping: a dead",
     ]
     scene.pass_time(31.0)
-    assert scene.port.lines() == [(5, "A01 OK 6 cleared itself: a dead")]
+    assert scene.port.lines() == [(5, "A01 OK 6 a recovered")]
     scene.become("nodes/a", Level.ERROR, "a dead")
     assert scene.port.lines() == [(2, "A01 FAIL 6 a dead")]
 
@@ -410,4 +410,4 @@ def test_a_hold_is_told_once_and_so_is_its_end() -> None:
         scene.reporter.handle(HoldChanged(now, "app", began, "operator", "new firmware", 600.0, "app is on hold"))
     scene.pass_time(3.0)
     changes = [line for line in scene.port.lines() if line[0] <= 5]
-    assert changes == [(5, "A01 HOLD 2 app 10 min: new firmware"), (5, "A01 HOLD 2 app over")]
+    assert changes == [(5, "A01 HOLD 2 app 10 min: new firmware"), (5, "A01 HOLD 2 app released")]

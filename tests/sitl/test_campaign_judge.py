@@ -217,7 +217,7 @@ def test_what_could_not_be_injected_is_not_judged() -> None:
         ("A03 GAVE UP 6 node_1 dead", 3, True),
         ("A03 WARN 6 node_1 late", 3, False),
         ("A03 FAIL 2 ros_app exited", 3, False),
-        ("A03 OK 6 restart fixed: node_1 dead", 3, False),
+        ("A03 OK 6 node_1 restarted", 3, False),
         ("A03 OK 11111111", 3, False),
         ("A04 FAIL 6 node_1 dead", 4, False),
         ("A03 no GCS radio, heard by A01 A02: 2 ERROR", 1, False),

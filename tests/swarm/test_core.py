@@ -363,7 +363,7 @@ def bad(slot: Slot, level: Level = Level.ERROR) -> int:
         ({**dict.fromkeys(range(1, 9), WELL), 3: bad(Slot.NODES)}, (6, 7), "SWARM 5/8 FAIL A06:lost A07:lost A03:ROS"),
         ({**dict.fromkeys(range(1, 9), WELL), 2: bad(Slot.HOST, Level.WARN)}, (), "SWARM 7/8 WARN A02:HOST"),
         ({**dict.fromkeys(range(1, 9), WELL), 2: bad(Slot.PEERS)}, (), "SWARM 8/8 OK"),
-        ({1: 0, 2: WELL}, (), "SWARM 1/2 OK A01:mute"),
+        ({1: 0, 2: WELL}, (), "SWARM 1/2 OK A01:unknown"),
         (dict.fromkeys(range(1, 101), bad(Slot.CONTAINER)), (), "SWARM 0/100 FAIL A01:DOCKER A02:DOCKER +98"),
     ],
 )

@@ -92,7 +92,7 @@ def test_an_agent_at_the_edge_of_its_radio_is_not_told_each_time() -> None:
         fleet.agents[3].become("container/app", Level.OK if turn % 2 else Level.ERROR, "app exited")
         fleet.run(6)
     told = fleet.lines(5)
-    assert "A03 no GCS radio: comes and goes" in told
+    assert "A03 no GCS radio: flapping" in told
     assert len(told) < 10
     fleet.run(60)
     assert len(fleet.lines(5)) <= 1

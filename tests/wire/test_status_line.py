@@ -8,6 +8,7 @@ from hypothesis import given, strategies as st
 from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
 from phm.wire import status_line
 from phm.wire.status_line import Severity
+from tests.fakes import records
 
 AGENTS = st.integers(1, 250)
 SLOTS = st.sampled_from(Slot)
@@ -61,8 +62,11 @@ def test_a_fault_names_agent_slot_and_cause() -> None:
 
 def test_an_end_says_what_ended_it() -> None:
     """The operator sees whether it healed itself or PHM did it."""
-    assert status_line.recovered(1, Slot.NODES, "node_1 dead", "restart") == "A01 OK 6 restart fixed: node_1 dead"
-    assert status_line.recovered(1, Slot.NODES, "node_1 dead", "itself") == "A01 OK 6 cleared itself: node_1 dead"
+    node = "node_1 dead", "restart", "node_1"
+    assert status_line.recovered(1, Slot.NODES, *node) == "A01 OK 6 node_1 restarted"
+    assert status_line.recovered(1, Slot.NODES, "node_1 dead", "itself", "node_1") == "A01 OK 6 node_1 recovered"
+    assert status_line.recovered(1, Slot.COMPANION, "GCS: lost", "reopen") == "A01 OK 1 reopened: GCS: lost"
+    assert status_line.recovered(1, Slot.USER_1, "low", "my_action") == "A01 OK 13 fixed by my_action: low"
     assert status_line.recovered(1, Slot.HOST, "disk / 88%") == "A01 OK 9 cleared: disk / 88%"
 
 
@@ -124,3 +128,20 @@ def test_severities_are_those_of_the_contract() -> None:
     assert status_line.severity(Level.WARN, Slot.NODES) is Severity.WARNING
     assert status_line.severity(Level.OK, Slot.NODES) is Severity.NOTICE
     assert status_line.severity(Level.STALE, Slot.NODES) is Severity.INFO
+
+
+@pytest.mark.parametrize(
+    ("name", "brief", "subject"),
+    [
+        ("nodes/agent_1/node_1", "node_1 dead", "node_1"),
+        ("nodes/agent_1/node_1", "agent_1/node_1 dead", "agent_1/node_1"),
+        ("devices//dev/ttyS0", "/dev/ttyS0 gone", "/dev/ttyS0"),
+        ("host", "disk / 88%", ""),
+        ("gcs", "GCS: no heartbeat", ""),
+        ("nodes/n\u00f6de", "n\u00f6de dead", ""),
+        ("nodes/a_name_of_more_than_16", "a_name_of_more_than_16 dead", ""),
+    ],
+)
+def test_the_subject_of_a_unit_is_the_name_with_which_its_brief_begins(name: str, brief: str, subject: str) -> None:
+    """Only a short, printable name identifies the unit when it recovers."""
+    assert status_line.subject_of(records.unit(name, Slot.NODES, Level.ERROR, brief=brief)) == subject
