@@ -99,13 +99,14 @@ def on_hold(look: RuleContext) -> Decision | None:
 def blocked(look: RuleContext) -> Decision | None:
     """4. A result that is not OK while something the unit needs is bad is a consequence: STALE `blocked_by` the first cause.
 
-    If it had been told as a fault of its own, that fault is closed as reattributed; to a symptom of which it is not decided
-    yet whether it follows from starvation only when that is told. What is bad by starvation alone is no cause here (5).
+    If it had been told as a fault of its own, that fault is closed as reattributed; to a unit that is not published yet, since
+    it has grace or may follow from starvation, only when that is decided. What is bad by starvation alone is no cause here (5).
     """
     cause = _cause(look)
     if not cause:
         return None
-    undecided = look.entry.fault is not None and starvation.undecided(look.scene.units[cause])
+    causing = look.scene.units[cause]
+    undecided = look.entry.fault is not None and (starvation.undecided(causing) or in_grace(causing, look.now))
     return NO_CHANGE if undecided or cause == look.entry.id else _blocked(look, cause)
 
 

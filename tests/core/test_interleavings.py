@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from phm.api import error, stale
 from phm.core.model import FaultClosed, FaultOpened, Level, Outcome
@@ -155,6 +155,9 @@ def test_a_fault_older_than_starvation_goes_on(starving: str, kind: str, seed: i
 
 
 @examples(120)
+@example(
+    pair=("silent_2", "unhealthy"), seed=1, apart_s=3.5
+)  # a fault is older than the restart that takes its node away
 @given(PAIRS, SEEDS, st.floats(0.0, 8.0))
 def test_independent_faults_are_each_told_once_while_recovery_is_at_work(
     pair: tuple[str, str], seed: int, apart_s: float
@@ -208,6 +211,8 @@ def seen_by_phm(happenings: list[tuple[str, float]]) -> bool:
 
 
 @examples(150)
+@example(happenings=[("container", 6.5), ("apart", 17.0), ("starved", 6.5)], seed=0, helps=0.0, critical=False)
+@example(happenings=[("apart", 8.0), ("apart", 28.0), ("unhealthy", 7.0)], seed=0, helps=0.0, critical=False)
 @given(HAPPENINGS.filter(seen_by_phm), SEEDS, st.floats(0.0, 1.0), st.booleans())
 def test_recovery_respects_budget_hold_and_arming(
     happenings: list[tuple[str, float]], seed: int, helps: float, critical: bool
