@@ -82,7 +82,7 @@ class Cpu:
         return sum(inside) / len(inside)
 
     def _bad(self, level: Level, words: str, share: float, values: dict[str, api.Value]) -> api.Result:
-        most = f"; {self._taken[0]} takes {self._taken[1]:.1f} CPUs" if self._taken else ""
+        most = f"; {self._taken[0]} uses {self._taken[1]:.1f} CPUs" if self._taken else ""
         summary = f"{words}{most}: find the process with `top`, or give its container a CPU limit"
         return api.Result(level, summary, f"CPU {self._steady.show('cpu', share):.0f} %", "cpu_high", values=values)
 

@@ -104,14 +104,14 @@ class Deaf:
             if silent_s:
                 self.never_heard, self._cut_at = False, world.clock.mono() - silent_s + NOISE_S
                 return (
-                    f"nothing has come of any of its {len(silent)} nodes for {span(silent_s)}, though discovery lists them and "
-                    "their processes run"
+                    f"nothing received from any of its {len(silent)} nodes for {span(silent_s)}, though discovery lists them and "
+                    "their processes are running"
                 )
         if not silent and now - self._met_at > self._grace_s and self._nameless(fact) and self._run(world):
             self.never_heard = True
             return (
-                f"publishers are found, and neither names of their nodes nor a sample has come for {span(fact.up_s)}, though "
-                f"the processes of {listed([node.short for node in self._wanted], 3)} run"
+                f"publishers are discovered, but neither their node names nor a sample has been received for {span(fact.up_s)}, though "
+                f"the processes of {listed([node.short for node in self._wanted], 3)} are running"
             )
         return ""
 
@@ -156,7 +156,10 @@ class Deaf:
         silent_s = min(heard) - fact.age_s
         if silent_s < ABSENT_S or now - silent_s < self._met_at or self._run(world) != ASLEEP:
             return ""
-        return f"none of its {len(self._wanted)} nodes is listed, and nothing has come of them for {span(silent_s)}, though their processes run"
+        return (
+            f"none of its {len(self._wanted)} nodes is listed, and nothing has been received from them for {span(silent_s)}, "
+            "though their processes are running"
+        )
 
     def _silent_s(self, node: Wanted, fact: api.RosFact) -> float | None:
         """Since the last sign of a node that is listed; None: it is not, or it never gave one, so it is no witness."""

@@ -29,14 +29,14 @@ class Gaps:
             lacking = [node for node in map(full, wanted) if node not in names]
             if lacking and "" in names:
                 return api.stale(
-                    f"topic {name} has a {kind} of which PHM does not know the node: whether {listed(lacking)} "
-                    f"{'is' if len(lacking) == 1 else 'are'} connected is not known",
+                    f"topic {name} has a {kind} whose node PHM does not know: whether {listed(lacking)} "
+                    f"{'is' if len(lacking) == 1 else 'are'} connected is unknown",
                     brief="",
                     **numbers,
                 )
         if self._unlisted_flows(name, seen, now):
             return api.stale(
-                f"data arrive on topic {name} though discovery lists no publisher: PHM's picture of the graph is incomplete",
+                f"data arrives on topic {name} though discovery lists no publisher: PHM's view of the graph is incomplete",
                 brief="",
                 **numbers,
             )

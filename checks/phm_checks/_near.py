@@ -48,10 +48,10 @@ def strays(wanted: str, others: Mapping[str, api.NameFact]) -> list[Stray]:
 
 
 _CASE, _EDIT, _SHORT, _LONG, _ELSEWHERE = (
-    "in other case",
-    "one character off",
-    "without the whole namespace",
-    "with a namespace too many",
+    "different capitalization",
+    "one character different",
+    "namespace incomplete",
+    "extra namespace",
     "in another namespace",
 )
 _WHYS = (_CASE, _EDIT, _SHORT, _LONG, _ELSEWHERE)
@@ -80,7 +80,7 @@ def _sure(wanted: str, name: str) -> bool:
 
 
 def sentence(wanted: str, stray: Stray) -> str:
-    """`/agent_1/node_2 subscribes to /agent_1/topc_1, one character off: did you mean /agent_1/topic_1?`."""
+    """`/agent_1/node_2 subscribes to /agent_1/topc_1, one character different: did you mean /agent_1/topic_1?`."""
     publishers, subscribers = stray.uses.publishers, stray.uses.subscribers
     users = [
         f"{listed(nodes, 3)} {verb}"

@@ -104,7 +104,7 @@ def unfit(seen: api.TopicFact, pair: Pair, mismatch: Mismatch) -> str:
 
 
 def who(end: api.EndpointFact) -> str:
-    return clean(end.node, 80) or "without a node name"
+    return clean(end.node, 80) or "(unnamed node)"
 
 
 def some(texts: Sequence[str]) -> str:

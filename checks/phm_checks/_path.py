@@ -27,7 +27,7 @@ class State(Enum):
     OK = "ok"
     WEAK = "weak"
     BROKEN = "BROKEN"
-    UNKNOWN = "not known"
+    UNKNOWN = "unknown"
     UNUSED = "not used"
 
 

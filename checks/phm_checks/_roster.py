@@ -242,7 +242,7 @@ class Roster:
         """What the state of the container says of all its nodes; nothing while it runs."""
         age_s = now - self._asked_at
         if self._status == "running" and self._ending_since is not None and now - self._ending_since < ENDING_S:
-            words = f"its container is ending: its first process {self._first} has ended"
+            words = f"its container is stopping: its first process {self._first} has ended"
             return Evidence(Kind.CONTAINER, Says.ENDING, words, age_s)
         if self._status in ("", "running") or age_s > OLD_S:
             return None
@@ -256,7 +256,7 @@ class Roster:
             return None
         age_s = now - self._listed_at
         if known is None:
-            words = "none of the processes in its container is its own"
+            words = "no process in its container matches it"
             return Evidence(Kind.PROCESS, Says.GONE, words, age_s) if self._vanished(name, now) else None
         if not known.there:
             words = f"its process {known.pid} has ended"
@@ -265,13 +265,11 @@ class Roster:
             words = f"its process {known.pid} is stopped (state {known.state}: SIGSTOP or a debugger)"
             return Evidence(Kind.PROCESS, Says.STOPPED, words, age_s)
         if known.busy:
-            return Evidence(Kind.PROCESS, Says.BUSY, f"its process {known.pid} computes", age_s)
-        words = f"its process {known.pid} runs"
+            return Evidence(Kind.PROCESS, Says.BUSY, f"its process {known.pid} is using the CPU", age_s)
+        words = f"its process {known.pid} is running"
         if known.measured:
             return Evidence(Kind.PROCESS, Says.ALIVE, words, age_s)
-        return Evidence(
-            Kind.PROCESS, Says.ALIVE, f"{words}, its use of the processor is unknown", age_s, measured=False
-        )
+        return Evidence(Kind.PROCESS, Says.ALIVE, f"{words}, its CPU use is unknown", age_s, measured=False)
 
     def fit(self, name: str, now: float) -> int:
         """How many processes of the newest list may be the node's own, where it is more than one; 0: one, none, or no list."""

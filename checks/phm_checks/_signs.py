@@ -111,9 +111,9 @@ class Signs:
             return Evidence(Kind.BEACON, Says.SILENT, words, fact.age_s, silent_s)
         if beacon.turns and beacon.late_s > LATE_S:
             self.doubts.add("executor late")
-            words = f"its executor has not turned for {span(beacon.late_s)}, says its beacon"
+            words = f"its executor has been blocked for {span(beacon.late_s)}, according to its beacon"
             return Evidence(Kind.BEACON, Says.LATE, words, beacon.age_s, beacon.late_s)
-        return Evidence(Kind.BEACON, Says.ALIVE, f"its beacon beat {span(beacon.age_s)} ago", beacon.age_s)
+        return Evidence(Kind.BEACON, Says.ALIVE, f"its last beacon was {span(beacon.age_s)} ago", beacon.age_s)
 
     def _topics(self, fact: api.RosFact) -> Evidence | None:
         """Those that this node alone publishes: one that flows is a sign of life, silence of all a reason to look."""
@@ -128,7 +128,7 @@ class Signs:
                 continue
             known_s = max(0.0, rate.silent_s - rate.not_counted_s - fact.age_s)
             if known_s <= _waver_s(rate, rate_hz):
-                return Evidence(Kind.TOPICS, Says.ALIVE, f"{last(topic)} flows", rate.silent_s)
+                return Evidence(Kind.TOPICS, Says.ALIVE, f"data arrives on {last(topic)}", rate.silent_s)
             silent.append((known_s, topic))
             limits.append(rate.limit_s or 3.0 / rate_hz)
         if not silent:

@@ -26,4 +26,4 @@ def taken_by(world: api.World, but: str = "") -> tuple[str, float] | None:
     return clean(first.name, 80) or OUTSIDE, first.cpus
 
 
-OUTSIDE = "what runs outside of containers"
+OUTSIDE = "a process outside containers"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-UNNAMED = "one without a name"
+UNNAMED = "(unnamed)"
 BRIEF_MAX = 38
 """Characters of `Result.brief`: what a STATUSTEXT leaves beside agent, word and slot."""
 
@@ -34,7 +34,7 @@ def last(name: str) -> str:
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:
-    """`a, b, c and 4 more`; `none` when there are none. A name that is empty is `one without a name`."""
+    """`a, b, c and 4 more`; `none` when there are none. A name that is empty is `(unnamed)`."""
     every = [clean(name, 80) or UNNAMED for name in names]
     if not every:
         return "none"
@@ -66,7 +66,7 @@ def did_you_mean(wanted: str, there: Iterable[str]) -> str:
     names = list(there)
     near = [name for name in names if one_edit_apart(wanted, name)]
     near += [name for name in names if name not in near and name != wanted and last(name) == last(wanted)]
-    return f" There is {listed(near, 3)}: is one of these meant?" if near else ""
+    return f" Did you mean {listed(near, 3)}?" if near else ""
 
 
 class Steady:

@@ -48,13 +48,13 @@ class Autopilot(api.Check):
     def run(self, world: api.World) -> api.Result:
         fact, limits = world.links.autopilot(), self._settings.mavlink
         if fact is None and not limits.autopilot:
-            return api.bypass("no autopilot has been heard, and none is expected (mavlink.autopilot)")
+            return api.bypass("no autopilot heartbeat received, and none is expected (mavlink.autopilot)")
         if (fact is None or fact.overdue or fact.silent_s > limits.autopilot_timeout) and all_closed(
             world, self._links
         ):
-            return api.stale("the autopilot is not known: every link to it is closed")
+            return api.stale("autopilot state unknown: every link to it is closed")
         if fact is None and starting(world):
-            return api.stale("the autopilot has not been heard yet")
+            return api.stale("no autopilot heartbeat received yet")
         if fact is None or fact.silent_s > limits.autopilot_timeout:
             return self._lost(world, fact)
         if fact.overdue and self._certain(world, fact):
@@ -65,7 +65,7 @@ class Autopilot(api.Check):
             # It is the autopilot itself that tells this, so nothing else can be the cause.
             return replace(_rebooted(fact, fact.rebooted_s, values), settle_s=0.0)
         flying = "armed" if fact.armed else "disarmed"
-        return api.ok(f"autopilot heard {span(fact.age_s)} ago, {flying}, mode {fact.custom_mode}", **values)
+        return api.ok(f"last autopilot heartbeat {span(fact.age_s)} ago, {flying}, mode {fact.custom_mode}", **values)
 
     def _certain(self, world: api.World, fact: api.AutopilotFact) -> bool:
         """Whether nothing that carries its heartbeats can be the cause and still have to be told."""
@@ -95,10 +95,10 @@ class Autopilot(api.Check):
             when, shown = "since PHM's start", ""
         else:
             when, shown = f"for {span(fact.age_s)}", f" {self._age.show('age', fact.age_s):.0f} s"
-        armed = " It was armed when it was heard last." if fact is not None and fact.armed else ""
-        more = f"nothing else comes by {name} either" if nothing else "other frames still come"
+        armed = " It was armed at its last heartbeat." if fact is not None and fact.armed else ""
+        more = f"nothing else is received on {name} either" if nothing else "other frames are still received"
         found = api.error(
-            f"no heartbeat of the autopilot {when}, expected one within {span(limit_s)}, and {more}: check its power and the "
+            f"no autopilot heartbeat {when}, expected one within {span(limit_s)}, and {more}: check its power and the "
             f"cable to it.{armed}",
             brief=brief("autopilot:", f"no heartbeat{shown}"),
             condition="autopilot_silent",
@@ -110,17 +110,17 @@ class Autopilot(api.Check):
 
 def _rebooted(fact: api.AutopilotFact, ago_s: float, values: dict[str, api.Value]) -> api.Result:
     """In the air it is the gravest thing that a link can tell; on the ground it is worth a look."""
-    words = f"the autopilot rebooted: its time since boot began anew {span(ago_s)} ago"
+    words = f"the autopilot rebooted: its time since boot restarted {span(ago_s)} ago"
     if fact.rebooted_armed:
         return api.error(
-            f"{words}, while it was armed: look at the vehicle, and at the autopilot's power supply",
+            f"{words}, while it was armed: check the vehicle and the autopilot's power supply",
             brief="autopilot rebooted while armed",
             condition="autopilot_rebooted",
             target="",
             **values,
         )
     return api.warn(
-        f"{words}; look at its power supply if nobody meant it to",
+        f"{words}; check its power supply unless the reboot was intended",
         brief="autopilot rebooted",
         condition="autopilot_rebooted",
         target="",

@@ -39,7 +39,7 @@ class Companion(api.Check):
         if facts.overdue:
             found.append(
                 api.warn(
-                    f"checks of PHM have not come back in time: {listed(facts.overdue)}; what they watch is unknown",
+                    f"PHM checks exceeded their deadline: {listed(facts.overdue)}; the state of what they monitor is unknown",
                     brief=brief(facts.overdue[0], "overdue"),
                     condition="check_overdue",
                 )
@@ -48,7 +48,7 @@ class Companion(api.Check):
         if lost:
             found.append(
                 api.warn(
-                    f"events were lost because a reporter was too slow: "
+                    f"events were dropped because a reporter was too slow: "
                     f"{listed(f'{name} {count}' for name, count in lost.items())}",
                     brief=brief(next(iter(lost)), "events lost"),
                     condition="events_lost",
@@ -64,7 +64,7 @@ class Companion(api.Check):
     def _interruptions(facts: api.SelfFact) -> Iterable[api.Result]:
         if facts.ended_badly and facts.uptime_s < TOLD_S:
             yield api.warn(
-                "PHM had ended without being told to, and was started again; nobody watched this agent meanwhile: see the "
+                "PHM terminated unexpectedly and was restarted; this agent was not monitored meanwhile: see the "
                 "end of its container's log, and whether its memory limit is too low",
                 brief="PHM was restarted",
                 condition="phm_restarted",
@@ -72,12 +72,12 @@ class Companion(api.Check):
         ago_s, lasted_s = facts.stood_still_ago_s, facts.stood_still_s
         if ago_s is not None and lasted_s is not None and ago_s < TOLD_S:
             why = (
-                "a signal had stopped it (SIGSTOP), and its guard let it go on; `PHM_GUARD=off` if that was meant"
+                "a signal had stopped it (SIGSTOP) and its watchdog resumed it; set `PHM_GUARD=off` if the stop was intended"
                 if facts.was_stopped
-                else "was it stopped or paused, or is the processor used up?"
+                else "was it stopped or paused, or is the CPU overloaded?"
             )
             yield api.warn(
-                f"PHM as a whole stood still for {span(lasted_s)} and goes on; nobody watched this agent meanwhile: {why}",
-                brief=brief("PHM", f"stood still {lasted_s:.{0 if lasted_s >= 1 else 1}f} s"),
+                f"PHM was suspended for {span(lasted_s)} and resumed; this agent was not monitored meanwhile: {why}",
+                brief=brief("PHM", f"suspended {lasted_s:.{0 if lasted_s >= 1 else 1}f} s"),
                 condition="phm_suspended",
             )

@@ -64,9 +64,11 @@ class Consensus(api.Check):
         except api.CannotTell as reason:
             return api.stale(str(reason))
         if fact.age_s > OLD_PICTURE_S:
-            return api.stale(f"the newest picture of the ROS graph is {span(fact.age_s)} old, too old to judge by")
+            return api.stale(f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate")
         if fact.lost_s is not None and fact.lost_s <= CROWDED_S:
-            return api.stale("more messages come on /phm/beacon than PHM reads: which nodes are received is not known")
+            return api.stale(
+                "more messages arrive on /phm/beacon than PHM can read: which nodes are reachable is unknown"
+            )
         beacons = {
             name: fact.beacons[name]
             for name in self._nodes
@@ -94,11 +96,11 @@ class Consensus(api.Check):
             return None
         if fact.up_s < self._grace_s:
             return api.stale(
-                f"the beacon of {_names(lacking)} is not heard yet; PHM has listened for {span(fact.up_s)} only"
+                f"no beacon received from {_names(lacking)} yet; PHM has listened for only {span(fact.up_s)}"
             )
         return api.error(
-            f"no beacon of {_names(lacking)} is heard, and it is required: add Beacon(node) to the node (phm/beacon.py), and "
-            f"see that PHM_BEACON is not off{_refused(fact)}",
+            f"no beacon received from {_names(lacking)}, which is required: add Beacon(node) to the node (phm/beacon.py) and "
+            f"check that PHM_BEACON is not off{_refused(fact)}",
             brief=brief(last(lacking[0]), "has no beacon"),
             condition="beacon_missing",
             refused=fact.refused,
@@ -107,12 +109,12 @@ class Consensus(api.Check):
     def _nobody(self, fact: api.RosFact) -> api.Result:
         if fact.refused:
             return api.warn(
-                f"no beacon of the configured nodes is heard{_refused(fact)}",
+                f"no beacon received from the configured nodes{_refused(fact)}",
                 brief="beacons refused",
                 condition="beacons_refused",
                 refused=fact.refused,
             )
-        return api.bypass("No beacon of the configured nodes is heard: PHM is their only observer")
+        return api.bypass("No beacon received from the configured nodes: PHM is their only observer")
 
     def _judge(self, agreement: Agreement, fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Result:
         hung = [item.node for item in agreement.opinions if item.verdict is Verdict.HUNG]
@@ -125,22 +127,22 @@ class Consensus(api.Check):
             "refused": fact.refused,
         }
         if len(agreement.observers) == 1:
-            return api.stale("no beacon is heard at the moment: nobody is left to agree")
+            return api.stale("no beacon received at the moment: no peers left for consensus")
         if agreement.split:
             sides = sorted(agreement.sides, key=len, reverse=True)
             count = "|".join(str(len(side)) for side in sides)
             words = [
-                f"the nodes are split: {' | '.join(map(_names, sides))} do not hear each other, while PHM hears "
-                f"them all: {REMEDY}",
+                f"the nodes are split: {' | '.join(map(_names, sides))} do not receive each other, while PHM receives "
+                f"all of them: {REMEDY}",
                 *_dissents(agreement),
             ]
             return api.Result(Level.WARN, joined(words), brief("nodes split", count), "split", "", values)
         dissents = _dissents(agreement)
         if dissents:
             first = agreement.dissents[0]
-            short = brief(last(first.node), f"unheard by {last(first.unheard_by[0])}"[:30])
+            short = brief(last(first.node), f"not seen by {last(first.unheard_by[0])}"[:30])
             return api.Result(Level.WARN, joined([*dissents, REMEDY]), short, "dissent", "", values)
-        stuck = f"; the executor of {_names(hung)} does not turn" if hung else ""
+        stuck = f"; the executor of {_names(hung)} is blocked" if hung else ""
         return api.ok(f"{_agreed(agreement)}{_alone(agreement, beacons)}{stuck}", **values)
 
 
@@ -153,9 +155,9 @@ def _copied(fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Res
     names = list(dict.fromkeys((*by, *twice)))
     who = f": {listed(dict.fromkeys(by.values()), 3)}" if by else ""
     return api.warn(
-        f"beacons of {_names(names)} come from a second publisher, too{who}; PHM refuses them and listens to the first: look who "
+        f"beacons of {_names(names)} also come from a second publisher{who}; PHM rejects them and uses the first: find out which participant "
         "publishes on /phm/beacon. Any participant of the ROS domain can; SROS2 prevents it",
-        brief=brief(last(names[0]), "beacon copied"),
+        brief=brief(last(names[0]), "duplicate beacon"),
         condition="beacon_copied",
         target="",
         copied=len(names),
@@ -175,21 +177,21 @@ def hears(fact: api.RosFact, node: str, nodes: Iterable[str]) -> bool:
 
 def _agreed(agreement: Agreement) -> str:
     nodes = len(agreement.opinions)
-    return f"{len(agreement.alive)} of {nodes} nodes are alive by the word of {_names(agreement.observers)}"
+    return f"{len(agreement.alive)} of {nodes} nodes are alive according to {_names(agreement.observers)}"
 
 
 def _alone(agreement: Agreement, beacons: Mapping[str, api.BeaconFact]) -> str:
     """Those without a beacon: what is known of them is PHM's word alone."""
     told = [item.node for item in agreement.opinions if item.node not in beacons and item.heard_by]
     untold = [item.node for item in agreement.opinions if item.node not in beacons and not item.heard_by]
-    words = f"; {_names(told)} without a beacon, by PHM's word alone" if told else ""
-    return words + (f"; of {_names(untold)} nobody tells" if untold else "")
+    words = f"; {_names(told)} without a beacon, observed by PHM only" if told else ""
+    return words + (f"; no observer for {_names(untold)}" if untold else "")
 
 
 def _dissents(agreement: Agreement) -> list[str]:
     return [
-        f"{_names([item.node])} is not heard by {_names(item.unheard_by)}, but by {_names(item.heard_by)}"
-        f"{'; most do not hear it' if item.verdict is Verdict.DEAD else ''}"
+        f"{_names([item.node])} is not received by {_names(item.unheard_by)}, but is received by {_names(item.heard_by)}"
+        f"{'; most do not receive it' if item.verdict is Verdict.DEAD else ''}"
         for item in agreement.dissents
     ]
 
@@ -202,6 +204,6 @@ def _refused(fact: api.RosFact) -> str:
     if not fact.refused:
         return ""
     return (
-        f"; {fact.refused} messages on /phm/beacon were refused: they are of another version, give the nodes this PHM's "
+        f"; {fact.refused} messages on /phm/beacon were rejected: they have another version; give the nodes this PHM's "
         "phm/beacon.py"
     )

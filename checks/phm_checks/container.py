@@ -13,14 +13,14 @@ from phm_checks._words import brief, clean, span
 
 _CODES = {
     0: "ended by itself without an error",
-    125: "the engine could not run it",
+    125: "Docker could not run it",
     126: "its command cannot be executed: check the file's execute bit and its format",
     127: "its command was not found: check the image's entry point and PATH",
     int(signal.SIGKILL)
     + 128: "killed by SIGKILL: by `docker kill`, by a stop that took too long, or for lack of memory",
     int(signal.SIGTERM) + 128: "ended by SIGTERM, as `docker stop` sends it",
     int(signal.SIGSEGV) + 128: "segmentation fault (SIGSEGV): a bug in native code, look for a core dump",
-    int(signal.SIGABRT) + 128: "aborted itself (SIGABRT), as a failed assertion does",
+    int(signal.SIGABRT) + 128: "aborted itself (SIGABRT), e.g. by a failed assertion",
 }
 
 
@@ -33,7 +33,7 @@ def code_in_words(code: int) -> str:
             return f"ended by {signal.Signals(code - 128).name}"
         except ValueError:
             pass
-    return "ended with an error of its own: see its log"
+    return "exited with an application error: see its log"
 
 
 class Container(PerContainer):
@@ -67,7 +67,7 @@ class Container(PerContainer):
         if fact is None:
             return self._bad(
                 "missing",
-                f"there is no container {self.key}: create it, e.g. with `docker compose up -d`, or correct its name in "
+                f"container {self.key} does not exist: create it, e.g. with `docker compose up -d`, or correct its name in "
                 "the configuration",
                 "missing",
             )
@@ -80,16 +80,16 @@ class Container(PerContainer):
     def _running(self, fact: api.ContainerFact, values: dict[str, api.Value]) -> api.Result:
         lives = self._lives
         if lives.looping:
-            who = f"{lives.by_hand} times" if not lives.by_engine else f"by the engine (restart {fact.restart_count})"
+            who = f"{lives.by_hand} times" if not lives.by_engine else f"by Docker (restart {fact.restart_count})"
             words = (
-                f"{self.key} runs at this moment, but is started again and again, {who}, and has not run for "
-                f"{span(lives.steady_s)} in between, expected to stay. PHM leaves it to whoever starts it; see "
+                f"{self.key} is running at the moment, but is restarted repeatedly, {who}, and has not run for "
+                f"{span(lives.steady_s)} in between, expected to stay up. PHM leaves it to its restart policy or operator; see "
                 f"`docker logs {fact.name}`"
             )
             return self._bad("restarting", words, "crash loop", values)
         if lives.by_engine and not lives.steady:
             return api.warn(
-                f"{self.key} ended, and the engine restarted it by its restart policy (restart {fact.restart_count}); it has "
+                f"{self.key} exited, and Docker restarted it by its restart policy (restart {fact.restart_count}); it has "
                 f"not run for {span(lives.steady_s)} yet: see `docker logs {fact.name}` for why",
                 brief=brief(self.key, "was restarted"),
                 condition="restarted",
@@ -100,7 +100,7 @@ class Container(PerContainer):
 
     def _stopped(self, fact: api.ContainerFact, values: dict[str, api.Value]) -> api.Result:
         key, status = self.key, fact.status
-        said = f" The engine says: {clean(fact.error)}." if fact.error else ""
+        said = f" Docker reports: {clean(fact.error)}." if fact.error else ""
         if status == "exited":
             return self._exited(fact, said, values)
         if status == "restarting":
@@ -110,7 +110,7 @@ class Container(PerContainer):
             "paused": ("paused", f"is paused, its processes are frozen: `docker unpause {fact.name}`"),
             "dead": (
                 "dead",
-                f"is dead, the engine could not remove it: `docker rm -f {fact.name}`, then create it again",
+                f"is dead, Docker could not remove it: `docker rm -f {fact.name}`, then create it again",
             ),
             "removing": ("being removed", "is being removed: create it again"),
         }
@@ -124,10 +124,10 @@ class Container(PerContainer):
         ended = f"exit code {fact.exit_code}: {code_in_words(fact.exit_code)}"
         if not self._lives.looping:
             # Mostly over in a tenth of a second, and seen by chance: it is judged by what comes of it.
-            return api.stale(f"{self.key} has ended ({ended}); the engine is about to restart it", brief="", **values)
+            return api.stale(f"{self.key} has exited ({ended}); Docker is about to restart it", brief="", **values)
         words = (
-            f"{self.key} ends again and again; the engine waits to restart it (restart {fact.restart_count}; last {ended})."
-            f"{said} PHM leaves it to the engine's restart policy; see `docker logs {fact.name}`"
+            f"{self.key} exits repeatedly; Docker waits before restarting it (restart {fact.restart_count}; last {ended})."
+            f"{said} PHM leaves it to Docker's restart policy; see `docker logs {fact.name}`"
         )
         return self._bad("restarting", words, "crash loop", values)
 
@@ -140,7 +140,7 @@ class Container(PerContainer):
             return self._bad("oom", words, "out of memory", values)
         words = (
             f"{self.key} exited with code {fact.exit_code} ({code_in_words(fact.exit_code)}), expected running.{said} "
-            f"`docker logs {fact.name}` tells more; `docker start {fact.name}` starts it"
+            f"`docker logs {fact.name}` shows more; `docker start {fact.name}` starts it"
         )
         return self._bad("exited", words, f"exited {fact.exit_code}", values)
 

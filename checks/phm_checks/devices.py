@@ -90,24 +90,24 @@ class Devices(PerContainer):
             if fact is not None and wanted.open == "auto" and fact.character and not is_serial(fact):
                 fact = world.devices.look(path, open_it=True)
         except api.CannotTell as reason:
-            return api.stale(f"device {path} cannot be judged: {clean(str(reason))}")
+            return api.stale(f"device {path} cannot be checked: {clean(str(reason))}")
         if container is not None:
             self._remember(path, fact, container)
         if fact is None:
             return self._missing(world, path)
         if not fact.character:
-            words = f"{path} is no character device{_because(fact.reason)}: remove what stands in its place"
-            return self._bad(path, words, "is no device", "device_wrong_type")
+            words = f"{path} is not a character device{_because(fact.reason)}: remove what is in its place"
+            return self._bad(path, words, "not a device", "device_wrong_type")
         if fact.openable is False:
             words = (
                 f"{path} is there but cannot be used{_because(fact.reason)}: check its driver, cable and access rights"
             )
-            return self._bad(path, words, "refused", "device_refused")
+            return self._bad(path, words, "cannot be opened", "device_refused")
         found = f"{path} is there{_because(fact.description)}"
         if not wanted.mapped:
             return api.ok(found)
         if container is None:
-            return api.stale(f"{found}, but whether {self.key} sees it is not known: {why}")
+            return api.stale(f"{found}, but whether {self.key} sees it is unknown: {why}")
         return self._mapping(world, wanted, fact, container, found)
 
     def _missing(self, world: api.World, path: str) -> api.Result:
@@ -115,7 +115,7 @@ class Devices(PerContainer):
             ports = listed(f"{port.path}{_because(port.description)}" for port in world.devices.serial_ports())
         except api.CannotTell:
             ports = "not known"
-        words = f"device {path} is missing: check its cable and power. Serial ports that are there: {ports}"
+        words = f"device {path} is missing: check its cable and power. Serial ports present: {ports}"
         return self._bad(path, words, "missing", "device_missing")
 
     def _mapping(
@@ -137,8 +137,8 @@ class Devices(PerContainer):
             problem = self._through_mount(wanted.path, fact, container)
         if not problem and self._lost(wanted.path, container):
             words = (
-                f"{wanted.path} was away and is back, but {self.key} still holds the device file that it had at its start: "
-                f"restart {self.key} to let it use the device again"
+                f"{wanted.path} was disconnected and is back, but {self.key} still has the old device file from its start: "
+                f"restart {self.key} so that it can use the device again"
             )
             return self._bad(wanted.path, words, "plugged in again", "device_replugged")
         if not problem:
@@ -184,9 +184,9 @@ class Devices(PerContainer):
             return ""
         rule = f"device_cgroup_rules: ['c {fact.major}:* rmw']"
         if bound:
-            return f"it is bound into it, but no rule lets it open the device; add {rule}"
+            return f"it is bind-mounted, but no device cgroup rule allows opening it; add {rule}"
         if allowed:
-            return "a rule lets it open the device, but nothing brings the device file; bind /dev into it"
+            return "a device cgroup rule allows it, but the device file is not mounted; bind-mount /dev"
         return f"it is not among its devices; add `devices: ['{path}']`"
 
     def _bad(self, path: str, words: str, short: str, condition: str) -> api.Result:

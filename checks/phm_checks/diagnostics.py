@@ -94,7 +94,7 @@ class Diagnostics(api.Check):
         except api.CannotTell as reason:
             return {item.unit: api.stale(str(reason)) for item in self._watched}
         if fact.age_s > OLD_PICTURE_S:
-            words = f"the ROS child has said nothing for {span(fact.age_s)}, too long to judge by"
+            words = f"the ROS child process has sent nothing for {span(fact.age_s)}, too old to evaluate"
             return {item.unit: api.stale(words) for item in self._watched}
         return {item.unit: self._judge(world, item, fact) for item in self._watched}
 
@@ -131,16 +131,16 @@ class Diagnostics(api.Check):
         listened_s = min(fact.heard_for_s, ran_s)
         if min(fact.up_s, ran_s) < self._grace_s or listened_s < entry.timeout:
             return api.stale(
-                f"no status {clean(entry.name, 80)} has been heard yet; PHM has listened for {span(listened_s)} only"
+                f"no status {clean(entry.name, 80)} received yet; PHM has listened for only {span(listened_s)}"
             )
         where = f" of {item.node}" if item.node else ""
         words = (
-            f"no status {clean(entry.name, 80)} was heard on /diagnostics, expected from its node{where} every "
-            f"{span(entry.timeout)} at least: check that it runs and that the name is right."
+            f"no status {clean(entry.name, 80)} received on /diagnostics, expected from its node{where} at least every "
+            f"{span(entry.timeout)}: check that it runs and that the name is right."
             f"{did_you_mean(entry.name, fact.diagnostics)}"
         )
         level = _STALE_IS[entry.when_stale]
-        short = brief(entry.name, "not heard")
+        short = brief(entry.name, "not received")
         return api.Result(level, words, short, "diagnostic_stale", item.container, {"heard": 0})
 
     def _container_began(self, world: api.World, container: str, well: bool) -> float:
@@ -174,29 +174,29 @@ def _publisher(name: str, settings: api.Settings) -> str:
 
 def _judged(name: str, said: api.DiagnosticFact, entry: api.WatchedDiagnosticSettings) -> Judged:
     if said.age_s - said.not_counted_s > entry.timeout:
-        words = f"has not been heard for {span(said.age_s)}, expected every {span(entry.timeout)} at least"
+        words = f"has sent no status for {span(said.age_s)}, expected at least every {span(entry.timeout)}"
         return Judged(name, said, _STALE_IS[entry.when_stale], "diagnostic_stale", words, "silent")
     message = clean(said.message) or "no message"
     if said.level == 3:
-        return Judged(name, said, _STALE_IS[entry.when_stale], "diagnostic_stale", f"says STALE: {message}", "stale")
+        return Judged(name, said, _STALE_IS[entry.when_stale], "diagnostic_stale", f"reports STALE: {message}", "stale")
     level = _LEVELS.get(said.level, Level.ERROR)
     if level is Level.OK:
         return Judged(name, said, level)
     # As diagnostic_aggregator: a level that does not exist is an error.
     told = level.name if said.level in _LEVELS else f"the unknown level {said.level}"
-    return Judged(name, said, level, f"diagnostic_{level.name.lower()}", f"says {told}: {message}", level.name)
+    return Judged(name, said, level, f"diagnostic_{level.name.lower()}", f"reports {told}: {message}", level.name)
 
 
 def _well(judged: Sequence[Judged]) -> str:
     if len(judged) == 1:
-        return f"{clean(judged[0].name, 80)} says OK: {clean(judged[0].fact.message) or 'no message'}"
-    return f"{len(judged)} statuses say OK: {listed(one.name for one in judged)}"
+        return f"{clean(judged[0].name, 80)} reports OK: {clean(judged[0].fact.message) or 'no message'}"
+    return f"{len(judged)} statuses report OK: {listed(one.name for one in judged)}"
 
 
 def _bad(worst: Judged, judged: Sequence[Judged], container: str) -> api.Result:
     hardware = f" (hardware id {clean(worst.fact.hardware_id, 60)})" if worst.fact.hardware_id else ""
     others = [one.name for one in judged if one.level is not Level.OK and one is not worst]
-    more = f" Not OK either: {listed(others)}." if others else ""
+    more = f" Also not OK: {listed(others)}." if others else ""
     theirs = {clean(key, 60): clean(value, 120) for key, value in list(worst.fact.values.items())[:VALUES]}
     values: dict[str, api.Value] = {
         **theirs,
@@ -208,7 +208,7 @@ def _bad(worst: Judged, judged: Sequence[Judged], container: str) -> api.Result:
     }
     return api.Result(
         worst.level,
-        f"{clean(worst.name, 120)} {worst.words}{hardware}; expected OK: see that node's log.{more}",
+        f"{clean(worst.name, 120)} {worst.words}{hardware}; expected OK: check that node's log.{more}",
         brief(worst.name, worst.short),
         worst.condition,
         container,

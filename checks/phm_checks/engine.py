@@ -39,16 +39,16 @@ class Engine(api.Check):
             version = clean(world.docker.engine(), 40)
         except api.NotPermitted as refusal:
             return api.error(
-                f"the Docker Engine refuses PHM: {clean(str(refusal))}. Give PHM's container the group of the "
-                "engine's socket (group_add in the compose file), or let the socket proxy allow these calls",
-                brief="docker engine refuses PHM",
+                f"the Docker Engine denies access to PHM: {clean(str(refusal))}. Give PHM's container the group of the "
+                "engine's socket (group_add in the compose file), or allow these calls in the socket proxy",
+                brief="Docker denies access to PHM",
                 condition="engine_refused",
             )
         except api.CannotTell as silence:
             return api.error(
-                f"the Docker Engine does not answer: {clean(str(silence))}. Running containers go on without it, but "
-                "nothing can be seen or mended: check `systemctl status docker` and free space on its disk",
-                brief="docker engine silent",
+                f"the Docker Engine does not respond: {clean(str(silence))}. Running containers continue without it, but "
+                "they can be neither monitored nor recovered: check `systemctl status docker` and free space on its disk",
+                brief="Docker not responding",
                 condition="engine_down",
             )
-        return api.ok(f"Docker Engine {version} answers", engine_version=version)
+        return api.ok(f"Docker Engine {version} responds", engine_version=version)

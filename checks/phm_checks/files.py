@@ -58,13 +58,13 @@ class Files(PerContainer):
         try:
             fact = world.files.look(self.key, wanted.path, digest=wanted.sha256 is not None)
             if fact is None and wanted.present and world.docker.container(self.key) is None:
-                return api.stale(f"{where} cannot be seen: there is no container {self.key}")
+                return api.stale(f"{where} cannot be checked: container {self.key} does not exist")
         except api.CannotTell as reason:
-            return api.stale(f"{where} cannot be seen: {clean(str(reason))}")
+            return api.stale(f"{where} cannot be checked: {clean(str(reason))}")
         if fact is None:
             return self._absent(wanted, where)
         if not wanted.present:
-            words = f"{where} is there, expected to be absent: remove it"
+            words = f"{where} exists, expected to be absent: remove it"
             return self._bad(wanted, words, "unexpected", "file_unexpected")
         if wanted.executable and (fact.kind != "file" or not fact.executable):
             words = f"{where} is not executable (mode {fact.mode & 0o7777:04o}), expected an execute bit: `chmod +x` it"
@@ -73,26 +73,26 @@ class Files(PerContainer):
 
     def _absent(self, wanted: api.FileSettings, where: str) -> api.Result:
         if not wanted.present:
-            return api.ok(f"{where} is absent, as it must be")
-        words = f"{where} is missing, expected to be there: put it back, or check the volume that brings it"
+            return api.ok(f"{where} is absent, as expected")
+        words = f"{where} is missing: restore it, or check the volume that provides it"
         return self._bad(wanted, words, "missing", "file_missing")
 
     def _content(self, wanted: api.FileSettings, fact: api.FileFact, where: str) -> api.Result:
         if wanted.sha256 is None:
-            return api.ok(f"{where} is there")
+            return api.ok(f"{where} exists")
         if fact.kind != "file":
             return self._bad(
                 wanted, f"{where} is a {fact.kind}, expected a file with a SHA-256", "altered", "file_altered"
             )
         if not fact.sha256:
-            return api.stale(f"{where} is there, but its SHA-256 could not be read")
+            return api.stale(f"{where} exists, but its SHA-256 could not be read")
         if fact.sha256.lower() != wanted.sha256.lower():
             words = (
                 f"{where} was altered: SHA-256 {fact.sha256[:12]}..., expected {wanted.sha256[:12].lower()}...: restore it, "
-                "or enter the new sum"
+                "or configure the new checksum"
             )
             return self._bad(wanted, words, "altered", "file_altered")
-        return api.ok(f"{where} is there and unaltered")
+        return api.ok(f"{where} exists and is unaltered")
 
     def _bad(self, wanted: api.FileSettings, words: str, short: str, condition: str) -> api.Result:
         found = api.error(words, brief=brief(last(wanted.path), short), condition=condition, target=self.key)

@@ -48,7 +48,7 @@ class Gcs(api.Check):
     def run(self, world: api.World) -> api.Result:
         fact, limit_s = world.links.gcs(), self._settings.mavlink.gcs_timeout
         if fact is None:
-            return api.bypass("no ground station heard yet", gcs_age_s=None)
+            return api.bypass("no ground station heartbeat received yet", gcs_age_s=None)
         values: dict[str, api.Value] = {
             "gcs_age_s": round(fact.age_s, 1),
             "gcs": f"{fact.system}/{fact.component}",
@@ -56,16 +56,16 @@ class Gcs(api.Check):
         }
         if fact.silent_s <= limit_s and not self._early(world, fact):
             self._age.forget("gcs")
-            return api.ok(f"ground station heard {span(fact.age_s)} ago", **values)
+            return api.ok(f"last ground station heartbeat {span(fact.age_s)} ago", **values)
         if all_closed(world, to_ground(self._settings)):
-            words = "whether a ground station is there is not known: every link to the ground is closed"
+            words = "ground station state unknown: every link to the ground is closed"
             return api.stale(words, brief="", **values)
         if not _alone(world, fact) and self._radio_due(world, fact):
-            words = f"no heartbeat of a ground station for {span(fact.age_s)}, and since then none of the radio aboard, which is due"
+            words = f"no ground station heartbeat for {span(fact.age_s)}, and no report from the onboard radio since, which is due"
             return api.stale(words, brief="", **values)
         expected_s = fact.due_s if fact.overdue and fact.due_s is not None else limit_s
         return api.error(
-            f"no heartbeat of a ground station for {span(fact.age_s)}, expected one within {span(expected_s)}: "
+            f"no ground station heartbeat for {span(fact.age_s)}, expected one within {span(expected_s)}: "
             f"{self._advice(world, fact)}",
             brief=brief("GCS:", f"no heartbeat {self._age.show('gcs', fact.age_s):.0f} s"),
             condition="gcs_lost",
@@ -99,7 +99,7 @@ class Gcs(api.Check):
         """What is well aboard need not be looked at."""
         if _alone(world, fact):
             return (
-                "the radio aboard answers and hears nothing of the radio on the ground, so check that one, the antennas and "
+                "the onboard radio responds but receives nothing from the ground radio, so check that one, the antennas and "
                 "the distance"
             )
         heard = (radio for radio in world.links.radios() if radio.link == fact.link and radio.age_s < fact.age_s)
@@ -107,7 +107,7 @@ class Gcs(api.Check):
         if radio is None:
             return "check the radio, its power and the ground station"
         return (
-            f"the radio aboard answers ({span(radio.age_s)} ago), so check the radio on the ground, the distance, and the "
+            f"the onboard radio responds ({span(radio.age_s)} ago), so check the ground radio, the distance, and the "
             "ground station"
         )
 

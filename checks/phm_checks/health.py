@@ -33,7 +33,7 @@ class Health(PerContainer):
         fact = world.docker.container(self.key)
         began_at = self._note_probe(fact, world.clock.mono())
         if fact is None or not fact.running:
-            return api.stale(f"health of {self.key} is not known while it does not run")
+            return api.stale(f"health of {self.key} is unknown while it is not running")
         output = clean(fact.health_output)
         values: dict[str, api.Value] = {"health": fact.health, "failing_streak": fact.health_streak}
         if fact.health == "healthy":
@@ -78,7 +78,7 @@ class Health(PerContainer):
         return api.error(
             f"{self.key} has no health check, but the configuration requires one: add HEALTHCHECK to its image or "
             "`healthcheck:` to its compose file, or set `healthcheck: auto`",
-            brief=brief(self.key, "has no healthcheck"),
+            brief=brief(self.key, "no healthcheck"),
             condition="healthcheck_missing",
             target=self.key,
             **values,

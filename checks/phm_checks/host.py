@@ -111,17 +111,17 @@ class Host(api.Check):
         values: dict[str, api.Value] = {"io_stalled_percent": _rounded(fact.io_stalled_percent)}
         if level is Level.OK:
             self._steady.forget("io")
-            return api.ok(f"Disks keep the computer waiting {fact.io_stalled_percent:.0f} % of the time", **values)
+            return api.ok(f"Tasks wait for disks {fact.io_stalled_percent:.0f} % of the time", **values)
         words = (
             f"the computer waited for its disks {mean:.0f} % of the last {span(self._window_s)} (/proc/pressure/io), expected below "
-            f"{self._io_limit.warn:g} %: a slow or worn SD card, or a program that writes more than it takes; write less, or to "
+            f"{self._io_limit.warn:g} %: a slow or worn SD card, or a program that writes more than it can handle; write less, or to "
             "another disk"
         )
         return self._bad(level, words, f"disk stalls {self._steady.show('io', mean):.0f} %", "io_pressure", values)
 
     def _judge_disks(self, fact: api.HostFact) -> api.Result:
         if not fact.disks:
-            return api.bypass("No disk is watched.")
+            return api.bypass("No disk is monitored.")
         findings = [self._judge_disk(disk) for disk in fact.disks]
         first = api.worst(findings)
         values: dict[str, api.Value] = {}
@@ -162,7 +162,7 @@ class Host(api.Check):
         """Heat and throttling: what both come to is a processor that runs slower than it should."""
         fans: dict[str, api.Value] = {f"fan_rpm {number}": rpm for number, rpm in enumerate(fact.fans_rpm)}
         if fact.temperature_c is None and fact.throttled is None:
-            return api.bypass("This machine does not tell its temperature.", **fans)
+            return api.bypass("This machine does not report its temperature.", **fans)
         values: dict[str, api.Value] = {"temperature_c": fact.temperature_c, **fans}
         findings = []
         if fact.temperature_c is not None:
@@ -178,13 +178,13 @@ class Host(api.Check):
                 findings.append(self._bad(level, words, short, "temperature_high", values))
         now = [word for word in fact.throttled or () if word.endswith(" now")]
         if now:
-            words = f"the processor is held back: {listed(now)}: check the power supply, its cable, and cooling"
+            words = f"the CPU is throttled: {listed(now)}: check the power supply, its cable, and cooling"
             findings.append(self._bad(Level.WARN, words, now[0], "throttled", values))
         if findings:
             first = api.worst(findings)
             summary = joined([finding.summary for finding in findings])
             return api.Result(first.level, summary, first.brief, first.condition, values=values)
-        heat = "Temperature not told" if fact.temperature_c is None else f"Temperature {fact.temperature_c:.0f} C"
+        heat = "Temperature not reported" if fact.temperature_c is None else f"Temperature {fact.temperature_c:.0f} C"
         earlier = f", earlier: {listed(fact.throttled)}" if fact.throttled else ""
         return api.ok(f"{heat}{earlier}", **values)
 
@@ -199,14 +199,14 @@ class Host(api.Check):
         if self._step is not None and now - self._step[0] < STEP_TOLD_S:
             step = self._step[1]
             words = (
-                f"the UTC clock jumped by {step:+.1f} s, expected at most {self._limits.clock_step:g} s: stamps before and "
-                "after do not fit; check chrony, NTP or the GPS time source"
+                f"the UTC clock jumped by {step:+.1f} s, expected at most {self._limits.clock_step:g} s: timestamps before and "
+                "after it are inconsistent; check chrony, NTP or the GPS time source"
             )
             return self._bad(Level.WARN, words, f"clock jumped {step:+.0f} s", "clock_step", values)
         said = {
             True: "Clock is synchronised",
             False: "Clock is steady but not synchronised: logs of different agents may not line up",
-            None: "Clock is steady; this machine does not tell whether it is synchronised",
+            None: "Clock is steady; this machine does not report whether it is synchronised",
         }
         return api.ok(said[fact.clock_synchronized], **values)
 

@@ -92,17 +92,17 @@ class Link(api.Check):
         missing = self.entry.serial and not self._there(world, link)
         if missing and self._told_by:
             # Not by a need: another device of that container would then hide what is wrong with this link.
-            return api.stale(f"the port {self.entry.url} is missing, which {self._told_by} tells")
+            return api.stale(f"the port {self.entry.url} is missing, which {self._told_by} reports")
         if missing:
-            why = f"the port {self.entry.url} is missing: check its cable and power. Ports that are there: {_ports(world)}"
+            why = f"the port {self.entry.url} is missing: check its cable and power. Ports present: {_ports(world)}"
             short = f"{last(self.entry.url)} missing"
         else:
             why, short = self._port(world, link) if self.entry.serial else self._connection(link)
         spare = self._spare(world)
-        more = "; what it leads to is heard by another endpoint meanwhile" if spare else ""
+        more = "; its peers are reachable through another endpoint meanwhile" if spare else ""
         make = api.warn if spare else api.error
         found = make(
-            f"MAVLink endpoint {clean(link.name, 80)} is closed: {why}{more}. It is opened again as soon as it can be",
+            f"MAVLink endpoint {clean(link.name, 80)} is closed: {why}{more}. PHM reopens it as soon as possible",
             brief=brief(f"{self._label}:", short),
             condition="link_closed",
         )
@@ -120,12 +120,12 @@ class Link(api.Check):
         path, said, name = self.entry.url, clean(link.error) or "no reason given", last(self.entry.url)
         if link.code == errno.ENOENT:
             return (
-                f"the port {path} is on the host and not in PHM's container: add it to `devices` of PHM's service",
+                f"the port {path} exists on the host but not in PHM's container: add it to `devices` of PHM's service",
                 f"{name} not mapped",
             )
         if link.code in _REFUSED:
             return (
-                f"PHM may not open the port {path} ({said}): give PHM's container the device (`devices`) and its group "
+                f"PHM has no permission to open the port {path} ({said}): give PHM's container the device (`devices`) and its group "
                 "(`group_add: [dialout]`)",
                 f"{name} no permission",
             )
@@ -134,17 +134,17 @@ class Link(api.Check):
             by = f" by {who[0].partition(' (')[0]}" if who else ""
             whose = listed(who) if who else "a program that PHM cannot see from its container"
             return (
-                f"the port {path} is in use by {whose}: two programs on one port steal each other's bytes; stop one, or put a "
+                f"the port {path} is in use by {whose}: two programs on one port take each other's bytes; stop one, or put a "
                 "MAVLink router between",
-                f"{name} used{by}",
+                f"{name} in use{by}",
             )
-        return f"the port {path} is there and cannot be used ({said}): check its cable and driver", f"{name} failed"
+        return f"the port {path} exists but cannot be used ({said}): check its cable and driver", f"{name} failed"
 
     def _connection(self, link: api.LinkFact) -> tuple[str, str]:
         said = clean(link.error) or "no reason given"
         what = "the router" if self.entry.leads_to == "router" else "the other side"
         if link.code == errno.ECONNREFUSED:
-            return f"nobody answers at {self.entry.url} ({said}): check that {what} runs", "refused"
+            return f"nothing listens at {self.entry.url} ({said}): check that {what} runs", "refused"
         return f"{said} ({self.entry.url}): check the network, the address, and that {what} runs", clean(said, 24)
 
     def _spare(self, world: api.World) -> bool:
@@ -174,8 +174,8 @@ class Link(api.Check):
         names = listed(f"{sender.system}/{sender.component}" for sender in together)
         return [
             api.error(
-                f"nothing has come from the router at {self.entry.url} for {span(silent_s)}, though {len(together)} senders "
-                f"were heard there until then ({names}): check that it runs",
+                f"nothing received from the router at {self.entry.url} for {span(silent_s)}, though {len(together)} senders "
+                f"were active there until then ({names}): check that it runs",
                 brief=brief(f"{self._label}:", f"silent {self._silence.show('silence', silent_s):.0f} s"),
                 condition="link_silent",
                 target=target_of(self.entry.key),
@@ -189,11 +189,11 @@ class Link(api.Check):
     def _garbled(self, link: api.LinkFact) -> list[api.Result]:
         if link.rx_s is None or link.rx_s < GARBLED_S or link.frames_s:
             return []
-        hint = f"its speed ({self.entry.baud} baud) and wiring" if self.entry.serial else "what speaks there"
+        hint = f"its speed ({self.entry.baud} baud) and wiring" if self.entry.serial else "which program sends there"
         return [
             api.error(
-                f"{link.rx_s:.0f} bytes a second come by {self.entry.key}, and none of them are MAVLink: check {hint}",
-                brief=brief(f"{self._label}:", "no MAVLink in its bytes"),
+                f"{link.rx_s:.0f} bytes a second arrive on {self.entry.key}, but none are valid MAVLink: check {hint}",
+                brief=brief(f"{self._label}:", "no valid MAVLink"),
                 condition="link_garbled",
             )
         ]
@@ -209,8 +209,8 @@ class Link(api.Check):
             found.append(api.warn(words, brief=brief(f"{self._label}:", "framing errors"), condition="line_errors"))
         if lost_s > limit:
             words = (
-                f"{lost_s:.1f} overruns a second on {self.entry.url}: bytes come faster than they are read; lower its speed, "
-                "or see what keeps the processor busy"
+                f"{lost_s:.1f} overruns a second on {self.entry.url}: bytes arrive faster than they are read; lower its speed, "
+                "or check what keeps the CPU busy"
             )
             found.append(api.warn(words, brief=brief(f"{self._label}:", "overruns"), condition="line_errors"))
         return found

@@ -46,7 +46,7 @@ class Network(PerContainer):
     def run(self, world: api.World) -> api.Result:
         fact = world.docker.container(self.key)
         if fact is None or not fact.running:
-            return api.stale(f"networks of {self.key} are not judged while it does not run")
+            return api.stale(f"networks of {self.key} are not checked while it is not running")
         special = self._mode(fact)
         if special is not None:
             return special
@@ -66,26 +66,26 @@ class Network(PerContainer):
         why, never = self._deaf.why(world, fact.life), self._deaf.never_heard
         if not why and (absent := self._deaf.absent(world)):
             return self._bad(
-                f"{self.key} is connected and answers, but {absent}: look at ROS_DOMAIN_ID, firewalls and discovery between PHM and "
-                "it; nothing is restarted for it",
-                "nodes unheard",
+                f"{self.key} is connected and responds, but {absent}: check ROS_DOMAIN_ID, firewalls and discovery between PHM and "
+                "it; PHM restarts nothing for this",
+                "nodes unreachable",
                 "nodes_unreachable",
             )
         if not why and self._deaf.waiting(world, fact.life):
             return api.stale(
-                f"{self.key} is connected; its transport was blocked before it was started, and nothing has come of its nodes since"
+                f"{self.key} is connected; its transport was blocked before it was restarted, and nothing has been received from its nodes since"
             )
         if not why:
             return None
         cause = (
             "Look for a firewall, or for shared memory without a shared /dev/shm (set FASTDDS_BUILTIN_TRANSPORTS=UDPv4): nothing "
-            "was ever heard since it was started, so a restart of the application does not help as a rule"
+            "has been received since it was started, so a restart of the application rarely helps"
             if never
-            else "Data came before, since it was started: look for a firewall that was set up meanwhile; rules in its own network "
-            "namespace go with a restart of the application, others do not"
+            else "Data was received earlier in this run: look for a firewall rule added since; rules in its own network "
+            "namespace are removed by a restart of the application, others are not"
         )
         found = self._bad(
-            f"{self.key} is connected{' and answers' if self.entry.address else ''}, but discovery passes and no data: {why}. {cause}",
+            f"{self.key} is connected{' and answers' if self.entry.address else ''}; discovery works but no data arrives: {why}. {cause}",
             "transport blocked",
             "transport_blocked",
         )
@@ -98,10 +98,10 @@ class Network(PerContainer):
         mode, names = fact.network_mode, listed(self.entry.networks)
         if mode == "host":
             return api.bypass(
-                f"{self.key} uses the host's network itself, so there is no connection to {names} to judge."
+                f"{self.key} uses the host's network itself, so there is no connection to {names} to check."
             )
         if mode.startswith("container:"):
-            return api.bypass(f"{self.key} shares the network of {clean(mode, 80)}: judge {names} at that container.")
+            return api.bypass(f"{self.key} shares the network of {clean(mode, 80)}: check {names} at that container.")
         if mode == "none" and not any(attached.name != "none" for attached in fact.networks):
             return self._bad(
                 f"{self.key} runs with network_mode none and cannot be connected to {names}: start it without "
@@ -115,9 +115,9 @@ class Network(PerContainer):
         network_id = world.docker.network_id(name)
         if not network_id:
             similar = [one.name for one in fact.networks if one.name.endswith(f"_{name}")]
-            hint = f" {self.key} is on {listed(similar)}: is this meant?" if similar else ""
+            hint = f" {self.key} is on {listed(similar)}: is that the intended network?" if similar else ""
             return self._bad(
-                f"there is no network {name}: create it with `docker network create {name}` or `docker compose up -d`.{hint}",
+                f"network {name} does not exist: create it with `docker network create {name}` or `docker compose up -d`.{hint}",
                 f"no network {name}",
                 "network_missing",
                 subject="",
@@ -125,10 +125,10 @@ class Network(PerContainer):
         attached = next((one for one in fact.networks if one.network_id == network_id), None)
         if attached is None:
             gone = any(one.name == name for one in fact.networks)
-            why = ": it is still attached to a network of that name that was removed and made again" if gone else ""
+            why = ": it is still attached to an old network of that name that was removed and recreated" if gone else ""
             return self._bad(
                 f"{self.key} is not connected to {name}{why}; `docker network connect {name} {fact.name}` connects it",
-                f"off {name}",
+                f"not on {name}",
                 "disconnected",
             )
         return self._sidecar(world, attached, name, network_id)
@@ -140,7 +140,7 @@ class Network(PerContainer):
         if not beside:
             return self._bad(
                 f"PHM itself is not on {name}, so it cannot reach {self.key} there: connect PHM's container to {name}",
-                f"PHM off {name}",
+                f"PHM not on {name}",
                 "sidecar_disconnected",
                 subject="",
             )
@@ -148,17 +148,17 @@ class Network(PerContainer):
             return api.ok(f"{self.key} is connected to {name}")
         if not attached.address:
             return self._bad(
-                f"{self.key} is connected to {name} but has no address there: disconnect and connect it again",
+                f"{self.key} is connected to {name} but has no address there: disconnect and reconnect it",
                 f"no address on {name}",
                 "disconnected",
             )
         # One lost echo is no fault, so a silent address is asked twice.
         if world.docker.reachable(attached.address) or world.docker.reachable(attached.address):
-            return api.ok(f"{self.key} is connected to {name} and answers at {attached.address}")
+            return api.ok(f"{self.key} is connected to {name} and responds at {attached.address}")
         return self._bad(
-            f"{self.key} is connected to {name}, but {attached.address} did not answer twice, expected an answer at "
-            "once: its interface may be down, or a firewall may swallow what it gets",
-            f"silent on {name}",
+            f"{self.key} is connected to {name}, but {attached.address} did not respond twice, expected an immediate response: "
+            "its interface may be down, or a firewall may drop its traffic",
+            f"unreachable on {name}",
             "address_silent",
         )
 

@@ -205,36 +205,40 @@ class Nodes(api.Check):
             return Level.OK, f"Node {subject} is running{busy}", "", ""
         if state is State.ALIVE:
             words = (
-                f"node {name} is busy and has not answered for {span(judgement.busy_s)}: {evidence}; look for an endless loop "
+                f"node {name} is busy and has not answered for {span(judgement.busy_s)}: {evidence}; look for an infinite loop "
                 "or too much work in a callback"
             )
             return Level.WARN, words, "busy", "node_busy"
         if state is State.DUPLICATE and node.copies:
             words = (
-                f"node {name} runs twice{where}: {node.copies} processes fit it, and it is listed {node.signs.count} times, expected "
-                "once: two nodes of one name publish twice and disturb each other; stop the one that should not be there, or give "
+                f"node {name} runs twice{where}: {node.copies} processes match it, and it is listed {node.signs.count} times, expected "
+                "once: two nodes with the same name conflict; stop the unintended one, or give "
                 "each its own namespace"
             )
             return Level.ERROR, words, "runs twice", "node_duplicate"
         if state is State.DUPLICATE:
-            lasted = "and two processes beat under its name" if node.signs.rivals else f"for more than {TWICE_S:.0f} s"
+            lasted = (
+                "and two processes send beacons under its name"
+                if node.signs.rivals
+                else f"for more than {TWICE_S:.0f} s"
+            )
             words = (
-                f"node {name} is listed {node.signs.count} times {lasted}, expected once: two nodes of one name disturb each "
-                "other; stop one, or give each its own namespace"
+                f"node {name} is listed {node.signs.count} times {lasted}, expected once: two nodes with the same name conflict; stop "
+                "one, or give each its own namespace"
             )
             return Level.WARN, words, "runs twice", "node_duplicate"
         if state is State.UNKNOWN:
-            looked = f"PHM has looked at the graph for {span(fact.up_s)} only" if fact is not None else why
-            words = f"it is not known yet whether node {name} is alive: {evidence or looked}"
+            looked = f"PHM has observed the graph for only {span(fact.up_s)}" if fact is not None else why
+            words = f"not yet known whether node {name} is alive: {evidence or looked}"
             return Level.STALE, words, "", ""
         if state is State.UNANSWERING:
             words = (
-                f"node {name} does not answer{where}, and it is not known whether it hangs or computes: {evidence}. It was expected "
-                "to answer: look at its log and at `docker top`; nothing is restarted for it"
+                f"node {name} does not answer{where}; it may be hung or busy: {evidence}. It was expected "
+                "to answer: check its log and `docker top`; PHM restarts nothing for this"
             )
             return Level.ERROR, words, "does not answer", "node_unanswering"
         if state is State.HUNG:
-            words = f"Node {subject} hangs{where}: {evidence}. It was expected to answer: see its log, restart it"
+            words = f"Node {subject} is hung{where}: {evidence}. It was expected to answer: check its log, restart it"
             return Level.ERROR, words, "hung", "node_hung"
         dead = state is State.DEAD
         what, step = _missing(node, dead=dead)
@@ -254,9 +258,9 @@ def _missing(node: _Node, *, dead: bool) -> tuple[str, str]:
     """What is said of a node that is not there, and what to do. A node that came with earlier lives of its container is
     configured well, and one that nobody knows may have another name."""
     if dead:
-        return "is no longer running", "restart it and see its log"
+        return "is no longer running", "restart it and check its log"
     if node.known:
-        return "was not started with its container", "restart it and see the log of what starts it"
+        return "was not started with its container", "restart it and check the log of its launcher"
     return (
         "has not been seen since PHM or its container started",
         "check its launch file, name, namespace and ROS_DOMAIN_ID",
@@ -278,11 +282,13 @@ def _unreached(node: _Node, judgement: Judgement, values: dict[str, api.Value], 
     """No target: a restart does not open the way between PHM and a container."""
     name, where = node.wanted.name, node.wanted.container
     words = (
-        f"node {name} is not heard, and no other node of {where} is, while the processes of all of them run: {judgement.words}. "
-        f"They were expected in the graph: look at the network between PHM and {where}, ROS_DOMAIN_ID, firewalls, discovery; "
-        "nothing is restarted for it"
+        f"nothing is received from node {name} or any other node of {where}, although all their processes are running: {judgement.words}. "
+        f"They were expected in the graph: check the network between PHM and {where}, ROS_DOMAIN_ID, firewalls, discovery; "
+        "PHM restarts nothing for this"
     )
-    return api.Result(Level.ERROR, words, brief(last(name), "unheard"), "node_unreachable", "", values, evidence=known)
+    return api.Result(
+        Level.ERROR, words, brief(last(name), "unreachable"), "node_unreachable", "", values, evidence=known
+    )
 
 
 def _picture(world: api.World) -> tuple[api.RosFact | None, str]:
@@ -292,5 +298,5 @@ def _picture(world: api.World) -> tuple[api.RosFact | None, str]:
     except api.CannotTell as reason:
         return None, str(reason)
     if fact.age_s > OLD_PICTURE_S:
-        return None, f"the newest picture of the ROS graph is {span(fact.age_s)} old, too old to judge by"
+        return None, f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate"
     return fact, ""

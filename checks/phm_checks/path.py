@@ -80,8 +80,8 @@ class Path(api.Check):
         values: dict[str, api.Value] = {one.name: one.state.value for one in hops}
         broken = first_broken(hops)
         if broken is None:
-            return api.ok(f"a command from the ground gets through, as far as is known: {words}", **values)
-        found = api.stale(f"a command from the ground stops at {broken.name}: {words}", brief="", **values)
+            return api.ok(f"no broken hop detected on the command path: {words}", **values)
+        found = api.stale(f"the command path is broken at {broken.name}: {words}", brief="", **values)
         return found.with_evidence(api.Evidence(broken_hop=broken.name))
 
     def _hops(self, world: api.World) -> list[Hop]:
@@ -114,9 +114,9 @@ class Path(api.Check):
         try:
             fact = world.ros.look()
         except api.CannotTell:
-            return Hop("application", State.UNKNOWN, "nothing is known of the ROS graph")
+            return Hop("application", State.UNKNOWN, "the ROS graph is unknown")
         if fact.age_s > OLD_S:
-            return Hop("application", State.UNKNOWN, f"the picture of the ROS graph is {span(fact.age_s)} old")
+            return Hop("application", State.UNKNOWN, f"the ROS graph snapshot is {span(fact.age_s)} old")
         for node in self._nodes:
             beacon = fact.beacons.get(node)
             if not fact.nodes.get(node):
@@ -129,4 +129,4 @@ class Path(api.Check):
 
 def _ground(result: api.Result, behind: Sequence[str]) -> Hop:
     """A ground station is never unused: one that was not heard yet is not known."""
-    return Hop("GCS", State.UNKNOWN, "never heard") if result.bypass else hop("GCS", result, behind)
+    return Hop("GCS", State.UNKNOWN, "no heartbeat yet") if result.bypass else hop("GCS", result, behind)

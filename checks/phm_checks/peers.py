@@ -65,8 +65,10 @@ class Peers(api.Check):
             words = joined([result.summary for result in found])
             return api.Result(first.level, words, first.brief, first.condition, values=values, evidence=first.evidence)
         if not fact.peers:
-            return api.bypass("no other agent was ever heard, and none is configured (swarm.agents)", **values)
-        return api.ok(f"{fact.living} of {fact.members} agents of the swarm live", **values)
+            return api.bypass(
+                "no heartbeat from another agent received, and none is configured (swarm.agents)", **values
+            )
+        return api.ok(f"{fact.living} of {fact.members} agents of the swarm are alive", **values)
 
     def _split(self, fact: api.SwarmFact) -> list[api.Result]:
         lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost"]
@@ -80,8 +82,8 @@ class Peers(api.Check):
         here = {fact.own, *(agent for agent, peer in fact.peers.items() if peer.state in there)} - self._away
         return [
             api.error(
-                f"the swarm is split: {_names(self._away)} vanished together and {_names(here)} are here: a network between them is "
-                "broken, or something happened to all of those",
+                f"the swarm is split: {_names(self._away)} disappeared together and {_names(here)} are still reachable: a network between them is "
+                "broken, or all of those failed",
                 brief=brief(f"split {len(here)}/{fact.members}", f"lost {_names(self._away, 3)}"),
                 condition="split",
             ).with_evidence(api.Evidence(conclusive=len(here) > 1))
@@ -99,30 +101,28 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
     }
     # Another agent has lost it, too, so the cause is not that this agent is late.
     known = api.Evidence(conclusive=bool(set(peer.unheard_by) - {fact.own}))
-    dissent = f", but {_names(peer.heard_by)} hear it" if peer.heard_by else ""
+    dissent = f", but still received by {_names(peer.heard_by)}" if peer.heard_by else ""
     silent = "" if peer.age_s is None else f", here for {span(peer.age_s)}"
     if peer.state == "lost":
         words = (
-            f"agent {name} is lost: unheard by {_names(peer.unheard_by)}{silent}{dissent}; expected its heartbeat: look for the "
+            f"agent {name} is lost: no heartbeat received by {_names(peer.unheard_by)}{silent}{dissent}: check the "
             "vehicle, its power and its radio"
         )
         return api.Result(Level.ERROR, words, brief(name, "lost"), "peer_lost", values=values, evidence=known)
     if peer.state == "never seen":
-        words = (
-            f"agent {name} was never heard; it is configured in swarm.agents: is it switched on, and on this network?"
-        )
+        words = f"no heartbeat ever received from agent {name}, which is configured in swarm.agents: check that it is powered on and on this network"
         return api.Result(
             Level.WARN, words, brief(name, "never seen"), "peer_never_seen", values=values, evidence=known
         )
     if peer.state == "unheard by some":
         words = (
-            f"agent {name} lives, heard by {_names(peer.heard_by)}, and is unheard by {_names(peer.unheard_by)}: the network "
+            f"agent {name} is alive, received by {_names(peer.heard_by)} but not by {_names(peer.unheard_by)}: the network "
             "between these is broken or at the edge of its range"
         )
-        short = brief(name, f"unheard by {_names(peer.unheard_by, 3)}")
+        short = brief(name, f"not seen by {_names(peer.unheard_by, 3)}")
         return api.Result(Level.WARN, words, short, "peer_partly", values=values, evidence=known)
     if peer.state == "left":
-        return api.bypass(f"agent {name} was stopped on purpose", **values)
+        return api.bypass(f"agent {name} was shut down intentionally", **values)
     return api.ok(f"agent {name} is {peer.state}", **values)
 
 
@@ -131,7 +131,7 @@ def _clashes(fact: api.SwarmFact) -> list[api.Result]:
         return []
     return [
         api.error(
-            f"two agents use the id of {_names(fact.duplicate_ids)}: their reports mix; give each agent.id a number of its own",
+            f"two agents use the id of {_names(fact.duplicate_ids)}, so their reports are mixed up; give each a unique agent.id",
             brief=brief(_names(fact.duplicate_ids, 3), "id used twice"),
             condition="id_clash",
         )
@@ -146,7 +146,7 @@ def _alone(fact: api.SwarmFact) -> list[api.Result]:
         return []
     return [
         api.error(
-            f"no other agent is heard any more, {_names(lost)} are lost together: check this agent's own link to them first",
+            f"no heartbeat from any other agent, {_names(lost)} were lost together: check this agent's own link first",
             brief=brief("all peers", "lost"),
             condition="alone",
         )

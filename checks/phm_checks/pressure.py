@@ -61,15 +61,15 @@ class Pressure(PerContainer):
             fact = world.pressure.container(self.key)
         except api.NotPermitted as reason:
             self._window.forget()
-            return api.bypass(f"What {self.key} is short of cannot be seen: {reason}")
+            return api.bypass(f"Resource pressure of {self.key} cannot be read: {reason}")
         if fact is None:
             self._window.forget()
-            return api.bypass(f"{self.key} does not run, so it is short of nothing")
+            return api.bypass(f"{self.key} is not running, so there is no resource pressure")
         self._window.add(fact)
         over = self._window.over(self._limits.window)
         newest = self._window.over(NEWEST_S)
         if over is None or newest is None:
-            return api.stale(f"pressure on {self.key}: the first reading needs a second one to compare with", brief="")
+            return api.stale(f"resource pressure of {self.key} needs a second reading", brief="")
         return self._judge(world, fact, over, newest)
 
     def _judge(self, world: api.World, fact: api.PressureFact, over: Spent, newest: Spent) -> api.Result:
@@ -86,7 +86,7 @@ class Pressure(PerContainer):
         ]
         values = _values(fact, over)
         if not findings:
-            return api.ok(f"{self.key} is short of nothing ({fact.source}{_not_seen(fact)})", **values)
+            return api.ok(f"{self.key} has enough CPU, memory and I/O ({fact.source}{_not_seen(fact)})", **values)
         first = api.worst(findings)
         return replace(first, summary=joined([finding.summary for finding in findings]), values=values)
 
@@ -122,7 +122,7 @@ class Pressure(PerContainer):
         reads = f" and reads back {over.faults_hz:.0f} pages a second" if levels[1] is not Level.OK else ""
         waits = f"waits for memory {over.memory:.0f} % of the time" if over.memory is not None else "waits for memory"
         words = (
-            f"{self.key} {waits}{reads}, since its memory limit{limit} is used up: raise it (`mem_limit:`, `docker update "
+            f"{self.key} {waits}{reads}, because its memory limit{limit} is used up: raise it (`mem_limit:`, `docker update "
             "--memory`), or find the leak"
         )
         return self._bad(level, words, f"memory limit{short} too small", "memory_pressure")
@@ -151,7 +151,11 @@ class Pressure(PerContainer):
             f"{self.key} has {fact.pids} processes and threads at its limit of {fact.pids_limit}{refused}: raise it (`pids_limit:`, "
             "`docker update --pids-limit`), or find what starts so many"
         )
-        shown = f"{fact.pids_limit} processes: limit" if level is Level.ERROR else f"near {fact.pids_limit} processes"
+        shown = (
+            f"process limit {fact.pids_limit} reached"
+            if level is Level.ERROR
+            else f"near process limit {fact.pids_limit}"
+        )
         return self._bad(level, words, shown, "pids_limit")
 
     def _judge_waiting(self, world: api.World, over: Spent, newest: Spent) -> api.Result | None:
@@ -162,8 +166,8 @@ class Pressure(PerContainer):
         if level is Level.OK or over.waiting is None:
             self._steady.forget("waiting")
             return None
-        takes = f"{by[0]} takes {by[1]:.1f} CPUs: stop it, or give it a CPU limit" if by else "see `docker stats`"
-        words = f"{self.key} waits {over.waiting:.0f} % of the time for a CPU that others have; {takes}"
+        takes = f"{by[0]} uses {by[1]:.1f} CPUs: stop it, or give it a CPU limit" if by else "see `docker stats`"
+        words = f"{self.key} waits {over.waiting:.0f} % of the time for a CPU that others use; {takes}"
         short = f"waits {self._steady.show('waiting', over.waiting):.0f}% for CPU"
         named = brief(f"{self.key} {short}", f"({by[0]})") if by and by[0] != OUTSIDE else ""
         result = self._bad(level, words, short, "cpu_starved")
@@ -195,7 +199,7 @@ def _values(fact: api.PressureFact, over: Spent) -> dict[str, api.Value]:
 
 
 def _not_seen(fact: api.PressureFact) -> str:
-    return f"; not seen: {', '.join(fact.not_seen)}" if fact.not_seen else ""
+    return f"; not available: {', '.join(fact.not_seen)}" if fact.not_seen else ""
 
 
 def _size(count: int) -> str:

@@ -52,11 +52,11 @@ class Radio(api.Check):
         link = link_of(world, self.entry.key)
         fact = next((one for one in world.links.radios() if one.link == self.entry.key), None)
         if link is not None and not link.open:
-            return api.stale(f"the radio is not known: its link {self.entry.key} is closed")
+            return api.stale(f"radio state unknown: its link {self.entry.key} is closed")
         if fact is None and self.entry.radio != "required":
-            return api.bypass(f"no radio has been heard by {self.entry.key}, so none is judged")
+            return api.bypass(f"no RADIO_STATUS received on {self.entry.key}, and no radio is required")
         if fact is None and starting(world):
-            return api.stale(f"the radio behind {self.entry.key} has not been heard yet")
+            return api.stale(f"no RADIO_STATUS received on {self.entry.key} yet")
         limit_s = self._limits.radio_timeout if fact is None else max(self._limits.radio_timeout, PERIODS * fact.due_s)
         if fact is None or fact.silent_s > limit_s:
             return self._lost(link, fact, limit_s)
@@ -68,9 +68,11 @@ class Radio(api.Check):
         nothing = silent(link)
         when = "since PHM's start" if age_s is None else f"for {span(age_s)}"
         shown = "" if age_s is None else f" {self._age.show('age', age_s):.0f} s"
-        more = "nothing else comes by its link either" if nothing else "other frames still come by its link"
+        more = (
+            "nothing else is received on its link either" if nothing else "other frames are still received on its link"
+        )
         return api.error(
-            f"no RADIO_STATUS {when} by {self.entry.key}, expected one within {span(limit_s)}, and {more}: check the radio's "
+            f"no RADIO_STATUS {when} on {self.entry.key}, expected one within {span(limit_s)}, and {more}: check the radio's "
             "power and cable, and that its MAVLink mode is on",
             brief=brief(f"{self._label}:", f"no RADIO_STATUS{shown}"),
             condition="radio_silent",
@@ -84,15 +86,15 @@ class Radio(api.Check):
         values = _values(fact)
         if not findings:
             self._margin.forget("margin")
-            alone = "; it hears nothing of the radio at the other end" if fact.alone else ""
-            return api.ok(f"radio heard {span(fact.age_s)} ago{_margin_words(fact)}{alone}", **values)
+            alone = "; it receives nothing from the remote radio" if fact.alone else ""
+            return api.ok(f"last RADIO_STATUS {span(fact.age_s)} ago{_margin_words(fact)}{alone}", **values)
         first = findings[0]
         words = joined([finding.summary for finding in findings])
         return api.warn(words, brief=first.brief, condition=first.condition, target="", **values)
 
     def _weak(self, fact: api.RadioFact) -> list[api.Result]:
         limit = self._limits.radio_margin + (EASE_MARGIN if "radio_weak" in self._was else 0.0)
-        ends = [(fact.margin, "aboard"), (fact.remmargin, "on the ground")]
+        ends = [(fact.margin, "on board"), (fact.remmargin, "on the ground")]
         weak = [(margin, where) for margin, where in ends if margin is not None and margin < limit]
         if not weak:
             return []
@@ -101,8 +103,8 @@ class Radio(api.Check):
         return [
             api.warn(
                 f"the radio's signal {where} is {margin:.0f} above the noise, expected {self._limits.radio_margin:g} or more "
-                "(in the radio's units; SiK: 1.9 to a dB): the link is about to be lost; come nearer, turn the antenna, or "
-                "look for what disturbs",
+                "(in the radio's units; SiK: 1.9 to a dB): the link may be lost soon; reduce the distance, turn the antenna, or "
+                "look for interference",
                 brief=brief(f"{self._label}:", f"weak, margin {shown:.0f}"),
                 condition="radio_weak",
             )
@@ -114,7 +116,7 @@ class Radio(api.Check):
             return []
         return [
             api.warn(
-                f"the radio's transmit buffer is {100 - fact.txbuf} % full, so what is sent waits: lower the stream rates of "
+                f"the radio's transmit buffer is {100 - fact.txbuf} % full, so messages are delayed: lower the stream rates of "
                 "the autopilot, or raise the radio's air speed",
                 brief=brief(f"{self._label}:", "buffer full"),
                 condition="radio_full",
@@ -127,8 +129,8 @@ class Radio(api.Check):
             return []
         return [
             api.warn(
-                f"the radio gets {fact.rxerrors_s:.1f} damaged packets a second, expected {self._limits.radio_errors:g} or "
-                "fewer: look for what disturbs its frequency, or for another swarm with its network id",
+                f"the radio receives {fact.rxerrors_s:.1f} damaged packets a second, expected {self._limits.radio_errors:g} or "
+                "fewer: look for interference on its frequency, or another swarm with the same network id",
                 brief=brief(f"{self._label}:", "damaged packets"),
                 condition="radio_errors",
             )

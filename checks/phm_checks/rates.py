@@ -113,10 +113,10 @@ class Rates(api.Check):
         if not topic.rate:
             return self._latched(name, seen, fact)
         if seen.rate is None:
-            return api.stale(f"{name} is not measured: it has no sampler yet")
+            return api.stale(f"{name} is not measured yet: it has no sampler")
         values = _values(topic, seen.rate)
         if seen.rate.problem:
-            return api.stale(f"rate of {name} cannot be told: {clean(seen.rate.problem)}", brief="", **values)
+            return api.stale(f"rate of {name} cannot be measured: {clean(seen.rate.problem)}", brief="", **values)
         case = _Case(topic, topic.rate, self._targets[_unit(topic)], values)
         hz, silent_s = seen.rate.hz, seen.rate.silent_s
         if silent_s is None:
@@ -125,7 +125,7 @@ class Rates(api.Check):
             memory.off_since = None
             return self._silent(case, silent_s, seen, fact)
         if hz is None:
-            return api.stale(f"{name} is received; its rate is being measured", brief="", **values)
+            return api.stale(f"{name} is received; measuring its rate", brief="", **values)
         return self._rate(case, hz, seen, fact, memory, now)
 
     def _silent(self, case: _Case, silent_s: float, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
@@ -134,12 +134,16 @@ class Rates(api.Check):
         limit = "" if limit_s is None else f" and no gap over {span(limit_s)}"
         known = (seen.rate.sample_bytes or 0.0) * case.rate <= LARGE_BPS
         turns = known and _all_turned(seen, fact, max(silent_s, seen.rate.age_s or 0.0) - 1 / case.rate)
-        why = "its source stopped, the node itself goes on" if turns else "its node hangs or its source stopped"
+        why = (
+            "its data source stopped, the node itself is running"
+            if turns
+            else "its node is hung or its data source stopped"
+        )
         result = self._bad(
             Level.ERROR,
             "silent",
             "silent",
-            f"{case.name}: offline. Silent for {span(silent_s)}, expected {case.rate:g} Hz{limit}: {why}; see that node's log",
+            f"{case.name}: offline. Silent for {span(silent_s)}, expected {case.rate:g} Hz{limit}: {why}; check that node's log",
             case,
         )
         settle_s = GAP_PERIODS / case.rate - (limit_s or 0.0)
@@ -149,9 +153,9 @@ class Rates(api.Check):
         """Judged by its publishers; a sample that they keep for whoever comes must come to PHM, too."""
         if not seen.publishers:
             if fact.up_s < self._grace_s:
-                return api.stale(f"publisher of {name} is not seen yet")
+                return api.stale(f"publisher of {name} not discovered yet")
             return api.error(
-                f"{name}: offline. It is latched and has no publisher: start the node that publishes it",
+                f"{name}: offline. It is latched but has no publisher: start the node that publishes it",
                 brief=brief(last(name), "has no publisher"),
                 condition="not_received",
                 publishers=0,
@@ -159,25 +163,25 @@ class Rates(api.Check):
         values: dict[str, api.Value] = {"publishers": len(seen.publishers)}
         rate = seen.rate
         if rate is None or rate.problem:
-            return api.ok(f"{name}: latched, its publisher is there", **values)
+            return api.ok(f"{name}: latched, its publisher exists", **values)
         if rate.age_s is not None:
             return api.ok(f"{name}: latched, published {span(rate.age_s)} ago", age_s=round(rate.age_s, 1), **values)
         kept = all((end.durability, end.reliability) == ("transient_local", "reliable") for end in seen.publishers)
         if rate.silent_s is None and kept and fact.up_s >= self._grace_s:
             return api.warn(
-                f"{name}: not received. Its publisher keeps its last sample for whoever comes, and none has come: nothing "
+                f"{name}: not received. Its publisher keeps its last sample for late subscribers, but none was received: nothing "
                 "was published yet, or the transport is blocked",
                 brief=brief(last(name), "not received"),
                 condition="not_received",
                 publishers=len(seen.publishers),
             )
-        return api.ok(f"{name}: latched, its publisher is there", **values)
+        return api.ok(f"{name}: latched, its publisher exists", **values)
 
     def _never(self, case: _Case, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
         """Listed but not one sample; slow topics get three periods."""
         if not self._due(case.topic, fact):
             return api.stale(
-                f"no sample of {case.name} yet; PHM has listened for {span(fact.heard_for_s)} only",
+                f"no sample of {case.name} yet; PHM has listened for only {span(fact.heard_for_s)}",
                 brief="",
                 **case.values,
             )
@@ -186,7 +190,7 @@ class Rates(api.Check):
                 Level.ERROR,
                 "transport_blocked",
                 "transport blocked",
-                f"{case.name}: transport blocked. {evidence}: discovery passes and no data ({_BLOCKS}); a restart of the "
+                f"{case.name}: transport blocked. {evidence}: discovery works but no data arrives ({_BLOCKS}); a restart of the "
                 "application does not help",
                 case,
             )
@@ -194,7 +198,7 @@ class Rates(api.Check):
             Level.ERROR,
             "not_received",
             "not received",
-            f"{case.name}: offline. It is listed, but not one sample has come, expected {case.rate:g} Hz: its publisher does "
+            f"{case.name}: offline. It is listed, but no sample was received, expected {case.rate:g} Hz: its publisher does "
             f"not publish, or the transport is blocked ({_BLOCKS})",
             case,
         )
@@ -208,11 +212,11 @@ class Rates(api.Check):
         nodes = _nodes(seen)
         if nodes == {""}:
             # A node's name comes as data; that there is a publisher comes with discovery.
-            return "A publisher is found, but neither the name of its node nor a sample has come"
+            return "A publisher is discovered, but neither its node name nor a sample was received"
         unheard = self._unheard(target, fact)
         if len(unheard) < WITNESSES or not unheard & nodes:
             return ""
-        return f"{len(unheard)} nodes are found, and not one sample of any of them has come"
+        return f"{len(unheard)} nodes are discovered, but no sample from any of them was received"
 
     def _unheard(self, target: str, fact: api.RosFact) -> set[str]:
         """The nodes of this container that must have been heard, when none of them was; else nobody."""
@@ -256,7 +260,7 @@ class Rates(api.Check):
             f"{self._hz.show(case.name, hz):.3g} Hz, not {case.rate:g}",
             f"{case.name}: {hz:.3f} Hz, {off:.0f} % too {'low' if low else 'high'}, expected {case.rate:g} Hz within "
             f"{case.topic.tolerance:g} %{_why_doubt(doubt)}: "
-            f"{'look for load or loss at its node' if low else 'look for a second publisher'}",
+            f"{'check its node for load or loss' if low else 'look for a second publisher'}",
             case,
         )
         return replace(result, settle_s=0.0) if sure else result
@@ -305,7 +309,7 @@ def _confirmed(case: _Case, measured: api.RateFact, off_s: float) -> bool:
 
 
 def _why_doubt(doubt: float) -> str:
-    return f", and {doubt:.0f} % for its unevenness" if doubt >= 1 else ""
+    return f", and {doubt:.0f} % for its jitter" if doubt >= 1 else ""
 
 
 def _rounded(number: float | None, digits: int) -> float | None:

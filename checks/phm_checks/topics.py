@@ -100,7 +100,7 @@ class Topics(api.Check):
         except api.CannotTell as reason:
             return {_unit(topic): api.stale(str(reason)) for topic in self._topics}
         if fact.age_s > OLD_PICTURE_S:
-            words = f"the newest picture of the ROS graph is {span(fact.age_s)} old, too old to judge by"
+            words = f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate"
             return {_unit(topic): api.stale(words) for topic in self._topics}
         now = world.clock.mono()
         return {_unit(topic): self._judge(topic, fact, now) for topic in self._topics}
@@ -115,7 +115,7 @@ class Topics(api.Check):
         if missing is not None:
             if fact.up_s < self._grace_s:
                 return api.stale(
-                    f"not seen yet, PHM has looked at the graph for {span(fact.up_s)} only: {missing.summary}"
+                    f"not seen yet, PHM has observed the graph for only {span(fact.up_s)}: {missing.summary}"
                 )
             said = self._said.get(topic.name)
             return said if said is not None and self._ends.young(full(topic.name), now) else missing
@@ -154,7 +154,7 @@ class Topics(api.Check):
         if not lost and not seen.publishers and not seen.subscribers:
             return self._bad(
                 topic, seen, Level.ERROR, "topic_missing", "missing",
-                f"topic {name} does not exist, expected a publisher: check that its node runs and how it is remapped."
+                f"topic {name} does not exist, expected a publisher: check that its node is running and how it is remapped."
                 f"{_hint(topic, fact, (*topic.publishers, *topic.subscribers), absent=True)}",
             )  # fmt: skip
         if lost:
@@ -163,8 +163,8 @@ class Topics(api.Check):
             known = [settle_s for settle_s in settles if settle_s is not None]
             result = self._bad(
                 topic, seen, Level.ERROR, f"{kind}_lost", f"lost {kind} {last(node)}"[:30],
-                f"topic {name} has lost its {kind} {node}, which was there before and whose node still runs: it gave its "
-                f"{'publisher' if kind == 'publisher' else 'subscription'} up; see its log, restart it",
+                f"topic {name} has lost its {kind} {node}, which existed before and whose node is still running: it closed its "
+                f"{'publisher' if kind == 'publisher' else 'subscription'}; check its log, restart it",
                 self._homes.get(node, ""),
             )  # fmt: skip
             return replace(result, settle_s=max(known) if len(known) == len(settles) else None)
@@ -175,13 +175,13 @@ class Topics(api.Check):
                 hint = _hint(topic, fact, lacking) or did_you_mean(lacking[0], names)
                 return self._bad(
                     topic, seen, Level.ERROR, f"{kind}_missing", f"lost {kind} {last(lacking[0])}"[:30],
-                    f"topic {name} lacks its {kind} {listed(lacking)}; there is {listed(sorted(names))}: check that node's "
+                    f"topic {name} lacks its {kind} {listed(lacking)}; present: {listed(sorted(names))}: check that node's "
                     f"topic names and remappings.{hint}",
                 )  # fmt: skip
         if not seen.publishers:
             return self._bad(
                 topic, seen, Level.ERROR, "publisher_missing", "has no publisher",
-                f"topic {name} has no publisher, expected one: check that its node runs and how it is remapped."
+                f"topic {name} has no publisher, expected one: check that its node is running and how it is remapped."
                 f"{_hint(topic, fact, ())}",
             )  # fmt: skip
         return None
@@ -270,8 +270,8 @@ class Topics(api.Check):
             return []
         told = joined([sentence(name, stray) for stray in found[:SHOWN]])
         return [self._bad(
-            topic, seen, Level.WARN, "name_mistaken", f"vs {found[0].name}"[-30:],
-            f"topic {name} is connected, but {told} Nobody publishes that name: correct it in that node's source, launch file or "
+            topic, seen, Level.WARN, "name_mistaken", f"misnamed {found[0].name[-21:]}",
+            f"topic {name} is connected, but {told} Nothing publishes that name: correct it in that node's source, launch file or "
             "remappings",
         )]  # fmt: skip
 

@@ -118,7 +118,7 @@ def test_a_steady_autopilot_is_lost_before_the_timeout() -> None:
     """On its own port nothing else can be the cause: told at once, and its link is opened anew."""
     result = run(check(), OVERDUE, dataclasses.replace(OPEN, rx_age_s=2.4))
     assert (result.level, result.condition, result.settle_s) == (api.Level.ERROR, "autopilot_silent", 0.0)
-    assert "expected one within 2.5 s, and nothing else comes by fc either" in result.summary
+    assert "expected one within 2.5 s, and nothing else is received on fc either" in result.summary
     assert result.target == "link:fc"
 
 
@@ -126,7 +126,7 @@ def test_behind_a_router_others_prove_that_it_is_the_autopilot() -> None:
     """Frames of others that came since its own ended; the router is well."""
     result = behind_a_router(OVERDUE, 0.9)
     assert (result.level, result.settle_s, result.target) == (api.Level.ERROR, 0.0, "")
-    assert "other frames still come" in result.summary
+    assert "other frames are still received" in result.summary
 
 
 def test_behind_a_router_that_may_be_silent_it_is_waited_for() -> None:

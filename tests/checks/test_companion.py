@@ -55,11 +55,11 @@ def test_standing_still_is_told_for_a_while() -> None:
     """PHM was stopped and goes on: how long nobody watched."""
     myself = testing.FakeSelf(stood_still_s=4.2, stood_still_ago_s=1.0)
     result = run(check(), testing.world(myself=myself))
-    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "phm_suspended", "PHM stood still 4 s")
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "phm_suspended", "PHM suspended 4 s")
     assert "was it stopped or paused" in result.summary
     myself.change(stood_still_s=0.42, was_stopped=True)
     result = run(check(), testing.world(myself=myself))
-    assert (result.condition, result.brief) == ("phm_suspended", "PHM stood still 0.4 s")
+    assert (result.condition, result.brief) == ("phm_suspended", "PHM suspended 0.4 s")
     assert "SIGSTOP" in result.summary
     myself.change(stood_still_ago_s=40.0)
     assert run(check(), testing.world(myself=myself)).level is api.Level.OK

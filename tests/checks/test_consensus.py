@@ -162,7 +162,7 @@ def test_agreement_is_ok() -> None:
     """It says by whose word."""
     result = judge(matrix(A, B, C))
     assert result.level is api.Level.OK and not result.bypass
-    assert result.summary == "3 of 3 nodes are alive by the word of agent_1/a, agent_1/b, agent_1/c, PHM"
+    assert result.summary == "3 of 3 nodes are alive according to agent_1/a, agent_1/b, agent_1/c, PHM"
     assert dict(result.values) == {"nodes": 3, "alive": 3, "hung": 0, "observers": 4, "beacons": 3, "refused": 0}
 
 
@@ -188,8 +188,8 @@ def test_without_beacons_there_is_nothing_to_agree_on() -> None:
 def test_dissent_is_a_warning_that_names_everyone() -> None:
     """Who is not heard, by whom, and who hears it."""
     result = judge(matrix(A, B, C, deaf=((A, B),)))
-    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "dissent", "b unheard by a")
-    assert result.summary.startswith("agent_1/b is not heard by agent_1/a, but by agent_1/c, PHM. ")
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "dissent", "b not seen by a")
+    assert result.summary.startswith("agent_1/b is not received by agent_1/a, but is received by agent_1/c, PHM. ")
     assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
 
 
@@ -197,7 +197,7 @@ def test_a_split_is_a_warning_that_names_the_sides() -> None:
     """The larger side first."""
     result = judge(matrix(*ALL, deaf=both((A, B), (A, C), (A, D))), build(*ALL))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "split", "nodes split 3|1")
-    assert "agent_1/b, agent_1/c, agent_1/d | agent_1/a do not hear each other" in result.summary
+    assert "agent_1/b, agent_1/c, agent_1/d | agent_1/a do not receive each other" in result.summary
 
 
 def test_a_hung_node_is_mentioned_and_no_second_alarm() -> None:
@@ -205,7 +205,7 @@ def test_a_hung_node_is_mentioned_and_no_second_alarm() -> None:
     beacons = {**matrix(A, B, C), C: beacon({A: True, B: True}, witness=C, late_s=9.0)}
     result = judge(beacons)
     assert result.level is api.Level.OK
-    assert result.summary.endswith("; the executor of agent_1/c does not turn")
+    assert result.summary.endswith("; the executor of agent_1/c is blocked")
     assert result.values["hung"] == 1
 
 
@@ -249,19 +249,19 @@ def flowing(node: str, hz: float = 10.0) -> dict[str, api.TopicFact]:
 @pytest.mark.parametrize(
     ("ros", "words"),
     [
-        ({"topics": flowing(C)}, "; agent_1/c without a beacon, by PHM's word alone"),
-        ({"topics": flowing(C, 0.0)}, "; of agent_1/c nobody tells"),
+        ({"topics": flowing(C)}, "; agent_1/c without a beacon, observed by PHM only"),
+        ({"topics": flowing(C, 0.0)}, "; no observer for agent_1/c"),
         (
             {"diagnostics": {"c: loop": api.DiagnosticFact(1.0, 0)}},
-            "; agent_1/c without a beacon, by PHM's word alone",
+            "; agent_1/c without a beacon, observed by PHM only",
         ),
         (
             {"diagnostics": {"/agent_1/c: x": api.DiagnosticFact(1.0, 2)}},
-            "; agent_1/c without a beacon, by PHM's word alone",
+            "; agent_1/c without a beacon, observed by PHM only",
         ),
-        ({"diagnostics": {"c: loop": api.DiagnosticFact(9.0, 0)}}, "; of agent_1/c nobody tells"),
-        ({"diagnostics": {"cc: loop": api.DiagnosticFact(1.0, 0)}}, "; of agent_1/c nobody tells"),
-        ({}, "; of agent_1/c nobody tells"),
+        ({"diagnostics": {"c: loop": api.DiagnosticFact(9.0, 0)}}, "; no observer for agent_1/c"),
+        ({"diagnostics": {"cc: loop": api.DiagnosticFact(1.0, 0)}}, "; no observer for agent_1/c"),
+        ({}, "; no observer for agent_1/c"),
     ],
 )
 def test_nodes_without_a_beacon_take_part_by_topics_and_diagnostics(ros: dict[str, Any], words: str) -> None:
@@ -275,7 +275,7 @@ def test_a_name_that_two_nodes_share_proves_nothing() -> None:
     """diagnostic_updater leaves the namespace out."""
     other = "/agent_2/c"
     result = judge(matrix(A, B), build(A, B, C, other), diagnostics={"c: loop": api.DiagnosticFact(1.0, 0)})
-    assert result.summary.endswith("; of agent_1/c, agent_2/c nobody tells")
+    assert result.summary.endswith("; no observer for agent_1/c, agent_2/c")
 
 
 def test_a_required_beacon_that_is_not_there_is_an_error() -> None:
@@ -292,7 +292,7 @@ def test_beacons_of_another_version_are_a_warning() -> None:
     """Something is there, and this PHM cannot read it."""
     result = judge({}, refused=12)
     assert (result.level, result.condition) == (api.Level.WARN, "beacons_refused")
-    assert "12 messages on /phm/beacon were refused" in result.summary
+    assert "12 messages on /phm/beacon were rejected" in result.summary
     assert judge(matrix(A, B, C), refused=12).level is api.Level.OK
 
 
@@ -302,7 +302,7 @@ def test_a_second_publisher_of_a_beacon_is_reported() -> None:
     copied = judge({**beacons, A: beacon({B: True, C: True}, witness=A, copied_by="/elsewhere/forger")})
     assert (copied.level, copied.condition, copied.target) == (api.Level.WARN, "beacon_copied", "")
     assert (
-        "beacons of agent_1/a come from a second publisher, too: /elsewhere/forger; PHM refuses them" in copied.summary
+        "beacons of agent_1/a also come from a second publisher: /elsewhere/forger; PHM rejects them" in copied.summary
     )
     rival = {**beacons, A: beacon({B: True, C: True}, witness=A, rivals=1)}
     assert judge(rival).condition == "beacon_copied"
@@ -312,5 +312,5 @@ def test_a_second_publisher_of_a_beacon_is_reported() -> None:
 def test_while_beacons_are_lost_nothing_is_said() -> None:
     """Not even that a required beacon is missing."""
     result = judge({}, lost_s=1.0)
-    assert result.level is api.Level.STALE and "more messages come on /phm/beacon than PHM reads" in result.summary
+    assert result.level is api.Level.STALE and "more messages arrive on /phm/beacon than PHM can read" in result.summary
     assert judge(matrix(A, B, C), lost_s=60.0).level is api.Level.OK

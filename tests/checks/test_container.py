@@ -118,7 +118,7 @@ def test_killed_for_lack_of_memory_is_told_as_such() -> None:
     ("code", "words"),
     [
         (0, "ended by itself"),
-        (1, "error of its own"),
+        (1, "application error"),
         (126, "cannot be executed"),
         (127, "not found"),
         (134, "SIGABRT"),
@@ -126,7 +126,7 @@ def test_killed_for_lack_of_memory_is_told_as_such() -> None:
         (139, "segmentation fault"),
         (143, "SIGTERM"),
         (135, "SIGBUS"),
-        (255, "error of its own"),
+        (255, "application error"),
     ],
 )
 def test_exit_codes_are_told_in_words(code: int, words: str) -> None:

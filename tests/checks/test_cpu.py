@@ -218,4 +218,4 @@ def test_who_has_the_cpus_is_named_when_they_are_taken() -> None:
     pressure.taken = (api.ConsumerFact("slam", 1.83), api.ConsumerFact("ros_app", 0.1))
     bench.pressure = pressure
     assert pressure.consumers_asked == 0
-    assert "slam takes 1.8 CPUs" in bench.looks(2.0, **BUSY)[-1].summary
+    assert "slam uses 1.8 CPUs" in bench.looks(2.0, **BUSY)[-1].summary

@@ -80,7 +80,7 @@ def test_a_life_in_which_data_came_before_is_told_from_one_in_which_none_did(abo
     """A restart may help the first, and not the second; the words say so."""
     result = aboard.later(10.0, 4.0, 4.4)
     assert result.evidence.never_ok is False
-    assert "Data came before" in result.summary
+    assert "Data was received earlier" in result.summary
 
 
 def test_without_a_test_of_the_address_nothing_is_restarted(aboard: Aboard) -> None:
@@ -152,7 +152,7 @@ def test_publishers_without_names_are_a_blocked_transport_from_the_start(aboard:
     aboard.clock.advance(20.0)
     result = aboard.look()
     assert (result.condition, result.evidence.never_ok) == ("transport_blocked", True)
-    assert "nothing was ever heard" in result.summary
+    assert "nothing has been received since it was started" in result.summary
 
 
 def test_without_a_picture_nothing_is_said(aboard: Aboard) -> None:

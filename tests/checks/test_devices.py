@@ -107,16 +107,16 @@ def test_each_way_to_map_a_device_counts(container: dict[str, Any]) -> None:
     [
         ({"devices": ()}, "not among its devices"),
         ({"devices": (api.DeviceMapping("/dev/ttyACM1", PATH),)}, "not among its devices"),
-        ({"devices": (), "mounts": (api.Mount("bind", "/dev", "/dev"),)}, "no rule"),
+        ({"devices": (), "mounts": (api.Mount("bind", "/dev", "/dev"),)}, "no device cgroup rule"),
         (
             {"devices": (), "mounts": (api.Mount("bind", "/dev", "/dev"),), "device_rules": ("c 188:* rmw",)},
             "device_cgroup_rules: ['c 166:* rmw']",
         ),
         (
             {"devices": (), "mounts": (api.Mount("bind", "/dev", "/dev"),), "device_rules": ("c 166:* m",)},
-            "no rule",
+            "no device cgroup rule",
         ),
-        ({"devices": (), "device_rules": ("c 166:* rmw",)}, "bind /dev"),
+        ({"devices": (), "device_rules": ("c 166:* rmw",)}, "bind-mount /dev"),
     ],
 )
 def test_a_device_that_the_container_cannot_use_is_unmapped(container: dict[str, Any], words: str) -> None:

@@ -41,16 +41,16 @@ def judge(check: api.Check, world: api.World | None = None, **heard: api.Diagnos
 def test_a_status_that_says_ok_is_ok() -> None:
     """Its message is shown."""
     result = judge(build(), frequency=said())
-    assert (result.level, result.summary) == (api.Level.OK, "camera: Frequency says OK: fine")
+    assert (result.level, result.summary) == (api.Level.OK, "camera: Frequency reports OK: fine")
 
 
 @pytest.mark.parametrize(
     ("level", "becomes", "condition", "words"),
     [
-        (1, api.Level.WARN, "diagnostic_warn", "says WARN: slow"),
-        (2, api.Level.ERROR, "diagnostic_error", "says ERROR: no image"),
-        (3, api.Level.ERROR, "diagnostic_stale", "says STALE: old"),
-        (50, api.Level.ERROR, "diagnostic_error", "says the unknown level 50: odd"),
+        (1, api.Level.WARN, "diagnostic_warn", "reports WARN: slow"),
+        (2, api.Level.ERROR, "diagnostic_error", "reports ERROR: no image"),
+        (3, api.Level.ERROR, "diagnostic_stale", "reports STALE: old"),
+        (50, api.Level.ERROR, "diagnostic_error", "reports the unknown level 50: odd"),
     ],
 )
 def test_a_level_is_taken_over(level: int, becomes: api.Level, condition: str, words: str) -> None:
@@ -70,10 +70,10 @@ def test_a_status_that_is_silent_is_stale_as_configured(when_stale: str, level: 
     check = build(when_stale=when_stale, timeout=5)
     silent = judge(check, frequency=said(age_s=6.0))
     assert (silent.level, silent.condition) == (level, "diagnostic_stale")
-    assert "has not been heard for 6.0 s, expected every 5.0 s" in silent.summary
+    assert "has sent no status for 6.0 s, expected at least every 5.0 s" in silent.summary
     assert judge(check, frequency=said(3)).level is level
     never = judge(check)
-    assert (never.level, never.condition, never.brief) == (level, "diagnostic_stale", f"{NAME} not heard")
+    assert (never.level, never.condition, never.brief) == (level, "diagnostic_stale", f"{NAME} not received")
 
 
 def test_the_worst_of_those_that_match_counts() -> None:
@@ -82,7 +82,7 @@ def test_the_worst_of_those_that_match_counts() -> None:
     assert judge(check, one=said(), two=said()).level is api.Level.OK
     result = judge(check, one=said(1), two=said(2), three=said(), four=said(age_s=9.0))
     assert result.level is api.Level.ERROR
-    assert result.summary.startswith("camera: Four has not been heard") and "camera: One, camera: Two" in result.summary
+    assert result.summary.startswith("camera: Four has sent no status") and "camera: One, camera: Two" in result.summary
     assert (result.values["heard"], result.values["not_ok"]) == (4, 3)
 
 
@@ -127,7 +127,7 @@ def test_breaks_of_the_child_do_not_hide_for_ever_that_a_status_is_missing() -> 
 def test_a_near_name_is_offered() -> None:
     """`Freqency` in the configuration is found."""
     world = testing.world(ros=testing.FakeRos(diagnostics={NAME: said()}))
-    assert f"There is {NAME}: is one of these meant?" in judge(build(name="camera: Freqency"), world).summary
+    assert f"Did you mean {NAME}?" in judge(build(name="camera: Freqency"), world).summary
 
 
 def test_what_was_heard_before_the_container_was_started_anew_need_not_come_again() -> None:
@@ -142,7 +142,7 @@ def test_what_was_heard_before_the_container_was_started_anew_need_not_come_agai
     assert judge(check, world).level is api.Level.ERROR
     docker.change("ros_app", started_at="2026-02-02T00:00:00Z")
     result = judge(check, world)
-    assert result.level is api.Level.STALE and "heard yet" in result.summary
+    assert result.level is api.Level.STALE and "received yet" in result.summary
     clock.advance(2.0)
     ros.change(diagnostics={"camera: Old": said(age_s=8.0), "camera: New": said()})
     assert judge(check, world).level is api.Level.OK

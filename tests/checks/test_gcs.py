@@ -45,7 +45,7 @@ def test_a_ground_station_never_heard_is_ok_and_said() -> None:
     """Before the first heartbeat nothing was lost."""
     result = run(check(), heard(None))
     assert result.bypass
-    assert "no ground station heard yet" in result.summary
+    assert "no ground station heartbeat received yet" in result.summary
 
 
 def test_a_ground_station_lost_is_an_error() -> None:
@@ -78,7 +78,7 @@ def test_a_radio_that_fell_silent_with_it_is_waited_for() -> None:
     since = heard(12.0, radios=(api.RadioFact("ground", 6.0, 10.0),))
     result = run(check(), since)
     assert result.level is api.Level.ERROR
-    assert "radio aboard answers" in result.summary
+    assert "onboard radio responds" in result.summary
 
 
 def test_a_radio_that_is_not_judged_is_not_waited_for() -> None:
@@ -94,7 +94,7 @@ def test_a_radio_that_lost_the_other_one_tells_early() -> None:
     """By its own word nothing at all comes from the ground: the timeout need not pass, and the line says where to look."""
     result = run(check(), heard(3.6, radios=(ALONE,)))
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "gcs_lost", "GCS: no heartbeat 4 s")
-    assert "hears nothing of the radio on the ground" in result.summary
+    assert "receives nothing from the ground radio" in result.summary
 
 
 def test_a_radio_that_is_alone_says_nothing_about_a_ground_station_that_is_heard() -> None:

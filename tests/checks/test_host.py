@@ -98,7 +98,7 @@ def test_a_value_at_the_limit_does_not_flap() -> None:
 def test_a_machine_that_tells_no_temperature_is_a_bypass() -> None:
     """Silence of the machine is said, and is no fault."""
     result = Bench().look("temperature", temperature_c=None, throttled=None)
-    assert result.bypass and "does not tell" in result.summary
+    assert result.bypass and "does not report" in result.summary
 
 
 def test_throttling_in_the_past_is_only_said() -> None:

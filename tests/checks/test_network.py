@@ -44,14 +44,14 @@ def test_a_container_off_its_network_is_disconnected() -> None:
     """The ladder reconnects it."""
     result = judge(docker(networks=()))
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, "disconnected", "ros_app")
-    assert result.brief == "ros_app off swarm_net"
+    assert result.brief == "ros_app not on swarm_net"
 
 
 def test_an_attachment_to_a_recreated_network_is_disconnected() -> None:
     """Ids count: a network of the same name that was made anew is another network."""
     result = judge(docker(networks=on(network_id="old-id")))
     assert result.condition == "disconnected"
-    assert "removed and made again" in result.summary
+    assert "removed and recreated" in result.summary
 
 
 def test_an_attachment_without_address_is_disconnected() -> None:

@@ -165,7 +165,7 @@ def test_an_old_picture_proves_nothing() -> None:
     bench.ros.change(age_s=30.0)
     result = bench.result()
     assert result.level is api.Level.STALE
-    assert "30 s old" in result.summary or "its process 71 runs" in result.summary
+    assert "30 s old" in result.summary or "its process 71 is running" in result.summary
 
 
 def test_no_picture_makes_every_node_stale() -> None:
@@ -271,7 +271,7 @@ def test_a_second_beacon_elsewhere_is_told_without_waiting_for_a_lease() -> None
     bench.ros.change(nodes={NAME: 2}, beacons={NAME: replace(beating()[NAME], rivals=1)})
     result = bench.after(0.25)
     assert (result.level, result.condition, result.target) == (api.Level.WARN, "node_duplicate", "")
-    assert "two processes beat under its name" in result.summary
+    assert "two processes send beacons under its name" in result.summary
 
 
 def test_a_name_that_stays_behind_alone_is_no_second_node() -> None:
@@ -395,7 +395,7 @@ def test_a_busy_node_is_not_dead(state: str) -> None:
 
     result = bench.after(5.0, busy)
     assert result.level is api.Level.OK
-    assert "its process 71 computes" in result.summary
+    assert "its process 71 is using the CPU" in result.summary
     assert api.Level.ERROR not in levels
     assert bench.after(BUSY_S, lambda passed: busy(5.0 + passed)).condition == "node_busy"
 
@@ -413,7 +413,7 @@ def test_an_executor_that_sleeps_hangs() -> None:
 
     result = bench.after(HANG_S + 0.5, asleep)
     assert (result.level, result.condition) == (api.Level.ERROR, "node_hung")
-    assert "its executor has not turned for" in result.summary
+    assert "its executor has been blocked for" in result.summary
     known = [level for level in levels if level is not api.Level.STALE]
     assert known == sorted(known, key=lambda level: level is api.Level.ERROR)
     assert levels[int(2.5 * 4)] is api.Level.STALE
@@ -601,7 +601,7 @@ def test_a_stale_graph_after_a_restart_hides_no_dead_node() -> None:
     bench.restart_container(MAIN)
     result = bench.after(GRACE_S + 3.0, lambda passed: bench.ros.change(topics=flowing(passed)))
     assert (result.level, result.condition) == (api.Level.ERROR, "node_missing")
-    assert "none of the processes in its container is its own" in result.summary
+    assert "no process in its container matches it" in result.summary
 
 
 def test_a_node_started_anew_beside_its_siblings_is_not_dead() -> None:
@@ -737,7 +737,7 @@ def test_a_node_left_out_of_a_start_is_told_before_grace_ends() -> None:
     after_s, result = first_bad(bench, restarted(bench))
     assert 2.0 <= after_s <= 3.5
     assert (result.condition, result.brief, result.evidence.certain) == ("node_missing", "node_1 never started", True)
-    assert "it was not started with its container in ros_app: none of the processes" in result.summary
+    assert "it was not started with its container in ros_app: no process" in result.summary
 
 
 def test_a_node_that_comes_late_as_ever_gets_its_time() -> None:
@@ -828,7 +828,7 @@ def test_when_no_node_of_a_container_is_heard_though_all_run_nothing_is_restarte
     bench.ros.change(nodes={})
     result = bench.after(LOST_S + 1.0)
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_unreachable", "")
-    assert "no other node of ros_app is" in result.summary and "its process 71 runs" in result.summary
+    assert "or any other node of ros_app" in result.summary and "its process 71 is running" in result.summary
     bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1})
     assert bench.after(1.0).level is api.Level.OK
 
@@ -980,7 +980,7 @@ def test_who_is_missing_in_a_container_that_is_ending_is_not_dead(left: tuple[ap
     bench.ros.change(nodes={})
     result = bench.after(2.0)
     assert (result.level, result.condition) == (api.Level.STALE, "")
-    assert "its container is ending: its first process 70 has ended" in result.summary
+    assert "its container is stopping: its first process 70 has ended" in result.summary
     bench.docker.change("ros_app", status="exited")
     assert "its container is exited" in bench.after(2.0).summary
 

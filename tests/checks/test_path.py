@@ -40,7 +40,7 @@ def test_the_first_broken_hop_counts() -> None:
     ]
     assert first_broken(hops) == hops[3]
     assert first_broken(hops[:3]) is None
-    assert in_words(hops) == "GCS not known -> radio weak -> router BROKEN (silent) -> autopilot BROKEN"
+    assert in_words(hops) == "GCS unknown -> radio weak -> router BROKEN (silent) -> autopilot BROKEN"
 
 
 def test_what_is_behind_a_broken_hop_is_not_known() -> None:
@@ -50,7 +50,7 @@ def test_what_is_behind_a_broken_hop_is_not_known() -> None:
         Hop("radio", State.OK, "", ("router",)),
         Hop("router", State.BROKEN, "silent"),
     ]
-    assert in_words(seen_from_here(hops)) == "GCS not known (behind router) -> radio ok -> router BROKEN (silent)"
+    assert in_words(seen_from_here(hops)) == "GCS unknown (behind router) -> radio ok -> router BROKEN (silent)"
 
 
 def test_a_hop_says_what_its_check_says() -> None:
@@ -118,7 +118,7 @@ def test_a_ground_station_lost_behind_a_radio_that_answers(heartbeat_s: float) -
     world.run(40.0)
     (told,) = world.alarms
     assert told.startswith("gcs: GCS: no heartbeat")
-    assert "radio aboard answers" in world.text("gcs")
+    assert "onboard radio responds" in world.text("gcs")
 
 
 def test_nothing_heard_is_no_alarm() -> None:
@@ -128,7 +128,7 @@ def test_nothing_heard_is_no_alarm() -> None:
     world.run(60.0)
     assert world.alarms == []
     assert world.warnings == []
-    assert "GCS not known (never heard)" in world.text("path")
+    assert "GCS unknown (no heartbeat yet)" in world.text("path")
     assert "radio" not in world.text("path")
 
 
@@ -170,7 +170,7 @@ PORTS = [
     (errno.ENOENT, False, "port: ttyUSB0 missing", "check its cable"),
     (errno.ENOENT, True, "port: ttyUSB0 not mapped", "in PHM's container"),
     (errno.EACCES, True, "port: ttyUSB0 no permission", "dialout"),
-    (errno.EAGAIN, True, "port: ttyUSB0 used by mavproxy.py", "mavproxy.py (42)"),
+    (errno.EAGAIN, True, "port: ttyUSB0 in use by mavproxy.py", "mavproxy.py (42)"),
     (errno.EIO, True, "port: ttyUSB0 failed", "driver"),
 ]
 
@@ -209,8 +209,8 @@ def test_a_port_that_a_container_misses_too_is_one_alarm() -> None:
     world.run(30.0)
     assert world.alarms == ["devices/ros_app: ttyUSB0 missing"]
     assert world.bad() == {"devices/ros_app"}
-    assert "which devices/ros_app tells" in world.text("link/ground")
-    assert "stops at port" in world.text("path")
+    assert "which devices/ros_app reports" in world.text("link/ground")
+    assert "is broken at port" in world.text("path")
 
 
 def test_another_device_of_the_container_hides_no_link() -> None:
@@ -249,7 +249,7 @@ def test_a_node_that_takes_commands_is_part_of_the_path() -> None:
     world.run(30.0)
     assert world.alarms == ["nodes/a/controller: controller dead"]
     assert world.blocked() == {"path": "nodes/a/controller"}
-    assert "stops at application" in world.text("path")
+    assert "is broken at application" in world.text("path")
     assert world.tracker.state("path").result.evidence.broken_hop == "application"
     assert "application BROKEN (controller not in the graph)" in world.text("path")
 
@@ -280,11 +280,11 @@ def test_an_application_that_cannot_be_looked_at_is_not_known() -> None:
     world = PathWorld(ros={"nodes": [NODE]})
     world.ros.fail("the child is being replaced")
     world.run(3.0)
-    assert "application not known" in world.text("path")
+    assert "application unknown" in world.text("path")
     world.ros.work()
     world.ros.change(age_s=9.0)
     world.run(3.0)
-    assert "application not known (the picture of the ROS graph is 9.0 s old)" in world.text("path")
+    assert "application unknown (the ROS graph snapshot is 9.0 s old)" in world.text("path")
 
 
 # ---------------------------------------------------------------- two endpoints

@@ -24,7 +24,7 @@ def judge(peers: dict[int, PeerFact], agents: tuple[int, ...] = (2, 3, 4), **fie
 def test_all_live() -> None:
     results = judge(dict.fromkeys((2, 3, 4), ALIVE))
     assert {result.level for result in results.values()} == {Level.OK}
-    assert results[WHOLE].summary == "4 of 4 agents of the swarm live"
+    assert results[WHOLE].summary == "4 of 4 agents of the swarm are alive"
 
 
 def test_one_that_is_lost_is_told_by_its_own_unit() -> None:
@@ -36,7 +36,7 @@ def test_one_that_is_lost_is_told_by_its_own_unit() -> None:
 
 def test_who_still_hears_the_lost_one_is_named() -> None:
     results = judge({2: ALIVE, 3: PeerFact("lost", 20.0, (4,), (1, 2)), 4: ALIVE})
-    assert "unheard by A01 A02, here for 20 s, but A04 hear it" in results["peers/A03"].summary
+    assert "no heartbeat received by A01 A02, here for 20 s, but still received by A04" in results["peers/A03"].summary
 
 
 def test_a_loss_is_conclusive_by_the_word_of_others() -> None:
@@ -72,7 +72,7 @@ def test_a_split_is_one_fault_and_the_cause_of_the_single_ones() -> None:
     assert all(unit.needs == (WHOLE,) for unit in check.units if unit.id != WHOLE)
     result = judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[WHOLE]
     assert (result.level, result.condition) == (Level.ERROR, "split")
-    assert "A03 A04 vanished together and A01 A02 are here" in result.summary
+    assert "A03 A04 disappeared together and A01 A02 are still reachable" in result.summary
 
 
 def test_those_that_come_back_one_by_one_are_not_told_each_time() -> None:

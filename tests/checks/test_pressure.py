@@ -146,7 +146,7 @@ def test_a_container_that_others_keep_from_running_names_who_has_the_cpus() -> N
     bench.pressure.taken = (api.ConsumerFact("slam", 1.83), api.ConsumerFact("ros_app", 0.1))
     result = bench.looks(3, cpu=0.96, cpu_used_s=0.02)[-1]
     assert (result.level, result.condition) == (api.Level.ERROR, "cpu_starved")
-    assert "waits 96 % of the time for a CPU that others have; slam takes 1.8 CPUs" in result.summary
+    assert "waits 96 % of the time for a CPU that others use; slam uses 1.8 CPUs" in result.summary
     assert result.brief == "ros_app waits 96% for CPU (slam)"
 
 
@@ -155,7 +155,7 @@ def test_programs_outside_of_containers_are_named_as_such() -> None:
     bench = Bench(replace(FACT, cpu_limit=None))
     bench.pressure.taken = (api.ConsumerFact("", 1.83),)
     result = bench.looks(4, cpu=0.96)[-1]
-    assert "what runs outside of containers takes 1.8 CPUs" in result.summary
+    assert "a process outside containers uses 1.8 CPUs" in result.summary
     assert result.brief == "ros_app waits 96% for CPU"
 
 
@@ -259,7 +259,7 @@ def test_what_does_not_run_or_cannot_be_seen_is_a_bypass() -> None:
     bench = Bench()
     bench.pressure.put("ros_app", None)
     result = bench.check.run(bench.world)
-    assert isinstance(result, api.Result) and result.bypass and "does not run" in result.summary
+    assert isinstance(result, api.Result) and result.bypass and "is not running" in result.summary
     bench.pressure.fail(api.NotPermitted("the proxy refuses it"))
     result = bench.check.run(bench.world)
     assert isinstance(result, api.Result) and result.bypass and "the proxy refuses it" in result.summary
@@ -274,7 +274,7 @@ def test_the_source_and_what_it_does_not_show_are_in_the_text() -> None:
         replace(FACT, source="engine statistics", not_seen=("waiting for CPU", "refused processes"), cpu=None)
     )
     assert bench.looks(3)[-1].summary == (
-        "ros_app is short of nothing (engine statistics; not seen: waiting for CPU, refused processes)"
+        "ros_app has enough CPU, memory and I/O (engine statistics; not available: waiting for CPU, refused processes)"
     )
 
 

@@ -322,7 +322,7 @@ class Crowd:
 
 
 def test_consumers_are_named_most_first(tmp_path: Path) -> None:
-    """By key or by the engine's name; what runs outside of containers has none. The first question has nothing to compare with."""
+    """By key or by the engine's name; a process outside containers has none. The first question has nothing to compare with."""
     crowd = Crowd(tmp_path)
     assert crowd.consumers.read() == ()
     crowd.clock.advance(2.0)

@@ -97,7 +97,7 @@ def test_behind_a_closed_link_it_is_not_known() -> None:
 
 
 WEAK = [
-    ({"margin": 12.0}, "radio_weak", "radio: weak, margin 12", "aboard"),
+    ({"margin": 12.0}, "radio_weak", "radio: weak, margin 12", "on board"),
     ({"remmargin": 9.0}, "radio_weak", "radio: weak, margin 9", "on the ground"),
     ({"txbuf": 15}, "radio_full", "radio: buffer full", "85 % full"),
     ({"rxerrors_s": 8.0}, "radio_errors", "radio: damaged packets", "8.0 damaged packets"),

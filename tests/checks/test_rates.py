@@ -123,7 +123,7 @@ def test_the_unevenness_of_a_publisher_is_no_wrong_rate() -> None:
     assert Bench(1.0).twice(0.75, error_hz=0.1).level is api.Level.OK
     result = Bench(1.0).twice(0.6, error_hz=0.1)
     assert result.level is api.Level.WARN
-    assert "40 % too low, expected 1 Hz within 10 %, and 25 % for its unevenness" in result.summary
+    assert "40 % too low, expected 1 Hz within 10 %, and 25 % for its jitter" in result.summary
     assert Bench(1.0).twice(0.5, error_hz=0.1).level is api.Level.ERROR
 
 

@@ -115,7 +115,7 @@ def test_a_lost_ground_station_is_told_once_and_cleared(flight: Flight) -> None:
     """It closes and comes back: one alarm, at the ground station, and the new one hears of it."""
     flight.ground.stop()
     until(flight.alarms, "the alarm")
-    assert "stops at GCS" in until(lambda: flight.path() if "stops" in flight.path() else "")
+    assert "is broken at GCS" in until(lambda: flight.path() if "is broken" in flight.path() else "")
     flight.ground = flight.new_ground()
     until(flight.settled, "all being well")
     assert [told.partition(":")[0] for told in flight.alarms()] == ["gcs GCS"]
@@ -139,7 +139,7 @@ def test_radios_that_do_not_hear_each_other_lose_the_ground_station(flight: Flig
     until(flight.alarms, "the alarm")
     fault = next(event.fault for event in list(flight.events) if isinstance(event, FaultOpened))
     assert fault.unit == "gcs"
-    assert "the radio aboard answers" in fault.result.summary
+    assert "the onboard radio responds" in fault.result.summary
     until(lambda: any(state.result.brief == "radio: buffer full" for state in flight.daemon.pipeline.states()))
     flight.radio.air.cut = False
     until(flight.settled, "all being well")

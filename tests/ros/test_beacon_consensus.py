@@ -87,7 +87,7 @@ def test_a_split_names_its_sides(scene: Scene, bench: Bench) -> None:
     result = scene.wait(2, "split", observers=4)
     assert result.level is api.Level.WARN
     assert result.brief == "nodes split 2|1"
-    assert "agent_1/a, agent_1/b | agent_1/c do not hear each other" in result.summary
+    assert "agent_1/a, agent_1/b | agent_1/c do not receive each other" in result.summary
 
 
 def test_a_node_without_a_beacon_takes_part_by_its_topic(bench: Bench) -> None:
@@ -101,7 +101,7 @@ def test_a_node_without_a_beacon_takes_part_by_its_topic(bench: Bench) -> None:
     def told() -> bool:
         result = check.run(testing.world(ros=probe))
         assert isinstance(result, api.Result)
-        return result.summary.endswith("; agent_1/plain without a beacon, by PHM's word alone")
+        return result.summary.endswith("; agent_1/plain without a beacon, observed by PHM only")
 
     until(told, "its part")
     plain.kill()

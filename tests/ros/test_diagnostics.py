@@ -263,7 +263,7 @@ def test_a_running_daemon_judges_what_it_hears_and_is_seen_by_others(bench: Benc
         camera.say([FREQUENCY, 2, "no image", "cam-07", {}])
         until(lambda: level() == 2, "ERROR")
         message, hardware, values = monitor.heard[unit][1:]
-        assert message.startswith("camera: Frequency says ERROR: no image (hardware id cam-07)")
+        assert message.startswith("camera: Frequency reports ERROR: no image (hardware id cam-07)")
         assert (hardware, values["condition"], values["slot"]) == ("agent_7", "diagnostic_error", "6")
         assert values["fault"] and values["status"] == FREQUENCY
         until(lambda: "camera: Frequency ERROR" in monitor.heard["phm/agent_7: summary"][1], "the summary")

@@ -199,7 +199,7 @@ def test_an_executor_that_waits_for_ever_hangs(agent: Agent) -> None:
     node.send_signal(signal.SIGUSR1)
     fault = agent.told()
     assert (fault.unit, fault.result.condition) == (NODE, "node_hung")
-    assert "its executor has not turned for" in fault.result.summary
+    assert "its executor has been blocked for" in fault.result.summary
     agent.blames(NODE)
     agent.until(lambda: agent.state(NODE).level is Level.OK and agent.state(RATE).level is Level.OK, "its return")
     assert len(agent.faults) == 1
