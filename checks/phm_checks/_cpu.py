@@ -11,9 +11,9 @@ from datetime import datetime
 
 from phm import api
 from phm.api import Level
-from phm_checks._graded import Graded
-from phm_checks._taken import taken_by
-from phm_checks._words import Steady, span
+from phm_checks._cpu_consumers import top_consumer
+from phm_checks._text import StableNumber, span
+from phm_checks._threshold import Threshold
 
 WAITING_PERCENT = 40.0
 """Tasks must have waited for a core for this share of the quick window: cores that are all busy while nobody waits are well used."""
@@ -31,11 +31,11 @@ class Cpu:
 
     def __init__(self, settings: api.Settings) -> None:
         limits = self._limits = settings.host
-        self._mean = Graded(limits.cpu.warn, limits.cpu.error)
+        self._mean = Threshold(limits.cpu.warn, limits.cpu.error)
         self._readings: deque[tuple[float, float]] = deque(maxlen=_MOST_READINGS)
         self._quick: deque[tuple[float, float, float]] = deque(maxlen=_MOST_READINGS)
         self._told: tuple[float, Level, str] | None = None
-        self._steady = Steady(share=0.05)
+        self._steady = StableNumber(share=0.05)
         self._containers = [entry.key for entry in settings.containers]
         self._start_s = settings.ros.grace
         self._first: float | None = None
@@ -57,7 +57,7 @@ class Cpu:
         if fact.waiting_percent is not None:
             values["cpu_waiting_percent"] = round(fact.waiting_percent, 1)
         # It takes two questions to know who has the CPUs: the first is asked before there is something to report.
-        self._taken = taken_by(world) if fact.cpu_percent >= self._limits.cpu.warn else None
+        self._taken = top_consumer(world) if fact.cpu_percent >= self._limits.cpu.warn else None
         full = now - self._readings[0][0] >= window_s
         level = self._mean.level(mean)
         quick = self._judge_quickly(fact, now, world)

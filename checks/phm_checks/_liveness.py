@@ -22,7 +22,7 @@ class Kind(IntEnum):
     NAME = 6
 
 
-class Says(Enum):
+class Observation(Enum):
     """What a piece of evidence says about the node."""
 
     ALIVE = "alive"
@@ -38,7 +38,7 @@ class Says(Enum):
     """Of a container: it goes, and all in it, and the engine has not noticed yet."""
 
 
-class State(Enum):
+class NodeState(Enum):
     ALIVE = "alive"
     HUNG = "hung"
     UNANSWERING = "unanswering"
@@ -69,7 +69,7 @@ class Evidence:
     process, whether it is known if it computes."""
 
     kind: Kind
-    says: Says
+    says: Observation
     words: str
     age_s: float = 0.0
     lasted_s: float = 0.0
@@ -77,7 +77,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
-class Past:
+class NodeHistory:
     """alive: the node was judged alive just before. seen: it was alive in this life of its container. starting: it, or its
     container, began a moment ago. twice: it has been listed more than once for longer than any lease. contained: it runs in a
     container whose processes the engine is asked for. unlisted: the engine could not list them.
@@ -92,8 +92,8 @@ class Past:
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
-    state: State
+class NodeVerdict:
+    state: NodeState
     words: str
     """The evidence, the decisive first."""
     busy_s: float = 0.0
@@ -104,149 +104,149 @@ class Judgement:
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class Findings:
     """All evidence about one node, at most one piece of each kind."""
 
     of: Mapping[Kind, Evidence]
-    past: Past
+    past: NodeHistory
 
-    def says(self, kind: Kind, *what: Says) -> Evidence | None:
+    def says(self, kind: Kind, *what: Observation) -> Evidence | None:
         found = self.of.get(kind)
         return found if found is not None and found.says in what else None
 
     def alive_since(self, then: Evidence) -> bool:
         """Whether the node beat or published after `then` was observed."""
-        signs = (self.says(Kind.BEACON, Says.ALIVE, Says.LATE), self.says(Kind.TOPICS, Says.ALIVE))
+        signs = (self.says(Kind.BEACON, Observation.ALIVE, Observation.LATE), self.says(Kind.TOPICS, Observation.ALIVE))
         return any(sign is not None and sign.age_s + NEWER_S < then.age_s for sign in signs)
 
 
-Verdict = tuple[State, Kind | None] | None
+RuleResult = tuple[NodeState, Kind | None] | None
 """The state and the kind of evidence that decided, or nothing."""
 
 
-def fuse(evidence: Iterable[Evidence], past: Past) -> Judgement:
+def fuse(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
     """The state of one node."""
-    case = Case({piece.kind: piece for piece in evidence}, past)
+    case = Findings({piece.kind: piece for piece in evidence}, past)
     verdicts = (rule(case) for rule in RULES)
-    state, decisive = next((verdict for verdict in verdicts if verdict is not None), (State.UNKNOWN, None))
-    busy = case.says(Kind.PROCESS, Says.BUSY)
-    unanswered = case.says(Kind.BEACON, Says.SILENT, Says.LATE)
-    busy_s = unanswered.lasted_s if state is State.ALIVE and busy is not None and unanswered is not None else 0.0
+    state, decisive = next((verdict for verdict in verdicts if verdict is not None), (NodeState.UNKNOWN, None))
+    busy = case.says(Kind.PROCESS, Observation.BUSY)
+    unanswered = case.says(Kind.BEACON, Observation.SILENT, Observation.LATE)
+    busy_s = unanswered.lasted_s if state is NodeState.ALIVE and busy is not None and unanswered is not None else 0.0
     pieces = sorted(case.of.values(), key=lambda piece: (piece.kind is not decisive, piece.kind))
-    witnessed = state in (State.DEAD, State.HUNG) and decisive in (Kind.CONTAINER, Kind.PROCESS)
-    return Judgement(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed)
+    witnessed = state in (NodeState.DEAD, NodeState.HUNG) and decisive in (Kind.CONTAINER, Kind.PROCESS)
+    return NodeVerdict(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed)
 
 
-def container(case: Case) -> Verdict:
+def container(case: Findings) -> RuleResult:
     """1. Nothing lives in a container that does not run, and nothing moves in one that is paused. What is missing in one that ends
     goes with it: the engine will say so."""
-    if case.says(Kind.CONTAINER, Says.ENDING):
-        return State.UNKNOWN, Kind.CONTAINER
-    if case.says(Kind.CONTAINER, Says.GONE):
-        return State.DEAD, Kind.CONTAINER
-    return (State.HUNG, Kind.CONTAINER) if case.says(Kind.CONTAINER, Says.STOPPED) else None
+    if case.says(Kind.CONTAINER, Observation.ENDING):
+        return NodeState.UNKNOWN, Kind.CONTAINER
+    if case.says(Kind.CONTAINER, Observation.GONE):
+        return NodeState.DEAD, Kind.CONTAINER
+    return (NodeState.HUNG, Kind.CONTAINER) if case.says(Kind.CONTAINER, Observation.STOPPED) else None
 
 
-def process(case: Case) -> Verdict:
+def process(case: Findings) -> RuleResult:
     """2. A process that ended is a dead node, one that is stopped a hung node, unless it gave a sign of life since.
 
     A node that said good-bye may go with its container: that is waited for.
     """
-    found = case.says(Kind.PROCESS, Says.GONE, Says.STOPPED)
+    found = case.says(Kind.PROCESS, Observation.GONE, Observation.STOPPED)
     if found is None or case.alive_since(found):
         return None
-    if found.says is Says.STOPPED:
-        return State.HUNG, Kind.PROCESS
-    return (State.ALIVE, Kind.NAME) if _just_left(case) else (_missing(case), Kind.PROCESS)
+    if found.says is Observation.STOPPED:
+        return NodeState.HUNG, Kind.PROCESS
+    return (NodeState.ALIVE, Kind.NAME) if _just_left(case) else (_missing(case), Kind.PROCESS)
 
 
-def _missing(case: Case) -> State:
-    return State.DEAD if case.past.seen else State.NEVER_STARTED
+def _missing(case: Findings) -> NodeState:
+    return NodeState.DEAD if case.past.seen else NodeState.NEVER_STARTED
 
 
-def _just_left(case: Case) -> bool:
-    name = case.says(Kind.NAME, Says.GONE)
+def _just_left(case: Findings) -> bool:
+    name = case.says(Kind.NAME, Observation.GONE)
     return case.past.alive and name is not None and name.lasted_s < GOODBYE_S
 
 
-def silent_beacon(case: Case) -> Verdict:
+def silent_beacon(case: Findings) -> RuleResult:
     """3. A beacon has a thread of its own: when it is silent the process is dead, stopped, or has no processor.
 
     Topics that flow, or a process that computes, prove the last; one that sleeps is given time.
     """
-    beacon = case.says(Kind.BEACON, Says.SILENT)
-    if beacon is None or case.says(Kind.NAME, Says.GONE):
+    beacon = case.says(Kind.BEACON, Observation.SILENT)
+    if beacon is None or case.says(Kind.NAME, Observation.GONE):
         return None
-    if case.says(Kind.TOPICS, Says.ALIVE):
-        return State.ALIVE, Kind.TOPICS
-    if case.says(Kind.PROCESS, Says.BUSY):
-        return State.ALIVE, Kind.PROCESS
-    if case.says(Kind.PROCESS, Says.ALIVE) or case.past.unlisted:
+    if case.says(Kind.TOPICS, Observation.ALIVE):
+        return NodeState.ALIVE, Kind.TOPICS
+    if case.says(Kind.PROCESS, Observation.BUSY):
+        return NodeState.ALIVE, Kind.PROCESS
+    if case.says(Kind.PROCESS, Observation.ALIVE) or case.past.unlisted:
         return _unanswering(case, beacon), Kind.BEACON
-    return State.DEAD, Kind.BEACON
+    return NodeState.DEAD, Kind.BEACON
 
 
-def late_beacon(case: Case) -> Verdict:
+def late_beacon(case: Findings) -> RuleResult:
     """4. An executor that does not turn hangs, unless the process computes, or publishes from another thread."""
-    beacon = case.says(Kind.BEACON, Says.LATE)
+    beacon = case.says(Kind.BEACON, Observation.LATE)
     if beacon is None:
         return None
-    if case.says(Kind.PROCESS, Says.BUSY):
-        return State.ALIVE, Kind.PROCESS
-    if case.says(Kind.TOPICS, Says.ALIVE):
-        return State.ALIVE, Kind.TOPICS
+    if case.says(Kind.PROCESS, Observation.BUSY):
+        return NodeState.ALIVE, Kind.PROCESS
+    if case.says(Kind.TOPICS, Observation.ALIVE):
+        return NodeState.ALIVE, Kind.TOPICS
     return _unanswering(case, beacon), Kind.BEACON
 
 
-def _unanswering(case: Case, beacon: Evidence) -> State:
+def _unanswering(case: Findings, beacon: Evidence) -> NodeState:
     """A process that is known not to compute hangs. Where nobody can tell, a node of a container is not taken for hung: a busy
     one would be restarted for it."""
-    process = case.says(Kind.PROCESS, Says.ALIVE)
+    process = case.says(Kind.PROCESS, Observation.ALIVE)
     if process is not None and process.measured:
-        return State.HUNG if beacon.lasted_s >= HANG_S else State.UNKNOWN
+        return NodeState.HUNG if beacon.lasted_s >= HANG_S else NodeState.UNKNOWN
     if beacon.lasted_s < BLIND_HANG_S:
-        return State.UNKNOWN
-    return State.UNANSWERING if case.past.contained else State.HUNG
+        return NodeState.UNKNOWN
+    return NodeState.UNANSWERING if case.past.contained else NodeState.HUNG
 
 
-def sign_of_life(case: Case) -> Verdict:
+def sign_of_life(case: Findings) -> RuleResult:
     """5. Whoever beats or publishes is alive, whatever the graph says."""
     for kind in (Kind.BEACON, Kind.TOPICS):
-        if case.says(kind, Says.ALIVE):
-            return (State.DUPLICATE, Kind.NAME) if case.past.twice else (State.ALIVE, kind)
+        if case.says(kind, Observation.ALIVE):
+            return (NodeState.DUPLICATE, Kind.NAME) if case.past.twice else (NodeState.ALIVE, kind)
     return None
 
 
-def left_the_graph(case: Case) -> Verdict:
+def left_the_graph(case: Findings) -> RuleResult:
     """6. A name that is gone is a dead node; while its process runs, only after LOST_S, and never while it computes."""
-    name = case.says(Kind.NAME, Says.GONE)
+    name = case.says(Kind.NAME, Observation.GONE)
     if name is None:
         return None
     if _just_left(case):
-        return State.ALIVE, Kind.NAME
-    runs = case.says(Kind.PROCESS, Says.ALIVE) and name.lasted_s < LOST_S
-    if case.past.starting or runs or case.says(Kind.PROCESS, Says.BUSY):
-        return State.UNKNOWN, Kind.NAME
+        return NodeState.ALIVE, Kind.NAME
+    runs = case.says(Kind.PROCESS, Observation.ALIVE) and name.lasted_s < LOST_S
+    if case.past.starting or runs or case.says(Kind.PROCESS, Observation.BUSY):
+        return NodeState.UNKNOWN, Kind.NAME
     return _missing(case), Kind.NAME
 
 
-def bare_name(case: Case) -> Verdict:
+def bare_name(case: Findings) -> RuleResult:
     """7. A name without its endpoints is not alive, unless its process is: then it is its topics that are at fault."""
-    ends = case.says(Kind.ENDPOINTS, Says.GONE)
-    if ends is None or case.says(Kind.PROCESS, Says.ALIVE, Says.BUSY):
+    ends = case.says(Kind.ENDPOINTS, Observation.GONE)
+    if ends is None or case.says(Kind.PROCESS, Observation.ALIVE, Observation.BUSY):
         return None
     sure = ends.lasted_s >= BARE_S and not case.past.starting
-    return (State.DEAD if sure else State.UNKNOWN), Kind.ENDPOINTS
+    return (NodeState.DEAD if sure else NodeState.UNKNOWN), Kind.ENDPOINTS
 
 
-def listed(case: Case) -> Verdict:
+def listed(case: Findings) -> RuleResult:
     """8. Else it is as the graph says. A topic that is silent is not by itself a sign of death: that is its own fault."""
-    if case.says(Kind.NAME, Says.ALIVE) is None:
+    if case.says(Kind.NAME, Observation.ALIVE) is None:
         return None
-    return (State.DUPLICATE if case.past.twice else State.ALIVE), Kind.NAME
+    return (NodeState.DUPLICATE if case.past.twice else NodeState.ALIVE), Kind.NAME
 
 
-RULES: tuple[Callable[[Case], Verdict], ...] = (
+RULES: tuple[Callable[[Findings], RuleResult], ...] = (
     container,
     process,
     silent_beacon,

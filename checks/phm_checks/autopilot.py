@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import all_closed, link_id, link_of, routed, silent, starting, target_of, to_autopilot
-from phm_checks._words import Steady, brief, span
+from phm_checks._command_path import all_closed, link_id, link_of, routed, silent, starting, target_of, to_autopilot
+from phm_checks._text import StableNumber, brief, span
 
 TOLD_S = 30.0
 """A reboot is told for so long: a ground station that is away for a moment hears of it, too."""
@@ -29,7 +29,7 @@ class Autopilot(api.Check):
     def __init__(self, settings: api.Settings) -> None:
         self._settings = settings
         self._links = to_autopilot(settings)
-        self._age = Steady(share=1.0)
+        self._age = StableNumber(share=1.0)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._words import brief, clean, joined, listed, span
+from phm_checks._text import brief, clean, joined, listed, span
 
 TOLD_S = 12.0
 """What is over when it is noticed is told for so long: once in a refresh of the status line, 10 s apart."""

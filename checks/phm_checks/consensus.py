@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._quorum import Agreement, Verdict, agree
-from phm_checks._words import brief, joined, last, listed, span
+from phm_checks._node_consensus import Agreement, Verdict, agree
+from phm_checks._text import brief, joined, last, listed, span
 
 OLD_PICTURE_S = 5.0
 """A picture of the graph older than this proves nothing."""

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Slot
-from phm_checks._lives import BY_HAND, STEADY_S, Lives
 from phm_checks._per_container import PerContainer
-from phm_checks._words import brief, clean, span
+from phm_checks._restart_loop import OTHER_STARTS, STABLE_S, RestartLoop
+from phm_checks._text import brief, clean, span
 
 _CODES = {
     0: "ended by itself without an error",
@@ -43,15 +43,15 @@ class Container(PerContainer):
     period_s = 5.0
     """No event tells that a restarted container has run for long enough."""
 
-    def __init__(self, entry: api.ContainerSettings, steady_s: float = STEADY_S, by_hand: int = BY_HAND) -> None:
+    def __init__(self, entry: api.ContainerSettings, steady_s: float = STABLE_S, by_hand: int = OTHER_STARTS) -> None:
         super().__init__(entry)
-        self._lives = Lives(steady_s, by_hand)
+        self._lives = RestartLoop(steady_s, by_hand)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
         """Grace follows each start, so a life shorter than that of what runs in it proves nothing."""
-        steady_s = max(STEADY_S, settings.ros.grace)
-        by_hand = max(BY_HAND, settings.recovery.budget + 1)
+        steady_s = max(STABLE_S, settings.ros.grace)
+        by_hand = max(OTHER_STARTS, settings.recovery.budget + 1)
         return [cls(entry, steady_s, by_hand) for entry in settings.containers]
 
     @property

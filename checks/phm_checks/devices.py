@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from phm import api
 from phm.api import Slot
 from phm_checks._per_container import PerContainer
-from phm_checks._words import brief, clean, joined, last, listed
+from phm_checks._text import brief, clean, joined, last, listed
 
 _SERIAL_MAJORS = frozenset({166, 188, 204})
 """ttyACM, ttyUSB and the UARTs of ARM boards, from the kernel's devices.txt; ttyS is 4 from minor 64 on."""

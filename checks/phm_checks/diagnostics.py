@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._words import brief, clean, did_you_mean, last, listed, span
+from phm_checks._text import brief, clean, did_you_mean, last, listed, span
 
 OLD_PICTURE_S = 5.0
 """What the ROS child said longer ago than this proves nothing."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._words import clean
+from phm_checks._text import clean
 
 SETTLE_S = 0.3
 """A lost event stream wakes this check at once, so a refusal need not wait for the next period to be confirmed; a connection that

@@ -8,7 +8,7 @@ from dataclasses import replace
 from phm import api
 from phm.api import Slot
 from phm_checks._per_container import PerContainer
-from phm_checks._words import brief, clean, joined, last, listed
+from phm_checks._text import brief, clean, joined, last, listed
 
 SETTLE_S = 0.2
 """A file in a volume is looked at as soon as it changes, and whoever replaces one often removes the old one first."""

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import QUIET_S, all_closed, link_id, radio_id, to_autopilot, to_ground, with_radio
-from phm_checks._words import Steady, brief, span
+from phm_checks._command_path import QUIET_S, all_closed, link_id, radio_id, to_autopilot, to_ground, with_radio
+from phm_checks._text import StableNumber, brief, span
 
 SAME_S = 0.3
 """Two moments that differ by less are of one heartbeat."""
@@ -25,7 +25,7 @@ class Gcs(api.Check):
 
     def __init__(self, settings: api.Settings) -> None:
         self._settings = settings
-        self._age = Steady(share=1.0)
+        self._age = StableNumber(share=1.0)
         self._lost_at: float | None = None
         """When the ground station was heard last that was told as lost before the timeout."""
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from phm import api
 from phm.api import Slot
 from phm_checks._per_container import PerContainer
-from phm_checks._words import brief, clean, span
+from phm_checks._text import brief, clean, span
 
 
 class Health(PerContainer):

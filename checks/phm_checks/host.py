@@ -8,11 +8,11 @@ from dataclasses import replace
 from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._cpu import Cpu
-from phm_checks._graded import Graded
-from phm_checks._stalls import Stalls
-from phm_checks._words import Steady, brief, clean, joined, listed, span
+from phm_checks._host_pressure import HostPressure
+from phm_checks._text import StableNumber, brief, clean, joined, listed, span
+from phm_checks._threshold import Threshold
 
-__all__ = ["STEP_TOLD_S", "Graded", "Host"]
+__all__ = ["STEP_TOLD_S", "Host", "Threshold"]
 
 STEP_TOLD_S = 30.0
 """A jump of the clock lasts one reading; it is told for this long so that it is seen."""
@@ -29,15 +29,15 @@ class Host(api.Check):
     def __init__(self, settings: api.Settings) -> None:
         self._limits = limits = settings.host
         self._cpu = Cpu(settings)
-        self._memory = Graded(limits.memory.warn, limits.memory.error)
-        self._disks: dict[str, Graded] = {}
-        self._heat = Graded(limits.temperature_warn, limits.temperature_error)
+        self._memory = Threshold(limits.memory.warn, limits.memory.error)
+        self._disks: dict[str, Threshold] = {}
+        self._heat = Threshold(limits.temperature_warn, limits.temperature_error)
         self._step: tuple[float, float] | None = None
         self._window_s = settings.pressure.host_window
-        self._memory_stalls = Stalls(settings.pressure.host_memory, self._window_s)
+        self._memory_stalls = HostPressure(settings.pressure.host_memory, self._window_s)
         self._io_limit = settings.pressure.host_io
-        self._io_stalls = Stalls(self._io_limit, self._window_s)
-        self._steady = Steady(share=0.05)
+        self._io_stalls = HostPressure(self._io_limit, self._window_s)
+        self._steady = StableNumber(share=0.05)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -138,7 +138,7 @@ class Host(api.Check):
             return api.stale(f"disk {path} cannot be read: {clean(disk.problem)}")
         most = max(disk.used_percent, disk.inodes_used_percent)
         what = "full" if disk.used_percent >= disk.inodes_used_percent else "of inodes used"
-        graded = self._disks.setdefault(disk.path, Graded(self._limits.disk.warn, self._limits.disk.error))
+        graded = self._disks.setdefault(disk.path, Threshold(self._limits.disk.warn, self._limits.disk.error))
         values: dict[str, api.Value] = {
             f"disk_percent {path}": round(disk.used_percent, 1),
             f"inodes_percent {path}": round(disk.inodes_used_percent, 1),

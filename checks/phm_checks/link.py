@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import kind, link_id, link_of, named, routed, starting, target_of, ways
-from phm_checks._words import Steady, brief, clean, joined, last, listed, span
+from phm_checks._command_path import kind, link_id, link_of, named, routed, starting, target_of, ways
+from phm_checks._text import StableNumber, brief, clean, joined, last, listed, span
 
 SETTLE_S = 2.0
 """A port or a connection that is opened anew at once is no news: an autopilot on USB is away for a moment when it reboots."""
@@ -37,7 +37,7 @@ class Link(api.Check):
     def __init__(self, entry: api.EndpointSettings, settings: api.Settings) -> None:
         self.entry, self._settings = entry, settings
         self._label = named(kind(entry), entry, ways(settings))
-        self._loss, self._silence = Steady(share=0.5), Steady(share=1.0)
+        self._loss, self._silence = StableNumber(share=0.5), StableNumber(share=1.0)
         self._was: frozenset[str] = frozenset()
         self._open_since: float | None = float("-inf")
         """None while it is closed."""

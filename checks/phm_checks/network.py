@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Slot
-from phm_checks._deaf import Deaf
+from phm_checks._data_path import DataPath
 from phm_checks._per_container import PerContainer
-from phm_checks._words import brief, clean, joined, listed
+from phm_checks._text import brief, clean, joined, listed
 
 _NO_ORDER = ("network_missing", "no_network", "disconnected", "sidecar_disconnected", "address_silent")
 """Causes before consequences: the first of these that was found is the condition of the unit."""
@@ -25,7 +25,7 @@ class Network(PerContainer):
 
     def __init__(self, entry: api.ContainerSettings, settings: api.Settings) -> None:
         super().__init__(entry)
-        self._deaf = Deaf(self.key, settings)
+        self._deaf = DataPath(self.key, settings)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:

@@ -6,11 +6,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._liveness import Evidence, Judgement, Kind, Past, Says, State, fuse
-from phm_checks._matching import Wanted
-from phm_checks._roster import NEVER, Roster
-from phm_checks._signs import TWICE_S, Ends, Signs
-from phm_checks._words import brief, did_you_mean, last, span
+from phm_checks._graph_evidence import TWICE_S, GraphEvidence, NodeTopics
+from phm_checks._liveness import Evidence, Kind, NodeHistory, NodeState, NodeVerdict, Observation, fuse
+from phm_checks._process_matching import Wanted
+from phm_checks._process_table import NEVER, ProcessTable
+from phm_checks._text import brief, did_you_mean, last, span
 
 OLD_PICTURE_S = 5.0
 """A picture of the graph older than this proves nothing."""
@@ -31,9 +31,9 @@ class _Node:
     """What is remembered of one node. state: as judged last. seen: whether it was alive in this life of its container. known:
     in any life that PHM has seen."""
 
-    def __init__(self, wanted: Wanted, signs: Signs) -> None:
+    def __init__(self, wanted: Wanted, signs: GraphEvidence) -> None:
         self.wanted, self.signs = wanted, signs
-        self.state: State | None = None
+        self.state: NodeState | None = None
         self.seen = self.known = False
         self.copies = 0
         """Processes of its own, where more than one lasts: then it is known to run twice, whatever leases say."""
@@ -43,13 +43,13 @@ class _Node:
     @property
     def doubts(self) -> set[tuple[str, str]]:
         """Why it may not be well, with its name. What is told as bad is looked at until it is well."""
-        well = self.state in (State.ALIVE, None) or (self.state is State.DUPLICATE and not self.copies)
+        well = self.state in (NodeState.ALIVE, None) or (self.state is NodeState.DUPLICATE and not self.copies)
         told = set() if well or self.state is None else {self.state.value}
         return {(self.wanted.name, why) for why in self.signs.doubts | told}
 
     def judge(
         self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float, fit: int, *, unlisted: bool
-    ) -> Judgement:
+    ) -> NodeVerdict:
         """fit: how many processes may be the node's own. While two that were told are there, the graph may be a new one that does
         not list both yet (`phm.probes.ros.stale_nodes`). unlisted: they cannot be listed."""
         both = fit > 1 and (self.signs.twofold or self.copies > 0)
@@ -57,8 +57,8 @@ class _Node:
         lasts = self._both_since is not None and (self.signs.rivals > 0 or now - self._both_since >= BOTH_S)
         self.copies = fit if lasts else 0
         starting = now - began_at < grace_s
-        past = Past(
-            self.state is State.ALIVE,
+        past = NodeHistory(
+            self.state is NodeState.ALIVE,
             self.seen,
             starting,
             self.copies > 0 or self.signs.twice(now),
@@ -69,7 +69,7 @@ class _Node:
         self.state = judgement.state
         return judgement
 
-    def live(self, roster: Roster | None, evidence: Iterable[Evidence], now: float) -> None:
+    def live(self, roster: ProcessTable | None, evidence: Iterable[Evidence], now: float) -> None:
         """Note whether it was alive in this life of its container. A name alone may be a dead node's, until its lease ends; and
         who is heard in the first moment may be a node of the life before, which ends while this one begins."""
         life, began_at = ("", NEVER) if roster is None else (roster.life, roster.began_at(self.wanted.name))
@@ -77,12 +77,12 @@ class _Node:
             self._life, self.seen = life, self.seen and not self._life
         heard = any(
             piece.kind in (Kind.BEACON, Kind.TOPICS)
-            and piece.says is Says.ALIVE
+            and piece.says is Observation.ALIVE
             and now - piece.age_s > began_at + OVERLAP_S
             for piece in evidence
         )
         if (roster is not None and roster.lived(self.wanted.name)) or (
-            self.state in (State.ALIVE, State.DUPLICATE)
+            self.state in (NodeState.ALIVE, NodeState.DUPLICATE)
             and (heard or self.signs.appeared_at > began_at or now - began_at > TWICE_S)
         ):
             self.seen = self.known = True
@@ -100,9 +100,11 @@ class Nodes(api.Check):
         for entry in settings.ros.nodes:
             name = f"/{api.topic_id(entry.name)}"
             wanted = Wanted(name, settings.container_of_node(name), tuple(entry.process))
-            self._nodes.append(_Node(wanted, Signs(name, Ends.of(name, settings.ros.topics), self._grace_s)))
+            self._nodes.append(
+                _Node(wanted, GraphEvidence(name, NodeTopics.of(name, settings.ros.topics), self._grace_s))
+            )
         self._rosters = {
-            key: Roster(key, [node.wanted for node in self._nodes if node.wanted.container == key], self._grace_s)
+            key: ProcessTable(key, [node.wanted for node in self._nodes if node.wanted.container == key], self._grace_s)
             for key in dict.fromkeys(node.wanted.container for node in self._nodes if node.wanted.container)
         }
 
@@ -184,8 +186,8 @@ class Nodes(api.Check):
         level, words, short, condition = self._words(node, judgement, fact, why)
         values: dict[str, api.Value] = {"listed": node.signs.count, "process": told}
         known = api.Evidence(
-            certain=judgement.state is State.NEVER_STARTED and roster is not None and roster.left_out(name),
-            conclusive=judgement.witnessed or judgement.state is State.DUPLICATE,
+            certain=judgement.state is NodeState.NEVER_STARTED and roster is not None and roster.left_out(name),
+            conclusive=judgement.witnessed or judgement.state is NodeState.DUPLICATE,
             listed=node.signs.count,
         )
         if condition == "node_missing" and node.wanted.container in cut_off:
@@ -195,28 +197,28 @@ class Nodes(api.Check):
             level, words, brief(last(name), short) if short else "", condition, target, values, evidence=known
         )
 
-    def _words(self, node: _Node, judgement: Judgement, fact: api.RosFact | None, why: str) -> _Words:
+    def _words(self, node: _Node, judgement: NodeVerdict, fact: api.RosFact | None, why: str) -> _Words:
         """Level, summary, the brief's end, and condition."""
         name, evidence = node.wanted.name, judgement.words
         subject, where = api.topic_id(name), f" in {node.wanted.container}" if node.wanted.container else ""
         state = judgement.state
-        if state is State.ALIVE and judgement.busy_s < BUSY_S:
+        if state is NodeState.ALIVE and judgement.busy_s < BUSY_S:
             busy = f" and busy: {evidence}" if judgement.busy_s else ""
             return Level.OK, f"Node {subject} is running{busy}", "", ""
-        if state is State.ALIVE:
+        if state is NodeState.ALIVE:
             words = (
                 f"node {name} is busy and has not answered for {span(judgement.busy_s)}: {evidence}; look for an infinite loop "
                 "or too much work in a callback"
             )
             return Level.WARN, words, "busy", "node_busy"
-        if state is State.DUPLICATE and node.copies:
+        if state is NodeState.DUPLICATE and node.copies:
             words = (
                 f"node {name} runs twice{where}: {node.copies} processes match it, and it is listed {node.signs.count} times, expected "
                 "once: two nodes with the same name conflict; stop the unintended one, or give "
                 "each its own namespace"
             )
             return Level.ERROR, words, "runs twice", "node_duplicate"
-        if state is State.DUPLICATE:
+        if state is NodeState.DUPLICATE:
             lasted = (
                 "and two processes send beacons under its name"
                 if node.signs.rivals
@@ -227,20 +229,20 @@ class Nodes(api.Check):
                 "one, or give each its own namespace"
             )
             return Level.WARN, words, "runs twice", "node_duplicate"
-        if state is State.UNKNOWN:
+        if state is NodeState.UNKNOWN:
             looked = f"PHM has observed the graph for only {span(fact.up_s)}" if fact is not None else why
             words = f"not yet known whether node {name} is alive: {evidence or looked}"
             return Level.STALE, words, "", ""
-        if state is State.UNANSWERING:
+        if state is NodeState.UNANSWERING:
             words = (
                 f"node {name} does not answer{where}; it may be hung or busy: {evidence}. It was expected "
                 "to answer: check its log and `docker top`; PHM restarts nothing for this"
             )
             return Level.ERROR, words, "does not answer", "node_unanswering"
-        if state is State.HUNG:
+        if state is NodeState.HUNG:
             words = f"Node {subject} is hung{where}: {evidence}. It was expected to answer: check its log, restart it"
             return Level.ERROR, words, "hung", "node_hung"
-        dead = state is State.DEAD
+        dead = state is NodeState.DEAD
         what, step = _missing(node, dead=dead)
         words = (
             f"Not all required nodes are running. Missing node: {subject}; it {what}{where}: {evidence}. It was expected "
@@ -271,14 +273,14 @@ def _unheard(evidence: Iterable[Evidence]) -> bool:
     """Whether nothing is heard of a node and its name is not listed, while its process runs."""
     said = {piece.kind: piece.says for piece in evidence}
     return (
-        said.get(Kind.PROCESS) in (Says.ALIVE, Says.BUSY)
-        and said.get(Kind.NAME) is Says.GONE
-        and said.get(Kind.BEACON) in (None, Says.SILENT)
-        and said.get(Kind.TOPICS) in (None, Says.SILENT)
+        said.get(Kind.PROCESS) in (Observation.ALIVE, Observation.BUSY)
+        and said.get(Kind.NAME) is Observation.GONE
+        and said.get(Kind.BEACON) in (None, Observation.SILENT)
+        and said.get(Kind.TOPICS) in (None, Observation.SILENT)
     )
 
 
-def _unreached(node: _Node, judgement: Judgement, values: dict[str, api.Value], known: api.Evidence) -> api.Result:
+def _unreached(node: _Node, judgement: NodeVerdict, values: dict[str, api.Value], known: api.Evidence) -> api.Result:
     """No target: a restart does not open the way between PHM and a container."""
     name, where = node.wanted.name, node.wanted.container
     words = (

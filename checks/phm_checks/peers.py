@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._words import brief, joined, span
+from phm_checks._text import brief, joined, span
 
 GRACE_S = 30.0
 """Agents are switched on one after another: for so long after PHM's start nobody is missed."""

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Level, Slot
-from phm_checks._easing import Easing
+from phm_checks._cpu_consumers import OUTSIDE, top_consumer
 from phm_checks._per_container import PerContainer
-from phm_checks._taken import OUTSIDE, taken_by
-from phm_checks._window import Spent, Window
-from phm_checks._words import Steady, brief, joined
+from phm_checks._pressure_window import PressureDelta, PressureWindow
+from phm_checks._text import StableNumber, brief, joined
+from phm_checks._window_threshold import WindowThreshold
 
 NEWEST_S = 0.9
 """The newest part of the window, a little less than the period."""
@@ -32,14 +32,14 @@ class Pressure(PerContainer):
     def __init__(self, entry: api.ContainerSettings, limits: api.PressureSettings, grace_s: float) -> None:
         super().__init__(entry)
         self._limits, self._grace_s = limits, grace_s
-        self._window = Window(max(limits.window, IO_S))
-        self._throttled = Easing(limits.throttled.warn, limits.throttled.error)
-        self._waiting = Easing(limits.waiting.warn, limits.waiting.error)
-        self._memory = Easing(limits.memory.warn, limits.memory.error)
-        self._faults = Easing(limits.memory_faults.warn, limits.memory_faults.error)
-        self._io = Easing(limits.io.warn, limits.io.error)
+        self._window = PressureWindow(max(limits.window, IO_S))
+        self._throttled = WindowThreshold(limits.throttled.warn, limits.throttled.error)
+        self._waiting = WindowThreshold(limits.waiting.warn, limits.waiting.error)
+        self._memory = WindowThreshold(limits.memory.warn, limits.memory.error)
+        self._faults = WindowThreshold(limits.memory_faults.warn, limits.memory_faults.error)
+        self._io = WindowThreshold(limits.io.warn, limits.io.error)
         self._killed: tuple[float, int] | None = None
-        self._steady = Steady(share=0.1)
+        self._steady = StableNumber(share=0.1)
 
     @classmethod
     def wanted(cls, entry: api.ContainerSettings) -> bool:
@@ -72,7 +72,9 @@ class Pressure(PerContainer):
             return api.stale(f"resource pressure of {self.key} needs a second reading", brief="")
         return self._judge(world, fact, over, newest)
 
-    def _judge(self, world: api.World, fact: api.PressureFact, over: Spent, newest: Spent) -> api.Result:
+    def _judge(
+        self, world: api.World, fact: api.PressureFact, over: PressureDelta, newest: PressureDelta
+    ) -> api.Result:
         findings = [
             finding
             for finding in (
@@ -90,7 +92,7 @@ class Pressure(PerContainer):
         first = api.worst(findings)
         return replace(first, summary=joined([finding.summary for finding in findings]), values=values)
 
-    def _judge_limit(self, fact: api.PressureFact, over: Spent, newest: Spent) -> api.Result | None:
+    def _judge_limit(self, fact: api.PressureFact, over: PressureDelta, newest: PressureDelta) -> api.Result | None:
         level = self._throttled.level(over.throttled, newest.throttled)
         if level is Level.OK or over.throttled is None:
             self._steady.forget("throttled")
@@ -104,7 +106,9 @@ class Pressure(PerContainer):
         by = "" if fact.cpu_limit is None else f" by {fact.cpu_limit:.2g} CPU"
         return self._bad(level, words, f"throttled {shown:.0f}%{by}", "cpu_throttled")
 
-    def _judge_memory(self, fact: api.PressureFact, over: Spent, newest: Spent, now: float) -> api.Result | None:
+    def _judge_memory(
+        self, fact: api.PressureFact, over: PressureDelta, newest: PressureDelta, now: float
+    ) -> api.Result | None:
         limit = "" if fact.memory_limit is None else f" of {_size(fact.memory_limit)}"
         short = limit.removeprefix(" of")
         if newest.oom_kills:
@@ -127,7 +131,7 @@ class Pressure(PerContainer):
         )
         return self._bad(level, words, f"memory limit{short} too small", "memory_pressure")
 
-    def _judge_io(self, newest: Spent) -> api.Result | None:
+    def _judge_io(self, newest: PressureDelta) -> api.Result | None:
         over = self._window.over(IO_S, full=True)
         level = self._io.level(None if over is None else over.io, newest.io)
         if level is Level.OK or over is None or over.io is None:
@@ -139,7 +143,7 @@ class Pressure(PerContainer):
         )
         return self._bad(level, words, f"waits {self._steady.show('io', over.io):.0f}% for disk", "io_pressure")
 
-    def _judge_pids(self, fact: api.PressureFact, over: Spent) -> api.Result | None:
+    def _judge_pids(self, fact: api.PressureFact, over: PressureDelta) -> api.Result | None:
         if fact.pids is None or not fact.pids_limit:
             return None
         share, limits = 100.0 * fact.pids / fact.pids_limit, self._limits.pids
@@ -158,11 +162,11 @@ class Pressure(PerContainer):
         )
         return self._bad(level, words, shown, "pids_limit")
 
-    def _judge_waiting(self, world: api.World, over: Spent, newest: Spent) -> api.Result | None:
+    def _judge_waiting(self, world: api.World, over: PressureDelta, newest: PressureDelta) -> api.Result | None:
         level = self._waiting.level(over.waiting, newest.waiting)
         by = None
         if newest.waiting is not None and newest.waiting >= LOOK_FROM * self._limits.waiting.warn:
-            by = taken_by(world, self.key)
+            by = top_consumer(world, self.key)
         if level is Level.OK or over.waiting is None:
             self._steady.forget("waiting")
             return None
@@ -177,7 +181,7 @@ class Pressure(PerContainer):
         return api.Result(level, words, brief(self.key, short), condition, self.key)
 
 
-def _values(fact: api.PressureFact, over: Spent) -> dict[str, api.Value]:
+def _values(fact: api.PressureFact, over: PressureDelta) -> dict[str, api.Value]:
     shares = {
         "throttled_percent": over.throttled,
         "cpu_waiting_percent": over.waiting,

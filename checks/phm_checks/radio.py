@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import link_id, link_of, named, radio_id, silent, starting, target_of, with_radio
-from phm_checks._words import Steady, brief, joined, span
+from phm_checks._command_path import link_id, link_of, named, radio_id, silent, starting, target_of, with_radio
+from phm_checks._text import StableNumber, brief, joined, span
 
 PERIODS = 2.5
 """A radio is silent after so many of its own periods: SiK answers PHM's heartbeats, which may be 10 s apart."""
@@ -28,7 +28,7 @@ class Radio(api.Check):
     def __init__(self, entry: api.EndpointSettings, settings: api.Settings) -> None:
         self.entry, self._limits = entry, settings.mavlink
         self._label = named("radio", entry, with_radio(settings))
-        self._age, self._margin = Steady(share=1.0), Steady(share=0.5)
+        self._age, self._margin = StableNumber(share=1.0), StableNumber(share=0.5)
         self._was: frozenset[str] = frozenset()
 
     @classmethod

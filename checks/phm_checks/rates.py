@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._presence import FRESH_S, turned_s
-from phm_checks._words import Steady, brief, clean, last, span
+from phm_checks._node_activity import FRESH_S, turned_s
+from phm_checks._text import StableNumber, brief, clean, last, span
 
 CONFIRM_S = 0.9
 """A rate must be off in two measurements, which the sampler makes once a second, before it is told."""
@@ -65,7 +65,7 @@ class Rates(api.Check):
         self._targets = {unit.id: unit.target for unit in units}
         self._grace_s = grace_s
         self._memory = {topic.name: _Memory() for topic in topics}
-        self._hz = Steady(share=0.1)
+        self._hz = StableNumber(share=0.1)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:

@@ -7,10 +7,8 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._ends import Ends, Key
-from phm_checks._gaps import Gaps
-from phm_checks._near import sentence, strays
-from phm_checks._pairs import (
+from phm_checks._endpoint_history import EndpointHistory, Key
+from phm_checks._endpoint_matching import (
     SHOWN,
     Pair,
     all_ends,
@@ -27,9 +25,11 @@ from phm_checks._pairs import (
     unfit,
     who,
 )
-from phm_checks._presence import all_alive
+from phm_checks._graph_gaps import GraphGaps
+from phm_checks._node_activity import all_alive
 from phm_checks._qos import mismatches
-from phm_checks._words import brief, clean, did_you_mean, joined, last, listed, span
+from phm_checks._similar_names import sentence, similar_names
+from phm_checks._text import brief, clean, did_you_mean, joined, last, listed, span
 
 OLD_PICTURE_S = 5.0
 """A picture of the graph older than this proves nothing."""
@@ -62,11 +62,11 @@ class Topics(api.Check):
         self._targets = {unit.id: unit.target for unit in units}
         self._grace_s = grace_s
         self._homes = dict(homes)
-        self._ends = Ends()
+        self._ends = EndpointHistory()
         self._said: dict[str, api.Result] = {}
         """What is wrong between the ends that are there: it stands while one of them is made anew."""
         self._stray_since: dict[str, float] = {}
-        self._gaps = Gaps()
+        self._gaps = GraphGaps()
         self._audits: dict[str, tuple[object, Sequence[api.Result]]] = {}
 
     @classmethod
@@ -264,7 +264,7 @@ class Topics(api.Check):
     def _unfed(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float) -> list[api.Result]:
         """WARN for a subscription without any publisher on a name that is almost this one: it was most likely meant."""
         name = full(topic.name)
-        found = [stray for stray in strays(name, fact.others) if stray.sure and stray.unfed]
+        found = [stray for stray in similar_names(name, fact.others) if stray.sure and stray.unfed]
         since = self._stray_since.setdefault(name, now) if found else self._stray_since.pop(name, now)
         if not found or now - since < STRAY_S or fact.up_s < self._grace_s:
             return []
@@ -295,7 +295,7 @@ def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *
     absent: nobody uses the right name, so any near one is worth a word.
     """
     name = full(topic.name)
-    near = strays(name, fact.others)
+    near = similar_names(name, fact.others)
     theirs = [stray for stray in near if stray.used_by([full(node) for node in lacking])]
     likely = theirs or [stray for stray in near if absent or (stray.sure and stray.one_sided)]
     return "".join(f" {sentence(name, stray)}" for stray in likely[:SHOWN])

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks._quorum import PHM, Agreement, Verdict, agree
+from phm_checks._node_consensus import PHM, Agreement, Verdict, agree
 from phm_checks.consensus import Consensus
 
 A, B, C, D = "/agent_1/a", "/agent_1/b", "/agent_1/c", "/agent_1/d"

@@ -8,7 +8,7 @@ import pytest
 
 from phm import api, testing
 from phm.facts import HealthcheckFact
-from phm_checks._lives import BY_HAND, STEADY_S, WAIT_S
+from phm_checks._restart_loop import OTHER_STARTS, STABLE_S, WAIT_S
 from phm_checks.container import Container, code_in_words
 from phm_checks.engine import SETTLE_S, Engine
 from phm_checks.health import Health
@@ -192,7 +192,7 @@ def test_one_restart_by_the_engine_is_a_warning_until_it_has_stayed() -> None:
     unseen.count += 1
     assert waiting.level is api.Level.STALE and "exit code 139: segmentation fault" in waiting.summary
     for loop in (seen, unseen):
-        after = [loop.runs(), loop.stays(STEADY_S - 1), loop.stays(1)]
+        after = [loop.runs(), loop.stays(STABLE_S - 1), loop.stays(1)]
         assert told(*after) == [("WARN", "restarted"), ("WARN", "restarted"), ("OK", "")]
 
 
@@ -207,7 +207,7 @@ def test_a_container_that_ends_again_and_again_is_one_error_that_lasts() -> None
         results = [loop.waits(), loop.stays(1.0), loop.runs(), loop.stays(1.0)]
         assert told(*results) == [("ERROR", "restarting")] * 4
         assert {result.brief for result in results} == {"ros_app crash loop"}
-    assert told(loop.stays(STEADY_S)) == [("OK", "")]
+    assert told(loop.stays(STABLE_S)) == [("OK", "")]
 
 
 def test_restarts_between_two_looks_are_all_counted() -> None:
@@ -240,7 +240,7 @@ def test_lives_that_are_not_short_are_no_loop() -> None:
     for _ in range(10):
         loop.stays(3600.0)
         loop.waits()
-        assert told(loop.runs(), loop.stays(STEADY_S)) == [("WARN", "restarted"), ("OK", "")]
+        assert told(loop.runs(), loop.stays(STABLE_S)) == [("WARN", "restarted"), ("OK", "")]
 
 
 def test_starts_by_hand_are_no_loop_until_there_are_more_than_phm_itself_may_make() -> None:
@@ -248,10 +248,10 @@ def test_starts_by_hand_are_no_loop_until_there_are_more_than_phm_itself_may_mak
     loop = Loop()
     loop.look()
     results = []
-    for _ in range(BY_HAND):
+    for _ in range(OTHER_STARTS):
         loop.clock.advance(4.0)
         results.append(loop.runs(by_hand=True))
-    assert told(*results) == [("OK", "")] * (BY_HAND - 1) + [("ERROR", "restarting")]
+    assert told(*results) == [("OK", "")] * (OTHER_STARTS - 1) + [("ERROR", "restarting")]
     assert "6 times" in results[-1].summary
     generous = Loop(recovery={"budget": 8})
     generous.look()

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks.host import STEP_TOLD_S, Graded, Host
+from phm_checks.host import STEP_TOLD_S, Host, Threshold
 
 
 class Bench:
@@ -89,10 +89,10 @@ def test_the_worst_disk_counts_and_a_hung_one_is_not_known() -> None:
 
 def test_a_value_at_the_limit_does_not_flap() -> None:
     """A level is left only 5 % below its limit."""
-    graded = Graded(warn=80.0, error=90.0)
+    threshold = Threshold(warn=80.0, error=90.0)
     values = (79.0, 80.0, 79.0, 77.0, 75.0, 90.0, 89.0, 86.0, 85.0, 77.0, 75.0)
     expected = "OK WARN WARN WARN OK ERROR ERROR ERROR WARN WARN OK"
-    assert " ".join(graded.level(value).name for value in values) == expected
+    assert " ".join(threshold.level(value).name for value in values) == expected
 
 
 def test_a_machine_that_tells_no_temperature_is_a_bypass() -> None:

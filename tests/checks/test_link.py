@@ -1,4 +1,4 @@
-"""Slot 1: rules of the check of a MAVLink endpoint. Why a port is closed: test_path.py."""
+"""Slot 1: rules of the check of a MAVLink endpoint. Why a port is closed: test_command_path.py."""
 
 from __future__ import annotations
 

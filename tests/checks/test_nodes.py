@@ -10,9 +10,9 @@ import pytest
 
 from phm import api, testing
 from phm.recovery.policy import LADDERS
+from phm_checks._graph_evidence import TWICE_S, UNNAMED_S
 from phm_checks._liveness import GOODBYE_S, HANG_S, LOST_S
-from phm_checks._roster import BLIND_S, ENDING_S, OLD_S, QUIET_S, SOON_S
-from phm_checks._signs import TWICE_S, UNNAMED_S
+from phm_checks._process_table import BLIND_S, ENDING_S, OLD_S, QUIET_S, SOON_S
 from phm_checks.nodes import BUSY_S, Nodes
 
 NODE = "nodes/agent_1/node_1"

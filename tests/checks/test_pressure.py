@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks._words import BRIEF_MAX
+from phm_checks._text import BRIEF_MAX
 from phm_checks.pressure import KILLED_TOLD_S, Pressure
 
 MIB = 2**20

@@ -173,7 +173,7 @@ def test_a_topic_never_received_is_an_error() -> None:
     assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
 
 
-class Deaf:
+class BlockedTransport:
     """Three topics of three nodes, of which none is heard, unless a test says so."""
 
     def __init__(self) -> None:
@@ -202,7 +202,7 @@ class Deaf:
 
 def test_when_nothing_of_a_container_is_heard_the_transport_is_blocked() -> None:
     """Two nodes are listed, long enough, and not one sample of either has ever come."""
-    assert Deaf().condition() == "transport_blocked"
+    assert BlockedTransport().condition() == "transport_blocked"
 
 
 def test_a_publisher_without_the_name_of_its_node_is_behind_a_blocked_transport() -> None:
@@ -214,21 +214,21 @@ def test_a_publisher_without_the_name_of_its_node_is_behind_a_blocked_transport(
 
 def test_one_node_that_is_heard_clears_the_transport() -> None:
     """Then a topic that never came is one that its node does not publish."""
-    deaf = Deaf()
-    deaf.silent_s[2] = 0.1
-    assert deaf.condition() == "not_received"
+    blocked = BlockedTransport()
+    blocked.silent_s[2] = 0.1
+    assert blocked.condition() == "not_received"
 
 
 def test_a_beacon_clears_the_transport() -> None:
     """A beacon is a sample, too."""
-    assert Deaf().condition(beacons={"/agent_1/node_2": api.BeaconFact(0.1, 1.0)}) == "not_received"
+    assert BlockedTransport().condition(beacons={"/agent_1/node_2": api.BeaconFact(0.1, 1.0)}) == "not_received"
 
 
 def test_one_node_alone_may_have_nothing_to_say() -> None:
     """A single node that does not publish is no proof of a blocked transport; nor is one that is not due yet."""
-    deaf = Deaf()
-    deaf.nodes[2] = "node_1"
-    assert deaf.condition(up_s=60.0) == "not_received"
+    blocked = BlockedTransport()
+    blocked.nodes[2] = "node_1"
+    assert blocked.condition(up_s=60.0) == "not_received"
 
 
 def test_a_slow_topic_is_waited_for() -> None:

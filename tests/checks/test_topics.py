@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks._words import listed
+from phm_checks._text import listed
 from phm_checks.topics import Topics
 
 NAME = "/agent_1/topic_1"

@@ -16,7 +16,7 @@ from phm.probes.ros.protocol import Heard, Picture, Tick
 from phm.probes.ros.publisher_stats import Sample
 from phm.probes.ros.rate_meter import RateMeter
 from phm.probes.ros.supervisor import SupervisorLimits
-from phm_checks._quorum import silent
+from phm_checks._node_consensus import silent
 from tests.fakes.ros_bench import Bench, until
 from tests.ros.test_supervision import fake
 

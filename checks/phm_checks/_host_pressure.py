@@ -9,17 +9,17 @@ from collections import deque
 
 from phm import api
 from phm.api import Level
-from phm_checks._easing import Easing
+from phm_checks._window_threshold import WindowThreshold
 
 NEWEST_S = 2.0
 _MOST_READINGS = 2000
 
 
-class Stalls:
+class HostPressure:
     """One resource: the mean share of time in which all of the computer waited for it, over a window that is full."""
 
     def __init__(self, limit: api.Limit, window_s: float) -> None:
-        self._easing = Easing(limit.warn, limit.error)
+        self._easing = WindowThreshold(limit.warn, limit.error)
         self._window_s = window_s
         self._readings: deque[tuple[float, float]] = deque(maxlen=_MOST_READINGS)
 

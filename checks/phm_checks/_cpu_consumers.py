@@ -5,13 +5,13 @@ parts of checks.
 from __future__ import annotations
 
 from phm import api
-from phm_checks._words import clean
+from phm_checks._text import clean
 
 FEW = 0.1
 """Who takes fewer CPUs than this is not named."""
 
 
-def taken_by(world: api.World, but: str = "") -> tuple[str, float] | None:
+def top_consumer(world: api.World, but: str = "") -> tuple[str, float] | None:
     """The name and the CPUs of the consumer that takes most, other than container `but`; None when it cannot be seen.
 
     The probe needs two questions to know, so ask before it is urgent.

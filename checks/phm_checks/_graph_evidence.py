@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from phm import api
-from phm_checks._liveness import Evidence, Kind, Says
-from phm_checks._words import last, listed, span
+from phm_checks._liveness import Evidence, Kind, Observation
+from phm_checks._text import last, listed, span
 
 SILENT_PERIODS, SILENT_S = 3.0, 0.5
 """A beacon that misses this many beats, and for no less than this time, is silent."""
@@ -28,7 +28,7 @@ UNNAMED_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
-class Ends:
+class NodeTopics:
     """What the configuration says of one node's topics: those it alone publishes at a rate, and all that it uses."""
 
     rates: tuple[tuple[str, float], ...] = ()
@@ -36,7 +36,7 @@ class Ends:
     topics: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, node: str, topics: Iterable[api.TopicSettings]) -> Ends:
+    def of(cls, node: str, topics: Iterable[api.TopicSettings]) -> NodeTopics:
         rates, used = [], []
         for topic in topics:
             name = f"/{api.topic_id(topic.name)}"
@@ -48,11 +48,11 @@ class Ends:
         return cls(tuple(rates), tuple(used))
 
 
-class Signs:
+class GraphEvidence:
     """One node in the pictures of the graph. `doubts` (why it may not be well) and `count` (how often it is listed) are
     those of the last look."""
 
-    def __init__(self, node: str, ends: Ends, grace_s: float) -> None:
+    def __init__(self, node: str, ends: NodeTopics, grace_s: float) -> None:
         self._node, self._ends, self._grace_s = node, ends, grace_s
         self._up_s = 0.0
         self._listed_by_this_child = False
@@ -108,12 +108,12 @@ class Signs:
         if silent_s > max(SILENT_PERIODS * beacon.period_s, SILENT_S):
             self.doubts.add("beacon silent")
             words = f"its beacon has been silent for {span(silent_s)}"
-            return Evidence(Kind.BEACON, Says.SILENT, words, fact.age_s, silent_s)
+            return Evidence(Kind.BEACON, Observation.SILENT, words, fact.age_s, silent_s)
         if beacon.turns and beacon.late_s > LATE_S:
             self.doubts.add("executor late")
             words = f"its executor has been blocked for {span(beacon.late_s)}, according to its beacon"
-            return Evidence(Kind.BEACON, Says.LATE, words, beacon.age_s, beacon.late_s)
-        return Evidence(Kind.BEACON, Says.ALIVE, f"its last beacon was {span(beacon.age_s)} ago", beacon.age_s)
+            return Evidence(Kind.BEACON, Observation.LATE, words, beacon.age_s, beacon.late_s)
+        return Evidence(Kind.BEACON, Observation.ALIVE, f"its last beacon was {span(beacon.age_s)} ago", beacon.age_s)
 
     def _topics(self, fact: api.RosFact) -> Evidence | None:
         """Those that this node alone publishes: one that flows is a sign of life, silence of all a reason to look."""
@@ -128,7 +128,7 @@ class Signs:
                 continue
             known_s = max(0.0, rate.silent_s - rate.not_counted_s - fact.age_s)
             if known_s <= _waver_s(rate, rate_hz):
-                return Evidence(Kind.TOPICS, Says.ALIVE, f"data arrives on {last(topic)}", rate.silent_s)
+                return Evidence(Kind.TOPICS, Observation.ALIVE, f"data arrives on {last(topic)}", rate.silent_s)
             silent.append((known_s, topic))
             limits.append(rate.limit_s or 3.0 / rate_hz)
         if not silent:
@@ -136,14 +136,14 @@ class Signs:
         shortest_s = min(silent)[0]
         self.doubts |= {"topics waver"} if shortest_s <= max(limits) else {"topics waver", "topics silent"}
         words = f"silent for {span(shortest_s)}: {listed([last(topic) for _, topic in silent], 3)}"
-        return Evidence(Kind.TOPICS, Says.SILENT, words, fact.age_s, shortest_s)
+        return Evidence(Kind.TOPICS, Observation.SILENT, words, fact.age_s, shortest_s)
 
     def _endpoints(self, fact: api.RosFact, now: float) -> Evidence | None:
         """Only of a name that is listed and had some: one that never had is remapped, or not through with its start."""
         seen = (fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics)
         if any(end.node == self._node for topic in seen for end in (*topic.publishers, *topic.subscribers)):
             self._had_ends, self._bare_since = True, None
-            return Evidence(Kind.ENDPOINTS, Says.ALIVE, "its endpoints are there", fact.age_s)
+            return Evidence(Kind.ENDPOINTS, Observation.ALIVE, "its endpoints are there", fact.age_s)
         if not self.count or not self._had_ends:
             self._had_ends, self._bare_since = False, None
             return None
@@ -152,7 +152,7 @@ class Signs:
         self._bare_since = now if self._bare_since is None else self._bare_since
         self.doubts.add("no endpoints")
         lasted_s = now - self._bare_since
-        return Evidence(Kind.ENDPOINTS, Says.GONE, "none of its endpoints is in the graph", fact.age_s, lasted_s)
+        return Evidence(Kind.ENDPOINTS, Observation.GONE, "none of its endpoints is in the graph", fact.age_s, lasted_s)
 
     def _count_ends(self, fact: api.RosFact, now: float) -> None:
         self.twofold = self.count > 1 and self._most_ends(fact) != 1
@@ -175,7 +175,7 @@ class Signs:
             self.doubts.add("listed twice")
         if count:
             self._listed_by_this_child, self._gone_since = True, None
-            return Evidence(Kind.NAME, Says.ALIVE, "it is listed in the graph", fact.age_s)
+            return Evidence(Kind.NAME, Observation.ALIVE, "it is listed in the graph", fact.age_s)
         self.doubts.add("not listed")
         if not fact.names_known:
             return None
@@ -186,7 +186,7 @@ class Signs:
         if self._listed_by_this_child and now - self._gone_since < UNNAMED_S and self._unnamed(fact):
             self.doubts.add("unnamed")
             return None
-        return Evidence(Kind.NAME, Says.GONE, "it is not in the graph", fact.age_s, now - self._gone_since)
+        return Evidence(Kind.NAME, Observation.GONE, "it is not in the graph", fact.age_s, now - self._gone_since)
 
     def _unnamed(self, fact: api.RosFact) -> bool:
         """Whether an end of its topics has no node's name: it may be its own, whose name PHM alone has lost."""

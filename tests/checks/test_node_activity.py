@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks._ends import REMADE, REMADE_MOST_S, SETTLE_S, Ends
-from phm_checks._presence import FRESH_S, sign_s, turned_s, went_on
+from phm_checks._endpoint_history import REMADE, REMADE_MOST_S, SETTLE_S, EndpointHistory
+from phm_checks._node_activity import FRESH_S, sign_s, turned_s, went_on
 from phm_checks.rates import Rates
 from phm_checks.topics import SURE_S, Topics
 
@@ -77,21 +77,21 @@ KEY = (TOPIC, "subscriber", TWO)
 ALIVE = fact(beacons={TWO: beat(0.0)})
 
 
-def away(ends: Ends, gap_s: float, now: float) -> float:
+def away(ends: EndpointHistory, gap_s: float, now: float) -> float:
     """The end goes and comes back; when that is."""
     assert ends.lost(KEY, there=False, listed=True, now=now)
     assert not ends.lost(KEY, there=True, listed=True, now=now + gap_s)
     return now + gap_s
 
 
-def settle_s(ends: Ends, now: float, after_s: float = 1.0) -> float | None:
+def settle_s(ends: EndpointHistory, now: float, after_s: float = 1.0) -> float | None:
     """Of an end that is lost from `now` on, as judged `after_s` later."""
     assert ends.lost(KEY, there=False, listed=True, now=now)
     return ends.settle_s(KEY, ALIVE, now + after_s)
 
 
-def known() -> Ends:
-    ends = Ends()
+def known() -> EndpointHistory:
+    ends = EndpointHistory()
     assert not ends.lost(KEY, there=True, listed=True, now=0.0)
     return ends
 
@@ -120,7 +120,7 @@ def test_an_end_that_was_away_for_long_was_lost() -> None:
 
 def test_what_a_node_never_had_since_it_was_listed_is_not_lost() -> None:
     """Neither before it was there, nor after its node was away."""
-    assert not Ends().lost(KEY, there=False, listed=True, now=0.0)
+    assert not EndpointHistory().lost(KEY, there=False, listed=True, now=0.0)
     ends = known()
     assert not ends.lost(KEY, there=False, listed=False, now=1.0)
     assert not ends.lost(KEY, there=False, listed=True, now=2.0)

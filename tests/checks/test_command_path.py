@@ -9,7 +9,7 @@ import pytest
 
 from phm import api
 from phm.facts import BeaconFact
-from phm_checks._path import Hop, State, first_broken, hop, in_words, seen_from_here
+from phm_checks._command_path import Hop, HopState, first_broken, hop, in_words, seen_from_here
 from tests.fakes.path_world import PathWorld
 
 SERIAL = "/dev/ttyUSB0"
@@ -32,11 +32,11 @@ def flying(**more: Any) -> PathWorld:
 def test_the_first_broken_hop_counts() -> None:
     """Hops that are weak, unknown or unused do not stop a command; of several that do, the first is named."""
     hops = [
-        Hop("GCS", State.UNKNOWN),
-        Hop("radio", State.WEAK),
-        Hop("port", State.UNUSED),
-        Hop("router", State.BROKEN, "silent"),
-        Hop("autopilot", State.BROKEN),
+        Hop("GCS", HopState.UNKNOWN),
+        Hop("radio", HopState.WEAK),
+        Hop("port", HopState.UNUSED),
+        Hop("router", HopState.BROKEN, "silent"),
+        Hop("autopilot", HopState.BROKEN),
     ]
     assert first_broken(hops) == hops[3]
     assert first_broken(hops[:3]) is None
@@ -46,9 +46,9 @@ def test_the_first_broken_hop_counts() -> None:
 def test_what_is_behind_a_broken_hop_is_not_known() -> None:
     """None of its evidence gets here; a hop that is heard all the same stays as it is."""
     hops = [
-        Hop("GCS", State.BROKEN, "no heartbeat", ("router", "radio")),
-        Hop("radio", State.OK, "", ("router",)),
-        Hop("router", State.BROKEN, "silent"),
+        Hop("GCS", HopState.BROKEN, "no heartbeat", ("router", "radio")),
+        Hop("radio", HopState.OK, "", ("router",)),
+        Hop("router", HopState.BROKEN, "silent"),
     ]
     assert in_words(seen_from_here(hops)) == "GCS unknown (behind router) -> radio ok -> router BROKEN (silent)"
 
@@ -56,10 +56,10 @@ def test_what_is_behind_a_broken_hop_is_not_known() -> None:
 def test_a_hop_says_what_its_check_says() -> None:
     """The level becomes the hop's state, and the brief its evidence, without naming the hop twice."""
     broken = api.error("no RADIO_STATUS", brief="radio: no RADIO_STATUS 6 s", condition="radio_silent")
-    assert hop("radio", broken) == Hop("radio", State.BROKEN, "no RADIO_STATUS 6 s")
-    assert hop("radio", api.bypass("none")) == Hop("radio", State.UNUSED)
-    assert hop("radio", api.stale("its link is closed")) == Hop("radio", State.UNKNOWN, "its link is closed")
-    assert hop("radio", api.ok("heard")) == Hop("radio", State.OK)
+    assert hop("radio", broken) == Hop("radio", HopState.BROKEN, "no RADIO_STATUS 6 s")
+    assert hop("radio", api.bypass("none")) == Hop("radio", HopState.UNUSED)
+    assert hop("radio", api.stale("its link is closed")) == Hop("radio", HopState.UNKNOWN, "its link is closed")
+    assert hop("radio", api.ok("heard")) == Hop("radio", HopState.OK)
 
 
 # ---------------------------------------------------------------- each hop in turn, through the tracker

@@ -8,7 +8,7 @@ MARGIN = 0.05
 """A level is left only when the value is this share of the limit below it, so that a value at the limit does not flap."""
 
 
-class Graded:
+class Threshold:
     """A level by two limits, with memory: up at the limit, down only below limit minus margin."""
 
     def __init__(self, warn: float, error: float) -> None:

@@ -10,13 +10,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from phm import api
-from phm_checks._words import clean, last, listed, one_edit_apart
+from phm_checks._text import clean, last, listed, one_edit_apart
 
 _DIGITS = re.compile(r"\d+")
 
 
 @dataclass(frozen=True)
-class Stray:
+class SimilarName:
     """A topic that nobody configured. why: how its name differs from the configured one. sure: hardly on purpose."""
 
     name: str
@@ -37,13 +37,13 @@ class Stray:
         return not {*self.uses.publishers, *self.uses.subscribers}.isdisjoint(nodes)
 
 
-def strays(wanted: str, others: Mapping[str, api.NameFact]) -> list[Stray]:
+def similar_names(wanted: str, others: Mapping[str, api.NameFact]) -> list[SimilarName]:
     """Names near to `wanted`, the nearest first."""
     found = []
     for name, uses in others.items():
         why = difference(wanted, name)
         if why:
-            found.append(Stray(name, why, _sure(wanted, name), uses))
+            found.append(SimilarName(name, why, _sure(wanted, name), uses))
     return sorted(found, key=lambda stray: (not stray.sure, _WHYS.index(stray.why), stray.name))
 
 
@@ -79,7 +79,7 @@ def _sure(wanted: str, name: str) -> bool:
     return _DIGITS.sub("", wanted) != _DIGITS.sub("", name)
 
 
-def sentence(wanted: str, stray: Stray) -> str:
+def sentence(wanted: str, stray: SimilarName) -> str:
     """`/agent_1/node_2 subscribes to /agent_1/topc_1, one character different: did you mean /agent_1/topic_1?`."""
     publishers, subscribers = stray.uses.publishers, stray.uses.subscribers
     users = [

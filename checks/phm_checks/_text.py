@@ -69,7 +69,7 @@ def did_you_mean(wanted: str, there: Iterable[str]) -> str:
     return f" Did you mean {listed(near, 3)}?" if near else ""
 
 
-class Steady:
+class StableNumber:
     """Keeps the number in a text still until it has moved by more than `share` of itself.
 
     A changed brief is told to the ground, so a jittering number must not change it at each reading.

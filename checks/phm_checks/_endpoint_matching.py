@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from phm import api
 from phm.api import Level
 from phm_checks._qos import Mismatch, mismatches
-from phm_checks._words import clean
+from phm_checks._text import clean
 
 Pair = tuple[api.EndpointFact, api.EndpointFact]
 SHOWN = 3

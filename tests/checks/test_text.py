@@ -5,21 +5,21 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
-from phm_checks import _words
+from phm_checks import _text
 
 
 @given(st.text(max_size=300), st.text(max_size=60))
 def test_a_brief_is_at_most_38_printable_ascii_characters(subject: str, words: str) -> None:
     """Whatever names and words come from outside, the operator's line stays short and plain."""
-    text = _words.brief(subject, words)
-    assert len(text) <= _words.BRIEF_MAX
+    text = _text.brief(subject, words)
+    assert len(text) <= _text.BRIEF_MAX
     assert text.isascii() and (not text or text.isprintable())
 
 
 def test_a_long_name_keeps_its_end_and_the_verdict() -> None:
     """Compose names differ at the end, and the verdict matters most."""
-    text = _words.brief("a_very_long_project_name-with-service-3", "exited 137")
-    assert len(text) == _words.BRIEF_MAX
+    text = _text.brief("a_very_long_project_name-with-service-3", "exited 137")
+    assert len(text) == _text.BRIEF_MAX
     assert text.startswith("..")
     assert text.endswith("-service-3 exited 137")
 
@@ -27,7 +27,7 @@ def test_a_long_name_keeps_its_end_and_the_verdict() -> None:
 @given(st.text(max_size=2000))
 def test_cleaned_text_is_one_printable_line(text: str) -> None:
     """Output of a container cannot break the log's one-line-per-event form."""
-    cleaned = _words.clean(text, 100)
+    cleaned = _text.clean(text, 100)
     assert len(cleaned) <= 100
     assert cleaned.isprintable()
 
@@ -45,19 +45,19 @@ def test_cleaned_text_is_one_printable_line(text: str) -> None:
 )
 def test_names_one_edit_apart_are_near(first: str, second: str, near: bool) -> None:
     """Dropped, changed, swapped and added characters are typing mistakes; equal names are none."""
-    assert _words.one_edit_apart(first, second) is near
-    assert _words.one_edit_apart(second, first) is near
+    assert _text.one_edit_apart(first, second) is near
+    assert _text.one_edit_apart(second, first) is near
 
 
 def test_a_node_in_another_namespace_is_offered() -> None:
     """A forgotten namespace is the most common reason why a node is not found."""
-    assert "/node_1" in _words.did_you_mean("/agent_1/node_1", ["/node_1", "/camera"])
-    assert not _words.did_you_mean("/agent_1/node_1", ["/camera"])
+    assert "/node_1" in _text.did_you_mean("/agent_1/node_1", ["/node_1", "/camera"])
+    assert not _text.did_you_mean("/agent_1/node_1", ["/camera"])
 
 
 def test_a_jittering_number_keeps_still_in_text() -> None:
     """A brief that changes at each reading would be sent to the ground at each reading."""
-    steady = _words.Steady(share=0.05)
+    steady = _text.StableNumber(share=0.05)
     assert [steady.show("cpu", value) for value in (92.0, 93.0, 90.0, 99.0)] == [92.0, 92.0, 92.0, 99.0]
     steady.forget("cpu")
     assert steady.show("cpu", 97.0) == 97.0
@@ -65,5 +65,5 @@ def test_a_jittering_number_keeps_still_in_text() -> None:
 
 def test_a_long_list_is_cut_and_says_so() -> None:
     """A hundred missing files make one readable sentence."""
-    assert _words.listed([f"f{i}" for i in range(9)]) == "f0, f1, f2, f3, f4 and 4 more"
-    assert _words.listed([]) == "none"
+    assert _text.listed([f"f{i}" for i in range(9)]) == "f0, f1, f2, f3, f4 and 4 more"
+    assert _text.listed([]) == "none"

@@ -12,7 +12,7 @@ from enum import Enum
 
 from phm import api
 from phm.api import Level
-from phm_checks._words import clean
+from phm_checks._text import clean
 
 QUIET_S = 2.5
 """Whoever speaks MAVLink sends a HEARTBEAT a second; two of them may be lost."""
@@ -21,7 +21,7 @@ START_S = 30.0
 """Router, radio and autopilot are switched on with the companion, and may take so long: what was never there is not missed yet."""
 
 
-class State(Enum):
+class HopState(Enum):
     """UNUSED: there is none, or none was ever heard. WEAK: frames pass, and something is wrong with it."""
 
     OK = "ok"
@@ -36,7 +36,7 @@ class Hop:
     """evidence: a few words for the operator. behind: hops, the nearest to PHM first, without which nothing is known of it."""
 
     name: str
-    state: State
+    state: HopState
     evidence: str = ""
     behind: tuple[str, ...] = ()
 
@@ -44,8 +44,13 @@ class Hop:
 def hop(name: str, result: api.Result, behind: Sequence[str] = ()) -> Hop:
     """What a check's result says about its part of the way."""
     if result.bypass:
-        return Hop(name, State.UNUSED)
-    states = {Level.OK: State.OK, Level.WARN: State.WEAK, Level.ERROR: State.BROKEN, Level.STALE: State.UNKNOWN}
+        return Hop(name, HopState.UNUSED)
+    states = {
+        Level.OK: HopState.OK,
+        Level.WARN: HopState.WEAK,
+        Level.ERROR: HopState.BROKEN,
+        Level.STALE: HopState.UNKNOWN,
+    }
     words = result.brief or (result.summary if result.level is Level.STALE else "")
     subject, _, rest = words.partition(": ")
     return Hop(
@@ -55,24 +60,24 @@ def hop(name: str, result: api.Result, behind: Sequence[str] = ()) -> Hop:
 
 def seen_from_here(hops: Sequence[Hop]) -> list[Hop]:
     """What lies behind a broken hop is not known, whatever its own evidence says: none of it gets here."""
-    broken = {one.name for one in hops if one.state is State.BROKEN}
+    broken = {one.name for one in hops if one.state is HopState.BROKEN}
     return [_seen(one, next((name for name in one.behind if name in broken), "")) for one in hops]
 
 
 def _seen(one: Hop, behind: str) -> Hop:
-    if not behind or one.state in (State.OK, State.UNUSED):
+    if not behind or one.state in (HopState.OK, HopState.UNUSED):
         return one
-    return replace(one, state=State.UNKNOWN, evidence=f"behind {behind}")
+    return replace(one, state=HopState.UNKNOWN, evidence=f"behind {behind}")
 
 
 def first_broken(hops: Sequence[Hop]) -> Hop | None:
     """Where a command stops; None: at no hop, as far as is known."""
-    return next((one for one in hops if one.state is State.BROKEN), None)
+    return next((one for one in hops if one.state is HopState.BROKEN), None)
 
 
 def in_words(hops: Sequence[Hop]) -> str:
     """``GCS ok -> radio BROKEN (no RADIO_STATUS 6 s) -> ...``; what is not used is left out."""
-    used = (one for one in hops if one.state is not State.UNUSED)
+    used = (one for one in hops if one.state is not HopState.UNUSED)
     return " -> ".join(f"{one.name} {one.state.value}{f' ({one.evidence})' if one.evidence else ''}" for one in used)
 
 

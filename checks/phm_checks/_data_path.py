@@ -11,9 +11,9 @@ import threading
 from collections.abc import Iterable, Sequence
 
 from phm import api
-from phm_checks._matching import Wanted, match
-from phm_checks._signs import Ends
-from phm_checks._words import listed, span
+from phm_checks._graph_evidence import NodeTopics
+from phm_checks._process_matching import Wanted, match
+from phm_checks._text import listed, span
 
 WITNESSES = 2
 SILENT_S = 3.0
@@ -37,7 +37,7 @@ ABSENT_S = 4.0
 """So long nothing may have been heard of nodes that are not listed either. Below the time after which each is told by itself."""
 
 
-class Deaf:
+class DataPath:
     """What may be heard of one container's nodes: beacons, and topics with a rate that one node alone publishes."""
 
     def __init__(self, key: str, settings: api.Settings) -> None:
@@ -46,7 +46,7 @@ class Deaf:
         words = {f"/{api.topic_id(node.name)}": tuple(node.process) for node in settings.ros.nodes}
         own = [name for name in names if settings.container_of_node(name) == key]
         self._wanted = [Wanted(name, key, words[name]) for name in own]
-        self._ends = {name: Ends.of(name, settings.ros.topics) for name in own}
+        self._ends = {name: NodeTopics.of(name, settings.ros.topics) for name in own}
         self._life, self._met_at = "", 0.0
         self._cut_at = 0.0
         """The last sign before they were told to be cut off was at this moment at the latest."""

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from phm import api
 
-STEADY_S = 12.0
+STABLE_S = 12.0
 """Longer than Docker's own measure, 10 s, after which its restart policy waits no longer than at first, and than what mutes
 the parts of a container: 11 s after it was told to end. So what never comes well is told, inside or at the container."""
-BY_ENGINE = 3
+ENGINE_RESTARTS = 3
 """So many restarts in a row by the engine's restart policy, each after a short life, are a loop."""
-BY_HAND = 6
+OTHER_STARTS = 6
 """The same for starts by anybody else. The check knows no hands apart: it is more than PHM's own budget allows."""
 WAIT_S = 2.0
 """The engine waits 0.1 s before the first restart and twice as long each time: a longer wait comes after several."""
 
 
-class Lives:
+class RestartLoop:
     """What the looks at one container add up to."""
 
     def __init__(self, steady_s: float, limit_by_hand: int) -> None:
@@ -37,7 +37,7 @@ class Lives:
 
     @property
     def looping(self) -> bool:
-        return self.by_engine >= BY_ENGINE or self.by_hand >= self._limit_by_hand or self._waited_long
+        return self.by_engine >= ENGINE_RESTARTS or self.by_hand >= self._limit_by_hand or self._waited_long
 
     def look(self, fact: api.ContainerFact, now: float) -> None:
         """Take what was seen at `now` (monotonic seconds)."""

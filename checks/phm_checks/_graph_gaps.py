@@ -6,14 +6,14 @@ Not a check: memory of `topics`. Why pictures can be so, and what is done about 
 from __future__ import annotations
 
 from phm import api
-from phm_checks._pairs import full, named_sides
-from phm_checks._words import listed
+from phm_checks._endpoint_matching import full, named_sides
+from phm_checks._text import listed
 
 LATE_S = 0.3
 """Topics are looked at every 0.25 s: a sample this much younger than the last listed publisher came after it."""
 
 
-class Gaps:
+class GraphGaps:
     """At most as many as topics are configured."""
 
     def __init__(self) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from phm import api
-from phm_checks._presence import went_on
+from phm_checks._node_activity import went_on
 
 SETTLE_S = 0.4
 """How long an end must be lost whose node goes on, before it is told. To make one anew, as for another quality of service,
@@ -32,7 +32,7 @@ class _End:
     gap_at: float = 0.0
 
 
-class Ends:
+class EndpointHistory:
     """At most as many as are configured. What never was there is a matter of configuration, and no restart helps; neither is
     anything known of a node that was started anew."""
 

@@ -15,7 +15,7 @@ MOST_READINGS = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Spent:
+class PressureDelta:
     """What happened to a container in `seconds`. Shares are in percent of that time; None: cannot be seen."""
 
     seconds: float
@@ -29,7 +29,7 @@ class Spent:
     refused: int = 0
 
 
-class Window:
+class PressureWindow:
     """The readings of one container, of one life."""
 
     def __init__(self, longest_s: float) -> None:
@@ -49,7 +49,7 @@ class Window:
     def forget(self) -> None:
         self._facts.clear()
 
-    def over(self, span_s: float, *, full: bool = False) -> Spent | None:
+    def over(self, span_s: float, *, full: bool = False) -> PressureDelta | None:
         """What the last `span_s` seconds or a little more brought; None while there is too little to compare.
 
         full: None also while the readings do not reach back so far.
@@ -72,12 +72,12 @@ def _backwards(old: api.PressureFact, new: api.PressureFact) -> bool:
     return old.cpu_used_s is not None and new.cpu_used_s is not None and new.cpu_used_s < old.cpu_used_s
 
 
-def _spent(old: api.PressureFact, new: api.PressureFact, seconds: float) -> Spent:
+def _spent(old: api.PressureFact, new: api.PressureFact, seconds: float) -> PressureDelta:
     throttled = _throttled(old, new, seconds)
     waiting = _share(old.cpu, new.cpu, seconds)
     used_s = _risen(old.cpu_used_s, new.cpu_used_s)
     faults = _risen(old.reread_pages, new.reread_pages)
-    return Spent(
+    return PressureDelta(
         seconds,
         cpus=None if used_s is None else used_s / seconds,
         throttled=throttled,

@@ -7,8 +7,8 @@ from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from phm import api
-from phm_checks._liveness import Evidence, Kind, Says
-from phm_checks._matching import BARE, Match, Wanted, match
+from phm_checks._liveness import Evidence, Kind, Observation
+from phm_checks._process_matching import BARE, Match, Wanted, match
 
 QUIET_S = 10.0
 """Between two lists while nothing is in doubt: a node that was started anew has another process."""
@@ -39,7 +39,7 @@ NEVER = float("-inf")
 
 
 @dataclass(slots=True)
-class Known:
+class KnownProcess:
     """The process of one node. used: when it was looked at, with the processor time until then."""
 
     match: Match
@@ -90,13 +90,13 @@ class Known:
         return last - first >= WINDOW_S and after - before >= BUSY_SHARE * (last - first)
 
 
-class Roster:
+class ProcessTable:
     """What is known of one container's processes. Invariant: `_known` holds processes of its present life alone."""
 
     def __init__(self, key: str, nodes: Sequence[Wanted], grace_s: float) -> None:
         self.key, self._grace_s = key, grace_s
         self._nodes = tuple(nodes)
-        self._known: dict[str, Known] = {}
+        self._known: dict[str, KnownProcess] = {}
         self._unclear: Mapping[str, int] = {}
         self._ways: dict[str, int] = {}
         """How surely each node's process was found once, in any life: where there is none now, there is none."""
@@ -193,14 +193,14 @@ class Roster:
                 continue
             known.look(now, by_pid.get(known.pid))
 
-    def _renew(self, name: str, known: Known | None, matched: Match, now: float) -> Known:
+    def _renew(self, name: str, known: KnownProcess | None, matched: Match, now: float) -> KnownProcess:
         """Another process is the node's: the first in this life, or the old one has ended; or it was taken for another's, since a
         launcher that has not started its nodes yet is all there is with their names."""
         first = not self.left_out(name) if known is None else known.first and known.match.way > matched.way
         if known is not None and known.match.way <= matched.way:
             self._began_at[name] = now
         self._ways[name] = min(matched.way, self._ways.get(name, matched.way))
-        self._known[name] = Known(matched, first)
+        self._known[name] = KnownProcess(matched, first)
         return self._known[name]
 
     def _learn(self) -> None:
@@ -243,10 +243,10 @@ class Roster:
         age_s = now - self._asked_at
         if self._status == "running" and self._ending_since is not None and now - self._ending_since < ENDING_S:
             words = f"its container is stopping: its first process {self._first} has ended"
-            return Evidence(Kind.CONTAINER, Says.ENDING, words, age_s)
+            return Evidence(Kind.CONTAINER, Observation.ENDING, words, age_s)
         if self._status in ("", "running") or age_s > OLD_S:
             return None
-        says = Says.STOPPED if self._status == "paused" else Says.GONE
+        says = Observation.STOPPED if self._status == "paused" else Observation.GONE
         return Evidence(Kind.CONTAINER, says, f"its container is {self._status}", age_s)
 
     def process(self, name: str, now: float) -> Evidence | None:
@@ -257,19 +257,19 @@ class Roster:
         age_s = now - self._listed_at
         if known is None:
             words = "no process in its container matches it"
-            return Evidence(Kind.PROCESS, Says.GONE, words, age_s) if self._vanished(name, now) else None
+            return Evidence(Kind.PROCESS, Observation.GONE, words, age_s) if self._vanished(name, now) else None
         if not known.there:
             words = f"its process {known.pid} has ended"
-            return Evidence(Kind.PROCESS, Says.GONE, words, age_s) if self._unclear.get(name, 0) < 2 else None
+            return Evidence(Kind.PROCESS, Observation.GONE, words, age_s) if self._unclear.get(name, 0) < 2 else None
         if known.state in ("T", "t"):
             words = f"its process {known.pid} is stopped (state {known.state}: SIGSTOP or a debugger)"
-            return Evidence(Kind.PROCESS, Says.STOPPED, words, age_s)
+            return Evidence(Kind.PROCESS, Observation.STOPPED, words, age_s)
         if known.busy:
-            return Evidence(Kind.PROCESS, Says.BUSY, f"its process {known.pid} is using the CPU", age_s)
+            return Evidence(Kind.PROCESS, Observation.BUSY, f"its process {known.pid} is using the CPU", age_s)
         words = f"its process {known.pid} is running"
         if known.measured:
-            return Evidence(Kind.PROCESS, Says.ALIVE, words, age_s)
-        return Evidence(Kind.PROCESS, Says.ALIVE, f"{words}, its CPU use is unknown", age_s, measured=False)
+            return Evidence(Kind.PROCESS, Observation.ALIVE, words, age_s)
+        return Evidence(Kind.PROCESS, Observation.ALIVE, f"{words}, its CPU use is unknown", age_s, measured=False)
 
     def fit(self, name: str, now: float) -> int:
         """How many processes of the newest list may be the node's own, where it is more than one; 0: one, none, or no list."""

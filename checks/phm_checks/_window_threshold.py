@@ -11,7 +11,7 @@ STAYS = 0.7
 """A level is left only below this share of its limit."""
 
 
-class Easing:
+class WindowThreshold:
     def __init__(self, warn: float, error: float) -> None:
         self._warn, self._error = warn, error
         self._level = Level.OK

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._path import (
+from phm_checks._command_path import (
     Hop,
-    State,
+    HopState,
     first_broken,
     hop,
     in_words,
@@ -25,7 +25,7 @@ from phm_checks._path import (
     ways,
     with_radio,
 )
-from phm_checks._words import last, span
+from phm_checks._text import last, span
 from phm_checks.autopilot import Autopilot
 from phm_checks.gcs import Gcs
 from phm_checks.link import Link
@@ -36,7 +36,7 @@ OLD_S = 5.0
 HANG_S = 5.0
 
 
-class Path(api.Check):
+class CommandPath(api.Check):
     """Ground station, radio, port or router, companion, application, autopilot: each hop with its evidence.
 
     It needs every unit on the way, so that while one of them is bad it is STALE, blocked by that one, and each of their
@@ -93,7 +93,7 @@ class Path(api.Check):
             _ground(self._gcs.run(world), [*near, *through, *radios.values()]),
             *(hop(radios[one.key], self._radio[one.key].run(world), [self._name(one)]) for one in self._radios),
             *(self._link(world, entry) for entry in self._ground),
-            Hop("companion", State.OK),
+            Hop("companion", HopState.OK),
             *([self._application(world)] if self._nodes else []),
             *(self._link(world, entry) for entry in beyond),
             hop("autopilot", self._autopilot.run(world), [self._name(entry) for entry in self._flight]),
@@ -105,8 +105,8 @@ class Path(api.Check):
     def _link(self, world: api.World, entry: api.EndpointSettings) -> Hop:
         """Nothing passes by one that is closed, whoever tells that."""
         found, link = hop(self._name(entry), self._links[entry.key].run(world)), link_of(world, entry.key)
-        closed = found.state is State.UNKNOWN and link is not None and not link.open
-        return replace(found, state=State.BROKEN) if closed else found
+        closed = found.state is HopState.UNKNOWN and link is not None and not link.open
+        return replace(found, state=HopState.BROKEN) if closed else found
 
     def _application(self, world: api.World) -> Hop:
         """By the graph and the beacons. What the nodes' own check finds beyond that blocks this unit all the same, and is
@@ -114,19 +114,21 @@ class Path(api.Check):
         try:
             fact = world.ros.look()
         except api.CannotTell:
-            return Hop("application", State.UNKNOWN, "the ROS graph is unknown")
+            return Hop("application", HopState.UNKNOWN, "the ROS graph is unknown")
         if fact.age_s > OLD_S:
-            return Hop("application", State.UNKNOWN, f"the ROS graph snapshot is {span(fact.age_s)} old")
+            return Hop("application", HopState.UNKNOWN, f"the ROS graph snapshot is {span(fact.age_s)} old")
         for node in self._nodes:
             beacon = fact.beacons.get(node)
             if not fact.nodes.get(node):
                 known = fact.up_s > self._settings.ros.grace
-                return Hop("application", State.BROKEN if known else State.UNKNOWN, f"{last(node)} not in the graph")
+                return Hop(
+                    "application", HopState.BROKEN if known else HopState.UNKNOWN, f"{last(node)} not in the graph"
+                )
             if beacon is not None and max(beacon.late_s, beacon.silent_s - fact.age_s) > HANG_S:
-                return Hop("application", State.BROKEN, f"{last(node)} does not answer")
-        return Hop("application", State.OK)
+                return Hop("application", HopState.BROKEN, f"{last(node)} does not answer")
+        return Hop("application", HopState.OK)
 
 
 def _ground(result: api.Result, behind: Sequence[str]) -> Hop:
     """A ground station is never unused: one that was not heard yet is not known."""
-    return Hop("GCS", State.UNKNOWN, "no heartbeat yet") if result.bypass else hop("GCS", result, behind)
+    return Hop("GCS", HopState.UNKNOWN, "no heartbeat yet") if result.bypass else hop("GCS", result, behind)

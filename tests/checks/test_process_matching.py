@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from phm.api import ProcessFact
-from phm_checks._matching import Wanted, match
+from phm_checks._process_matching import Wanted, match
 
 NODE = Wanted("/agent_1/node_1")
 
