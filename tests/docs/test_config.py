@@ -1,0 +1,63 @@
+"""YAML of the documents: a configuration of PHM passes `phm validate`, a Compose file parses.
+
+A block whose keys are sections of phm.yaml is a configuration. With `agent` or `containers` it must be valid unchanged;
+without them it is a fragment, valid when it is added to `MINIMAL`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from phm.config import ConfigError, load
+from phm.core.settings import Settings
+from tests.docs.blocks import Block, blocks
+
+MINIMAL = "agent: {name: agent_1, id: 1}\ncontainers: [{name: ros_app, recover: true}]\n"
+SECTIONS = frozenset(Settings.model_fields)
+COMPOSE = frozenset({"services", "networks", "volumes", "configs", "secrets", "include"})
+SERVICE = frozenset(
+    "build cap_add cap_drop cgroup cgroup_parent command depends_on device_cgroup_rules devices environment env_file"
+    " group_add healthcheck image init ipc labels mem_limit network_mode networks pid ports privileged read_only restart"
+    " security_opt shm_size stop_grace_period tmpfs user volumes".split()
+)
+OTHERS = {"docs/reference/ros.md": {"analyzers"}, "docs/development/sitl.md": {"nodes"}}
+"""Files of other programs, by their top-level key."""
+ENVIRONMENT = {"PHM_AGENT": "agent_3", "PHM_AGENT_ID": "3"}
+
+
+def kind(block: Block) -> str:
+    """What the block is, by its top-level keys."""
+    keys = set(yaml.safe_load(block.text))
+    if keys <= SECTIONS:
+        return "configuration"
+    if keys <= COMPOSE:
+        return "compose"
+    return "other" if keys <= OTHERS.get(block.page, set()) else f"unknown: {sorted(keys)}"
+
+
+@pytest.mark.parametrize("block", blocks("yaml"), ids=str)
+def test_a_yaml_block_is_valid(block: Block, tmp_path: Path) -> None:
+    """It is accepted by the program that reads it, with and without the environment."""
+    what = kind(block)
+    assert what in ("configuration", "compose", "other")
+    if what == "configuration":
+        fragment = not {"agent", "containers"} & set(yaml.safe_load(block.text))
+        (tmp_path / "phm.yaml").write_text((MINIMAL if fragment else "") + block.text)
+        for environment in ({}, ENVIRONMENT):
+            try:
+                load(str(tmp_path / "phm.yaml"), environ=environment)
+            except ConfigError as error:
+                pytest.fail(f"{block}: {error}")
+    if what == "compose":
+        for name, service in yaml.safe_load(block.text).get("services", {}).items():
+            assert set(service) <= SERVICE, f"{block}: {name} has keys that Compose does not know"
+
+
+@pytest.mark.parametrize("path", sorted(Path("config").glob("**/*.yaml")), ids=str)
+def test_a_shipped_configuration_is_valid(path: Path) -> None:
+    """All files of config/ load with and without the environment."""
+    load(str(path), environ={})
+    load(str(path), environ=ENVIRONMENT)
