@@ -12,6 +12,7 @@ import io
 import json
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from phm.core.model import Level, Slot
 from phm.gcs import table
 from phm.wire import fault_timeline
 from phm.wire.tunnel import Seen, View
-from tests.docs.story import ROOT, play
+from tests.docs.story import ROOT as ROOT, play
 from tests.gcs.bench import Ground, beat, pilot, said, told
 
 MARK = re.compile(r"(<!-- example: ([\w-]+) -->\n+ *```\w*\n)(.*?)(^ *```$)", re.MULTILINE | re.DOTALL)
@@ -178,7 +179,7 @@ def main() -> None:
         text = page.read_text("utf-8")
         if (new := updated(text)) != text:
             page.write_text(new, "utf-8")
-            print(page.relative_to(ROOT))
+            sys.stdout.write(f"{page.relative_to(ROOT)}\n")
     PICTURES.mkdir(exist_ok=True)
     for name, make in SHOWN.items():
         (PICTURES / name).write_text(make(), "utf-8")

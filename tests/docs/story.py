@@ -80,7 +80,7 @@ class _Agent:
         self.clock = testing.FakeClock(100.0, START_UTC)
         self.docker, self.files, self.devices = _container(), testing.FakeFiles(), testing.FakeDevices()
         self.ros, self.pressure = testing.FakeRos(age_s=0.0), testing.FakePressure()
-        self.links = testing.FakeLinks(links=(LinkFact("ground", "udpout:127.0.0.1:14550", True),))
+        self.links = testing.FakeLinks(links=(LinkFact("ground", open=True),))
         self.files.put(TARGET, "/ws/src/critical_file", executable=True)
         self.devices.put("/dev/ttyS0")
         self.world = testing.world(
@@ -93,7 +93,7 @@ class _Agent:
             pressure=self.pressure,
         )
         self.alive, self.silent_since = set(NODES.values()), 0.0
-        made = plan.make(self.settings, registry.checks())
+        made = plan.build_plan(self.settings, registry.checks())
         self.checks = [entry.check for entry in made.scheduled]
         self.events = _Events()
         tracker = Tracker(made.tracked, self.clock.stamp(), fault_prefix="ab12-")
@@ -192,20 +192,20 @@ def _play(folder: Path) -> Story:
     agent.silent_since = agent.clock.mono()
     agent.run(0.6)
     began = agent.clock.mono()
-    agent.pipeline.hold(TARGET, UNIT, "restart", 30.0)
+    agent.pipeline.begin_action(TARGET, UNIT, "restart", 30.0)
     agent.act(Phase.STARTED, f"restart {TARGET} for: {agent.events.faults[0].result.summary}")
     agent.run(0.5)
     agent.pipeline.begin_pass()
     agent.run(0.5)
     during = agent.status_file()
     agent.run(1.5)
-    agent.pipeline.hold(TARGET, UNIT, "restart", 30.0, proving=True)
+    agent.pipeline.begin_action(TARGET, UNIT, "restart", 30.0, proving=True)
     agent.act(Phase.DONE, f"restarted {TARGET}")
     agent.run(1.2)
     agent.alive.add(VICTIM)
     agent.run(0.1)
     agent.act(Phase.VERIFIED, f"{UNIT} is OK again {agent.clock.mono() - began:.1f} s after the action began")
-    agent.pipeline.release(TARGET, worked=True)
+    agent.pipeline.end_action(TARGET, worked=True)
     agent.run(2.0)
     after = agent.status_file()
     agent.log.close()
@@ -220,4 +220,6 @@ def _container() -> testing.FakeDocker:
         health="healthy",
         devices=(DeviceMapping("/dev/ttyS0", "/dev/ttyS0"),),
     )
-    return testing.FakeDocker(fact, networks={"phm_net": "id-of-phm_net"}, me=testing.container("phm", networks=(NETWORK,)))
+    return testing.FakeDocker(
+        fact, networks={"phm_net": "id-of-phm_net"}, me=testing.container("phm", networks=(NETWORK,))
+    )

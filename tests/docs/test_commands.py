@@ -14,9 +14,48 @@ from tests.docs.blocks import blocks
 from tests.docs.examples import ROOT, pages
 
 FOREIGN = frozenset(
-    "curl jq nc pip docker mavproxy.py git printf chmod sha256sum cut cp cd ros2 pytest echo sudo mkdir udevadm kill"
-    " cat ls ./waf usermod colcon source export bash systemctl sysctl grep ip tail groups stat id timedatectl getent"
-    " python3 arducopter".split()
+    [
+        "./waf",
+        "arducopter",
+        "bash",
+        "cat",
+        "cd",
+        "chmod",
+        "colcon",
+        "cp",
+        "curl",
+        "cut",
+        "docker",
+        "echo",
+        "export",
+        "getent",
+        "git",
+        "grep",
+        "groups",
+        "id",
+        "ip",
+        "jq",
+        "kill",
+        "ls",
+        "mavproxy.py",
+        "mkdir",
+        "nc",
+        "pip",
+        "printf",
+        "pytest",
+        "python3",
+        "ros2",
+        "sha256sum",
+        "source",
+        "stat",
+        "sudo",
+        "sysctl",
+        "systemctl",
+        "tail",
+        "timedatectl",
+        "udevadm",
+        "usermod",
+    ]
 )
 """Programs that are not part of PHM: only PHM's files among their arguments are looked at."""
 INLINE = re.compile(r"`(?:\$ )?((?:phm|scripts/\w+|python -m \w[\w.]*)(?: [^`\n]*)?)`")

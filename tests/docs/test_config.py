@@ -14,14 +14,45 @@ import yaml
 from phm.config import ConfigError, load
 from phm.core.settings import Settings
 from tests.docs.blocks import Block, blocks
+from tests.docs.examples import ROOT
 
 MINIMAL = "agent: {name: agent_1, id: 1}\ncontainers: [{name: ros_app, recover: true}]\n"
 SECTIONS = frozenset(Settings.model_fields)
 COMPOSE = frozenset({"services", "networks", "volumes", "configs", "secrets", "include"})
 SERVICE = frozenset(
-    "build cap_add cap_drop cgroup cgroup_parent command depends_on device_cgroup_rules devices environment env_file"
-    " group_add healthcheck image init ipc labels mem_limit network_mode networks pid ports privileged read_only restart"
-    " security_opt shm_size stop_grace_period tmpfs user volumes".split()
+    [
+        "build",
+        "cap_add",
+        "cap_drop",
+        "cgroup",
+        "cgroup_parent",
+        "command",
+        "depends_on",
+        "device_cgroup_rules",
+        "devices",
+        "env_file",
+        "environment",
+        "group_add",
+        "healthcheck",
+        "image",
+        "init",
+        "ipc",
+        "labels",
+        "mem_limit",
+        "network_mode",
+        "networks",
+        "pid",
+        "ports",
+        "privileged",
+        "read_only",
+        "restart",
+        "security_opt",
+        "shm_size",
+        "stop_grace_period",
+        "tmpfs",
+        "user",
+        "volumes",
+    ]
 )
 OTHERS = {"docs/reference/ros.md": {"analyzers"}, "docs/development/sitl.md": {"nodes"}}
 """Files of other programs, by their top-level key."""
@@ -56,7 +87,7 @@ def test_a_yaml_block_is_valid(block: Block, tmp_path: Path) -> None:
             assert set(service) <= SERVICE, f"{block}: {name} has keys that Compose does not know"
 
 
-@pytest.mark.parametrize("path", sorted(Path("config").glob("**/*.yaml")), ids=str)
+@pytest.mark.parametrize("path", sorted((ROOT / "config").glob("**/*.yaml")), ids=str)
 def test_a_shipped_configuration_is_valid(path: Path) -> None:
     """All files of config/ load with and without the environment."""
     load(str(path), environ={})

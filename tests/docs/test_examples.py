@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from tests.docs import examples
@@ -11,7 +13,7 @@ AGAIN = "run `PYTHONPATH=.:checks .venv/bin/python -m tests.docs.examples`"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(examples.ROOT)))
-def test_examples_are_up_to_date(page: examples.Path) -> None:
+def test_examples_are_up_to_date(page: Path) -> None:
     """Each marked block contains what the code prints."""
     text = page.read_text("utf-8")
     assert text == examples.updated(text), AGAIN
