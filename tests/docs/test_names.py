@@ -88,7 +88,7 @@ def test_each_action_is_described() -> None:
     text = (ROOT / "docs" / "reference" / "recovery.md").read_text("utf-8")
     base: type = Action
     for found in registry.find(registry.ACTIONS, base):
-        assert f"`{found.name}`" in text, f"{found.name} is not described"
+        assert re.search(rf"\b{found.name}\b", text), f"{found.name} is not described"
     logs = (ROOT / "docs" / "reference" / "logs.md").read_text("utf-8")
     assert [phase for phase in Phase if f"`{phase.value}`" not in logs] == []
     assert [layer for layer in Layer if f"`{layer.value}`" not in logs] == []
