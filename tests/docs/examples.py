@@ -24,7 +24,7 @@ from phm.cli import group, render
 from phm.core.model import Level, Slot
 from phm.gcs import table
 from phm.wire import fault_timeline
-from phm.wire.tunnel import Seen, View
+from phm.wire.tunnel import PeerState, PeerView
 from tests.docs.story import ROOT as ROOT, play
 from tests.gcs.bench import Ground, beat, pilot, said, told
 
@@ -71,7 +71,7 @@ def _run(command: str) -> str:
 
 
 def _faults() -> list[dict[str, Any]]:
-    return fault_timeline.gather(play().record, [])
+    return fault_timeline.build_timelines(play().record, [])
 
 
 def _log() -> str:
@@ -100,7 +100,7 @@ def _ground() -> Mapping[str, Any]:
     made = Ground()
     made.hear(*(beat(number) for number in (1, 3, 7)), pilot(1, armed=True), pilot(2), pilot(7))
     made.hear(said(7, "A07 OK 11111111", 6), said(1, "A01 OK 11111111", 6))
-    view = View(1, gcs=True, autopilot=True, radio=True, peers={3: Seen.ALIVE})
+    view = PeerView(1, gcs=True, autopilot=True, radio=True, peers={3: PeerState.ALIVE})
     bad = beat(2, {Slot.NODES: Level.ERROR, Slot.TOPICS: Level.STALE, Slot.RATES: Level.STALE})
     made.wait(30, beat(1), bad, told(1, view), pilot(1, armed=True), pilot(2))
     made.hear(said(2, "A02 FAIL 6 node_1 dead"))
@@ -109,7 +109,7 @@ def _ground() -> Mapping[str, Any]:
 
 def _gcs() -> str:
     target = _console(80)
-    target.print(table.whole(_ground(), [], height=None))
+    target.print(table.render(_ground(), [], height=None))
     lines = (line.rstrip() for line in target.export_text().splitlines())
     return "\n".join(["$ phm gcs udpin:0.0.0.0:14551", *lines])
 
@@ -152,7 +152,7 @@ def _status_picture() -> str:
 
 SHOWN: dict[str, Callable[[], str]] = {
     "status.svg": _status_picture,
-    "gcs.svg": lambda: _picture("phm gcs", lambda target: target.print(table.whole(_ground(), [], height=None)), 84),
+    "gcs.svg": lambda: _picture("phm gcs", lambda target: target.print(table.render(_ground(), [], height=None)), 84),
 }
 
 

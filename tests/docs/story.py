@@ -23,8 +23,8 @@ from phm.core.model import ActionEvent, Event, Fault, FaultOpened, Phase, Result
 from phm.core.settings import LogSettings, Settings
 from phm.facts import Attachment, DeviceMapping, LinkFact, PressureFact, ProcessFact
 from phm.reporters.base import ReporterContext
-from phm.reporters.log import Log
-from phm.reporters.status import Status
+from phm.reporters.log import LogReporter
+from phm.reporters.status import StatusReporter
 from phm.tracker import Tracker
 from phm.wire import json_log
 
@@ -101,7 +101,7 @@ class _Agent:
         context = ReporterContext(
             self.settings, self.clock, "ab12c34d56ef", self.pipeline.states, lambda: True, self._health
         )
-        self.status, self.log = Status.build(context), Log.build(context)
+        self.status, self.log = StatusReporter.build(context), LogReporter.build(context)
         self.events.reporters = [self.log, self.status]
 
     def run(self, seconds: float) -> None:
