@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta, timezone
 
-LABEL = "phm.core.maintenance"
+LABEL = "phm.maintenance"
 """The container label that holds one window."""
 FORM = "write [DAYS or DATE] HH:MM-HH:MM in UTC, e.g. 02:00-04:00, sun 02:00-04:00, mon-fri 12:00-12:30, 2026-11-22 22:00-01:00"
 LONGEST_S = 24 * 3600.0

@@ -572,7 +572,7 @@ class RecoverySettings(Section):
     """Containers, none of them flight-critical, whose CPU weight is lowered while a flight-critical container with
     `recover: true` waits for a core because of others, and put back afterwards."""
     maintenance: Annotated[list[MaintenanceSettings], Field(max_length=16)] = Field(default_factory=list)
-    """Times in which containers are on hold. The label `phm.core.maintenance` of a container does the same for it."""
+    """Times in which containers are on hold. The label `phm.maintenance` of a container does the same for it."""
     ladders: dict[str, list[str]] = Field(default_factory=dict)
     """Per condition, the actions in order, replacing the built-in ladder, e.g. `unhealthy: [restart]`."""
 

@@ -150,7 +150,7 @@ class ContainerFact:
     cpu_period_s: float = 0.1
     """Period in which that limit is given out."""
     maintenance: str = ""
-    """The label `phm.core.maintenance`: a time in which the container is on hold (`phm.core.maintenance`)."""
+    """The label `phm.maintenance`: a time in which the container is on hold (`phm.core.maintenance`)."""
 
     @property
     def running(self) -> bool:

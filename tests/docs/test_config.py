@@ -46,6 +46,12 @@ SERVICE = frozenset(
         "privileged",
         "read_only",
         "restart",
+        "pids_limit",
+        "mem_reservation",
+        "memswap_limit",
+        "cpu_shares",
+        "logging",
+        "runtime",
         "security_opt",
         "shm_size",
         "stop_grace_period",
@@ -92,3 +98,9 @@ def test_a_shipped_configuration_is_valid(path: Path) -> None:
     """All files of config/ load with and without the environment."""
     load(str(path), environ={})
     load(str(path), environ=ENVIRONMENT)
+
+
+def test_each_section_has_its_row() -> None:
+    """docs/reference/configuration.md names every section of the configuration."""
+    page = (ROOT / "docs" / "reference" / "configuration.md").read_text("utf-8")
+    assert [name for name in SECTIONS if f"`{name}`" not in page] == []
