@@ -17,7 +17,7 @@ WAVER_PERIODS = 2.0
 """A beacon or topic that is silent for so many periods is no evidence yet, but a reason to look at the processes."""
 WAVER_S = 0.2
 LARGE_BPS, PAUSE_S = 0.8e6, 2.75
-"""Topics of so many bytes a second are listened to with such pauses (`phm.probes.ros.topic_monitor`), so they seem to waver."""
+"""Topics of so many bytes a second are listened to with such pauses (`phm.probes.ros.rates.topic_monitor`), so they seem to waver."""
 TWICE_S = 30.0
 """A restarted node is listed twice until its old lease ends, 20 s by default in Fast DDS; longer means two nodes."""
 

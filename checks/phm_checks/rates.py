@@ -17,7 +17,7 @@ SETTLE_S = 2.0
 GAP_PERIODS = 5
 """A topic is told as silent no sooner than after so many periods, whatever speaks for its node."""
 LARGE_BPS = 0.8e6
-"""Topics of so many bytes a second are listened to with pauses (`phm.probes.ros.topic_monitor`): when one fell silent is not known."""
+"""Topics of so many bytes a second are listened to with pauses (`phm.probes.ros.rates.topic_monitor`): when one fell silent is not known."""
 STAY = 0.9
 """A level is left only when the deviation is below this share of its limit, so that a rate at the limit does not flap."""
 MEASURED_S = 1.0

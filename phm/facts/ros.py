@@ -45,7 +45,7 @@ class RateFact:
     limit_s: float | None = None
     """Silent from here on: adapts to the pauses that were seen. None for a latched topic."""
     jitter_s: float | None = None
-    """Standard deviation of the period, estimated; see `phm.probes.ros.publisher_stats.Beat`. None with several publishers."""
+    """Standard deviation of the period, estimated; see `phm.probes.ros.rates.publisher_stats.Jitter`. None with several publishers."""
     age_s: float | None = None
     """Since the newest sample was published, against the quickest delivery of late, so that a clock of another host
     that is off does not matter; how late the quickest one was is not known. Of a latched topic against the clock of

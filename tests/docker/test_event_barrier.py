@@ -111,7 +111,7 @@ def daemon(fake: FakeEngine, tmp_path: Path) -> Iterator[Daemon]:
 def test_results_and_time_wait_for_the_events_before_them(
     fake: FakeEngine, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While an event is not applied no result is judged, and nothing is published because time has passed; the heart goes on."""
+    """While an event is not applied no result is judged, and nothing is published because time has passed; the main loop continues."""
     until(lambda: daemon.pipeline.complete and daemon.components.probes.caught_up(), "the first report")
     taken, go, order = threading.Event(), threading.Event(), list[str]()
 
@@ -128,15 +128,15 @@ def test_results_and_time_wait_for_the_events_before_them(
     fake.set("app", status="exited", exit_code=1)
     assert taken.wait(20)
     for _ in range(2):  # one that was under way when the event came is over after the second
-        beats = daemon._beat
+        last = daemon.components.loop.last_iteration
         daemon.wake()
-        until(lambda: daemon._beat > beats, "a beat of the heart")  # noqa: B023
+        until(lambda: daemon.components.loop.last_iteration > last, "a main-loop iteration")  # noqa: B023
     monkeypatch.setattr(daemon.pipeline, "observe", result)
     monkeypatch.setattr(daemon.pipeline, "tick", lambda: order.append("time"))
     run = CheckRun(
         dict.fromkeys(["container/app"], daemon.pipeline.states()[0].result), daemon.clock.mono(), 0.0, "test"
     )
-    bring = threading.Thread(target=daemon._observe, args=(run,), daemon=True)
+    bring = threading.Thread(target=daemon.components.scheduler._sink, args=(run,), daemon=True)
     bring.start()
     bring.join(0.3)
     go.set()

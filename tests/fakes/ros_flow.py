@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from phm.facts.ros import RateFact
-from phm.probes.ros.publisher_stats import Sample
-from phm.probes.ros.rate_meter import ALONE, Listening, RateMeter
+from phm.probes.ros.rates.estimator import ALONE, Listening, RateEstimator
+from phm.probes.ros.rates.publisher_stats import Sample
 
 TICK_S = 0.25
 TRACES = Path(__file__).resolve().parents[1] / "ros" / "traces"
@@ -92,7 +92,7 @@ def looks(
 
 
 def feed(
-    meter: RateMeter,
+    meter: RateEstimator,
     publications: Iterable[Publication],
     start_s: float,
     end_s: float,
@@ -109,12 +109,12 @@ def feed(
     return facts[-1]
 
 
-def quiet(meter: RateMeter, start_s: float, seconds: float, listening: Listening = ALONE) -> RateFact:
+def quiet(meter: RateEstimator, start_s: float, seconds: float, listening: Listening = ALONE) -> RateFact:
     """The meter after looks that find nothing."""
     return feed(meter, (), start_s, start_s + seconds, listening=listening)
 
 
-def silent_from(meter: RateMeter, publications: Sequence[Publication], start_s: float, end_s: float) -> list[float]:
+def silent_from(meter: RateEstimator, publications: Sequence[Publication], start_s: float, end_s: float) -> list[float]:
     """When the verdict of silence began, each time."""
     began, before = [], False
     for now_s, samples in looks(publications, start_s, end_s):

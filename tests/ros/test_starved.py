@@ -13,8 +13,8 @@ from phm.core.scheduling_delay import Lateness, Progress
 from phm.probes.ros import supervisor
 from phm.probes.ros.graph_snapshot import AGAIN_S, BREAK_S, GraphSnapshot, again_s
 from phm.probes.ros.protocol import Heard, Picture, Tick
-from phm.probes.ros.publisher_stats import Sample
-from phm.probes.ros.rate_meter import RateMeter
+from phm.probes.ros.rates.estimator import RateEstimator
+from phm.probes.ros.rates.publisher_stats import Sample
 from phm.probes.ros.supervisor import SupervisorLimits
 from phm_checks._node_consensus import silent
 from tests.fakes.ros_bench import Bench, until
@@ -87,7 +87,7 @@ def sample(number: int, at_s: float) -> Sample:
 @pytest.mark.parametrize(("gap_s", "most_s"), [(0.9, 7.0), (2.0, 8.5), (5.0, 15.5)])
 def test_looks_that_are_late_count_half_at_most(gap_s: float, most_s: float) -> None:
     """A topic is not silent because PHM looked late; one that is, is found within twice its limit, the longest pause and a look."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     meter.look(100.0, [sample(1, 100.0)])
     now = 100.0
     while (fact := meter.look(now := now + gap_s, [])).hz != 0.0:
@@ -133,7 +133,7 @@ def test_a_break_does_not_undo_that_a_slow_topic_was_listened_for() -> None:
 
 def test_looks_in_time_count_in_full() -> None:
     """On a machine with time to spare a silent topic is found as soon as ever."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     meter.look(100.0, [sample(1, 100.0)])
     found = [step for step in range(1, 20) if meter.look(100.0 + 0.25 * step, []).hz == 0.0]
     assert found[0] == 13

@@ -20,9 +20,9 @@ from phm.probes.ros.graph import OWN, GraphReader
 from phm.probes.ros.graph_events import GraphEvents
 from phm.probes.ros.graph_snapshot import flow
 from phm.probes.ros.protocol import Message, Others, Picture, Publish, Tick, Wanted
+from phm.probes.ros.rates.topic_monitor import TopicMonitor
 from phm.probes.ros.second_look import Known, Scout
 from phm.probes.ros.self_reports import Own
-from phm.probes.ros.topic_monitor import TopicMonitor
 from phm.probes.ros.unconfigured_topics import UnconfiguredTopics
 
 

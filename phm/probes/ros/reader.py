@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from phm.probes.ros.message_types import UnknownType, load_type
-from phm.probes.ros.publisher_stats import Sample
+from phm.probes.ros.rates.publisher_stats import Sample
 
 
 @dataclass(frozen=True, slots=True)

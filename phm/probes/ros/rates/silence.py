@@ -1,8 +1,8 @@
-"""From when on a topic counts as silent: as early as what was seen of it allows."""
+"""From when on a topic counts as silent: as early as its pauses so far allow."""
 
 from __future__ import annotations
 
-from phm.probes.ros.windowed_max import WindowedMax
+from collections import deque
 
 FLOOR_S = 1.0
 """Nothing is silent before: a process that waits for its processor is not."""
@@ -19,6 +19,34 @@ HORIZON_S = 600.0
 """For how long a pause is remembered, or HORIZON periods where that is longer."""
 HORIZON = 60
 _SHARE = 0.05
+BUCKETS = 10
+
+
+class WindowedMax:
+    """The largest number of the last `least_s` seconds, or up to a tenth longer. Times must not go back."""
+
+    def __init__(self, least_s: float) -> None:
+        self._bucket_s = least_s / BUCKETS
+        self._buckets: deque[tuple[float, float]] = deque(maxlen=BUCKETS + 1)
+
+    def add(self, number: float, now_s: float) -> None:
+        buckets = self._buckets
+        if buckets and now_s - buckets[-1][0] < self._bucket_s:
+            began_s, most = buckets[-1]
+            if number > most:
+                buckets[-1] = (began_s, number)
+            return
+        buckets.append((now_s, number))
+        while now_s - buckets[0][0] >= self._bucket_s * (BUCKETS + 1):
+            buckets.popleft()
+
+    def clear(self) -> None:
+        self._buckets.clear()
+
+    @property
+    def most(self) -> float | None:
+        """None when nothing was added, or nothing since `clear`."""
+        return max(number for _, number in self._buckets) if self._buckets else None
 
 
 class SilenceTimeout:

@@ -6,15 +6,15 @@ import random
 
 import pytest
 
-from phm.probes.ros.rate_change import LOOKS, RateChange
-from phm.probes.ros.rate_meter import RateMeter
+from phm.probes.ros.rates.estimator import RateEstimator
+from phm.probes.ros.rates.publisher_stats import LOOKS, RateChange
 from tests.fakes.ros_flow import Publication, even, feed, looks, trace
 
 PHASES = (0.0, 0.06, 0.12, 0.19)
 
 
 def changes(
-    meter: RateMeter, publications: list[Publication], start_s: float, end_s: float
+    meter: RateEstimator, publications: list[Publication], start_s: float, end_s: float
 ) -> list[tuple[float, float]]:
     """When a change was first seen, each time, and the rate that was told then."""
     found, before = [], False
@@ -30,7 +30,7 @@ def changes(
 def halved(hz: float, phase_s: float) -> list[tuple[float, float]]:
     """Changes of a topic that has half its rate from 140 s on."""
     publications = even(hz, 100.0, 40.0) + even(hz / 2, 140.0, 10.0, first=int(hz * 40) + 1)
-    return changes(RateMeter(hz, 3.0), publications, 100.0 + phase_s, 150.0)
+    return changes(RateEstimator(hz, 3.0), publications, 100.0 + phase_s, 150.0)
 
 
 @pytest.mark.parametrize("phase_s", PHASES)
@@ -45,7 +45,7 @@ def test_half_the_rate_is_seen_after_four_looks(hz: float, within_s: float, phas
 def test_twice_the_rate_is_a_change_too() -> None:
     """Either way, and back again."""
     publications = [*even(5.0, 100.0, 30.0), *even(10.0, 130.0, 30.0, first=151), *even(5.0, 160.0, 30.0, first=451)]
-    assert [round(hz) for _, hz in changes(RateMeter(5.0, 3.0), publications, 100.0, 190.0)] == [10, 5]
+    assert [round(hz) for _, hz in changes(RateEstimator(5.0, 3.0), publications, 100.0, 190.0)] == [10, 5]
 
 
 def test_a_change_soon_after_another_is_seen() -> None:
@@ -56,12 +56,12 @@ def test_a_change_soon_after_another_is_seen() -> None:
         *even(5.0, 132.0, 2.0, first=156),
         *even(2.5, 134.0, 4.0, first=166),
     ]
-    assert [round(hz, 1) for _, hz in changes(RateMeter(5.0, 3.0), publications, 100.0, 138.0)] == [2.5, 2.5]
+    assert [round(hz, 1) for _, hz in changes(RateEstimator(5.0, 3.0), publications, 100.0, 138.0)] == [2.5, 2.5]
 
 
 def test_a_change_is_no_unevenness() -> None:
     """So the next one is judged as the first: up and down again, and the error stays far below the change."""
-    meter, first, errors = RateMeter(5.0, 3.0), 1, []
+    meter, first, errors = RateEstimator(5.0, 3.0), 1, []
     for part in range(8):
         hz, start_s = (2.5 if part % 2 else 5.0), 100.0 + 10.0 * part
         fact = feed(meter, even(hz, start_s, 10.0, first=first), start_s, start_s + 10.0)
@@ -75,7 +75,9 @@ def test_a_change_is_no_unevenness() -> None:
 def test_no_recorded_trace_changes(name: str, phase_s: float) -> None:
     """Timers, jitter, bursts, stalls, and a machine whose processors are used by others: the rate stays what it is."""
     recorded = trace(name)
-    assert changes(RateMeter(round(recorded.hz, 1), 3.0), recorded.publications, phase_s - 1.0, recorded.end_s) == []
+    assert (
+        changes(RateEstimator(round(recorded.hz, 1), 3.0), recorded.publications, phase_s - 1.0, recorded.end_s) == []
+    )
 
 
 @pytest.mark.parametrize("stall_s", [0.4, 0.9, 2.0])
@@ -85,7 +87,7 @@ def test_a_stall_is_no_change(stall_s: float) -> None:
     for number in range(600):
         at_s += 0.2 + (stall_s if number % 6 == 0 else 0.0)
         publications.append(Publication(at_s, at_s, number))
-    assert changes(RateMeter(5.0, 3.0), publications, 100.0, at_s) == []
+    assert changes(RateEstimator(5.0, 3.0), publications, 100.0, at_s) == []
 
 
 def test_an_uneven_publisher_is_given_its_unevenness() -> None:
@@ -94,24 +96,24 @@ def test_an_uneven_publisher_is_given_its_unevenness() -> None:
     for number in range(3000):
         at_s += 0.2 * rnd.lognormvariate(-0.08, 0.4)
         publications.append(Publication(at_s, at_s, number))
-    assert changes(RateMeter(5.0, 3.0), publications, 100.0, at_s) == []
+    assert changes(RateEstimator(5.0, 3.0), publications, 100.0, at_s) == []
 
 
 def test_a_new_publisher_is_no_change() -> None:
     """What it does is not compared with what another did."""
     publications = even(10.0, 100.0, 30.0) + even(5.0, 130.0, 30.0)
-    assert changes(RateMeter(10.0, 3.0), publications, 100.0, 160.0) == []
+    assert changes(RateEstimator(10.0, 3.0), publications, 100.0, 160.0) == []
 
 
 def test_after_a_silence_nothing_is_compared() -> None:
     """The publisher may be another one."""
     publications = even(10.0, 100.0, 30.0) + even(5.0, 140.0, 30.0, first=301)
-    assert changes(RateMeter(10.0, 3.0), publications, 100.0, 170.0) == []
+    assert changes(RateEstimator(10.0, 3.0), publications, 100.0, 170.0) == []
 
 
 def test_a_change_is_told_while_the_window_begins_with_it() -> None:
     """Then it is what the topic does."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 30.0), 100.0, 130.0)
     assert feed(meter, even(5.0, 130.0, 2.0, first=301), 130.0, 132.0).changed_s == pytest.approx(1.8, abs=0.3)
     assert feed(meter, even(5.0, 132.0, 5.0, first=311), 132.0, 137.0).changed_s is None

@@ -1,4 +1,4 @@
-"""The gauge of one topic: a reader that follows its publishers, and the meter that its samples go into."""
+"""The rate of one topic: a reader that follows its publishers, and the estimator that takes its samples."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 from phm.facts.ros import EndpointFact, RateFact
 from phm.probes.ros.message_types import UnknownType
 from phm.probes.ros.protocol import WantedTopic
-from phm.probes.ros.publisher_demux import DEPTH_MOST, PER_PUBLISHER
-from phm.probes.ros.publisher_stats import SHORTEST_S, Sample
-from phm.probes.ros.rate_meter import Listening, RateMeter
+from phm.probes.ros.rates.estimator import Listening, RateEstimator
+from phm.probes.ros.rates.publisher_stats import SHORTEST_S, Sample
+from phm.probes.ros.rates.publishers import DEPTH_MOST, PER_PUBLISHER
 from phm.probes.ros.reader import Quality, Reader
 
 LARGE_BPS = 1e6
@@ -41,7 +41,7 @@ class TopicMonitor:
         self._name = topic.name
         self._expected_hz = topic.rate_hz
         self._tick_s = tick_s
-        self._meter = RateMeter(topic.rate_hz, topic.silence_s)
+        self._estimator = RateEstimator(topic.rate_hz, topic.silence_s)
         self._reader: Reader | None = None
         self._type = ""
         self._unknown = ""
@@ -70,7 +70,7 @@ class TopicMonitor:
             matched=matched,
             problem=self._problem(now_s, publishers, matched),
         )
-        fact = self._meter.look(now_s, samples, listening)
+        fact = self._estimator.look(now_s, samples, listening)
         if samples:
             self._complete = True
             self._shut_window(now_s, samples, fact)
@@ -94,7 +94,7 @@ class TopicMonitor:
             self._twins_since_s = None
         elif self._twins_since_s is None:
             self._twins_since_s = now_s
-        if self._meter.mixed(now_s):
+        if self._estimator.mixed(now_s):
             self._mixed_at_s = now_s
         twins = self._twins_since_s is not None and now_s - self._twins_since_s > GHOST_S
         mixed = now_s - self._mixed_at_s < MIXED_S
@@ -132,7 +132,7 @@ class TopicMonitor:
         except UnknownType as error:
             self._unknown = str(error)
         if self._counted:
-            self._meter.hold()
+            self._estimator.hold()
 
     def _close(self) -> None:
         if self._reader is not None:
@@ -143,8 +143,8 @@ class TopicMonitor:
     def _shut_window(self, now_s: float, samples: Sequence[Sample], fact: RateFact) -> None:
         """A large topic was seen: nothing more is wanted of it for a while."""
         hz = fact.hz or self._expected_hz
-        self._large = (self._meter.sample_bytes or 0.0) * hz > (SMALL_BPS if self._large else LARGE_BPS)
-        if not self._large or (self._counted and self._meter.span_s < SHORTEST_S):
+        self._large = (self._estimator.sample_bytes or 0.0) * hz > (SMALL_BPS if self._large else LARGE_BPS)
+        if not self._large or (self._counted and self._estimator.span_s < SHORTEST_S):
             return
         self._close()
         self._open_at_s = now_s + PAUSE_S

@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from phm.probes.ros.publisher_demux import DEPTH_MOST, MOST, PER_PUBLISHER, PublisherDemux
-from phm.probes.ros.rate_meter import Listening, RateMeter
+from phm.probes.ros.rates.estimator import Listening, RateEstimator
+from phm.probes.ros.rates.publishers import DEPTH_MOST, MOST, PER_PUBLISHER, PublisherDemux
 from tests.fakes.ros_flow import Publication, even, feed, looks
 
 WAYS = [
@@ -46,7 +46,7 @@ def test_the_rates_of_several_publishers_are_added_up(rates: tuple[float, ...], 
         ]
         many = Listening(publishers=len(rates), several=True)
         depth = min(DEPTH_MOST, PER_PUBLISHER * len(rates))
-        fact = feed(RateMeter(sum(rates), 3.0), publications, 100.0, 125.0, depth=depth, listening=many)
+        fact = feed(RateEstimator(sum(rates), 3.0), publications, 100.0, 125.0, depth=depth, listening=many)
         assert fact.problem == ""
         assert fact.hz == pytest.approx(sum(rates), rel=0.03 + share / 4), (seed, rates)
 
@@ -55,7 +55,9 @@ def test_lines_that_cross_keep_their_slopes() -> None:
     """The faster one overtakes the slower one's numbers."""
     publications = even(20.0, 100.0, 30.0, first=1) + even(10.0, 100.02, 30.0, first=100)
     for end_s in (106.0, 110.0, 112.0, 115.0, 125.0):
-        fact = feed(RateMeter(30.0, 3.0), publications, 100.0, end_s, depth=16, listening=Listening(2, several=True))
+        fact = feed(
+            RateEstimator(30.0, 3.0), publications, 100.0, end_s, depth=16, listening=Listening(2, several=True)
+        )
         assert fact.hz == pytest.approx(30.0, rel=0.02)
 
 
@@ -64,7 +66,7 @@ def test_a_publisher_that_stalls_and_catches_up_keeps_its_line() -> None:
     times = [100 + n / 100 + (0.05 - n % 10 / 100 if n % 10 < 5 else 0.0) for n in range(2000)]
     publications = [Publication(at_s + n * 1e-7, at_s + n * 1e-7, 5000 + n) for n, at_s in enumerate(times)]
     publications += even(150.0, 100.001, 20.0)
-    fact = feed(RateMeter(250.0, 3.0), publications, 100.0, 118.0, depth=32, listening=Listening(2, several=True))
+    fact = feed(RateEstimator(250.0, 3.0), publications, 100.0, 118.0, depth=32, listening=Listening(2, several=True))
     assert (fact.hz, fact.problem) == (pytest.approx(250.0, rel=0.02), "")
 
 
@@ -77,7 +79,7 @@ def test_uneven_publishers_are_counted_while_the_queue_holds_all() -> None:
         for number, at_s in enumerate(sorted(100 + phase_s + n / 20 + rnd.gauss(0.0, 0.017) for n in range(400)))
     ]
     many = Listening(2, several=True)
-    fact = feed(RateMeter(40.0, 3.0), publications, 100.0, 118.0, depth=32, listening=many)
+    fact = feed(RateEstimator(40.0, 3.0), publications, 100.0, 118.0, depth=32, listening=many)
     assert (fact.hz, fact.problem) == (pytest.approx(40.0, rel=0.03), "")
 
 
@@ -90,7 +92,7 @@ def test_more_publishers_than_can_be_told_apart_are_ambiguous() -> None:
         for publication in even(50.0, 100.0 + index * 0.002, 10.0, first=1 + index)
     ]
     many = Listening(publishers=count, several=True)
-    fact = feed(RateMeter(90.0, 3.0), publications, 100.0, 110.0, depth=DEPTH_MOST, listening=many)
+    fact = feed(RateEstimator(90.0, 3.0), publications, 100.0, 110.0, depth=DEPTH_MOST, listening=many)
     assert fact.hz is None
     assert fact.problem == "ambiguous: 9 publishers, whose numbers cannot be told apart"
 
@@ -99,7 +101,7 @@ def test_numbers_that_form_no_lines_are_ambiguous() -> None:
     """More publishers at work than discovery lists, or one that numbers at random."""
     rnd = random.Random(1)
     publications = [Publication(100 + n / 200, 100 + n / 200, rnd.randint(1, 10**6)) for n in range(2000)]
-    meter = RateMeter(200.0, 3.0)
+    meter = RateEstimator(200.0, 3.0)
     fact = feed(meter, publications, 100.0, 110.0, depth=32, listening=Listening(2, several=True))
     assert fact.problem == "ambiguous: 2 publishers, whose numbers cannot be told apart"
 
@@ -107,7 +109,7 @@ def test_numbers_that_form_no_lines_are_ambiguous() -> None:
 def test_a_restart_of_one_is_no_puzzle() -> None:
     """One of two begins to count anew: the sum is back as soon as its rate is known."""
     publications = even(10.0, 100.0, 20.0) + even(10.0, 100.03, 5.0, first=500) + even(10.0, 106.03, 14.0)
-    meter = RateMeter(20.0, 3.0)
+    meter = RateEstimator(20.0, 3.0)
     many = Listening(3, several=True)
     problems = {
         meter.look(now_s, samples, many).problem for now_s, samples in looks(publications, 100.0, 120.0, depth=16)

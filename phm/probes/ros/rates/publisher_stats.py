@@ -1,4 +1,4 @@
-"""The samples of one publisher of a topic: how often it publishes, how evenly, and how old its newest sample is."""
+"""The samples of one publisher of a topic: rate, jitter, changes of the rate, and age of its newest sample."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 
-from phm.probes.ros.rate_change import RateChange
-from phm.probes.ros.windowed_max import WindowedMax
+from phm.probes.ros.rates.silence import WindowedMax
 
 SHORTEST_S = 1.0
 """Below this span of publication time the jitter of two stamps is too large a share of it."""
@@ -17,6 +16,11 @@ FALLS, FALLS_S = 3, 10.0
 """A number that falls is a restarted publisher; this many falls within this time are two publishers."""
 QUICKEST_S = 60.0
 """For how long the quickest delivery counts, at least: clocks of two hosts drift apart by 3 ms meanwhile."""
+LOOKS, CHANGE_SPAN_S = 4, 1.0
+"""So many looks in a row, over so much publication time, must each show it. A stall is one long look, however long."""
+OFF = 0.15
+"""Each by more than this share of what the rate was, and by JITTERS standard deviations of how even the publisher was."""
+JITTERS = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +52,8 @@ class PublisherStats:
         self._kept: deque[Sample] = deque(maxlen=10_000)
         self._counted = 0
         self._falls: deque[float] = deque(maxlen=FALLS)
-        self._beat = Beat()
-        self._pace = RateChange()
+        self._jitter = Jitter()
+        self._rate_change = RateChange()
         self._usual: tuple[float | None, float | None] = (None, None)
         """Rate and jitter as of the last look that was as usual."""
         self._odd_from: Sample | None = None
@@ -82,7 +86,7 @@ class PublisherStats:
         self._kept.append(sample)
         while sample.at_s - self._kept[0].at_s > self.window_s and len(self._kept) > 2:
             self._kept.popleft()
-        if self._pace.steady:
+        if self._rate_change.steady:
             jitter_s = self.jitter_s
             self._usual, self._odd_from = (self.hz, self._usual[1] if jitter_s is None else jitter_s), sample
         self._quickest.add(-sample.delay_s, sample.at_s)
@@ -102,9 +106,9 @@ class PublisherStats:
             self._quickest.clear()
             return False
         if self._kept:  # else this is the first sample after a silence
-            if numbered and self._pace.add(count, published_s, *self._usual):
+            if numbered and self._rate_change.add(count, published_s, *self._usual):
                 self._change()
-            self._beat.add(count, published_s)
+            self._jitter.add(count, published_s)
         return True
 
     def _change(self) -> None:
@@ -113,12 +117,12 @@ class PublisherStats:
         assert self._changed_from is not None
         while self._kept[0].at_s < self._changed_from.at_s:
             self._kept.popleft()
-        self._beat = Beat()
+        self._jitter = Jitter()
 
     def forget(self) -> None:
         """Begin anew: what comes after a silence must not be averaged with it."""
         self._kept.clear()
-        self._pace.forget()
+        self._rate_change.forget()
         self._changed_from = None
 
     def mixed(self, now_s: float) -> bool:
@@ -146,8 +150,8 @@ class PublisherStats:
 
     @property
     def jitter_s(self) -> float | None:
-        """See `Beat`."""
-        return self._beat.jitter_s
+        """See `Jitter`."""
+        return self._jitter.jitter_s
 
     @property
     def at_s(self) -> float:
@@ -174,7 +178,7 @@ class PublisherStats:
         return age_s if age_s >= 0 else None
 
 
-class Beat:
+class Jitter:
     """How evenly a publisher publishes, from what one look in a while can see of it.
 
     Between two looks `count` samples are published in `seconds`. `jitter_s` is the standard deviation of
@@ -207,3 +211,47 @@ class Beat:
         period_s = self._seconds / self._count
         squares = self._seconds2 - 2 * period_s * self._cross + period_s**2 * self._counts2
         return math.sqrt(max(0.0, squares / self._weight))
+
+
+class RateChange:
+    """Watches one publisher, look by look. Costs a few operations a look, and nothing grows."""
+
+    def __init__(self) -> None:
+        self._looks = 0
+        self._seconds = 0.0
+        self._sign = 0
+        self._room_s = 0.0
+
+    @property
+    def steady(self) -> bool:
+        """Whether the newest look showed the usual rate."""
+        return not self._looks
+
+    def add(self, count: int, seconds: float, usual_hz: float | None, jitter_s: float | None) -> bool:
+        """A look: `count` publications took `seconds`. usual_hz, jitter_s: of what was before the run of odd looks.
+
+        True when the run is long enough to be another rate; then a new run begins.
+        """
+        if usual_hz is None or jitter_s is None:
+            self.forget()
+            return False
+        if not self._looks:
+            self._room_s = JITTERS * jitter_s
+        due_s = count / usual_hz
+        late_s = seconds - due_s
+        sign = 0 if abs(late_s) <= max(OFF * due_s, self._room_s) else (1 if late_s > 0 else -1)
+        if not sign or sign != self._sign:
+            self.forget()
+            self._sign = sign
+        if not sign:
+            return False
+        self._looks += 1
+        self._seconds += seconds
+        if self._looks < LOOKS or self._seconds < CHANGE_SPAN_S:
+            return False
+        self.forget()
+        return True
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._looks, self._seconds, self._sign = 0, 0.0, 0

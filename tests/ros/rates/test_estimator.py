@@ -7,7 +7,7 @@ import random
 import pytest
 
 from phm.facts.ros import RateFact
-from phm.probes.ros.rate_meter import STALL_S, Listening, RateMeter
+from phm.probes.ros.rates.estimator import STALL_S, Listening, RateEstimator
 from tests.fakes.ros_flow import TICK_S, even, feed, looks, quiet
 
 TWO = Listening(publishers=2, several=True)
@@ -15,7 +15,7 @@ TWO = Listening(publishers=2, several=True)
 
 def one(hz: float, seconds: float, *, expected: float | None = None, **how: object) -> RateFact:
     """What is known of an even publisher after `seconds`."""
-    return feed(RateMeter(expected or hz, 3.0), even(hz, 100.0, seconds, **how), 100.0, 100.0 + seconds)  # type: ignore[arg-type]
+    return feed(RateEstimator(expected or hz, 3.0), even(hz, 100.0, seconds, **how), 100.0, 100.0 + seconds)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("hz", [0.5, 1.0, 7.3, 10.0, 200.0, 1000.0, 5000.0])
@@ -26,7 +26,7 @@ def test_the_rate_is_exact_at_any_speed(hz: float) -> None:
 
 def test_a_topic_of_one_sample_a_minute_has_a_rate() -> None:
     """Below 0.1 Hz the window is three periods, and three periods without a sample are no silence yet."""
-    meter = RateMeter(1 / 60, 3.0)
+    meter = RateEstimator(1 / 60, 3.0)
     fact = feed(meter, even(1 / 60, 0.0, 600.0), 0.0, 600.0)
     assert fact.hz == pytest.approx(1 / 60, rel=1e-3)
     assert fact.window_s == pytest.approx(180.0)
@@ -35,7 +35,7 @@ def test_a_topic_of_one_sample_a_minute_has_a_rate() -> None:
 
 def test_a_step_of_the_clock_does_not_bend_a_slow_rate() -> None:
     """A jump of five seconds is a quarter of a 20 s period, and not taken for one."""
-    meter = RateMeter(0.05, 3.0)
+    meter = RateEstimator(0.05, 3.0)
     feed(meter, even(0.05, 0.0, 100.0), 0.0, 100.0)
     later = even(0.05, 100.0, 60.0, first=6, offset_s=5.0)
     fact = feed(meter, later, 100.0, 160.0)
@@ -44,7 +44,7 @@ def test_a_step_of_the_clock_does_not_bend_a_slow_rate() -> None:
 
 def test_without_numbers_all_samples_are_counted() -> None:
     """Middleware without sequence numbers: a deep queue is drained, and the rate is as exact."""
-    fact = feed(RateMeter(40.0, 3.0), even(40.0, 100.0, 10.0, numbered=False), 100.0, 110.0, depth=40)
+    fact = feed(RateEstimator(40.0, 3.0), even(40.0, 100.0, 10.0, numbered=False), 100.0, 110.0, depth=40)
     assert fact.hz == pytest.approx(40.0, rel=1e-3)
 
 
@@ -56,14 +56,14 @@ def test_two_samples_close_together_are_no_rate_yet() -> None:
 
 def test_before_the_first_sample_nothing_is_known() -> None:
     """A topic never heard has neither rate nor silence nor age, however long one waits."""
-    fact = quiet(RateMeter(10.0, 3.0), 100.0, 20.0)
+    fact = quiet(RateEstimator(10.0, 3.0), 100.0, 20.0)
     assert (fact.hz, fact.silent_s, fact.samples, fact.age_s, fact.sample_bytes) == (None, None, 0, None, None)
 
 
 @pytest.mark.parametrize(("hz", "limit_s"), [(10.0, 3.0), (0.5, 6.0)])
 def test_silence_is_three_periods_or_the_configured_time(hz: float, limit_s: float) -> None:
     """Of a topic just met: up to the limit the last rate stands; beyond it the rate is 0.0 and the silence is counted."""
-    meter = RateMeter(hz, 3.0)
+    meter = RateEstimator(hz, 3.0)
     fact = feed(meter, even(hz, 100.0, 10.0), 100.0, 110.0)
     assert fact.limit_s == limit_s
     assert quiet(meter, 110.0, limit_s).hz == pytest.approx(hz, rel=1e-3)
@@ -74,7 +74,7 @@ def test_silence_is_three_periods_or_the_configured_time(hz: float, limit_s: flo
 
 def test_after_a_silence_the_rate_is_measured_anew() -> None:
     """The silence is not averaged into the rate of what follows."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0)
     quiet(meter, 105.0, 8.0)
     fact = feed(meter, even(10.0, 113.0, 5.0, first=51), 113.0, 118.0)
@@ -83,7 +83,7 @@ def test_after_a_silence_the_rate_is_measured_anew() -> None:
 
 def test_when_phm_stands_still_no_topic_is_silent() -> None:
     """Looks far apart tell of PHM; only what is looked at can be found silent."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0)
     assert meter.look(125.0, ()).hz == pytest.approx(10.0, rel=1e-3)
     assert quiet(meter, 125.0, 3.0 - STALL_S / 2).hz != 0.0
@@ -92,7 +92,7 @@ def test_when_phm_stands_still_no_topic_is_silent() -> None:
 
 def test_a_restarted_publisher_is_measured_anew_and_counted() -> None:
     """Numbers that fall are a new life of the publisher, neither a negative rate nor ambiguity."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 10.0, first=5000), 100.0, 110.0)
     fact = feed(meter, even(20.0, 110.0, 5.0), 110.0, 115.0)
     assert (fact.problem, fact.restarts) == ("", 1)
@@ -101,7 +101,7 @@ def test_a_restarted_publisher_is_measured_anew_and_counted() -> None:
 
 def test_a_publisher_with_an_identity_that_takes_anothers_place_is_counted() -> None:
     """Where the middleware names the writer a restart is a new name, and what is gone is not added."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 10.0, writer=b"a"), 100.0, 110.0)
     fact = feed(meter, even(10.0, 110.5, 5.0, writer=b"b"), 110.0, 115.5)
     assert fact.restarts == 1
@@ -110,7 +110,7 @@ def test_a_publisher_with_an_identity_that_takes_anothers_place_is_counted() -> 
 
 def beside(hz: float, expected_hz: float, head_start_s: float) -> RateFact:
     """Two publishers of one node, as the gauge looks at them: sorted once their numbers are found mixed."""
-    meter, several, fact = RateMeter(expected_hz, 3.0), False, RateFact(None, None)
+    meter, several, fact = RateEstimator(expected_hz, 3.0), False, RateFact(None, None)
     both = even(hz, 100.0, 25.0) + even(hz, 100.0 + head_start_s, 25.0 - head_start_s)
     for now_s, samples in looks(both, 100.0, 125.0, depth=32):
         several = several or meter.mixed(now_s)
@@ -123,7 +123,7 @@ def beside(hz: float, expected_hz: float, head_start_s: float) -> RateFact:
 @pytest.mark.parametrize("depth", [1, 32])
 def test_a_restart_is_counted_while_the_killed_one_is_listed(hz: float, pause_s: float, depth: int) -> None:
     """One sequence has stopped for good and another began: that is once, however long the pause was."""
-    meter = RateMeter(hz, 3.0)
+    meter = RateEstimator(hz, 3.0)
     feed(meter, even(hz, 100.0, 40.0), 100.0, 140.0)
     assert feed(meter, even(hz, 140.0 + pause_s, 12.0), 140.0, 155.0, depth=depth).restarts == 1
 
@@ -139,7 +139,7 @@ def test_two_publishers_that_live_are_no_restart(hz: float, expected_hz: float, 
 
 def test_what_seemed_to_be_gone_and_comes_back_was_no_restart() -> None:
     """With an identity: a publisher pauses while a new one begins, and then goes on."""
-    meter, two = RateMeter(10.0, 3.0), Listening(publishers=2, several=True)
+    meter, two = RateEstimator(10.0, 3.0), Listening(publishers=2, several=True)
     pausing = even(10.0, 100.0, 5.0, writer=b"a")
     other = even(10.0, 105.1, 20.0, writer=b"b")
     assert feed(meter, [*pausing, *other], 100.0, 110.0, depth=32, listening=two).restarts == 1
@@ -150,7 +150,7 @@ def test_what_seemed_to_be_gone_and_comes_back_was_no_restart() -> None:
 
 def test_another_node_that_takes_over_is_counted_without_an_identity() -> None:
     """The numbers are sorted from the moment when two nodes are listed; what was heard before is not forgotten."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 20.0), 100.0, 120.0)
     fact = feed(meter, even(10.0, 121.0, 9.0), 120.0, 130.0, depth=32, listening=TWO)
     assert (fact.restarts, fact.problem, fact.hz) == (1, "", pytest.approx(10.0, rel=1e-2))
@@ -158,7 +158,7 @@ def test_another_node_that_takes_over_is_counted_without_an_identity() -> None:
 
 def test_the_rate_stands_when_the_list_is_short_again() -> None:
     """The lease of a killed publisher ends: what is left was measured all the time."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     both = even(10.0, 100.0, 10.0, first=700) + even(10.0, 100.03, 4.0)
     feed(meter, both, 100.0, 110.0, depth=32, listening=TWO)
     fact = feed(meter, even(10.0, 110.0, 0.3, first=800), 110.0, 110.25)
@@ -168,7 +168,7 @@ def test_the_rate_stands_when_the_list_is_short_again() -> None:
 @pytest.mark.parametrize("step_s", [-3600.0, -2.0, 2.0, 3600.0])
 def test_a_clock_that_was_set_does_not_bend_the_rate(step_s: float) -> None:
     """A jump of the publisher's clock begins a new window, and is neither a restart nor a silence."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0)
     fact = feed(meter, even(10.0, 105.0, 5.0, first=51, offset_s=step_s), 105.0, 110.0)
     assert fact.hz == pytest.approx(10.0, rel=1e-3)
@@ -178,11 +178,11 @@ def test_a_clock_that_was_set_does_not_bend_the_rate(step_s: float) -> None:
 
 def test_two_publishers_in_one_node_are_told_by_their_numbers() -> None:
     """Discovery may show one, but the numbers keep falling: then they have to be sorted."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     both = even(10.0, 100.0, 5.0, first=5000) + even(10.0, 100.13, 5.0, first=100)
     feed(meter, both, 100.0, 105.0)
     assert meter.mixed(105.0)
-    alone = RateMeter(10.0, 3.0)
+    alone = RateEstimator(10.0, 3.0)
     feed(alone, even(10.0, 100.0, 5.0), 100.0, 105.0)
     assert not alone.mixed(105.0)
 
@@ -190,13 +190,13 @@ def test_two_publishers_in_one_node_are_told_by_their_numbers() -> None:
 def test_publishers_with_an_identity_are_added_up() -> None:
     """Where the middleware names the writer, two publishers give the sum of their rates."""
     both = even(10.0, 100.0, 5.0, writer=b"a") + even(5.0, 100.03, 5.0, writer=b"b")
-    fact = feed(RateMeter(10.0, 3.0), both, 100.0, 105.0, depth=16, listening=TWO)
+    fact = feed(RateEstimator(10.0, 3.0), both, 100.0, 105.0, depth=16, listening=TWO)
     assert (fact.hz, fact.publishers) == (pytest.approx(15.0, rel=1e-3), 2)
 
 
 def test_one_of_two_publishers_that_falls_silent_leaves_the_sum() -> None:
     """The topic is not silent, and its rate is that of the other one."""
-    meter = RateMeter(20.0, 3.0)
+    meter = RateEstimator(20.0, 3.0)
     both = even(10.0, 100.0, 5.0, first=300) + even(10.0, 100.04, 10.0, first=7)
     assert feed(meter, both, 100.0, 105.0, depth=16, listening=TWO).hz == pytest.approx(20.0, rel=1e-2)
     rest = [publication for publication in both if publication.received_s > 105.0]
@@ -206,7 +206,7 @@ def test_one_of_two_publishers_that_falls_silent_leaves_the_sum() -> None:
 def test_counted_samples_of_two_publishers_are_their_sum() -> None:
     """Without numbers a deep queue hands over the samples of all publishers."""
     both = even(10.0, 100.0, 6.0, numbered=False) + even(5.0, 100.03, 6.0, numbered=False)
-    fact = feed(RateMeter(15.0, 3.0), both, 100.0, 106.0, depth=40, listening=TWO)
+    fact = feed(RateEstimator(15.0, 3.0), both, 100.0, 106.0, depth=40, listening=TWO)
     assert fact.hz == pytest.approx(15.0, rel=0.05)
 
 
@@ -217,7 +217,7 @@ def test_the_spread_of_a_slow_topics_period_is_its_jitter() -> None:
     for number in range(200):
         at_s += rnd.gauss(0.5, 0.05)
         publications.append(even(1.0, at_s - 1.0, 1.0, first=number + 1)[0])
-    fact = feed(RateMeter(2.0, 3.0), publications, 100.0, 195.0)
+    fact = feed(RateEstimator(2.0, 3.0), publications, 100.0, 195.0)
     assert fact.jitter_s == pytest.approx(0.05, rel=0.3)
 
 
@@ -230,7 +230,7 @@ def test_the_jitter_of_a_fast_timer_is_that_of_its_period(hz: float, off_s: floa
         for count in range(int(60 * hz))
     ]
     publications.sort(key=lambda publication: publication.sequence or 0)
-    fact = feed(RateMeter(hz, 3.0), publications, 100.0, 160.0)
+    fact = feed(RateEstimator(hz, 3.0), publications, 100.0, 160.0)
     assert fact.jitter_s == pytest.approx(off_s * 2**0.5, rel=0.3)
 
 
@@ -243,14 +243,14 @@ def test_an_even_publisher_has_no_jitter() -> None:
 @pytest.mark.parametrize("offset_s", [0.0, -86400.0, 3.0])
 def test_the_age_of_the_newest_sample_does_not_depend_on_the_publishers_clock(offset_s: float) -> None:
     """It is counted against the quickest delivery; the clock of another host may show anything."""
-    meter = RateMeter(1.0, 3.0)
+    meter = RateEstimator(1.0, 3.0)
     fact = feed(meter, even(1.0, 100.0, 10.0, offset_s=offset_s, delay_s=0.005), 100.0, 110.5)
     assert fact.age_s == pytest.approx(0.5 - 0.005, abs=0.01)
 
 
 def test_late_samples_are_old() -> None:
     """A sample that took a second longer than others is a second older."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0)
     late = even(10.0, 105.0, 5.0, first=51, delay_s=0.9)
     assert feed(meter, late, 105.0, 109.0).age_s == pytest.approx(0.9, abs=0.01)
@@ -258,7 +258,7 @@ def test_late_samples_are_old() -> None:
 
 def test_a_latched_topic_has_the_age_of_its_sample_and_is_never_silent() -> None:
     """Sent to whoever comes later: its age is by the clocks as they are."""
-    meter = RateMeter(0.0, 3.0)
+    meter = RateEstimator(0.0, 3.0)
     (sample,) = even(1.0, 99.0, 1.0, offset_s=-3600.0)
     fact = feed(meter, [sample], 99.0, 150.0)
     assert fact.age_s == pytest.approx(3650.0)
@@ -268,12 +268,12 @@ def test_a_latched_topic_has_the_age_of_its_sample_and_is_never_silent() -> None
 def test_a_latched_sample_from_the_future_has_no_age() -> None:
     """The publisher's host has another clock: nothing is known, and nothing is said."""
     (sample,) = even(1.0, 99.0, 1.0, offset_s=3600.0)
-    assert feed(RateMeter(0.0, 3.0), [sample], 99.0, 110.0).age_s is None
+    assert feed(RateEstimator(0.0, 3.0), [sample], 99.0, 110.0).age_s is None
 
 
 def test_a_large_topic_is_measured_across_its_windows() -> None:
     """Numbers and stamps go on while PHM does not listen: a look every few seconds gives the exact rate."""
-    meter = RateMeter(30.0, 3.0)
+    meter = RateEstimator(30.0, 3.0)
     closed = Listening(on=False, closed_s=2.0)
     publications = even(30.0, 100.0, 30.0, size=1_000_000)
     for window in range(10):
@@ -290,7 +290,7 @@ def test_a_large_topic_is_measured_across_its_windows() -> None:
 
 def test_a_counted_topic_keeps_its_rate_between_windows() -> None:
     """Where samples are counted those that passed meanwhile are not known: each window is a measurement."""
-    meter = RateMeter(20.0, 3.0)
+    meter = RateEstimator(20.0, 3.0)
     for window in range(3):
         at_s = 100.0 + 5.0 * window
         meter.hold()
@@ -305,6 +305,6 @@ def test_a_counted_topic_keeps_its_rate_between_windows() -> None:
 
 def test_a_problem_takes_the_place_of_a_rate() -> None:
     """What cannot be told is not told."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     fact = feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0, listening=Listening(problem="type unknown: x"))
     assert (fact.hz, fact.problem) == (None, "type unknown: x")

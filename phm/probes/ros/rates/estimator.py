@@ -1,23 +1,23 @@
 """Topic rates without reading the messages, from the sequence numbers that the publisher itself counts.
 
-A reader with a queue of one, never put in an executor, lets the middleware overwrite sample after sample
-in C++; Python looks at one of them each tick. Its sequence number says how many were published since the
-last look, its source timestamp how much time passed between those two publications. So the rate is exact
-however few samples are looked at, and what Python spends does not grow with the rate. The stamps are the
-middleware's own, of the publisher's system clock: `use_sim_time` does not touch them.
+A reader with a queue of one, never put in an executor, lets the middleware overwrite sample after sample in C++; Python
+takes one of them each tick. Its sequence number says how many were published since the last one taken, its source
+timestamp how much time passed between those two publications. So the rate is exact however few samples are taken, and
+the cost in Python does not grow with the rate. The stamps are the middleware's own, of the publisher's system clock:
+`use_sim_time` does not affect them.
 """
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from phm.facts.ros import RateFact
-from phm.probes.ros.publisher_demux import PublisherDemux
-from phm.probes.ros.publisher_restarts import PublisherRestarts, gone_after_s
-from phm.probes.ros.publisher_stats import PublisherStats, Sample
-from phm.probes.ros.rate_uncertainty import RateUncertainty
-from phm.probes.ros.silence_timeout import SilenceTimeout
+from phm.probes.ros.rates.publisher_stats import PublisherStats, Sample
+from phm.probes.ros.rates.publishers import PublisherDemux, PublisherRestarts, gone_after_s
+from phm.probes.ros.rates.silence import SilenceTimeout
 
 WINDOW_S, PERIODS = 3.0, 3
 """A rate is measured over this time, or so many expected periods where that is longer."""
@@ -31,6 +31,10 @@ LATE_S, STALL_S = 0.5, 1.0
 """Looks further apart than LATE_S, two ticks, tell that PHM itself did not run: of that time half counts as silence of the
 publisher, so that a starved PHM still finds it, and of the longest pause nothing that is beyond STALL_S."""
 _SHARE = 0.2
+FADE_S, FADE_WINDOWS = 60.0, 20
+"""What was seen counts for about so long, or so many windows where that is longer."""
+_ALIKE = 0.7
+"""Windows are compared when one is at least this share of the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,42 @@ class Listening:
 ALONE = Listening()
 
 
-class RateMeter:
+class RateUncertainty:
+    """Compares each rate with the one before its window began: both are of the same publisher, and share no sample.
+
+    So jitter, bursts and stalls are seen as what they do to the rate. A rate that really changes is one difference
+    among many, and hardly matters.
+    """
+
+    def __init__(self, window_s: float) -> None:
+        self._fade_s = max(FADE_S, FADE_WINDOWS * window_s)
+        self._past: deque[tuple[float, float, float]] = deque(maxlen=1000)
+        self._seen_s = 0.0
+        self._square = 0.0
+        """Mean of half the squared difference, times the window: for one twice as long the square is half."""
+
+    def add(self, now_s: float, hz: float, window_s: float) -> None:
+        """A look: the rate as measured over the last `window_s`."""
+        past = self._past
+        since_s = now_s - past[-1][0] if past else 0.0
+        while len(past) > 1 and now_s - past[1][0] >= window_s:
+            past.popleft()
+        if past and now_s - past[0][0] >= window_s and past[0][2] >= _ALIKE * window_s:
+            self._seen_s += since_s
+            share = min(1.0, since_s / min(self._fade_s, self._seen_s)) if since_s else 0.0
+            self._square += share * ((hz - past[0][1]) ** 2 / 2 * window_s - self._square)
+        past.append((now_s, hz, window_s))
+
+    def forget(self) -> None:
+        """What comes does not continue what was."""
+        self._past.clear()
+
+    def error_hz(self, window_s: float) -> float | None:
+        """Standard deviation of a rate that is measured over `window_s`; None until two windows have been compared."""
+        return math.sqrt(self._square / window_s) if self._seen_s and window_s else None
+
+
+class RateEstimator:
     """Judges nothing: turns the samples of one topic into a `RateFact`.
 
     expected_hz and silence_s only set for how long samples are kept and from when on the topic

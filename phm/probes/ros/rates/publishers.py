@@ -1,18 +1,13 @@
-"""Tells the samples of several publishers of one topic apart where the middleware does not say who sent them.
-
-Each publisher numbers its samples by itself, so over time its numbers form a line of their own. Between two looks a queue
-keeps the last samples of all of them: within it numbers of one line follow each other by one, whenever they come; across
-what the queue lost, they go on about as steeply as before. Two lines that are taken for one another keep their sum,
-so that only a line too many or too few changes the rate; it shows by lines that are born.
-"""
+"""Several publishers of one topic: whose samples are whose, and how often a publisher was restarted."""
 
 from __future__ import annotations
 
-from collections import deque
+import math
+from collections import OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from phm.probes.ros.publisher_stats import PublisherStats, Sample
+from phm.probes.ros.rates.publisher_stats import PublisherStats, Sample
 
 MOST = 8
 """Publishers that are told apart; of more, a queue of bearable length shows too few samples each."""
@@ -29,6 +24,14 @@ _BASE_S = 2.0
 _AGAIN_S = 20.0
 _BIRTHS_S = 10.0
 """In so long one new line is a publisher that was restarted; more tell that samples were taken for others'."""
+GONE_S = 1.0
+"""A publisher is gone when another was heard this much later, or GONE_PERIODS of its own where that is longer."""
+GONE_PERIODS = 6
+NEW_S = 5.0
+"""A publisher whose first sample has a number of no more seconds than this has just begun: it is discovered by then."""
+_STRAY = 0.5
+"""A number may be off where its publisher is expected to be by one, and by this share of those that are expected."""
+_ENDS, _NAMES = 4, 16
 
 
 @dataclass(slots=True)
@@ -141,3 +144,73 @@ class PublisherDemux:
         if len(self._lines) > 2 * MOST:
             self._lines.remove(min(self._lines, key=lambda line: line.at_ns))
         return line
+
+
+def gone_after_s(hz: float) -> float:
+    """How long a publisher of this rate may be silent beside one that is not."""
+    return max(GONE_S, GONE_PERIODS / hz if hz else 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _End:
+    """The newest sample of a sequence that another one seems to have taken the place of."""
+
+    last: Sample
+    hz: float
+
+
+class PublisherRestarts:
+    """`count` may fall again: a publisher that was taken for gone came back. expected_hz: of the topic."""
+
+    def __init__(self, expected_hz: float) -> None:
+        self._expected_hz = expected_hz
+        self._ends: deque[_End] = deque(maxlen=_ENDS)
+        self._replaced: OrderedDict[bytes | None, None] = OrderedDict()
+        self.count = 0
+
+    def fell(self, last: Sample, hz: float | None) -> None:
+        """A smaller number came after `last`, of a publisher of this rate: another life of it, or another one."""
+        self._ends.append(_End(last, min(hz or self._expected_hz, self._expected_hz)))
+
+    def hear(self, sample: Sample, last: Sample | None) -> None:
+        """A sample, and the one before it of what is taken for its publisher: does a sequence that ended go on?"""
+        for end in list(self._ends):
+            off = _off(end.last, sample, end.hz)
+            if off < math.inf and off <= _off(last, sample, end.hz):
+                self._ends.remove(end)
+
+    def settle(self, now_s: float, closed_s: float, *, mixed: bool) -> None:
+        """Called once a look. closed_s: how long nobody listens. mixed: the numbers are those of several publishers."""
+        if mixed:
+            self._ends.clear()
+        for end in list(self._ends):
+            if now_s - end.last.at_s > gone_after_s(end.hz) + closed_s:
+                self._ends.remove(end)
+                self.count += 1
+
+    def gone(self, writer: bytes | None, track: PublisherStats, others: list[PublisherStats]) -> None:
+        """A publisher that can be told from the others fell silent: did one of them take its place?"""
+        most = 1 + NEW_S * max(track.hz or 0.0, self._expected_hz)
+        heir = next((other for other in others if other.takes_place(track, most)), None)
+        if heir is None:
+            return
+        heir.replaced = True
+        self.count += 1
+        self._replaced[writer] = None
+        while len(self._replaced) > _NAMES:
+            self._replaced.popitem(last=False)
+
+    def back(self, writer: bytes | None) -> None:
+        """A publisher that is not known is heard: one that was gone has not been replaced after all."""
+        if writer in self._replaced:
+            del self._replaced[writer]
+            self.count -= 1
+
+
+def _off(last: Sample | None, sample: Sample, hz: float) -> float:
+    """How many numbers `sample` is off what follows `last` at this rate; infinite when it cannot be of the same publisher."""
+    if last is None or last.sequence is None or sample.sequence is None or sample.sequence <= last.sequence:
+        return math.inf
+    expected = max(1.0, hz * (sample.source_ns - last.source_ns) / 1e9)
+    off = abs(sample.sequence - last.sequence - expected)
+    return off if off <= 1 + _STRAY * expected else math.inf

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from phm.probes.ros.rate_meter import RateMeter
-from phm.probes.ros.silence_timeout import LEAST, SilenceTimeout
-from phm.probes.ros.windowed_max import WindowedMax
+from phm.probes.ros.rates.estimator import RateEstimator
+from phm.probes.ros.rates.silence import LEAST, SilenceTimeout, WindowedMax
 from tests.fakes.ros_flow import TICK_S, looks, silent_from, trace
 
 CONFIGURED_S = 3.0
@@ -19,7 +18,7 @@ PHASES = (0.0, 0.06, 0.12, 0.19)
 def silences(name: str, phase_s: float) -> tuple[list[float], float]:
     """Of the trace and then nothing: when silence was called while it went on, and how long after its last publication."""
     recorded = trace(name)
-    meter = RateMeter(round(recorded.hz, 1), CONFIGURED_S)
+    meter = RateEstimator(round(recorded.hz, 1), CONFIGURED_S)
     began = silent_from(meter, recorded.publications, phase_s - 1.0, recorded.end_s + 5.0)
     early = [at_s for at_s in began if at_s <= recorded.end_s]
     (called_s,) = [at_s for at_s in began if at_s > recorded.end_s]
@@ -48,7 +47,7 @@ def test_a_stall_that_was_never_seen_before_is_not_told(phase_s: float) -> None:
     """A steady topic pauses for up to 2.7 s once in a while: the first pause may be called silence, for less than it
     takes to be told, and from then on the topic has its time."""
     recorded = trace("stalling")
-    meter = RateMeter(1.0, CONFIGURED_S)
+    meter = RateEstimator(1.0, CONFIGURED_S)
     silent_s, spans = 0.0, []
     for now_s, samples in looks(recorded.publications, phase_s - 1.0, recorded.end_s):
         if meter.look(now_s, samples).hz == 0.0:

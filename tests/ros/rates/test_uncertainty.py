@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import pytest
 
 from phm import api, testing
-from phm.probes.ros.rate_meter import WIDE_S, RateMeter
-from phm.probes.ros.rate_uncertainty import RateUncertainty
+from phm.probes.ros.rates.estimator import WIDE_S, RateEstimator, RateUncertainty
 from phm_checks.rates import Rates
 from tests.fakes.ros_flow import Publication, even, feed, looks, trace
 
@@ -32,7 +31,7 @@ def told(
     (check,) = Rates.build(testing.settings(containers=[{"name": "ros_app"}], ros={"topics": [topic]}))
     beacon = api.BeaconFact(0.0, 0.2, turns=1)
     clock, ros = testing.FakeClock(), testing.FakeRos(nodes={"/n": 1}, beacons={"/n": beacon})
-    meter, ends = RateMeter(topic["rate"], 3.0), (api.EndpointFact("/n", "std_msgs/msg/String"),)
+    meter, ends = RateEstimator(topic["rate"], 3.0), (api.EndpointFact("/n", "std_msgs/msg/String"),)
     spans: list[tuple[float, float, str]] = []
     began_s: float | None = None
     settle_s = SETTLE_S
@@ -90,14 +89,14 @@ def test_half_the_rate_is_still_told(name: str, within_s: float) -> None:
 
 def test_a_steady_rate_has_no_error() -> None:
     """The looks' own unevenness is not the publisher's."""
-    fact = feed(RateMeter(10.0, 3.0), even(10.0, 100.0, 30.0), 100.0, 130.0)
+    fact = feed(RateEstimator(10.0, 3.0), even(10.0, 100.0, 30.0), 100.0, 130.0)
     assert fact.error_hz == pytest.approx(0.0, abs=1e-6)
     assert fact.window_s == pytest.approx(3.0, abs=0.3)
 
 
 def test_the_error_is_not_known_before_two_windows_were_compared() -> None:
     """None is not zero."""
-    assert feed(RateMeter(10.0, 3.0), even(10.0, 100.0, 5.0), 100.0, 105.0).error_hz is None
+    assert feed(RateEstimator(10.0, 3.0), even(10.0, 100.0, 5.0), 100.0, 105.0).error_hz is None
 
 
 def test_an_uneven_topic_is_measured_over_a_longer_window() -> None:
@@ -106,7 +105,7 @@ def test_an_uneven_topic_is_measured_over_a_longer_window() -> None:
     for number in range(600):
         at_s += rnd.lognormvariate(-0.08, 0.4)
         publications.append(Publication(at_s, at_s, number))
-    meter, rates, errors = RateMeter(1.0, 3.0), [], []
+    meter, rates, errors = RateEstimator(1.0, 3.0), [], []
     for now_s, samples in looks(publications, 100.0, 600.0):
         fact = meter.look(now_s, samples)
         if now_s > 200.0 and fact.hz and fact.error_hz:
@@ -120,7 +119,7 @@ def test_an_uneven_topic_is_measured_over_a_longer_window() -> None:
 
 def test_a_rate_that_changes_once_is_no_unevenness() -> None:
     """From 10 to 5 Hz: the error stays far below the change, so that it is told."""
-    meter = RateMeter(10.0, 3.0)
+    meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 60.0), 100.0, 160.0)
     fact = feed(meter, even(5.0, 160.0, 6.0, first=601), 160.0, 166.0)
     assert fact.hz == pytest.approx(5.0, rel=0.01)
