@@ -16,7 +16,7 @@ from phm.cli import VERBS
 from phm.core.settings import Settings
 
 ROOT = Path(__file__).resolve().parent.parent
-LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]+)(?:#[^)\s]*)?\)")
+LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 GROUPS = ("phm.checks", "phm.reporters", "phm.actions")
 # Written in parts, so that this file does not name what it forbids.
 HOSTS = (
@@ -29,6 +29,10 @@ HOSTS = (
 HOST = re.compile("|".join(re.escape(".".join(parts)) for parts in HOSTS))
 MACHINE_PATH = re.compile(r"(?<![\w./-])/(?:{})/".format("|".join(("wo" + "rk", "ro" + "ot/\\.pyenv"))))
 EXEMPT = {"LICENSE"}
+WIDTH = 100
+"""Columns of a line of prose; tables, code, pictures and links are longer where they must be."""
+UNWRAPPED = ("|", "<", "![")
+HISTORY = "CHANGELOG.md"
 
 
 def tracked() -> list[Path]:
@@ -45,13 +49,37 @@ def tracked() -> list[Path]:
 
 
 def broken_links(files: list[Path]) -> Iterator[str]:
-    """Relative links in Markdown that lead nowhere."""
+    """Relative links in Markdown whose file or heading does not exist."""
     for path in files:
         if path.suffix != ".md":
             continue
-        for target in LINK.findall(path.read_text("utf-8")):
-            if "://" not in target and not target.startswith("mailto:") and not (path.parent / target).exists():
+        for target, heading in LINK.findall(path.read_text("utf-8")):
+            if "://" in target or target.startswith("mailto:"):
+                continue
+            page = path.parent / target if target else path
+            if not page.exists():
                 yield f"{path.relative_to(ROOT)}: the link to {target} leads nowhere"
+            elif heading and page.suffix == ".md" and heading not in headings(page):
+                yield f"{path.relative_to(ROOT)}: {target}#{heading}: there is no such heading"
+
+
+def headings(page: Path) -> set[str]:
+    """The anchors of a page, as GitHub makes them."""
+    titles = re.findall(r"^#+ (.*)$", page.read_text("utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in titles}
+
+
+def long_lines(files: list[Path]) -> Iterator[str]:
+    """Lines of prose that are wider than WIDTH. One long word, such as a link, may be."""
+    for path in files:
+        if path.suffix != ".md" or path.name == HISTORY:
+            continue
+        code = False
+        for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
+            code ^= line.lstrip().startswith("```")
+            words = line.split()
+            if not code and len(line) > WIDTH and len(words) > 1 and not words[0].startswith(UNWRAPPED):
+                yield f"{path.relative_to(ROOT)}:{number}: {len(line)} columns, at most {WIDTH}"
 
 
 def undocumented() -> Iterator[str]:
@@ -87,7 +115,7 @@ def machine_names(files: list[Path]) -> Iterator[str]:
 def main() -> int:
     """Print all problems; 0 when there is none."""
     files = tracked()
-    problems = [*broken_links(files), *undocumented(), *machine_names(files)]
+    problems = [*broken_links(files), *long_lines(files), *undocumented(), *machine_names(files)]
     for problem in problems:
         print(problem)
     return 1 if problems else 0

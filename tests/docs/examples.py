@@ -77,7 +77,7 @@ def _faults() -> list[dict[str, Any]]:
 def _log() -> str:
     """The text log from the injected fault to its end, units that stay OK left out of the report."""
     lines = play().text_log
-    first = next(i for i, line in enumerate(lines) if " INJECT:" in line)
+    first = next(i for i, line in enumerate(lines) if " NOTE:" in line)
     kept = [line for line in lines[first:] if not re.search(r"\((?:9|1[0-9])\)|BYPASS", line)]
     return "\n".join(kept)
 

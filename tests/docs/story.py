@@ -187,7 +187,7 @@ def _play(folder: Path) -> Story:
     agent.run(4.0)
     agent.pipeline.begin_pass()
     agent.run(1.0)
-    agent.pipeline.note("INJECT", f"Command executed successfully: killing {VICTIM}")
+    agent.pipeline.note("NOTE", f"test: kill {VICTIM}")
     agent.alive.discard(VICTIM)
     agent.silent_since = agent.clock.mono()
     agent.run(0.6)
