@@ -1,7 +1,7 @@
-"""The command `phm`. Each verb is a file of this package, imported when it is used and not before.
+"""The command `phm`. Each verb is a module of this package, imported only when it is used.
 
-`phm status --healthy` runs every few seconds as a container's HEALTHCHECK: nothing here may import more than
-click. A verb of another package is found through the entry-point group ``phm.verbs``.
+`phm status --healthy` runs every few seconds as a container's HEALTHCHECK, so this module imports nothing but click.
+Verbs of other packages are found through the entry-point group ``phm.verbs``.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from phm import __version__
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-# Verb: what `phm --help` says about it (kept here so that help needs no imports; a test compares).
+# Verb: its line in `phm --help` (kept here so that help needs no imports; a test compares them).
 VERBS = {
     "run": "Run the daemon until SIGTERM.",
-    "once": "Make one pass over all checks and print it.",
-    "validate": "Check a configuration file and name every problem.",
-    "checks": "List the checks that are installed.",
-    "status": "Show how the running daemon and its agent do.",
-    "faults": "List open and recent faults, or one with its timeline.",
-    "reload": "Have the running daemon reload its configuration.",
-    "approve": "Say yes to the action that PHM advises for an open fault.",
-    "hold": "Keep recovery from a container, or from all, for a while.",
-    "release": "End a hold.",
+    "once": "Run every check once and print the results.",
+    "validate": "Validate a configuration file and list every problem.",
+    "checks": "List the installed checks.",
+    "status": "Show daemon and agent status.",
+    "faults": "List open and recent faults, or show one with its timeline.",
+    "reload": "Reload the configuration of the running daemon.",
+    "approve": "Approve the recommended action for an open fault.",
+    "hold": "Suspend recovery of one container or of all.",
+    "release": "End a hold, so that recovery resumes.",
     "note": "Write a line into the running daemon's log.",
-    "proxy-rules": "Print proxy rules that allow only the calls PHM makes.",
-    "gcs": "Show how all agents are, as a ground station hears them.",
+    "proxy-rules": "Print Docker proxy rules that allow only the calls PHM makes.",
+    "gcs": "Show the status of all agents, as received by a ground station.",
 }
 VERB_GROUP = "phm.verbs"
 
 
 class LazyGroup(click.Group):
-    """A group whose verbs are imported one at a time, by name: `phm.cli.<verb>:command`."""
+    """Imports each verb by name when it is used: `phm.cli.<verb>:command`."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [*VERBS, *sorted(_foreign_verbs())]
@@ -54,7 +54,7 @@ class LazyGroup(click.Group):
                 return None
             loaded = _load(point)
         if not isinstance(loaded, click.Command):
-            raise click.ClickException(f"verb {cmd_name!r} is no click command: correct its package")
+            raise click.ClickException(f"verb {cmd_name!r} is not a click command: fix the package that provides it")
         return loaded
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -66,7 +66,7 @@ class LazyGroup(click.Group):
 
 
 def _foreign_verbs() -> dict[str, EntryPoint]:
-    """Verbs of other packages. Only looked for when a name is not ours, since it reads every installed package."""
+    """Verbs of other packages. Used only for names that are not PHM's own, because it reads every installed package."""
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group=VERB_GROUP) if point.name not in VERBS}
@@ -75,7 +75,7 @@ def _foreign_verbs() -> dict[str, EntryPoint]:
 def _load(point: EntryPoint) -> object:
     try:
         return point.load()
-    except Exception as error:  # the other package's code runs here; its failure is told, not hidden
+    except Exception as error:  # the other package's code runs here; report its failure
         cause = f"{type(error).__name__}: {error}"
         raise click.ClickException(f"verb {point.name!r} from {point.value!r} cannot be loaded: {cause}") from error
 
@@ -87,11 +87,14 @@ def _load(point: EntryPoint) -> object:
 )
 @click.version_option(__version__, "-V", "--version", prog_name="phm", message="%(prog)s %(version)s")
 def group() -> None:
-    """What failed on which agent, at which layer, and did it heal itself?"""
+    """Prognostics and health monitoring for a drone's companion computer.
+
+    Detects, reports and recovers failures across radio, Docker and ROS 2.
+    """
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point of the command line. Whatever goes wrong ends as one sentence; PHM_TRACEBACK=1 shows the rest."""
+    """Entry point. An unexpected error is printed as one sentence; PHM_TRACEBACK=1 shows the traceback."""
     try:
         group.main(args=None if arguments is None else list(arguments), prog_name="phm")
     except Exception as error:
@@ -100,5 +103,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from phm.wire.text import one_line
 
         detail = one_line(f"{type(error).__name__}: {error}")
-        click.echo(f"phm: internal error: {detail} (PHM_TRACEBACK=1 shows where)", err=True)
+        click.echo(f"phm: internal error: {detail} (set PHM_TRACEBACK=1 for the traceback)", err=True)
         sys.exit(os.EX_SOFTWARE)

@@ -1,4 +1,4 @@
-"""`phm approve`: the operator's yes to what PHM only advises. Imports click and the standard library."""
+"""`phm approve`: approves a recommended action. Imports click and the standard library."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from phm.wire import control
 @run_dir_option
 @click.pass_context
 def command(ctx: click.Context, fault: str, run_dir: str) -> None:
-    """Say yes to the action that PHM advises for an open fault.
+    """Approve the recommended action for an open fault.
 
-    The daemon then does it once, whatever the recovery mode and the armed state say; budget and back-off still hold. The
-    approval ends after recovery.approval (60 s), or when the situation changes.
-    Exit code 0: it says what will be done; 1: there is nothing to approve, or the daemon does not answer.
+    FAULT is its id, as `phm status` shows it. The daemon executes the action once, regardless of recovery mode and armed state;
+    budget and back-off still apply. The approval expires after recovery.approval (60 s), or when the situation changes.
+    Exit code 0: approved; prints what will be done. 1: nothing to approve, or the daemon does not answer.
     """
     tell(ctx, run_dir, {"do": "approve", "fault": fault})
 
 
 def tell(ctx: click.Context, run_dir: str, request: dict[str, Any]) -> None:
-    """Ask the daemon and print its answer as one sentence; ends with 0 when it did what was asked, else 1."""
+    """Send a request and print the answer as one sentence; exits with 1 when it was refused."""
     from phm.wire.text import one_line
 
     try:

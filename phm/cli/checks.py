@@ -1,4 +1,4 @@
-"""`phm checks`: what is installed, and what a configuration makes of it: the graph of needs."""
+"""`phm checks`: the installed checks, and the dependency graph of a configuration."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog="Example: phm checks --graph -c config/phm.yaml")
-@click.option("--graph", "as_graph", is_flag=True, help="Print who needs whom in a configuration, as a tree.")
+@click.option("--graph", "as_graph", is_flag=True, help="Print the dependency graph of a configuration.")
 @config_option
 @json_option
 @click.pass_context
 def command(ctx: click.Context, as_graph: bool, config: str | None, as_json: bool) -> None:
-    """List the checks that are installed.
+    """List the installed checks.
 
-    With slot, layer and the package each comes from. A check that cannot be loaded is listed with the
-    reason, and the exit code is 1; so it is when there are none at all. With --graph: the units of a
-    configuration, each below what it needs; exit code 78 when the configuration is bad.
+    Shows slot, layer and the package of each. A check that cannot be loaded is listed with the reason.
+    With --graph: the units of a configuration, each below the unit that it needs.
+    Exit code 0; 1: a check cannot be loaded, or none is installed; 78: the configuration is invalid.
     """
     if as_graph:
         plan = _plan(config)
@@ -38,7 +38,7 @@ def command(ctx: click.Context, as_graph: bool, config: str | None, as_json: boo
 
         render.checks(rows)
     if not rows:
-        click.echo("No checks are installed: install the package that brings them, phm-sidecar.", err=True)
+        click.echo("No checks are installed: install the package phm-sidecar.", err=True)
     ctx.exit(0 if rows and not any(row["problem"] for row in rows) else 1)
 
 
@@ -52,7 +52,7 @@ def _plan(config: str | None) -> CheckPlan:
 
 
 def _graph_json(plan: CheckPlan) -> list[dict[str, Any]]:
-    """One per unit, in slot order. `needs` is direct; `blocks` is everything that follows, with all between."""
+    """One entry per unit, in slot order. `needs` are direct dependencies; `blocks` are direct and indirect dependents."""
     from phm.core.dependency_graph import DependencyGraph
 
     needs = DependencyGraph({entry.unit.id: entry.needs for entry in plan.tracked})
@@ -76,7 +76,7 @@ def _graph_json(plan: CheckPlan) -> list[dict[str, Any]]:
 
 
 def _tree(plan: CheckPlan) -> Iterator[str]:
-    """Each unit once, indented below the last of its direct needs; further needs that are not above it are named."""
+    """Each unit once, indented below the last of its direct dependencies; the others are named beside it."""
     from phm.core.dependency_graph import DependencyGraph
 
     needs = DependencyGraph({entry.unit.id: entry.needs for entry in plan.tracked})
@@ -90,7 +90,7 @@ def _tree(plan: CheckPlan) -> Iterator[str]:
         for unit in below.get(parent, ()):
             also = [need for need in entries[unit].needs if need in entries and need not in above]
             said = f" (also needs {', '.join(also)})" if also else ""
-            said += " (possible cause of anything, blocks nobody)" if entries[unit].unit.suspect else ""
+            said += " (possible cause of any fault, blocks no unit)" if entries[unit].unit.suspect else ""
             yield f"{'  ' * len(above)}{unit}{said}"
             yield from lines(unit, (*above, unit))
 
@@ -98,11 +98,11 @@ def _tree(plan: CheckPlan) -> Iterator[str]:
 
 
 def _rows() -> list[dict[str, Any]]:
-    """One per installed check; `slot`, `layer` are null and `problem` says why when it could not be loaded."""
+    """One entry per installed check. When it cannot be loaded, `slot` and `layer` are null and `problem` says why."""
     from phm.api import Check
     from phm.checking import registry
 
-    base: type = Check  # mypy takes no abstract class for type[T]
+    base: type = Check  # mypy does not accept an abstract class as type[T]
     rows = []
     for found in registry.find(registry.CHECKS, base):
         check: type[Check] | None = found.loaded

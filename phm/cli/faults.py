@@ -1,4 +1,4 @@
-"""`phm faults`: open and recent faults with their timelines, from the log and the running daemon's status."""
+"""`phm faults`: open and recent faults with their timelines, from the log and the daemon's status."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ RECENT = 20
 @click.command(epilog="Example: phm faults ab12-1")
 @click.argument("fault", required=False)
 @config_option
-@click.option("--log-dir", help="Folder of phm.jsonl.  [default: `log.directory` of the configuration]")
+@click.option("--log-dir", help="Directory of phm.jsonl.  [default: log.directory of the configuration]")
 @run_dir_option
 @json_option
 @click.option(
-    "--all", "everything", is_flag=True, help=f"All faults of the log, not only the last {RECENT} closed ones."
+    "--all", "everything", is_flag=True, help=f"List all faults in the log, not only the last {RECENT} closed ones."
 )
 @click.pass_context
 def command(
@@ -33,20 +33,21 @@ def command(
     as_json: bool,
     everything: bool,
 ) -> None:
-    """List open and recent faults, or one with its timeline.
+    """List open and recent faults, or show one with its timeline.
 
-    Works without the daemon, from the log alone. Exit code 0; 1 when the named fault is not known or there is no log.
+    FAULT is an id, as the list shows it. Works without the daemon, too, from its log alone.
+    Exit code 0; 1: the fault is unknown, or there is no log.
     """
     directory = log_dir or load_settings(config).log.directory
     opened, running = _open_now(run_dir)
     if not json_log.files(directory) and not running:
-        click.echo(f"there is no phm.jsonl in {directory}: PHM has not run here, or see --log-dir", err=True)
+        click.echo(f"no phm.jsonl in {directory}: PHM has not run here, or logs elsewhere (see --log-dir)", err=True)
         ctx.exit(1)
     found = fault_timeline.build_timelines(json_log.read(directory), opened if running else None)
     if fault is not None:
         found = [episode for episode in found if episode["fault"] == fault]
         if not found:
-            click.echo(f"fault {fault} is not in the log in {directory}: `phm faults --all` lists all", err=True)
+            click.echo(f"fault {fault} is not in the log in {directory}: list all with `phm faults --all`", err=True)
             ctx.exit(1)
     elif not everything:
         lasting = [episode for episode in found if episode["outcome"] == "open" or episode["current"]]
@@ -64,7 +65,7 @@ def command(
 
 
 def _open_now(run_dir: str) -> tuple[list[dict[str, Any]], bool]:
-    """The faults of the running daemon, open and given up, and whether one runs that can be believed."""
+    """The open and given-up faults of the daemon, and whether a healthy daemon is running."""
     try:
         document = status_shape.read(os.fspath(run_dir))
     except status_file.NoStatus:

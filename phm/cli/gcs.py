@@ -1,4 +1,4 @@
-"""`phm gcs`: the ground's view of all agents, live, recorded and served. What it does is in `phm.gcs`."""
+"""`phm gcs`: the status of all agents at a ground station, live, recorded and served. Implemented in `phm.gcs`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 DEFAULT = "udpin:0.0.0.0:14551"
 IDS = (251, 254)
-"""Above all agents' ids (250) and below 255, which is the pilot's own ground station."""
+"""Above the agents' ids (up to 250) and below 255, the pilot's ground station."""
 TRY_S = 2.0
 ONCE_S = 5.0
 LOOK_S = 0.2
@@ -37,10 +37,10 @@ def _agents(ctx: click.Context, param: click.Parameter, value: str | None) -> tu
     for piece in (value or "").split(",") if value else ():
         first, dash, last = piece.strip().partition("-")
         if not first.isdecimal() or not (last.isdecimal() if dash else True):
-            raise click.BadParameter(f"{piece!r} is no agent: ids are 1 to 250, as in 1,2,5-8")
+            raise click.BadParameter(f"{piece!r} is not a list of agents: ids are 1 to 250, e.g. 1,2,5-8")
         ids = range(int(first), int(last or first) + 1)
         if not ids or ids[0] < 1 or ids[-1] > 250:
-            raise click.BadParameter(f"{piece!r} is no agent: ids are 1 to 250, as in 1,2,5-8")
+            raise click.BadParameter(f"{piece!r} is not a list of agents: ids are 1 to 250, e.g. 1,2,5-8")
         found.update(ids)
     return tuple(sorted(found))
 
@@ -51,14 +51,18 @@ def _address(ctx: click.Context, param: click.Parameter, value: str | None) -> t
         return None
     host, _, port = value.rpartition(":")
     if not port.isdecimal() or int(port) > 65535:
-        raise click.BadParameter(f"{value!r} needs a port of 0 to 65535, as in 8014 or 192.168.7.1:8014")
+        raise click.BadParameter(f"{value!r} needs a port from 0 to 65535, e.g. 8014 or 192.168.7.1:8014")
     return host.strip("[]") or "127.0.0.1", int(port)
 
 
 @click.command(epilog="Example, beside QGroundControl and MAVProxy: phm gcs udpin:127.0.0.1:14551")
 @click.argument("urls", metavar="[URL]...", nargs=-1)
 @click.option(
-    "--baud", type=click.IntRange(1200, 4_000_000), default=57600, show_default=True, help="Of a serial port."
+    "--baud",
+    type=click.IntRange(1200, 4_000_000),
+    default=57600,
+    show_default=True,
+    help="Bits per second of a serial port.",
 )
 @click.option(
     "--id",
@@ -66,38 +70,45 @@ def _address(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     type=click.IntRange(*IDS),
     default=IDS[1],
     show_default=True,
-    help="MAVLink system id. 255 stays the pilot's ground station, for which an autopilot's failsafe waits.",
+    help="MAVLink system id. 255 is reserved for the pilot's ground station, which autopilot failsafes watch.",
 )
-@click.option("--silent", is_flag=True, help="Send nothing, no heartbeat either. An ArduPilot then passes nothing on.")
+@click.option(
+    "--silent",
+    is_flag=True,
+    help="Receive only: send nothing, not even heartbeats. ArduPilot then forwards nothing to this port.",
+)
 @click.option(
     "--key",
     type=click.Path(exists=True, dir_okay=False),
-    help="File with the key of MAVLink signing, as the agents have it.",
+    help="File with the MAVLink signing key of the agents.",
 )
 @click.option(
     "--unsigned",
     type=click.Choice(["vehicle", "all", "none"]),
     default="vehicle",
     show_default=True,
-    help="With --key: what is believed without a signature.",
+    help="With --key: which unsigned messages to accept.",
 )
 @click.option(
-    "--expect", metavar="IDS", callback=_agents, help="Agents that are missed before they were heard, as in 1,2,5-8."
+    "--expect", metavar="IDS", callback=_agents, help="Agents to report as missing even if never heard, e.g. 1,2,5-8."
 )
-@click.option("--record", type=click.Path(dir_okay=False), help="Append all news to this file as JSON lines.")
+@click.option("--record", type=click.Path(dir_okay=False), help="Append every event to this file as JSON lines.")
 @click.option(
-    "--serve", metavar="[HOST:]PORT", callback=_address, help="Serve the news to other programs by TCP and HTTP."
+    "--serve", metavar="[HOST:]PORT", callback=_address, help="Serve the events to other programs by TCP and HTTP."
 )
 @click.option(
-    "--json", "as_json", is_flag=True, help="Print the news as JSON lines; with --once how all are, as one object."
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print events as JSON lines; with --once the status of all agents as one object.",
 )
-@click.option("--once", is_flag=True, help="Listen for a while, print how all are, and end.")
+@click.option("--once", is_flag=True, help="Listen for a while, print the status of all agents, and exit.")
 @click.option(
     "--for",
     "seconds",
     metavar="SECONDS",
     type=click.FloatRange(min=0, min_open=True),
-    help=f"End after this time.  [default: {ONCE_S:g} with --once, else never]",
+    help=f"Exit after this time.  [default: {ONCE_S:g} with --once, else never]",
 )
 @click.pass_context
 def command(
@@ -115,14 +126,14 @@ def command(
     once: bool,
     seconds: float | None,
 ) -> None:
-    """Show how all agents are, as a ground station hears them.
+    """Show the status of all agents, as received by a ground station.
 
-    Connects to the MAVLink network and finds the agents by what they send. URL is as in the configuration's
-    `mavlink.endpoints`: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, /dev/ttyUSB0 and so on; by default
-    udpin:0.0.0.0:14551. On a terminal it shows a live table, else a line for each piece of news.
+    Connects to the MAVLink network and discovers the agents by their messages. URL as in `mavlink.endpoints` of the configuration:
+    udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, /dev/ttyUSB0 and so on; default: udpin:0.0.0.0:14551. On a terminal it
+    shows a live table, otherwise one line per event.
 
-    Exit code 0; 1 when a port is taken or the record is not complete, and with --once when an agent is in ERROR, lost
-    or not heard, or there is none.
+    Exit code 0; 1: a port is in use, or the record is incomplete; with --once also when an agent is in ERROR, lost or never
+    heard, or no agent was found.
     """
     from phm.cli import render
     from phm.core.clock import SystemClock
@@ -164,10 +175,10 @@ def command(
 
 
 def _patient(stop: threading.Event) -> Callable[[str], None]:
-    """Prints a line, and gives up when the program is to end while nobody reads its output."""
+    """Prints a line; gives up when the program is to exit while its output is not read."""
 
     def echo(text: str) -> None:
-        with suppress(OSError, ValueError):  # no file behind it: tests of the command line
+        with suppress(OSError, ValueError):  # not a file: tests of the command line
             while not select.select([], [sys.stdout], [], 0.0 if stop.is_set() else LOOK_S)[1]:
                 if stop.is_set():
                     return
@@ -199,7 +210,7 @@ def _running(station: GroundStation, *others: _Part | None) -> Iterator[None]:
 
 @contextmanager
 def _ending() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set, so that the end is orderly; a second one does not wait for that."""
+    """An event that Ctrl-C and SIGTERM set, for an orderly exit; a second signal exits immediately."""
     stop, over = threading.Event(), threading.Event()
     seen: list[int] = []
 
@@ -230,7 +241,7 @@ def _settings(urls: tuple[str, ...], baud: int, key: str | None, unsigned: str) 
     from phm.gcs.station import COMPONENT
 
     if len(set(urls)) < len(urls):
-        raise click.UsageError("The same URL is given twice.")
+        raise click.UsageError("A URL is given twice.")
     endpoints = [{"url": url, "baud": baud, "budget": 0} for url in urls]
     signing = {"key": os.path.abspath(key) if key else None, "unsigned": unsigned}
     try:
@@ -254,12 +265,12 @@ def _station(
 
 
 def _tried(station: GroundStation) -> None:
-    """Ends the program when a port that it should listen at is taken."""
+    """Exits when a port to listen on is in use."""
     taken = station.taken(TRY_S)
     if taken:
         raise click.ClickException(
-            f"{taken}: another program listens there, or the address is not this machine's. Choose another port, and have "
-            "the router or MAVProxy send the frames to it too (docs/reference/gcs.md)"
+            f"{taken}: another program listens there, or the address is not this machine's. Choose another port, and "
+            "have the router or MAVProxy forward to it, too (docs/reference/gcs.md)"
         )
 
 
@@ -271,5 +282,5 @@ def _server(address: tuple[str, int], station: GroundStation, clock: Clock) -> G
     except OSError as error:
         reason = (error.strerror or str(error)).partition(" (while ")[0]
         raise click.ClickException(f"--serve {address[0]}:{address[1]}: {reason}") from None
-    click.echo(f"news are served at {server.address[0]}:{server.address[1]}", err=True)
+    click.echo(f"serving events at {server.address[0]}:{server.address[1]}", err=True)
     return server

@@ -1,4 +1,4 @@
-"""`phm hold`: an operator keeps recovery from a container for a while. Imports click and the standard library."""
+"""`phm hold`: suspends recovery of a container. Imports click and the standard library."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Duration(click.ParamType):  # type: ignore[type-arg]
         match = _DURATION.fullmatch(str(value).strip())
         if match is None:
             self.fail(
-                f"{value!r} is not a duration: write a number with s, min or h, e.g. 90s, 10min, 1.5h", param, ctx
+                f"{value!r} is not a duration: write a number with s, min or h, e.g. 90s, 10min or 1.5h", param, ctx
             )
         return float(match[1]) * _SECONDS[match[2]]
 
@@ -32,22 +32,23 @@ class Duration(click.ParamType):  # type: ignore[type-arg]
 @click.command(epilog='Example: phm hold ros_app --for 20min --reason "swapping firmware"')
 @click.argument("container", required=False, default="")
 @click.option("--for", "for_s", type=Duration(), default=None, help="How long, e.g. 10min.  [default: recovery.hold]")
-@click.option("--reason", default="", help="Shown in the status, in the log and on the ground.")
+@click.option("--reason", default="", help="Shown in the status, in the log and at the ground station.")
 @run_dir_option
 @json_option
 @click.pass_context
 def command(ctx: click.Context, container: str, for_s: float | None, reason: str, run_dir: str, as_json: bool) -> None:
-    """Keep recovery from a container, or from all, for a while.
+    """Suspend recovery of one container or of all.
 
-    PHM does nothing to it until the hold ends, and what is bad there meanwhile raises no alarm. An action that is under way is
-    finished first. A second hold takes the place of the first. `phm release` ends it; starting the container does not.
-    Exit code 0: it is on hold; 1: it was refused, or the daemon does not answer.
+    CONTAINER is its key in the configuration; without it, all containers are on hold. During a hold PHM takes no action on the
+    container, and its faults raise no alarm. An action in progress is finished first. A new hold replaces an earlier one.
+    `phm release` ends it; starting the container does not.
+    Exit code 0: on hold; 1: refused, or the daemon does not answer.
     """
     tell(ctx, run_dir, {"do": "hold", "container": container, "for_s": for_s, "reason": reason}, as_json=as_json)
 
 
 def tell(ctx: click.Context, run_dir: str, request: dict[str, Any], *, as_json: bool) -> None:
-    """Ask the daemon and print its answer; ends with 0 when it did what was asked, else 1."""
+    """Send a request and print the answer; exits with 1 when it was refused."""
     from phm.wire.text import one_line
 
     try:

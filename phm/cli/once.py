@@ -1,4 +1,4 @@
-"""`phm once`: one pass, printed."""
+"""`phm once`: runs every check once and prints the results."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from phm.cli.options import config_option, json_option, load_settings, loops_are
 @json_option
 @click.pass_context
 def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
-    """Make one pass over all checks and print it.
+    """Run every check once and print the results.
 
-    Changes nothing: no recovery, no MAVLink, no log. Exit code 0: no check says ERROR; 1: some check does;
-    78: the configuration is bad.
+    Changes nothing: no recovery, no MAVLink, no log.
+    Exit code 0: no check reports ERROR; 1: a check reports ERROR; 78: the configuration is invalid.
     """
     settings = load_settings(config)
     from phm.runtime.single_pass import run_once

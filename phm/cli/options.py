@@ -1,4 +1,4 @@
-"""What several verbs share: the option for the configuration file, and reading it or ending with every problem."""
+"""Options that several verbs share, and reading the configuration or exiting with every problem."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 EX_CONFIG = 78
-"""sysexits.h: the configuration is bad."""
+"""sysexits.h: the configuration is invalid."""
 
 
 def config_option(function: F) -> F:
@@ -39,7 +39,7 @@ def run_dir_option(function: F) -> F:
         show_envvar=True,
         default="/run/phm",
         show_default=True,
-        help="The daemon's `run_dir`, where its status is.",
+        help="The daemon's run_dir, which contains its status and its control socket.",
     )(function)
 
 
@@ -49,7 +49,7 @@ def json_option(function: F) -> F:
 
 
 def load_settings(path: str | None) -> Settings:
-    """The configuration; ends with exit code 78 and every problem on stderr when it is bad."""
+    """The configuration; exits with 78 and every problem on stderr when it is invalid."""
     from phm.cli.reading import read
     from phm.config import ConfigError
 
@@ -62,9 +62,7 @@ def load_settings(path: str | None) -> Settings:
 
 @contextmanager
 def loops_are_configuration_errors() -> Iterator[None]:
-    """What shows only once the daemon is built, needs that run in a circle and a key that cannot be used, ends like any bad
-    configuration.
-    """
+    """Exit with 78 for problems that are found only while the daemon is built: dependency cycles and unusable signing keys."""
     from phm.core.dependency_graph import DependencyCycle
     from phm.transport.mavlink_signing import InvalidKey
 

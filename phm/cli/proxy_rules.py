@@ -1,4 +1,4 @@
-"""`phm proxy-rules`: the rules of a proxy that allows PHM the calls of its configuration and no other."""
+"""`phm proxy-rules`: the rules of a Docker proxy that allows only the calls that a configuration needs."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ ENGINE = "/var/run/docker.sock"
 @click.command(epilog="Example: phm proxy-rules -c config/phm.yaml --output haproxy.cfg")
 @config_option
 @click.option("--output", type=click.Path(dir_okay=False), help="File to write.  [default: standard output]")
-@click.option("--engine", default=ENGINE, show_default=True, help="The Docker Engine's own socket, for the proxy.")
+@click.option("--engine", default=ENGINE, show_default=True, help="Socket of the Docker Engine, as the proxy sees it.")
 def command(config: str | None, output: str | None, engine: str) -> None:
-    """Print proxy rules that allow only the calls PHM makes.
+    """Print Docker proxy rules that allow only the calls PHM makes.
 
-    The proxy is HAProxy 2.4 or later; it listens where `docker.socket` points. docker/compose.proxy.yaml starts one.
-    Exit code 78: the configuration is bad, or does not allow exact rules.
+    The rules are for HAProxy 2.4 or later, which listens at `docker.socket`; docker/compose.proxy.yaml starts one.
+    Exit code 0; 78: the configuration is invalid, or does not allow exact rules.
     """
     from phm.proxy.calls import left_out
     from phm.proxy.haproxy import NoRules, rules
@@ -41,7 +41,7 @@ def command(config: str | None, output: str | None, engine: str) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Replace the file in one step: a proxy that starts meanwhile reads the old one or the new one."""
+    """Replace the file atomically: a proxy that starts meanwhile reads the old or the new one."""
     beside = path.with_name(f".{path.name}.new")
     try:
         beside.write_text(text, encoding="utf-8")

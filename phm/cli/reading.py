@@ -1,7 +1,4 @@
-"""Reads the configuration with all that is known about it: what is installed, and the units that it makes.
-
-The config package judges names that it is given; only here, above the registry, are those names at hand.
-"""
+"""Reads and validates the configuration with the names of the installed checks and actions, and of the units it defines."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """A good configuration: where it was, what it says, and the units that it makes, by check."""
+    """A valid configuration: its file, its settings, and its units by check."""
 
     file: str
     settings: Settings
@@ -32,10 +29,10 @@ class Read:
 
 
 def read(path: str | None, environ: Mapping[str, str] | None = None) -> Read:
-    """Read and judge; nothing but the file is opened. Raises `ConfigError` with every problem.
+    """Opens nothing but the file. Raises `ConfigError` with every problem.
 
-    Units exist only once the rest is right, so what concerns them (a need that names no unit, needs that
-    run in a circle through those built in) is judged in a second reading.
+    Units exist only when the rest is valid, so the rules about them (needs that name units, cycles with built-in needs) are
+    applied afterwards.
     """
     file = str(find(path))
     installed = checks()
@@ -53,14 +50,14 @@ def read(path: str | None, environ: Mapping[str, str] | None = None) -> Read:
 
 
 def _units(file: str, settings: Settings, installed: Mapping[str, type[Check]]) -> dict[str, tuple[Unit, ...]]:
-    """The units of each installed check, also of those that are switched off: a need may name them."""
+    """The units of each installed check, also of disabled ones, which a need may name."""
     units: dict[str, tuple[Unit, ...]] = {}
     problems = []
     for name, check in installed.items():
         try:
             units[name] = tuple(unit for instance in check.build(settings) for unit in instance.units)
-        except Exception as error:  # a plug-in's own code, which judges its own options here
-            message = f"the check cannot be built: {type(error).__name__}: {error} (correct it or set enabled: false)"
+        except Exception as error:  # a plug-in's code, which validates its own options here
+            message = f"the check cannot be built: {type(error).__name__}: {error} (fix it or set enabled: false)"
             if name not in settings.checks or settings.checks[name].enabled:
                 problems.append(Problem(file, 0, f"checks.{name}", message))
     if problems:

@@ -1,4 +1,4 @@
-"""`phm release`: the end of a hold. Imports click and the standard library."""
+"""`phm release`: ends a hold. Imports click and the standard library."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from phm.cli.options import json_option, run_dir_option
 @json_option
 @click.pass_context
 def command(ctx: click.Context, container: str, run_dir: str, as_json: bool) -> None:
-    """End a hold.
+    """End a hold, so that recovery resumes.
 
-    Without CONTAINER it ends all holds. What is still bad there is an alarm as soon as PHM has looked again, and recovery acts as usual.
-    Exit code 0: it is released; 1: it was not on hold, or the daemon does not answer.
+    CONTAINER is its key in the configuration; without it, all holds end. Checks run again immediately, and faults that remain are
+    reported and recovered as usual.
+    Exit code 0: released; 1: it was not on hold, or the daemon does not answer.
     """
     tell(ctx, run_dir, {"do": "release", "container": container}, as_json=as_json)

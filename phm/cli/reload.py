@@ -1,4 +1,4 @@
-"""`phm reload`: have the running daemon read its configuration again. Imports click and the standard library."""
+"""`phm reload`: reloads the configuration of the running daemon. Imports click and the standard library."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ WAIT_S = 40.0
 @json_option
 @click.pass_context
 def command(ctx: click.Context, run_dir: str, as_json: bool) -> None:
-    """Have the running daemon reload its configuration.
+    """Reload the configuration of the running daemon.
 
-    The daemon validates the file that it was started with. A bad one is rejected with every problem, and the old
-    configuration stays. Exit code 0: it applies now, but for sections that are named and need a restart; 78: the
-    configuration is bad; 1: not reloaded for another reason, or the daemon does not answer.
+    The daemon validates the file that it was started with. If it is invalid, every problem is printed, and the old configuration
+    remains active. Sections that need a restart of PHM are named.
+    Exit code 0: reloaded; 78: the configuration is invalid; 1: not reloaded for another reason, or the daemon does not answer.
     """
     try:
         outcome = json.loads(control.ask(run_dir, {"do": "reload"}, WAIT_S))

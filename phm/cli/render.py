@@ -1,6 +1,6 @@
-"""Tables for people, of the same JSON that machines get. Shared by `phm once`, `phm status` and `phm checks`.
+"""Tables from the same JSON that `--json` prints, for `phm once`, `phm status`, `phm faults` and `phm checks`.
 
-Levels are words as well as colours; NO_COLOR and outputs that are no terminal get the words alone.
+Levels are words as well as colours; with NO_COLOR, or when the output is not a terminal, words only.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Json = Mapping[str, Any]
 
 _STYLES = {"OK": "green", "WARN": "yellow", "ERROR": "bold red", "STALE": "magenta"}
 _PIPE_WIDTH = 160
+"""Columns when the output is not a terminal: wide enough for most summaries."""
 LATE_PERCENT = 2.0
-"""Of less nothing is shown: so late is a quiet PHM now and then."""
-"""Columns when the output is no terminal: wide enough that most summaries stay on one line."""
+"""Less is normal and not shown."""
 
 
 def report(document: Json) -> None:
@@ -32,12 +32,12 @@ def report(document: Json) -> None:
 
 
 def status(document: Json, problem: str) -> None:
-    """What `phm status` prints of the status file; `problem` says why it is not to be believed."""
+    """What `phm status` prints of the status file; problem: why the daemon is not healthy, else empty."""
     console().print(_status(document, problem))
 
 
 def watch(look: Callable[[], tuple[Json, str]]) -> None:
-    """Show the status every second, for ever. On a terminal in place, else one after another."""
+    """Show the status every second until interrupted: in place on a terminal, else one after another."""
     target = console()
     if not target.is_terminal:
         while True:
@@ -51,7 +51,7 @@ def watch(look: Callable[[], tuple[Json, str]]) -> None:
 
 def checks(rows: Sequence[Json]) -> None:
     """What `phm checks` prints; rows as in its JSON."""
-    table = _table("slot", "check", "layer", "from", "what it judges")
+    table = _table("slot", "check", "layer", "from", "description")
     for row in rows:
         said = Text(f"not usable: {row['problem']}", "bold red") if row["problem"] else _plain(row["description"])
         slot = "-" if row["slot"] is None else str(row["slot"])
@@ -60,7 +60,7 @@ def checks(rows: Sequence[Json]) -> None:
 
 
 def faults(episodes: Sequence[Json], running: bool) -> None:
-    """What `phm faults` prints: one line for each fault, open ones last, where the eye is."""
+    """What `phm faults` prints: one row per fault, open ones last."""
     target = console()
     if not episodes:
         target.print(Text("No faults.", "green"))
@@ -82,7 +82,7 @@ def faults(episodes: Sequence[Json], running: bool) -> None:
 
 
 def timeline(episode: Json, running: bool) -> None:
-    """What `phm faults FAULT` prints: how it went, step by step."""
+    """What `phm faults FAULT` prints: its timeline."""
     target = console()
     head = _plain(f"{episode['fault']}  {episode['unit']}  ", "bold")
     target.print(head.append_text(_outcome(episode)))
@@ -95,7 +95,7 @@ def timeline(episode: Json, running: bool) -> None:
 
 def _warn_unless(running: bool, target: Console) -> None:
     if not running:
-        target.print(Text("PHM is not running: this is what its log knows.", "yellow"))
+        target.print(Text("PHM is not running; this is from its log.", "yellow"))
 
 
 def _outcome(episode: Json) -> Text:
@@ -109,7 +109,7 @@ def _outcome(episode: Json) -> Text:
 
 
 def console() -> Console:
-    """Standard output as it is; never wider than the terminal."""
+    """Standard output, never wider than the terminal."""
     plain = Console(highlight=False, markup=False, emoji=False)
     if plain.is_terminal or "COLUMNS" in os.environ:
         return plain
@@ -123,7 +123,7 @@ def _seen(document: Json, problem: str) -> RenderableType:
 def _status(document: Json, problem: str) -> RenderableType:
     parts: list[RenderableType] = [_head(document)]
     if problem:
-        parts.append(Text(f"{problem} What follows is old.", "bold red"))
+        parts.append(Text(f"{problem} The following is out of date.", "bold red"))
     parts += [_plain(_hold(hold), "cyan") for hold in document.get("holds", ())]
     faults = document.get("faults", {})
     parts.append(_faults(faults.get("open", ()), faults.get("given_up", ()), faults.get("closed", ())))
@@ -187,7 +187,7 @@ def _array(document: Json) -> Text:
 
 
 def _health(health: Json) -> list[RenderableType]:
-    """Links, counters, and what PHM says about itself."""
+    """Links, counters and problems of PHM itself."""
     parts: list[RenderableType] = []
     for link in health.get("links", ()):
         state = "open" if link["open"] else f"closed: {link['error']}"
@@ -200,14 +200,14 @@ def _health(health: Json) -> list[RenderableType]:
     critical = health.get("flight_critical")
     if critical:
         free = critical["armed"] == "disarmed"
-        words = f"flight-critical {', '.join(critical['containers'])}: {'may be recovered' if free else 'left alone'}"
+        words = f"flight-critical {', '.join(critical['containers'])}: {'recovery allowed' if free else 'recovery suppressed'}"
         parts.append(_plain(f"{words}, {critical['why']}", "" if free else "yellow"))
     dropped = ", ".join(f"{name} {count}" for name, count in health.get("dropped", {}).items())
     counters = f"events dropped: {dropped or 'none'}; ROS child restarts: {health.get('ros_restarts', 0)}"
     parts.append(_plain(counters))
     late_percent = health.get("late_percent", 0)
     if late_percent >= LATE_PERCENT:
-        parts.append(_plain(f"PHM did not get to run for {late_percent:.0f} % of the last minute", "yellow"))
+        parts.append(_plain(f"PHM was starved of CPU for {late_percent:.0f} % of the last minute", "yellow"))
     process = health.get("process", {})
     if any(process.values()):
         parts.append(_plain(f"priority: nice {process.get('nice')}, oom_score_adj {process.get('oom_score_adj')}"))
@@ -219,13 +219,13 @@ def _health(health: Json) -> list[RenderableType]:
 
 
 def _sent(link: Json) -> str:
-    """What left by a link: all of it in bytes, and by class how many messages did and did not."""
+    """Traffic of a link: bytes sent, and messages sent and dropped by priority."""
     words = [f"{link['bytes_out']} bytes sent"] if "bytes_out" in link else []
     for kind, count in link.get("sent", {}).items():
         told = [f"{count[word]} {word}" for word in ("sent", "coalesced", "dropped") if count.get(word)]
         words += [f"{kind} {', '.join(told)}"] if told else []
     if link.get("slowed", 1) > 1:
-        words.append(f"slowed down {link['slowed']:g} times by its radio")
+        words.append(f"slowed down {link['slowed']:g} times by radio flow control")
     return f" ({'; '.join(words)})" if words else ""
 
 

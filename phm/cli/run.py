@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """What is made inside stays to the end: looking for garbage among it would be a tenth of the start, and again later."""
+    """Without garbage collection: what is created inside lives until the end, and scanning it takes a tenth of the start time."""
     gc.disable()
     try:
         yield
@@ -34,9 +34,8 @@ def uncollected() -> Iterator[None]:
 def command(config: str | None) -> None:
     """Run the daemon until SIGTERM.
 
-    Reads the configuration, then checks, recovers and reports until SIGTERM or SIGINT; SIGHUP reloads it, as `phm reload`
-    does. A bad configuration ends it with exit code 78 before anything is opened, another PHM with the same state_dir
-    or run_dir with 75.
+    Checks, reports and recovers until SIGTERM or SIGINT. SIGHUP reloads the configuration, as `phm reload` does.
+    Exit code 0; 78: the configuration is invalid (nothing was opened); 75: another PHM uses the same state_dir or run_dir.
     """
     with uncollected():
         settings = load_settings(config)
@@ -60,8 +59,8 @@ def _read_again(config: str | None) -> Settings:
 
 
 def leave(code: int) -> NoReturn:
-    """End the process without the interpreter's own finalization: all is closed or given up, and a thread that is still
-    inside a library (Zenoh closing a session on a busy machine) would abort the process there with SIGABRT."""
+    """Exit without the interpreter's finalization: a thread that is still inside a library (Zenoh closing a session on a busy
+    machine) would abort it with SIGABRT."""
     logging.shutdown()
     sys.stdout.flush()
     sys.stderr.flush()

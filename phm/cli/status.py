@@ -1,4 +1,4 @@
-"""`phm status`: what the running daemon says, from the file that it keeps. Imports click and the standard library."""
+"""`phm status`: shows the daemon's status file. Imports click and the standard library."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from phm.wire import status_file
 @click.command(epilog="Example, as a container's HEALTHCHECK: phm status --healthy")
 @run_dir_option
 @json_option
-@click.option("--healthy", is_flag=True, help="Print one sentence; exit code 0 when the daemon is well, else 1.")
-@click.option("--watch", is_flag=True, help="Show it anew every second until Ctrl-C.")
+@click.option("--healthy", is_flag=True, help="Print one sentence; exit code 0 when the daemon is healthy, else 1.")
+@click.option("--watch", is_flag=True, help="Refresh every second until Ctrl-C.")
 @click.pass_context
 def command(ctx: click.Context, run_dir: str, as_json: bool, healthy: bool, watch: bool) -> None:
-    """Show how the running daemon and its agent do.
+    """Show daemon and agent status.
 
-    Exit code 0: the daemon runs and is well, whatever it says about the agent; 1: it does not. A file that a
-    killed daemon left behind is never taken for a running one.
+    Exit code 0: the daemon is running and healthy, whatever the status of the agent; 1: it is not. The status file of a
+    daemon that was killed is detected.
     """
     if as_json + healthy + watch > 1:
-        raise click.UsageError("--json, --healthy and --watch exclude each other.")
+        raise click.UsageError("Use only one of --json, --healthy and --watch.")
     if watch:
         _watch(run_dir)
         return
     document, problem = _look(run_dir, shown=not healthy)
     if healthy:
-        click.echo(problem or f"PHM is well: {len(document.get('checks', ()))} units watched.", err=bool(problem))
+        click.echo(problem or f"PHM is healthy: monitoring {len(document.get('checks', ()))} units.", err=bool(problem))
     elif as_json:
         click.echo(json.dumps({**document, "healthy": not problem, "problem": problem}, indent=2))
     elif document:
@@ -43,17 +43,17 @@ def command(ctx: click.Context, run_dir: str, as_json: bool, healthy: bool, watc
 
 
 def _look(run_dir: str, *, shown: bool = True) -> tuple[dict[str, Any], str]:
-    """The status, empty when there is none, and why it is not well, empty when it is. `shown`: more than its verdict is needed."""
+    """The status, empty when there is none, and why the daemon is not healthy, else empty. shown: the complete status is needed."""
     try:
         document = _complete(run_dir) if shown else status_file.read(run_dir)
     except status_file.NoStatus as error:
-        return {}, f"PHM is not well: {error}."
+        return {}, f"PHM is not healthy: {error}."
     reason = status_file.unhealthy(document)
-    return document, f"PHM is not well: {reason}." if reason else ""
+    return document, f"PHM is not healthy: {reason}." if reason else ""
 
 
 def _complete(run_dir: str) -> dict[str, Any]:
-    from phm.wire import status_shape  # a health check does without
+    from phm.wire import status_shape  # not imported for a health check
 
     return status_shape.read(run_dir)
 

@@ -1,4 +1,4 @@
-"""`phm validate`: is this configuration good, and if not, why not?"""
+"""`phm validate`: validates a configuration file."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 @json_option
 @click.pass_context
 def command(ctx: click.Context, file: str | None, config: str | None, as_json: bool) -> None:
-    """Check a configuration file and name every problem.
+    """Validate a configuration file and list every problem.
 
-    Opens nothing but the file. Exit code 0: it is good; 78: it is not.
+    Opens nothing but the file. Exit code 0: valid; 78: invalid.
     """
     ctx.exit(validate(file or config, as_json))
 
 
 def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None = None) -> int:
-    """Print the verdict, problems on stderr one a line (with `as_json` all on stdout); return 0 or 78."""
+    """Print the result; problems on stderr, one a line (with as_json all on stdout). Returns 0 or 78."""
     from phm.cli.reading import read
     from phm.config import ConfigError
 
@@ -66,4 +66,4 @@ def _facts(good: Read) -> dict[str, str | int | float]:
 def _line(good: Read) -> str:
     facts = _facts(good)
     counted = ", ".join(f"{facts[key]} {key}" for key in ("units", "containers", "nodes", "topics", "endpoints"))
-    return f"{good.file}: ok, agent {facts['agent']} (id {facts['id']}), every {facts['interval_s']:g} s: {counted}"
+    return f"{good.file}: valid, agent {facts['agent']} (id {facts['id']}), every {facts['interval_s']:g} s: {counted}"

@@ -123,8 +123,8 @@ def main(arguments: list[str]) -> int:
         reason = unhealthy(document)
     except NoStatus as error:
         document, reason = {}, str(error)
-    well = f"PHM is well: {len(document.get('checks', ()))} units watched."
-    sys.stdout.write(f"PHM is not well: {reason}.\n" if reason else f"{well}\n")
+    well = f"PHM is healthy: monitoring {len(document.get('checks', ()))} units."
+    sys.stdout.write(f"PHM is not healthy: {reason}.\n" if reason else f"{well}\n")
     return 1 if reason else 0
 
 

@@ -139,7 +139,9 @@ def test_an_unforeseen_error_is_one_sentence() -> None:
     script = "import phm.cli.status as s, phm.cli; s._look = lambda *a, **k: 1 / 0; phm.cli.main(['status'])"
     plain = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=False)
     assert plain.returncode == os.EX_SOFTWARE
-    assert plain.stderr == ("phm: internal error: ZeroDivisionError: division by zero (PHM_TRACEBACK=1 shows where)\n")
+    assert plain.stderr == (
+        "phm: internal error: ZeroDivisionError: division by zero (set PHM_TRACEBACK=1 for the traceback)\n"
+    )
     full = subprocess.run(
         [sys.executable, "-c", script],
         env={**os.environ, "PHM_TRACEBACK": "1"},
@@ -193,7 +195,7 @@ def test_a_broken_verb_of_another_package_says_why(plugin: Path) -> None:
         "Error: verb 'broken' from 'acme_missing:x' cannot be loaded: "
         "ModuleNotFoundError: No module named 'acme_missing'\n"
     )
-    assert "is no click command" in phm_process("nocommand", path=plugin).stderr
+    assert "is not a click command" in phm_process("nocommand", path=plugin).stderr
     assert phm_process("--version", path=plugin).returncode == 0
 
 
@@ -228,7 +230,7 @@ def test_the_graph_of_needs_is_a_tree() -> None:
     start = lines.index("  container/ros_app")
     assert lines[start - 1] == "engine"
     assert "        topics/agent_1/topic_1 (also needs nodes/agent_1/node_2)" in lines
-    assert "host/disk (possible cause of anything, blocks nobody)" in lines
+    assert "host/disk (possible cause of any fault, blocks no unit)" in lines
     [network] = [row for row in rows if row["unit"] == "network/ros_app"]
     assert network["needs"] == ["container/ros_app"]
     memory_s = {row["unit"]: row["memory_s"] for row in rows}
@@ -266,8 +268,8 @@ def test_status_shows_faults_first_then_units_links_and_counters(tmp_path: Path)
         "Status Array: [-, -, -, -, -, 0, -, -]   1 OK, 0 WARN, 1 ERROR, 1 STALE",
         "link gcs: closed: refused",
         "link fc: open (421 bytes sent; transition 3 sent, 1 coalesced; refresh 9 sent, 1 coalesced, 4 dropped; "
-        "slowed down 2.5 times by its radio)",
-        "flight-critical pilot, vpn: left alone, the autopilot has been silent for 12 s",
+        "slowed down 2.5 times by radio flow control)",
+        "flight-critical pilot, vpn: recovery suppressed, the autopilot has been silent for 12 s",
         "events dropped: log 3; ROS child restarts: 2",
         "problem: log: no space left",
     ]
@@ -306,7 +308,7 @@ def test_healthy_is_about_the_daemon_not_the_vehicle(tmp_path: Path) -> None:
     """A sidecar that reports a dead node does its work: Docker must not restart it for that."""
     running(tmp_path, DEAD)
     result = invoke("status", "--healthy", PHM_RUN_DIR=str(tmp_path))
-    assert (result.exit_code, result.stdout) == (0, "PHM is well: 1 units watched.\n")
+    assert (result.exit_code, result.stdout) == (0, "PHM is healthy: monitoring 1 units.\n")
 
 
 def test_a_stalled_engine_is_unhealthy(tmp_path: Path) -> None:
@@ -314,7 +316,7 @@ def test_a_stalled_engine_is_unhealthy(tmp_path: Path) -> None:
     running(tmp_path, alive=False)
     result = invoke("status", "--healthy", "--run-dir", str(tmp_path))
     assert result.exit_code == 1
-    assert result.stderr.startswith("PHM is not well: PHM's engine has stalled")
+    assert result.stderr.startswith("PHM is not healthy: PHM's engine has stalled")
 
 
 def test_without_a_daemon_status_says_so(tmp_path: Path) -> None:
@@ -331,9 +333,9 @@ import sys, time
 from phm.cli.reading import Read
 from phm.core.clock import SystemClock
 from phm.reporters.base import ReporterContext
-from phm.reporters.status import Status
+from phm.reporters.status import StatusReporter
 from phm.core.settings import Settings
-status = Status.build(
+status = StatusReporter.build(
     ReporterContext(Settings(run_dir=sys.argv[1]), SystemClock(), "b", tuple, lambda: True, dict))
 status.tick()
 print("written", flush=True)
@@ -358,7 +360,7 @@ def test_what_a_killed_daemon_left_is_never_healthy(tmp_path: Path) -> None:
         assert "PHM was killed" in done.stderr
         shown = phm_process("status", "--run-dir", str(tmp_path))
         assert shown.returncode == 1
-        assert "What follows is old." in shown.stdout
+        assert "The following is out of date." in shown.stdout
 
 
 def test_watch_shows_the_status_until_interrupted(tmp_path: Path) -> None:

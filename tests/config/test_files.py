@@ -175,7 +175,7 @@ def test_a_shipped_file_is_good_by_the_command(path: Path) -> None:
     """`phm validate` accepts each file that we ship, with the installed checks, and exits 0."""
     done = CliRunner().invoke(command, ["-c", str(path)], env={"PHM_INTERVAL": ""})
     assert done.exit_code == 0, done.output
-    assert done.stdout.startswith(f"{path}: ok, agent ")
+    assert done.stdout.startswith(f"{path}: valid, agent ")
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)

@@ -30,7 +30,7 @@ def test_a_good_file_is_summed_up_in_one_line(file: Path) -> None:
     """Exit 0 and one line that says what the file makes."""
     done = CliRunner().invoke(command, [str(file)], env={"PHM_INTERVAL": "5s"})
     assert done.exit_code == 0
-    assert done.stdout.startswith(f"{file}: ok, agent agent_1 (id 1), every 5 s: ")
+    assert done.stdout.startswith(f"{file}: valid, agent agent_1 (id 1), every 5 s: ")
     assert "1 nodes" in done.stdout
     assert done.stderr == ""
 

@@ -181,7 +181,7 @@ def test_a_health_check_without_packages_says_the_same(tmp_path: Path) -> None:
     assert "PHM is not running" in nothing.stdout
     fresh(tmp_path)
     well = answer("-X", "importtime")
-    assert (well.returncode, well.stdout[:12]) == (0, "PHM is well:")
+    assert (well.returncode, well.stdout[:15]) == (0, "PHM is healthy:")
     imported = {line.rpartition("|")[2].strip() for line in well.stderr.splitlines()}
     assert "json" in imported
     assert imported.isdisjoint({"typing", "site", "click", "phm"})
