@@ -1,4 +1,4 @@
-"""What a recovery action is: one step on one container, idempotent, with a deadline.
+"""What a recovery action is: one step on one target, idempotent, with a deadline.
 
 Found through the entry-point group ``phm.actions``; the entry point's name is the name used in ladders.
 """
@@ -22,20 +22,19 @@ from phm.transport.docker import DockerEngine
 
 
 class NotNeeded(str):
-    """What `Action.run` returns when it has changed nothing, because what it is for was there already: what is OK afterwards is
-    not credited to it."""
+    """What `Action.run` returns when there was nothing to do: a recovery is then not credited to the action."""
 
     __slots__ = ()
 
 
 class ActionFailed(Exception):
-    """The step could not be done; the message says why and what an operator can do."""
+    """The action failed; the message says why and what an operator can do."""
 
 
 class NotYet(ActionFailed):
-    """Something that the step needs is not there, and nothing was changed: it is done later, and this does not count as an attempt.
+    """Something that the action needs is missing, and nothing was changed: it is done later, and this does not count as an attempt.
 
-    The message says what is waited for.
+    The message says what is missing.
     """
 
 
@@ -70,17 +69,17 @@ def _no_hold(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractC
 class ActionContext:
     """What an action may use.
 
-    engine:     refuses what would disturb something flight-critical while armed (`phm.recovery.safety.guarded_engine`).
+    engine:     refuses calls that would disturb something flight-critical while armed (`phm.recovery.safety.guarded_engine`).
     container:  the engine's view of a configured container now, or None when there is none.
     myself:     PHM's own container, or None when it runs on the host.
-    remembered: how a container was attached to a network when that was last seen.
+    remembered: how a container was attached to a network when that was last observed.
     listed_nodes: ROS nodes in the graph now, with how often each is listed. Raises CannotTell.
     link:       the MAVLink endpoint of this name now, or None when there is none.
     autopilot:  the vehicle's autopilot now, or None when it was never received.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
-    relief:     lowers CPU weights and puts them back later.
-    on_hold:    why nothing may be done to a container for the sake of another: it is on hold, or stopped by hand; empty: it may.
-    holding:    while it is entered, what breaks in that other container follows from this fault's repair.
+    relief:     lowers CPU weights and restores them later.
+    on_hold:    why a container must not be restarted as a dependent: it is on hold, or an operator stopped it; empty: it may.
+    holding:    locks a dependent; while it is entered, what fails there follows from the recovery of this fault.
     """
 
     engine: DockerEngine
@@ -99,35 +98,35 @@ class ActionContext:
 
 
 class Action(ABC):
-    """One step. `on_phm_itself` marks actions on what is PHM's own, its container or its MAVLink links, which need no opt-in."""
+    """One step. `on_phm_itself` marks actions on PHM's own container or MAVLink endpoints, which need no opt-in."""
 
     name: ClassVar[str]
     deadline_s: ClassVar[float] = 20.0
     on_phm_itself: ClassVar[bool] = False
     impact: ClassVar[Impact] = Impact.CONTAINER
-    """What goes down with it for a moment: what is flight-critical among that is left alone while armed."""
+    """What the action takes down for a moment; it is not done while armed if that includes something flight-critical."""
     starts: ClassVar[bool] = True
-    """Whether it may start or restart its container. The engine may do that late, also after PHM itself has ended."""
+    """Whether it may start or restart its container. The engine may do that late, also after PHM was stopped."""
     verify_after_s: ClassVar[float] = 0.0
-    """The unit and all that needs it must be found well by runs that began this long after the action: for actions after
-    which all looks well for a moment (a container that starts and ends again, a node that is listed but cut off)."""
+    """The unit and everything that needs it must be found OK by runs that began this long after the action: for actions after
+    which all looks OK for a moment (a container that starts and exits again, a node that is listed but cut off)."""
 
     still_bad_after_s: ClassVar[float | None] = None
     """A run of the unit's check that began this long after the action and is still ERROR says that it has not helped: for
-    actions that work at once or never. None: the unit's grace and two seconds."""
+    actions that work immediately or never. None: the unit's grace and two seconds."""
     dependents_within_s: ClassVar[float | None] = None
-    """What needs the unit must be back so long after the action: for actions after which nothing has to start. None: its grace
+    """What needs the unit must have recovered this long after the action: for actions after which nothing has to start. None: its grace
     and two seconds, and `verify_after_s`."""
 
     @classmethod
     def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
-        """Whether the configuration has what this step needs; a rung that does not apply is left out of the ladder."""
+        """Whether the configuration has what this step needs; a step that does not apply is left out of the ladder."""
         return True
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
-        """What must be there before this step can be done and is not, as a sentence; empty: nothing.
+        """What the step needs and is missing, as a sentence; empty: nothing.
 
-        Asked before the step is begun, as often as once a second, so it must come back soon. Raises CannotTell.
+        Called before the step is begun, up to once a second, so it must return soon. Raises CannotTell.
         """
         return ""
 
@@ -135,13 +134,13 @@ class Action(ABC):
     def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         """Do it; return a sentence for the log. Raises ActionFailed, NotYet, NotPermitted or CannotTell.
 
-        Called again after a failure or a restart of PHM: doing it twice must be harmless. An action that has found nothing to
+        Called again after a failure or a restart of PHM: doing it twice must be harmless. An action that found nothing to
         do returns its sentence as `NotNeeded`.
         """
 
     def other_cause(self, target: Target, fault: Fault, context: ActionContext) -> str:
-        """Asked once the unit is OK again after `run`, of the same object: what else has made it OK, as a clause for the log.
+        """Called on the same object once the unit is OK again after `run`: what else has made it OK, as a clause for the log.
 
-        Empty: nothing speaks against the action. Raises CannotTell, which counts as empty.
+        Empty: the action is credited. Raises CannotTell, which counts as empty.
         """
         return ""

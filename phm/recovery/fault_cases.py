@@ -1,4 +1,4 @@
-"""The open faults of one container, as its thread has them in hand."""
+"""The open faults of one target, as its worker handles them."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from phm.recovery.persistence.state import MAX_REPORTED, PersistedCase
 
 @dataclass(slots=True)
 class FaultCase:
-    """One open fault. `reported` remembers what was said, to say it once."""
+    """One open fault. reported: the steps that were published, so that each is published once."""
 
     fault: Fault
     generation: str = field(init=False)
-    """Generation of the container (`Generation.name`): nothing is done for the fault in another one before it was found there,
+    """Generation of the container (`Generation.name`): nothing is done in another one before the fault was found there,
     too. Empty: any."""
     reported: set[str] = field(default_factory=set)
     refused: bool = False
     approval: Approval | None = None
-    """Of an operator; holds for one action, and not over a restart of PHM."""
+    """Of an operator, for one action; it ends with PHM."""
     recheck_from: float | None = None
     """Restored, or the container was started again by others: nothing is done before a run that began after this
     (monotonic seconds) has found the unit in ERROR."""
     on_hold: bool = False
-    """Its container was on hold when it was last looked at."""
+    """Whether its container was on hold at the last decision."""
     interrupted: bool = False
-    """Restored, with an action under way: the target is held until it is healed or acted on anew."""
+    """Restored, with an action under way: its action hold lasts until it recovers or the next action."""
 
     def __post_init__(self) -> None:
         self.generation = self.fault.life
 
     def update_fault(self, fault: Fault) -> None:
-        """What is wrong may be another thing by now, for which other actions are known."""
+        """The condition may have changed, and with it the actions that apply."""
         if fault.result.condition != self.fault.result.condition:
             self.refused = False
         self.fault = fault
 
 
 class FaultCases:
-    """By unit. Thread-safe; what stands in a case is the thread's own."""
+    """By unit. Thread-safe, but for the contents of a case, which only the worker changes."""
 
     def __init__(self, target: str) -> None:
         self._target = target
@@ -50,7 +50,7 @@ class FaultCases:
         self._lock = threading.Lock()
 
     def opened(self, fault: Fault) -> None:
-        """A new fault, or new words for one that is in hand."""
+        """A new fault, or a changed one."""
         with self._lock:
             case = self._of.get(fault.unit)
             if case is not None and case.fault.id == fault.id:
@@ -69,7 +69,7 @@ class FaultCases:
     def current(self, open_faults: Callable[[], Iterable[Fault]]) -> list[FaultCase]:
         """The cases as their faults are now, most upstream first. Forgets those that are over, or no longer this target's.
 
-        They are asked for while no case can come: one that opens meanwhile would be forgotten for ever.
+        No case can be added while they are read: it would be forgotten.
         """
         with self._lock:
             mine = {fault.id: fault for fault in open_faults() if fault.result.target == self._target}

@@ -94,21 +94,21 @@ class Failures:
     lasting_s: float
 
     def of_the_unit(self) -> list[AttemptRecord]:
-        """Attempts for the same unit and condition that did not help, since the last one that did or a clean time."""
+        """Attempts for the same unit and condition that did not help, since the last one that did."""
         return self._failed([attempt for attempt in self._counted() if self._own(attempt)])
 
     def of_the_action(self, action: str) -> list[AttemptRecord]:
-        """Executions of `action`, for whichever fault of the container, that did not help, since the last one that did.
+        """Executions of `action`, for any fault of the target, that did not help, since the last one that did.
 
-        An execution that helped another fault and did not last is that fault's own trouble, and is not counted here.
+        An execution that helped another fault and did not last counts for that fault only.
         """
         return self._failed([attempt for attempt in self._counted() if attempt.action == action])
 
     def ready_at(self, settings: RecoverySettings, elsewhere: Sequence[AttemptRecord] = ()) -> float:
-        """Back-off: the first attempt at once, then 1, 2, 4 ... seconds after the last, whether it helped or not.
+        """Back-off: the first attempt immediately, then 1, 2, 4 ... seconds after the last, whether it helped or not.
 
-        What helped and broke again so soon counts too, or a flapping container would be restarted without pause; what was
-        eased since does not. `elsewhere`: attempts for other faults of the container that count as well.
+        What helped and failed again so soon counts too, or a flapping container would be restarted without pause; an
+        attempt with `backoff_reset` does not. elsewhere: attempts for other faults of the container that count as well.
         """
         mine = [attempt for attempt in self._within() if self._own(attempt)]
         others = [attempt for attempt in elsewhere if attempt not in mine]
@@ -121,7 +121,7 @@ class Failures:
         return self.history.within(self.now - CLEAN_S)
 
     def _counted(self) -> list[AttemptRecord]:
-        """Newest first, without what was before a time in which the unit was OK for long."""
+        """Newest first, without those before a long time in which the unit was OK."""
         since = self.fault.opened.mono if self.fault.ok_s > self.lasting_s else float("-inf")
         return [attempt for attempt in reversed(self._within()) if attempt.at >= since]
 

@@ -1,14 +1,19 @@
-"""Decides what to do about a fault. Pure: fault, history and what is forbidden in, a decision out.
+"""Decides what to do about a fault. Pure: fault, history and limits in, a decision out.
 
-Rules, first match wins: no ladder for the condition -> nothing; never well in this life of its container, where
-only that gives hope -> nothing; mode off -> nothing; not opted in ->
-nothing; on hold -> wait until its end; a symptom of
-starvation -> wait until that is over; not decided yet whether it is being stopped by hand -> wait for that;
-the same failure `same_failure` times, or an action on the whole container that did not help it so often for any of its faults ->
-give up and say so; forbidden while armed
--> advise; stopped by hand where that is only advised about -> advise; mode
-advise -> advise; budget used up -> wait, and say so; back-off not over -> wait; else the rung of the ladder that
-follows the number of failed attempts. Actions on PHM's own container and links are bound by budget and back-off alone.
+The first rule that matches decides:
+
+1. No ladder for the condition, or no step of it applies: skip.
+2. A condition that only a restart after a good start can help, and the unit was never OK in this generation: skip.
+3. Recovery is off, the target is not configured or has not opted in: skip.
+4. The container is on hold: wait for its end. Not decided whether an operator is stopping it: wait for that.
+5. Starvation explains the condition: wait until it is over.
+6. The same failure `same_failure` times, or as many failures of an action on the entire container: give up.
+7. `recovery.patience` is not over: wait.
+8. Forbidden while armed, stopped by an operator, or mode advise: advise.
+9. Budget used up, or back-off not over: wait.
+10. Else the step of the ladder that follows the number of failed attempts.
+
+Actions on PHM's own container and links are limited by rules 1, 6, 7 and 9 only.
 """
 
 from __future__ import annotations
@@ -51,42 +56,45 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "disk_full": ("free_disk",),
     "cpu_starved": ("relieve",),
 }
-"""Built-in ladders by condition. Conditions that are not here are told and left alone: `restarting` because the engine's
-own restart policy is at work and is not fought, `dead` because the engine refuses to restart what it could not remove,
-`not_received` because a transport that was never open outlives every restart."""
+"""Built-in ladders by condition. Conditions that are not listed are only reported: `restarting` because the engine's
+own restart policy is at work, `dead` because the engine refuses to restart what it could not remove,
+`not_received` because a restart does not open a transport that was never open."""
 PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_duplicate"})
-"""Conditions that must have lasted `recovery.patience`: a source that pauses is not yet one that hangs, and a node may make
-its ends anew by itself, or be relieved by a copy that starts before it ends."""
+"""Conditions that must have lasted `recovery.patience`: a source that pauses does not yet hang, and a node may
+create its endpoints again by itself, or be replaced by a copy that starts before it ends."""
 DOWN = frozenset({"exited", "oom", "created"})
-"""Conditions of a container that does not run. A start makes nothing worse as long as what depends on it is left alone, so it is
-tried for as long as the container is down: a part of the budget is reserved for it, and when that is used up, or recovery has
-given up, once per `recovery.backoff_max`."""
+"""Conditions of a container that does not run. A start makes nothing worse as long as its dependents are not restarted, so it
+is tried for as long as the container is down: a part of the budget is reserved for it, and when that is used up, or recovery
+has given up, it is tried once per `recovery.backoff_max`."""
 GENTLE = frozenset({"relieve"})
-"""Actions that disturb no container: they are bound by back-off alone, and use up no budget."""
+"""Actions that disturb no container: limited by back-off only, they use up no budget."""
 OUTSIDE = frozenset({"network_missing"})
-"""Conditions that come from outside of every container. An action after which a unit has one of them is not to blame."""
+"""Conditions that come from outside of every container: no action on a container causes them."""
 AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
 """Conditions that only the first step of the ladder can end: a restart connects nothing. The next step is for what needs the unit
-and has not come back after the unit itself did."""
+and has not recovered although the unit itself has."""
 ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_duplicate"})
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
-namespace, a publisher that was made anew, a second node started by hand. Where it was well in this life, a restart brings
-back what the start had, and is tried once; where it never was, nothing is done. A ladder of the user's own holds as it is."""
+namespace, a publisher that was created again, a second node started by an operator. Where the unit was OK in this generation,
+a restart restores what the start had, and is tried once; where it never was, nothing is done. A user's own ladder is used
+unchanged."""
 ONCE_WELL_S, FOUND_WELL_S = 2.0, 5.0
-"""What has been told well for longer was not wrong from the start: beyond the grace of that start, in which all comes up and names
-of the life before go; where the container ran before PHM did, since PHM looks. A check that knows better says so
-(`phm.core.model.Evidence.never_ok`)."""
+"""Seconds for which a unit must have been reported OK to count as OK in this generation: beyond the grace of the start, in which
+parts come up and names of the previous generation disappear; and where the container started before PHM did. A check that
+knows better says so (`phm.core.model.Evidence.never_ok`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Act:
+    """Carry out the action."""
+
     action: str
     attempt: int
 
 
 @dataclass(frozen=True, slots=True)
 class Advise:
-    """Say what would help; do nothing. `again_at` None: final for this fault."""
+    """Report what would help; do nothing. again_at: when to decide again (monotonic seconds); None: final for this fault."""
 
     action: str
     why: str
@@ -95,7 +103,7 @@ class Advise:
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """subject: what it is published as, each once."""
+    """Do nothing until then (monotonic seconds). report: whether it is published, once for each `subject`."""
 
     until: float
     why: str
@@ -105,13 +113,15 @@ class Wait:
 
 @dataclass(frozen=True, slots=True)
 class GiveUp:
+    """Escalate to the operator. action: what would be next."""
+
     action: str
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class Skip:
-    """Nothing that PHM may or can do."""
+    """There is nothing that PHM may or can do."""
 
     why: str
 
@@ -142,19 +152,19 @@ def decide(
     """What to do about `fault` at `now` (monotonic seconds).
 
     forbids: why an action must not be done while the vehicle may be armed; empty: it may (`phm.recovery.safety.flight_critical`).
-    approved: an operator has approved this action: mode advise and the armed state no longer hold it back.
-    free_actions: actions on PHM's own container and links; they endanger nobody, so mode, opt-in and arming do not bind them.
-    usable: the actions that apply to this fault; other rungs are left out. None: all.
-    hold: until when (monotonic seconds) the container is on hold, and that in words; None: it is not.
+    approved: an operator has approved this action: mode advise and the armed state do not apply.
+    unrestricted: actions on PHM's own container and links: mode, opt-in and the armed state do not apply to them.
+    usable: the actions that apply to this fault; other steps are left out. None: all.
+    hold: until when (monotonic seconds) the container is on hold, and why; None: it is not.
     undecided: when it is decided whether an operator is stopping the container (monotonic seconds); None: it is decided.
     stopped_by_hand: an operator stopped the container, and then PHM only advises (`recovery.on_manual_stop`).
-    start_s: how long the parts of a container may take to come up (`ros.grace`).
-    shared_actions: actions on the container as a whole: one that did not help one of its faults is not repeated for another.
-    starved: the pressure unit that explains what is wrong; empty: none does.
+    start_s: how long the parts of a container may take to start (`ros.grace`).
+    container_wide: actions on the entire container: one that did not help one fault is not repeated for another.
+    starved: the pressure unit that explains the condition; empty: none does.
     given_up: recovery has given up on the fault, and its container is down: only the first step is tried, once per `backoff_max`.
     """
     condition = fault.result.condition
-    ladder = tuple(rung for rung in ladder_of(condition, settings) if usable is None or rung in usable)
+    ladder = tuple(step for step in ladder_of(condition, settings) if usable is None or step in usable)
     hopeless = _hopeless(fault, ladder, settings, start_s)
     if hopeless:
         return Skip(hopeless)
@@ -162,7 +172,7 @@ def decide(
         return Skip("only a start is tried again after recovery has given up")
     failures = Failures(history, fault, now, settings.verify)
     same = failures.of_the_unit()
-    action = START if given_up else _rung(ladder, condition, same, settings)
+    action = START if given_up else _step(ladder, condition, same, settings)
     if action not in unrestricted:
         refused = _refused(target, settings, hold, undecided)
         if refused is not None:
@@ -245,7 +255,7 @@ def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:
     return tuple(settings.ladders.get(condition, LADDERS.get(condition, ())))
 
 
-def _rung(ladder: tuple[str, ...], condition: str, same: list[AttemptRecord], settings: RecoverySettings) -> str:
+def _step(ladder: tuple[str, ...], condition: str, same: list[AttemptRecord], settings: RecoverySettings) -> str:
     """The step that follows so many failed attempts."""
     again = condition in AGAIN_WHILE_IT_LASTS and condition not in settings.ladders
     failed = sum(attempt.partly for attempt in same) if again else len(same)
@@ -265,7 +275,7 @@ def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings,
     known = fault.result.evidence.never_ok
     never_ok = fault.ok_since_start_s < least_s if known is None else known
     if _once(condition, settings) and never_ok:
-        return "it was not well before in this life of its container, so a restart would bring it back"
+        return "it was never OK since its container started, so a restart would not help"
     return ""
 
 

@@ -71,7 +71,7 @@ def test_only_a_fresh_disarmed_opens_the_gate(
     """Never received, silent, contradictory, read late, or fresh from a reboot in the air: shut, with the reason."""
     found = assess(given, TIMEOUT_S, last)
     assert found.state is state
-    assert found.shut is (state is not ArmedState.DISARMED)
+    assert found.restricts is (state is not ArmedState.DISARMED)
     assert words in found.why
 
 

@@ -67,7 +67,7 @@ def test_a_restart_of_phm_that_the_engine_finishes_late_is_waited_for() -> None:
     for at, (action, detail) in enumerate((TERM, KILL, DIE, STOP)):
         stops.event("app", action, detail, at / 10, own=True, late=True)
     assert stops.undecided() == {"app"}
-    assert stops.leave_until("app", 0.4) == pytest.approx(0.3 + STOPPED_S)
+    assert stops.undecided_until("app", 0.4) == pytest.approx(0.3 + STOPPED_S)
     assert stops.due(0.3 + STOPPED_S) == [("app", StopVerdict.CRASHED)]
     stops.event("app", *DIE, 10.0, own=True, late=True)
     stops.event("app", *START, 10.1, own=True, late=True)
@@ -101,11 +101,11 @@ def test_a_container_is_left_alone_until_the_verdict() -> None:
     """Once it has ended, and from the making of a replacement on; a signal alone keeps nobody away."""
     stops = ManualStopDetector()
     stops.event("app", *TERM, 0.0, own=False)
-    assert stops.leave_until("app", 0.0) is None
+    assert stops.undecided_until("app", 0.0) is None
     stops.event("app", *DIE, 1.0, own=False)
-    assert stops.leave_until("app", 1.0) == 4.0
+    assert stops.undecided_until("app", 1.0) == 4.0
     stops.event("cam", "replace", "", 0.0, own=False)
-    assert stops.leave_until("cam", 1.0) == 15.0 and stops.leave_until("cam", 15.0) is None
+    assert stops.undecided_until("cam", 1.0) == 15.0 and stops.undecided_until("cam", 15.0) is None
 
 
 def test_a_kill_is_published_soon() -> None:
@@ -122,7 +122,7 @@ def test_an_end_whose_signal_may_have_been_missed_is_published_and_waited_on() -
         stops = ManualStopDetector()
         stops.event("app", *DIE, 0.0, own=False, missed=True)
         assert not stops.undecided()
-        assert stops.leave_until("app", 0.0) == pytest.approx(UNSURE_S)
+        assert stops.undecided_until("app", 0.0) == pytest.approx(UNSURE_S)
         if then is not None:
             stops.event("app", *then, UNSURE_S / 2, own=False, missed=True)
             assert stops.undecided() == {"app"}

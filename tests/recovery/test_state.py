@@ -175,7 +175,7 @@ def test_a_broken_file_is_set_aside_with_a_warning(tmp_path: Path, data: bytes) 
     file.path.write_bytes(data)
     state, warning = file.load(WINDOW_S)
     assert state == PersistedState()
-    assert "set aside as state.json.corrupt-" in warning
+    assert "renamed to state.json.corrupt-" in warning
     assert not file.path.exists()
     assert next(tmp_path.glob("state.json.corrupt-*")).read_bytes() == data
 
@@ -200,7 +200,7 @@ def test_an_operators_copy_of_a_broken_file_is_kept(tmp_path: Path) -> None:
     (tmp_path / "state.json.corrupt-19990101T000000Z").mkdir()
     for number in range(5):
         file.path.write_text(f"broken {number}")
-        assert "set aside as" in file.load(WINDOW_S)[1]
+        assert "renamed to" in file.load(WINDOW_S)[1]
         clock.advance(60.0)
     assert (tmp_path / "state.json.corrupt-0-flight-7").read_text() == "theirs"
     kept = [entry for entry in tmp_path.glob("state.json.corrupt-2*") if entry.is_file()]

@@ -15,16 +15,16 @@ from phm.recovery.safety.flight_critical import FlightCriticalError
 from phm.recovery.target import Target
 
 MOST_STOP_S = 120.0
-"""A container that asks for more time to end gets this much when PHM restarts it: it has failed already."""
+"""A container that is configured with a longer stop time-out gets this much when PHM restarts it: it has failed already."""
 FOLLOW_S = 30.0
-"""A dependant is held for its stop time-out and this much longer, in case the thread that restarts it dies."""
+"""A dependent is held for its stop time-out and this much longer, in case the thread that restarts it dies."""
 
 
 class Restart(Action):
-    """Stop gracefully (SIGTERM, stop time-out), start, then restart its dependants.
+    """Stop gracefully (SIGTERM, stop time-out), start, then restart its dependents.
 
-    Not while a network that the container is to be on is missing: a restart does not bring that back, and may leave the
-    container stopped.
+    Not while a configured network of the container is missing: a restart does not create it, and may leave the container
+    stopped.
     """
 
     name = "restart"
@@ -48,10 +48,10 @@ class Restart(Action):
 
 
 def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:
-    """The container's stop signal (SIGTERM unless it names another), its time to end, SIGKILL, start again.
+    """The container's stop signal (SIGTERM unless configured), its stop time-out, SIGKILL, start.
 
-    SIGTERM first matters to ROS: a node that ends by itself takes its DDS participant with it, a killed
-    one lingers in the graph until its lease ends.
+    SIGTERM first matters to ROS: a node that exits by itself removes its DDS participant, a killed one stays in the graph
+    until its lease ends.
     """
     if fact.status == "paused":
         context.engine.unpause(fact.id)  # a frozen process cannot act on SIGTERM
@@ -59,30 +59,30 @@ def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:
 
 
 def stop_timeout_s(fact: ContainerFact, context: ActionContext) -> float:
-    """`recovery.stop_timeout`, or longer where the container itself asks for it, up to MOST_STOP_S."""
+    """`recovery.stop_timeout`, or longer where the container is configured so, up to MOST_STOP_S."""
     asked_s = fact.stop_timeout_s or 0.0
     own_s = MOST_STOP_S if asked_s < 0 else min(asked_s, MOST_STOP_S)
     return max(context.settings.recovery.stop_timeout, own_s)
 
 
 def restart_dependents(target: Target, fault: Fault, context: ActionContext) -> str:
-    """Restart whoever depends on the target, once that runs again; what was done, for the log (may be empty).
+    """Restart the containers that depend on the target, once that runs again; what was done, for the log (may be empty).
 
-    What goes wrong here is told and no failure of the action: the target itself has been mended, and a
-    dependant that stays broken is a fault of its own.
+    A problem here is reported and is not a failure of the action: the target itself has been restarted, and a dependent that
+    stays broken is a separate fault.
     """
     facts = _facts(context)
     order = dependents(target.key, facts, context.settings.containers)
     if not order:
         return ""
-    mended = facts.get(target.key)
-    if mended is None or not mended.running:
+    restarted = facts.get(target.key)
+    if restarted is None or not restarted.running:
         return f"; {', '.join(order)} not restarted, because {target.key} does not run"
     said, moved = [], False
     for key in order:
-        # What depends on a restarted dependant must follow it, however new it is.
-        words, restarted = _follow(key, fault, facts, context, always=moved)
-        moved = moved or restarted
+        # What depends on a restarted dependent must be restarted after it, however new it is.
+        words, done = _follow(key, fault, facts, context, always=moved)
+        moved = moved or done
         said.append(f"; {words}")
     return "".join(said)
 
@@ -90,34 +90,34 @@ def restart_dependents(target: Target, fault: Fault, context: ActionContext) -> 
 def _follow(
     key: str, fault: Fault, facts: Mapping[str, ContainerFact], context: ActionContext, *, always: bool
 ) -> tuple[str, bool]:
-    """What came of it, for the log, and whether the dependant was restarted. facts: as observed after the target's start."""
+    """What was done, for the log, and whether the dependent was restarted. facts: as observed after the target's start."""
     entry = context.settings.container(key)
     if entry is None or key not in facts:
-        return f"{key}, which depends on it, is not there", False
+        return f"{key}, which depends on it, does not exist", False
     if not entry.recover:
-        return f"{key} depends on it and has not opted in (recover: true): restart it by hand", False
+        return f"{key} depends on it and has not opted in (recover: true): restart it manually", False
     try:
         with context.holding(key, fault, "restart", stop_timeout_s(facts[key], context) + FOLLOW_S):
-            left_alone = _restart_dependant(entry, "" if always else facts[key].life, context)
+            skipped = _restart_dependent(entry, "" if always else facts[key].life, context)
     except FlightCriticalError as error:
-        return f"{key} depends on it: {error}; restart it by hand when that is safe", False
+        return f"{key} depends on it: {error}; restart it manually when that is safe", False
     except CannotTell as error:
         return f"{key} depends on it and could not be restarted: {error}", False
-    return left_alone or f"restarted {key}, which depends on it", not left_alone
+    return skipped or f"restarted {key}, which depends on it", not skipped
 
 
-def _restart_dependant(entry: ContainerSettings, before: str, context: ActionContext) -> str:
-    """All is asked again: there may have been a wait until the repair of another container had it no longer in hand.
+def _restart_dependent(entry: ContainerSettings, before: str, context: ActionContext) -> str:
+    """Everything is checked again: another recovery may have had it locked until now.
 
     before: its generation (`ContainerFact.life`) as observed after the target's start: one that runs as another generation
-    now was started later than the target, whatever the engine's clock says, and is left alone. Empty: it must follow anyhow.
-    Returns why it was left alone; empty: restarted.
+    now was started later than the target, whatever the engine's clock says, and is not restarted. Empty: restart it in
+    any case. Returns why it was not restarted; empty: it was.
     """
     key, fact = entry.key, context.container(entry.key)
     if fact is None:
-        return f"{key}, which depends on it, is not there"
+        return f"{key}, which depends on it, does not exist"
     if words := context.on_hold(key):
-        return f"{key}, which depends on it, is {words}: restart it by hand"
+        return f"{key}, which depends on it, is {words}: restart it manually"
     if fact.running and before and fact.life != before:
         return f"{key}, which depends on it, was started after it already"
     restart_gracefully(fact, context)
@@ -125,7 +125,7 @@ def _restart_dependant(entry: ContainerSettings, before: str, context: ActionCon
 
 
 def _facts(context: ActionContext) -> dict[str, ContainerFact]:
-    """All configured containers that can be seen now."""
+    """All configured containers that the engine reports now."""
     found = {}
     for entry in context.settings.containers:
         try:

@@ -1,17 +1,17 @@
-"""Which life of its container is at hand, and who began it: PHM, the engine's restart policy, or somebody else.
+"""Generations of a container, one from each start to the next, and who started it: PHM, the restart policy, or others.
 
-A container that somebody else has recreated or started again is not what PHM has tried on: attempts count anew
-(`phm.recovery.history`), and what was given up may be acted on again. What counts as somebody's doing is decided so that a
-container that ends again and again does not make PHM begin anew for ever:
+A container that others have recreated or started again is not the one on which PHM's attempts failed: attempts are reset
+(`phm.recovery.history`), and what was given up may be acted on again. The rules keep a container that exits again and again
+from resetting the attempts each time:
 
-- A **new id** counts at once; nobody but a person or a tool makes one, and PHM never does. Unless the container that it
-  replaces had not been there for `recovery.verify` itself: whoever recreates at that pace is a crash loop, too.
-- **Started again**, with the same id: when this life has lasted for `recovery.verify` and the container still runs.
-- **By the engine's own restart policy** (its counter is above 0; a start by hand sets it to 0): never. It has done what
-  PHM's restart would have done, and nothing was mended. It is watched: after it, units get their grace.
-- **By PHM**, for this container's sake or another's: never. Also when the engine does it late: after the call's deadline, or
-  after PHM itself has ended in the middle of it. A call to start or restart it that was sent and not answered is followed by at most one start
-  that is PHM's.
+- **A new id** resets immediately: only a person or a tool creates a container, never PHM. Unless the container that it
+  replaces had existed for less than `recovery.verify`: recreating at that pace is a crash loop, too.
+- **Started again with the same id** resets when this generation has lasted for `recovery.verify` and still runs.
+- **Started by the engine's restart policy** (its counter is above 0; a manual start sets it to 0) never resets: it did what
+  PHM's restart would have done, and repaired nothing. Units get their grace after it.
+- **Started by PHM**, for this container or another, never resets. Also when the engine does it late: after the call's
+  deadline, or after PHM itself was stopped. A call to start or restart it that got no answer is followed by at most one
+  start that is attributed to PHM.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from phm.core.clock import Clock
 from phm.facts import CannotTell, ContainerFact
 
 FOUND, ENGINE, OTHERS, RECREATED, COUNTED = "found", "engine", "others", "recreated", "counted"
-"""Who began a life: it was there when first looked at; the restart policy; others; others, who made a new container; and
-others whose doing has been taken into account. PHM itself stands as `phm:` and the container for whose sake it acted."""
+"""Who started a generation: not known, it ran at the first observation; the restart policy; others; others, with a new
+container; and others, after the attempts were reset for it. PHM is `phm:` and the container for which it acted."""
 UNFINISHED_S = 600.0
-"""A call without an answer may have its effect for so long; attempts older than this no longer count
+"""A call without an answer may take effect for so long; older attempts do not count
 (`phm.recovery.history.CLEAN_S`)."""
 SETTLED_S = 0.5
-"""A change seen up to this long after an action of PHM began with it: what the probe says may be 0.2 s old."""
+"""A change seen up to this long after an action of PHM belongs to it: the answer of the probe may be 0.2 s old."""
 
 
 def by_phm(whose: str) -> str:
-    """`Generation.by` of a life that PHM began for the sake of container `whose`."""
+    """`Generation.by` of a generation that PHM started to recover container `whose`."""
     return f"phm:{whose}"
 
 
 @dataclass(frozen=True, slots=True)
 class Generation:
-    """One life of a container, from one start to the next; `id` and `started` are the engine's and name it.
+    """From one start of a container to the next; `id` and `started` are the engine's and identify it.
 
-    since: when it was first seen in place of another (monotonic seconds), None when it was there at the first look.
-    made:  the same for the container, which may live several times.
-    by:    who began it, in the words above.
+    since: when it was first observed in place of another (monotonic seconds); None: at the first observation.
+    made:  the same for the container, which may have several generations.
+    by:    who started it, one of the words above.
     """
 
     id: str
@@ -56,12 +56,12 @@ class Generation:
 
     @property
     def name(self) -> str:
-        """As checks call it: see `phm.facts.ContainerFact.life`."""
+        """As in results of checks: see `phm.facts.ContainerFact.life`."""
         return f"{self.id}@{self.started}"
 
     @property
     def whose(self) -> str:
-        """The container for whose sake PHM began this life; empty when others did."""
+        """The container for which PHM started this generation; empty when others did."""
         name = self.by.removeprefix("phm:")
         return name if name != self.by else ""
 
@@ -72,7 +72,7 @@ class Generation:
 def next_generation(
     old: Generation | None, fact: ContainerFact, now: float, lasting_s: float, phm_for: str = ""
 ) -> Generation:
-    """The life that `fact` shows, after `old`. `phm_for`: the container for whose sake PHM is acting on this one."""
+    """The generation that `fact` shows, after `old`. phm_for: the container for which PHM is acting on this one."""
     if old is None:
         return Generation(fact.id, fact.started_at)
     if (old.id, old.started) == (fact.id, fact.started_at):
@@ -84,16 +84,16 @@ def next_generation(
     return Generation(fact.id, fact.started_at, now, old.made, by)
 
 
-def resets_attempts(life: Generation, fact: ContainerFact, now: float, lasting_s: float) -> bool:
-    """Whether attempts made before this life say nothing about it."""
-    if life.since is None or life.by == RECREATED:
-        return life.by == RECREATED
-    return life.by == OTHERS and fact.running and now - life.since >= lasting_s
+def resets_attempts(generation: Generation, fact: ContainerFact, now: float, lasting_s: float) -> bool:
+    """Whether attempts before this generation say nothing about it."""
+    if generation.since is None or generation.by == RECREATED:
+        return generation.by == RECREATED
+    return generation.by == OTHERS and fact.running and now - generation.since >= lasting_s
 
 
 @dataclass(slots=True)
 class _Actor:
-    """PHM is acting on a container for the sake of `who`; `ended` (monotonic seconds) until a look has shown the outcome.
+    """PHM is acting on a container to recover `who`; after `ended` (monotonic seconds), until the outcome was observed.
 
     `unanswered` calls may still start the container, each once, until `until` (monotonic seconds).
     """
@@ -110,10 +110,10 @@ class _Actor:
 
 
 class GenerationTracker:
-    """The newest known life of each container. Thread-safe.
+    """The newest known generation of each container. Thread-safe. lasting_s: `recovery.verify`.
 
-    Invariant: a container's entries are changed with its own lock held, from the question to the engine until the answer
-    is in, so that an old answer never comes after a newer one. The engine's client bounds how long that takes.
+    Invariant: a container's entries are changed with its own lock held, from the request to the engine until the answer, so
+    that an old answer never follows a newer one. The engine's client limits how long that takes.
     """
 
     def __init__(self, observe: Callable[[str], ContainerFact | None], clock: Clock, lasting_s: float) -> None:
@@ -123,41 +123,45 @@ class GenerationTracker:
         self._locks: dict[str, threading.Lock] = {}
 
     def restore(self, known: Mapping[str, Generation]) -> None:
-        """What an earlier run of PHM knew; before any look."""
+        """What an earlier run of PHM knew; before the first observation."""
         self._generations.update(known)
 
     def snapshot(self) -> dict[str, Generation]:
         return dict(self._generations)
 
     def current(self, key: str) -> Generation | None:
-        """The life at hand; the last known one when nobody can tell."""
+        """The current generation; the last known one when the engine does not answer."""
         with self._lock(key):
             self._update(key)
             return self._generations.get(key)
 
     def external_start(self, key: str) -> float | None:
-        """When a life began that makes attempts count anew (monotonic seconds); said once for each such life."""
+        """When a generation began that resets attempts (monotonic seconds); returned once for each such generation."""
         with self._lock(key):
-            fact, life = self._update(key), self._generations.get(key)
-            if life is None or fact is None or not resets_attempts(life, fact, self._clock.mono(), self._lasting_s):
+            fact, generation = self._update(key), self._generations.get(key)
+            if (
+                generation is None
+                or fact is None
+                or not resets_attempts(generation, fact, self._clock.mono(), self._lasting_s)
+            ):
                 return None
-            self._generations[key] = replace(life, by=COUNTED)
-            return life.since
+            self._generations[key] = replace(generation, by=COUNTED)
+            return generation.since
 
     def forget(self, key: str) -> None:
-        """No attempt counts any more: what happens from now on need not be told from what was. The next look is the first."""
+        """No attempt counts any more, so starts need not be attributed. The next observation is the first."""
         with self._lock(key):
             self._generations.pop(key, None)
 
     @contextlib.contextmanager
     def acting(self, key: str, who: str, unanswered: Callable[[], int] = lambda: 0) -> Iterator[None]:
-        """While it is entered, and until the outcome was seen, a new life of `key` is PHM's doing, for the sake of `who`.
+        """While it is entered, and until the outcome was observed, a new generation of `key` is attributed to PHM, acting for `who`.
 
-        unanswered: how many calls that start `key` had no answer meanwhile; asked once, at the end.
+        unanswered: how many calls that start `key` got no answer meanwhile; asked once, at the end.
         """
         actor = _Actor(who)
         with self._lock(key):
-            self._update(key)  # what others did until now is theirs
+            self._update(key)  # a start before this is not PHM's
             before = self._actors.get(key)
             if before is not None:
                 actor.unanswered, actor.until = before.unanswered, before.until
@@ -171,12 +175,12 @@ class GenerationTracker:
             actor.ended = self._clock.mono()
 
     def add_unfinished(self, key: str, who: str) -> None:
-        """An action on `key` for the sake of `who` was cut short when PHM ended; the engine may finish it, or has. Before any look."""
+        """An action on `key` to recover `who` was interrupted when PHM stopped; the engine may complete it. Before any observation."""
         now = self._clock.mono()
         self._actors[key] = _Actor(who, now, 1, now + UNFINISHED_S)
 
     def unfinished(self) -> dict[str, str]:
-        """On which containers PHM is acting, or has made a call without an answer, and for whose sake: for the next PHM."""
+        """The containers on which PHM is acting, or a call got no answer, each with the container to recover: for the next PHM."""
         actors, now = dict(self._actors), self._clock.mono()
         return {
             key: actor.who
@@ -192,14 +196,14 @@ class GenerationTracker:
         try:
             fact = self._observe(key)
         except CannotTell:
-            return None  # the last known life stands
+            return None  # the last known generation remains
         if fact is None:
             return None
         phm_for = actor.who if actor is not None else ""
         old = self._generations.get(key)
-        life = self._generations[key] = next_generation(old, fact, self._clock.mono(), self._lasting_s, phm_for)
+        generation = self._generations[key] = next_generation(old, fact, self._clock.mono(), self._lasting_s, phm_for)
         if actor is not None:
-            if life is not old and life.whose:
+            if generation is not old and generation.whose:
                 actor.unanswered -= 1
             if actor.over(began):
                 del self._actors[key]

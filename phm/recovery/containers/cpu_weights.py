@@ -1,4 +1,4 @@
-"""CPU weights that PHM has lowered for the sake of a starved container, and puts back when that has been well for a while."""
+"""CPU weights that PHM has lowered to relieve a starved container, and restores when that has been OK for a while."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from phm.facts import CannotTell, ContainerFact
 from phm.transport.docker import DockerEngine
 
 LOW_SHARES = 64
-"""A sixteenth of the engine's default of 1024: enough to stay alive, and next to nothing beside a container that wants the core."""
+"""A sixteenth of the engine's default of 1024: enough to stay alive, almost nothing beside a container that needs the core."""
 DEFAULT_SHARES = 1024
 CALM_S = 30.0
-"""The weight is put back when the unit has been OK for so long, and each time that it had to be lowered again soon, for twice as
-long as the time before: else the two would take turns."""
+"""The weight is restored when the unit has been OK for so long. Each time that it must be lowered again soon, that time doubles:
+else the two would alternate."""
 MOST_CALM_S = 600.0
 
 
 @dataclass(frozen=True, slots=True)
 class LoweredWeight:
-    """One container whose CPU weight was `shares` before PHM lowered it for the sake of unit `unit`. id: the engine's."""
+    """One container whose CPU weight was `shares` before PHM lowered it because of unit `unit`. id: the engine's."""
 
     key: str
     id: str
@@ -74,7 +74,7 @@ class CpuWeights:
         shares = found if isinstance(found, int) and found > 0 else DEFAULT_SHARES
         if shares <= LOW_SHARES:
             return False
-        with self._lock:  # noted before it is done: what PHM's own end interrupts is put back by the next PHM
+        with self._lock:  # noted first: if PHM is stopped in between, the next PHM restores it
             self._lowered[key] = LoweredWeight(key, fact.id, shares, unit)
             again = self._clock.mono() - self._put_back_at.get(key, float("-inf")) < MOST_CALM_S
             self._calm_s[key] = min(2 * self._calm_s.get(key, CALM_S), MOST_CALM_S) if again else CALM_S
@@ -85,7 +85,7 @@ class CpuWeights:
         """Time alone decides."""
 
     def tick(self) -> None:
-        """Put back what is no longer needed."""
+        """Restore weights that need not be low any more."""
         states = {state.unit: state for state in self._pipeline.states()}
         now = self._clock.mono()
         for entry in self.kept():
@@ -95,12 +95,12 @@ class CpuWeights:
                 self._put_back(entry)
 
     def end(self) -> None:
-        """Put everything back: PHM ends, and nobody would do it later."""
+        """Restore all weights: PHM stops, and nothing else would do it later."""
         for entry in self.kept():
             self._put_back(entry)
 
     def _put_back(self, entry: LoweredWeight) -> None:
-        """A container that was made again since has the weight that it was made with."""
+        """A container that was recreated since has the weight that it was created with."""
         try:
             fact = self._container(entry.key)
             same = fact is not None and fact.id == entry.id
@@ -112,4 +112,4 @@ class CpuWeights:
             self._lowered.pop(entry.key, None)
             self._put_back_at[entry.key] = self._clock.mono()
         if same:
-            self._pipeline.note("ACTION", f"put the CPU weight of {entry.key} back to {entry.shares}")
+            self._pipeline.note("ACTION", f"restored the CPU weight of {entry.key} to {entry.shares}")

@@ -1,7 +1,7 @@
-"""Holds: until when recovery does nothing to a container because somebody wants it so, by whom and why. Pure.
+"""Holds: until when recovery does not act on a container on request, who requested it and why. Pure.
 
-A hold always has an end, on the monotonic clock: a clock that is set neither extends nor ends it. Over a restart of PHM
-on the same boot that end stays; after a reboot what was left when it was last written counts again.
+A hold always has an end, on the monotonic clock: setting the clock neither extends nor ends it. A restart of PHM on the
+same boot does not change that end; after a reboot, the time that was left when it was last written counts again.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from phm.wire.report import iso
 ALL = ""
 """The target of a hold on all containers."""
 OPERATOR, STOP, WINDOW = "operator", "stop", "window"
-"""Where a hold comes from: `phm hold`, a container that was stopped by hand, a maintenance window."""
+"""The source of a hold: `phm hold`, a container that an operator stopped, a maintenance window."""
 LONGEST_S = 24 * 3600.0
 KEPT_EVERY_S = 30.0
-"""What is left of a hold is written this often: a reboot extends it by no more, and by the time the machine was off."""
+"""The time left of a hold is written this often: a reboot extends the hold by no more than that and the time the machine was off."""
 LATE_S = 10.0
-"""A verdict on a stop that is so long overdue is not waited for: no defect may keep recovery away for ever."""
+"""A verdict on a stop that is so long overdue is not waited for: a defect must not block recovery permanently."""
 BEING_STOPPED = "being stopped or replaced by an operator"
 MAX_HOLDS = 64
 MAX_DONE = 256
@@ -30,7 +30,7 @@ MAX_TEXT = 200
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """target: key of the container, or ALL. until: monotonic seconds. occurrence: of a maintenance window, its beginning."""
+    """target: key of the container, or ALL. until: monotonic seconds. occurrence: of a maintenance window: its begin."""
 
     target: str
     source: str
@@ -52,7 +52,7 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class PersistedHold:
-    """For the state file: `left_s` is what was left, rounded up to KEPT_EVERY_S so that it does not change at each look."""
+    """For the state file. left_s: the time left, rounded up to KEPT_EVERY_S so that the file does not change each time."""
 
     hold: Hold
     left_s: float
@@ -67,9 +67,9 @@ class HoldRegistry:
         self._undecided: dict[str, float] = {}
         self._done: dict[tuple[str, str], None] = {}
         self.armed_before = False
-        """Whether the vehicle was armed when the PHM before this one knew last: what was on hold then may stay so."""
+        """Whether the vehicle was armed as far as the previous PHM knew: what was on hold then may stay so."""
         self.explained_until: Callable[[float], float | None] = lambda now: None
-        """Until when an event may come that explains why a container has ended (monotonic seconds); None: none is to come."""
+        """Until when an event may arrive that explains why a container has exited (monotonic seconds); None: none is expected."""
         self._lock = threading.Lock()
         self.changed: Callable[[], None] = lambda: None
 
@@ -98,14 +98,14 @@ class HoldRegistry:
         return max(found, key=lambda hold: hold.until, default=None)
 
     def stopped_by_hand(self, target: str) -> bool:
-        """Whether an operator stopped it and the rule for that is to advise."""
+        """Whether an operator stopped it and PHM only advises then."""
         return target in self._by_hand
 
     def mark_stopped(self, target: str, stopped: bool) -> None:
         (self._by_hand.add if stopped else self._by_hand.discard)(target)
 
-    def leave(self, target: str, until: float | None) -> None:
-        """Until when (monotonic seconds) a verdict is due on whether it was stopped by hand; None: there is none."""
+    def set_undecided(self, target: str, until: float | None) -> None:
+        """Until when (monotonic seconds) it is decided whether an operator stopped it; None: that is decided."""
         before = self._undecided.get(target)
         if until is None:
             self._undecided.pop(target, None)
@@ -115,9 +115,9 @@ class HoldRegistry:
             self.changed()
 
     def undecided(self, target: str, now: float, *, ended: bool = False) -> float | None:
-        """When to look again at a target of which it is not decided yet whether an operator stopped it; None: it is decided.
+        """When it is decided whether an operator stopped the target (monotonic seconds); None: it is decided.
 
-        ended: it has ended, and what is to be done is for that.
+        ended: its container has exited, and the decision is about that.
         """
         until = self._undecided.get(target)
         if until is None or now >= until + LATE_S:
@@ -129,7 +129,7 @@ class HoldRegistry:
         return self.on(target, now) is not None or self.undecided(target, now) is not None
 
     def why_not_start(self, target: str, now: Stamp) -> str:
-        """Why the target is not to be started for the sake of another container; empty: it may be."""
+        """Why the target must not be restarted as a dependent; empty: it may be."""
         hold = self.on(target, now.mono)
         if hold is not None:
             return hold.words(now)
@@ -144,7 +144,7 @@ class HoldRegistry:
         return tuple(sorted(self._by_hand))
 
     def finish(self, target: str, occurrence: str) -> None:
-        """This occurrence of a maintenance window is over or was released: it does not begin again."""
+        """An occurrence of a maintenance window is over or was released: it does not begin again."""
         self._done[target, occurrence] = None
         while len(self._done) > MAX_DONE:
             del self._done[next(iter(self._done))]
@@ -168,7 +168,7 @@ class HoldRegistry:
         *,
         armed: bool = False,
     ) -> None:
-        """armed: whether the vehicle was armed at the end of the PHM before this one."""
+        """armed: whether the vehicle was armed when the previous PHM stopped."""
         self._by_hand.update(stops)
         self.armed_before = armed
         for target, occurrence in done:

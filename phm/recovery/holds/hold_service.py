@@ -1,6 +1,6 @@
-"""Holds in the running daemon: begun and ended by an operator, a container stopped by hand, or a maintenance window.
+"""Holds in the running daemon: requested by an operator, or begun by a manual stop or a maintenance window.
 
-Each change is published and reaches the tracker, which shows what is bad there as STALE, and recovery, which leaves it alone.
+Each change is published. The tracker shows what is bad there as STALE, and recovery does not act.
 """
 
 from __future__ import annotations
@@ -31,31 +31,31 @@ ENDINGS = frozenset({"exited", "missing", "created"})
 """Conditions of a container that may be part of a restart or a recreation."""
 WAITING = "being stopped by an operator: not judged yet, it may be started or recreated"
 CONFIGURED = "maintenance window"
-"""By whom a container is on hold while a window of the configuration is open."""
+"""Who holds a container while a maintenance window of the configuration is open."""
 FLYING_S = 1.0
-"""While there is a hold or a window, the armed state is looked at this often."""
+"""While there is a hold or a window, the armed state is checked this often."""
 WINDOWS_S, LABELS_S = 5.0, 30.0
-"""Maintenance windows, and the labels that name some, are looked at this often."""
+"""Maintenance windows, and the labels that define some, are checked this often."""
 REPLAYED_S = 0.15
 """What happened while the event stream was closed is replayed within this time once it is open."""
 CLOSED_S = 3.0
-"""A container that ends while the event stream is closed is started no later than this after the stream broke."""
+"""A container that exits while the event stream is closed is started no later than this after the stream broke."""
 LOOK_S = 0.1
-"""While the event stream is closed, it is looked at this often."""
+"""While the event stream is closed, it is checked this often."""
 STOP_MAX_S = 121.0
 """The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.docker_events.STOP_S`)."""
 _DONE = {StopVerdict.STOPPED: "stopped", StopVerdict.REMOVED: "removed"}
 
 
 class HoldRefused(Exception):
-    """The hold or release is not done; the message says why and what is allowed."""
+    """The hold or release is refused; the message says why and what is allowed."""
 
 
 @dataclass(frozen=True)
 class HoldInputs:
     """What holds depend on.
 
-    armed:     the vehicle's armed state; what is not known counts as in the air.
+    armed:     the vehicle's armed state; unknown counts as in the air.
     container: the engine's view of a configured container now, for its label. Raises CannotTell.
     stream:    the engine's event stream now.
     own:       whether what the engine does to a container may be PHM's doing: an action at work, or a call without an answer.
@@ -68,7 +68,7 @@ class HoldInputs:
 
 
 class HoldService:
-    """Thread-safe; `start` applies what was restored and begins to watch the time."""
+    """Thread-safe; `start` applies what was restored and starts the thread."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class HoldService:
         self._windows_at = self._labels_at = float("-inf")
         self._labels: dict[str, str] = {}
         self._facts: dict[str, ContainerFact] = {}
-        """The newest of each container, also of one that was removed: what lives in its namespaces depends on it."""
+        """The newest of each container, also of one that was removed: containers in its namespaces depend on it."""
         self._seen: set[str] = set()
         self._lock = threading.RLock()
         self._wake, self._stopping = threading.Event(), False
@@ -145,7 +145,7 @@ class HoldService:
     # ------------------------------------------------------------ the engine's events
 
     def happened(self, container: str, action: str, detail: str, container_id: str = "") -> None:
-        """An event of a configured container, before anybody is woken for it; actions as in `phm.probes.docker_events`."""
+        """An event of a configured container, before a check runs for it; actions as in `phm.probes.docker_events`."""
         with self._lock:
             now, own = self._clock.mono(), self._world.own(container)
             late = own and not self._pipeline.action_on(container)
@@ -159,16 +159,16 @@ class HoldService:
         self._wake.set()
 
     def tick(self) -> float | None:
-        """Let time pass; seconds until it matters again, None: until something happens."""
-        self._read_labels()
+        """Apply what is due; seconds until the next call, None: until an event."""
+        self._check_labels()
         now = self._clock.mono()
         replaced = self._not_stopped(now)
         with self._lock:
             for key, verdict in self._stops.due(now):
                 self._stopped(key, StopVerdict.CRASHED if key in replaced else verdict)
             self._end([hold for hold in self._holds.all() if now >= hold.until], "its time is over")
-            self._take_off()
-            windows = self._look_at_windows(now)
+            self._end_on_arming()
+            windows = self._check_windows(now)
             dues = [hold.until - now for hold in self._holds.all()]
             stop_due = self._stops.next_due()
             dues += [stop_due - now] if stop_due is not None else []
@@ -179,7 +179,7 @@ class HoldService:
     # ------------------------------------------------------------ inside
 
     def _explained_until(self, now: float) -> float | None:
-        """While the event stream is closed, nothing tells a stop from a crash; both are replayed when it is open again."""
+        """While the event stream is closed, a stop looks like a crash; events are replayed when it is open again."""
         stream = self._world.stream()
         until = stream.since + (REPLAYED_S if stream.open else CLOSED_S)
         if now >= until:
@@ -191,8 +191,8 @@ class HoldService:
             self._wake.clear()
             try:
                 wait_s = self.tick()
-            except Exception:  # a defect here must not keep a hold from ending
-                logger.exception("holds could not be looked at")
+            except Exception:  # a defect here must not prevent a hold from ending
+                logger.exception("holds could not be checked")
                 wait_s = 1.0
             self._clock.wait(self._wake, wait_s)
 
@@ -217,11 +217,11 @@ class HoldService:
             self._publish(HoldChanged(now, hold.target, False, hold.by, hold.reason, left_s, text))
 
     def _apply(self, keys: Iterable[str]) -> None:
-        """Have the tracker know how these containers are."""
+        """Apply the state of these containers to the tracker."""
         now = self._clock.stamp()
         undecided = self._stops.undecided()
         for key in keys:
-            self._holds.leave(key, self._stops.leave_until(key, now.mono))
+            self._holds.set_undecided(key, self._stops.undecided_until(key, now.mono))
             hold = self._holds.on(key, now.mono)
             if hold is not None:
                 self._pipeline.put_on_hold(key, hold.words(now))
@@ -231,22 +231,22 @@ class HoldService:
                 self._pipeline.end_hold(key)
 
     def _runs(self, key: str) -> None:
-        """It was started, also while PHM did not: a stop by hand is over."""
+        """It was started, perhaps while PHM was not running: a manual stop is over."""
         self._holds.mark_stopped(key, False)
         self._end([hold for hold in self._of_source(STOP) if hold.target == key], "it was started again")
 
     def _stopped(self, key: str, verdict: StopVerdict) -> None:
         if verdict is not StopVerdict.CRASHED and self._holds.on(key, self._clock.mono()) is None:
-            self._judge_stop(key, _DONE[verdict])
+            self._apply_stop_rule(key, _DONE[verdict])
         self._apply([key])
 
     def _not_stopped(self, now: float) -> frozenset[str]:
-        """Which containers are there although they are about to be judged as stopped: started, or replaced by another one.
+        """Containers that are about to be judged as stopped, but run: started, or replaced by another one.
 
-        Events are lost, and a container may be removed after a copy has taken its place. Without the lock, as `_read_labels`.
+        Events are lost, and a container may be removed after a copy has taken its place. Without the lock, as `_check_labels`.
         """
         with self._lock:
-            ripe = self._stops.ripe(now)
+            ripe = self._stops.nearly_due(now)
         found = set()
         for key, ended in ripe.items():
             try:
@@ -257,8 +257,8 @@ class HoldService:
                 found.add(key)
         return frozenset(found)
 
-    def _judge_stop(self, key: str, done: str) -> None:
-        rule = self._rules.on_manual_stop.air if self._world.armed().shut else self._rules.on_manual_stop.ground
+    def _apply_stop_rule(self, key: str, done: str) -> None:
+        rule = self._rules.on_manual_stop.air if self._world.armed().restricts else self._rules.on_manual_stop.ground
         if rule == "respect" and not (self._flying() and self._critical([key])):
             until = self._clock.mono() + self._rules.hold
             self._begin(Hold(key, STOP, until, "an operator", f"{done} by hand"))
@@ -266,14 +266,14 @@ class HoldService:
         advise = rule != "heal"
         self._holds.mark_stopped(key, advise)
         what = "PHM only recommends what would help" if advise else "PHM treats it as a failure"
-        self._pipeline.note("HOLD", f"{key} was {done} by hand; {what} (recovery.on_manual_stop)")
+        self._pipeline.note("HOLD", f"{key} was {done} manually; {what} (recovery.on_manual_stop)")
 
     def _flying(self) -> bool:
         """Whether the vehicle is armed for certain."""
         return self._world.armed().state is ArmedState.ARMED
 
-    def _take_off(self) -> None:
-        """Nothing that was put on hold on the ground stays so in the air, but what an operator wants and can be missed."""
+    def _end_on_arming(self) -> None:
+        """End what was put on hold on the ground when the vehicle is armed, but for an operator's hold of what is not flight-critical."""
         flying = self._flying()
         if self._flew is None:
             self._flew = self._holds.armed_before
@@ -282,8 +282,8 @@ class HoldService:
             self._end(ending, "the autopilot is armed")
         self._flew = flying
 
-    def _read_labels(self) -> None:
-        """Without the lock: an engine that hangs must not keep anybody waiting."""
+    def _check_labels(self) -> None:
+        """Without the lock: an engine that hangs must not block others."""
         now = self._clock.mono()
         if now - self._labels_at < LABELS_S:
             return
@@ -303,8 +303,8 @@ class HoldService:
                     self._runs(key)
             self._seen.add(key)
 
-    def _look_at_windows(self, now: float) -> bool:
-        """Begin what a maintenance window asks for; whether there may be any windows."""
+    def _check_windows(self, now: float) -> bool:
+        """Begin the holds of maintenance windows; whether there may be any windows."""
         if now - self._windows_at >= WINDOWS_S and not self._flew:
             self._windows_at = now
             configured = {window.container or ALL for window in self._rules.maintenance}
@@ -330,7 +330,7 @@ class HoldService:
             return
         if any(hold.target == target and hold.occurrence == found[0] for hold in self._of_source(WINDOW)):
             return
-        if self._world.armed().shut and self._critical([key for key in self._keys if target in (ALL, key)]):
+        if self._world.armed().restricts and self._critical([key for key in self._keys if target in (ALL, key)]):
             return
         self._begin(Hold(target, WINDOW, now.mono + min(found[1], window.length_s), by, reason, found[0]))
 
@@ -352,7 +352,7 @@ class HoldService:
             )
 
     def _critical(self, keys: Iterable[str]) -> bool:
-        """Whether one of these is flight-critical, or something is that it would take down (`phm.recovery.containers.dependents`)."""
+        """Whether one of these is flight-critical, or something that it would take down is (`phm.recovery.containers.dependents`)."""
         entries = self._settings.containers
         critical = {entry.key for entry in entries if entry.flight_critical}
         facts = dict(self._facts)
@@ -367,9 +367,9 @@ class HoldService:
             )
 
     def _unsure(self, container: str) -> str:
-        """What an operator must know who puts something flight-critical on hold and is not known to be on the ground.
+        """What an operator must know who puts something flight-critical on hold while the armed state is unknown.
 
-        It is not refused: a hold does nothing, and a bench has no autopilot. Armed includes a silence after armed.
+        This is not refused: a hold changes nothing, and a bench has no autopilot. A silence after armed counts as armed.
         """
         armed, keys = self._world.armed(), [key for key in self._keys if container in (ALL, key)]
         if armed.state is not ArmedState.UNKNOWN or not self._critical(keys):

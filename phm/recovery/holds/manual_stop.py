@@ -9,8 +9,8 @@ What the engine reports (seen with Docker 20.10 and Compose 2.26)::
     docker compose up --force-recreate  create (label com.docker.compose.replace), kill, die, stop, destroy, rename, start
     a crash, the kernel, the process    die
 
-So a stop is `kill`, `die`, `stop`, which PHM's own actions cause, too: those are not counted. What runs again within
-seconds was a restart or a recreation.
+So a stop is `kill`, `die`, `stop`. PHM's own actions cause these, too, and are not counted. A container that runs again
+within seconds was restarted or recreated.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ STOP_FOLLOWS_S = 3.0
 REMOVED_S = 0.5
 """`destroy` follows the `die` of `docker rm -f` within 0.1 s; until then it looks like `docker kill`."""
 UNSURE_S = 0.15
-"""An end whose `kill` may have been missed is acted on this much later, since `stop` follows `die` within 0.1 s on an idle machine."""
+"""Recovery waits so long after an exit whose `kill` may have been missed, since `stop` follows `die` within 0.1 s on an idle machine."""
 ASKED_S = 3600.0
-"""A container that does not end so long after it was asked to does not stop: `docker stop -t` may give it that much time."""
+"""A container that runs so long after its stop signal does not stop: `docker stop -t` may give it that much time."""
 SIGKILL = "signal 9"
 
 
 class StopVerdict(str, Enum):
-    """CRASHED: it was no stop; the container is judged as ever."""
+    """CRASHED: it was not a stop; the container is judged as usual."""
 
     STOPPED = "stopped"
     REMOVED = "removed"
@@ -51,12 +51,12 @@ class _Ending:
     """By SIGKILL alone."""
     ended: bool = False
     unsure: bool = False
-    """A crash, unless a `stop` follows: published as ever, and only not acted on yet."""
+    """A crash, unless a `stop` follows: published as usual, but not acted on yet."""
     replaced: bool = False
     replaced_by: float = float("-inf")
-    """Until when a replacement that was made is to take its place, also if the old one has ended before."""
+    """Until when a replacement that was created takes its place, also if the old one has exited before."""
     id: str = ""
-    """Of the container that has ended; empty: not known."""
+    """Of the container that has exited; empty: not known."""
 
 
 class ManualStopDetector:
@@ -101,8 +101,8 @@ class ManualStopDetector:
         if action in ("die", "stop", "destroy") and key in self._of:
             self._of[key].id = container_id
 
-    def ripe(self, now: float) -> dict[str, str]:
-        """Of which containers `due` will give a stop or a removal, with the id of the one that has ended."""
+    def nearly_due(self, now: float) -> dict[str, str]:
+        """The containers for which `due` will return a stop or a removal, with the id of the one that has exited."""
         return {
             key: ending.id
             for key, ending in self._of.items()
@@ -110,18 +110,18 @@ class ManualStopDetector:
         }
 
     def due(self, now: float) -> list[tuple[str, StopVerdict]]:
-        """What is decided by now; each is given once. A container that was asked to end and did not is forgotten."""
+        """What is decided by now; each is returned once. A container that got a stop signal and did not exit is forgotten."""
         found = [(key, ending) for key, ending in self._of.items() if now >= ending.until]
         for key, _ending in found:
             del self._of[key]
         return [(key, ending.verdict) for key, ending in found]
 
     def undecided(self) -> frozenset[str]:
-        """Containers whose end is not to be published yet."""
+        """Containers whose exit must not be published yet."""
         return frozenset(key for key, ending in self._of.items() if not ending.unsure)
 
-    def leave_until(self, key: str, now: float) -> float | None:
-        """Until when nothing is to be done to a container that has ended or is being replaced; None: it need not be left alone."""
+    def undecided_until(self, key: str, now: float) -> float | None:
+        """Until when recovery must not act on a container that has exited or is being replaced; None: it may."""
         ending = self._of.get(key)
         if ending is None:
             return None

@@ -1,4 +1,4 @@
-"""An operator's approval: for one action, in the situation in which it was given, and for a short time. Pure."""
+"""An operator's approval: for one action, in the situation in which it was given, for a limited time. Pure."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from phm.recovery.safety.armed_state import ArmedState
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What an operator who approves has in view.
+    """The situation in which an operator approves.
 
-    armed:      the judged armed state.
+    armed:      the assessed armed state.
     generation: the container as `id@StartedAt`; empty: there is none, or it is not known.
     """
 
@@ -29,7 +29,7 @@ class Approval:
     until: float
 
     def void(self, now: float, situation: Situation) -> str:
-        """Why it no longer holds; empty: it does."""
+        """Why it does not hold any more; empty: it does."""
         then = self.situation
         if now >= self.until:
             return f"it was not possible within {self.until - self.given:g} s"

@@ -1,4 +1,4 @@
-"""Gives the parts of a new PHM what an earlier one knew, and keeps what this one knows (`phm.recovery.persistence.state_file`)."""
+"""Restores what an earlier PHM knew, and keeps what this one knows (`phm.recovery.persistence.state_file`)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PersistenceService:
             self._armed.restore(self._state.recovery.armed)
 
     def resume(self, executor: Executor) -> None:
-        """Tell what was restored, hand recovery its part, and begin to keep."""
+        """Publish what was restored, give recovery its part, and begin to keep."""
         if self._warning:
             self._note(f"warning: {self._warning}")
         for event in self._events:
@@ -65,12 +65,12 @@ class PersistenceService:
 
     def _note_restored(self) -> None:
         for fault in self._pipeline.open_faults():
-            self._note(f"{fault.unit}: fault {fault.id} was open when PHM ended, and is taken up again")
+            self._note(f"{fault.unit}: fault {fault.id} was open when PHM stopped; recovery continues")
         for fault in self._pipeline.given_up():
-            self._note(f"{fault.unit}: fault {fault.id} was given up before PHM ended, and is left alone")
+            self._note(f"{fault.unit}: fault {fault.id} was given up before PHM stopped; no action follows")
         attempts = sum(len(made) for made in self._state.recovery.attempts.values())
         if attempts:
-            self._note(f"{attempts} recovery attempts from before PHM ended are remembered")
+            self._note(f"{attempts} recovery attempts from before PHM stopped are remembered")
 
     def problem(self) -> str:
         return self._keeper.problem() if self._keeper is not None else ""

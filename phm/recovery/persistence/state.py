@@ -1,8 +1,8 @@
-"""What survives PHM itself, as data: open faults, attempts, what was told, an action that was under way.
+"""What survives a restart of PHM, as data: open faults, attempts, what was published, actions under way.
 
 Pure: `encode` makes the document of `state.json` and `decode` reads it back. Times are kept on both clocks with the
-boot of the machine that they belong to: on the same boot the monotonic clock goes on; on another, ages are
-differences of UTC, never negative. On the disk it is `phm.recovery.persistence.state_file`'s.
+boot id of the machine: on the same boot the monotonic clock continues; on another, ages are
+differences of UTC, never negative. The file is `phm.recovery.persistence.state_file`'s.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MAX_REPORTED = 32
 MAX_SHARES = 262144
 """The largest CPU weight that the kernel knows."""
 FAULT_AGE_S = 7 * 86400.0
-"""A fault is never taken to be older than this: a clock that was set explains more."""
+"""A fault is never taken to be older than this: a greater age is explained by a clock that was set."""
 
 
 class InvalidState(Exception):
@@ -56,9 +56,9 @@ class UnfinishedAction:
 
 @dataclass(frozen=True, slots=True)
 class RecoveryState:
-    """Recovery's own part: attempts by target, cases by fault id, actions under way and lives of containers by target.
+    """Recovery's own part: attempts by target, cases by fault id, actions under way and generations of containers by target.
 
-    unfinished: containers on which PHM was acting, dependants included, with the container for whose sake.
+    unfinished: containers on which PHM was acting, dependants included, with the container to recover.
     """
 
     attempts: Mapping[str, tuple[AttemptRecord, ...]] = field(default_factory=dict)
@@ -131,7 +131,7 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
     window_s: attempts are never taken to be older than this (their budget and back-off are over by then).
     """
     if not isinstance(document, dict):
-        raise InvalidState("it holds no JSON object")
+        raise InvalidState("it does not contain a JSON object")
     if document.get("v") != VERSION:
         raise InvalidState(f"its version is {str(document.get('v'))[:20]!r}, this PHM writes {VERSION}")
     try:
@@ -211,7 +211,7 @@ def _stamp(stamp: Stamp) -> dict[str, float]:
 def _read_stamp(body: Any) -> Stamp:
     utc, mono = float(body["utc"]), float(body["mono"])
     if not (abs(utc) < 1e12 and abs(mono) < 1e12):
-        raise ValueError("a time is no time")
+        raise ValueError("a time is out of range")
     return Stamp(utc, mono)
 
 

@@ -1,7 +1,7 @@
 """The state on the disk: `state_dir/state.json`, replaced atomically whenever something has changed.
 
 Temporary file, fsync, rename, fsync of the folder; written by a thread of the bus, so that a slow or full disk never
-holds recovery back. A file that cannot be believed is set aside and told, and PHM starts with nothing.
+delays recovery. An invalid file is renamed and reported, and PHM starts with an empty state.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ NAME = "state.json"
 MAX_BYTES = 4_000_000
 KEPT_CORRUPT = 3
 _ASIDE = re.compile(re.escape(NAME) + r"\.corrupt-\d{8}T\d{6}Z")
-"""Only what PHM set aside itself is removed again, not an operator's copy."""
+"""Only files that PHM renamed itself are removed, not an operator's copy."""
 ALONG_S = 0.25
 """Changes within this time of the last writing wait for the next tick."""
 
 
 class StateFile:
-    """`state_dir/state.json`. Its methods raise nothing but what they say."""
+    """`state_dir/state.json`. Its methods raise only what they document."""
 
     def __init__(self, directory: str, clock: Clock, boot: str | None = None) -> None:
         self.path = Path(directory) / NAME
@@ -39,7 +39,7 @@ class StateFile:
         self._boot = place()["machine_boot"] if boot is None else boot
 
     def load(self, window_s: float) -> tuple[PersistedState, str]:
-        """The state, empty when there is none, and a sentence when a file had to be set aside or cannot be read."""
+        """The state, empty when there is none, and a sentence when a file is invalid or cannot be read."""
         try:
             with self.path.open("rb") as stream:
                 data = stream.read(MAX_BYTES + 1)
@@ -48,12 +48,12 @@ class StateFile:
         except OSError as error:
             return (
                 PersistedState(),
-                f"cannot read {self.path}: {error.strerror or error}; PHM starts without what it knew",
+                f"cannot read {self.path}: {error.strerror or error}; PHM starts with an empty state",
             )
         try:
             return self._parse(data, window_s), ""
         except InvalidState as error:
-            return PersistedState(), self._set_aside(str(error))
+            return PersistedState(), self._rename_invalid(str(error))
 
     def save(self, state: PersistedState) -> None:
         """Replace the file. Raises OSError."""
@@ -82,25 +82,25 @@ class StateFile:
         try:
             document = json.loads(data)
         except (ValueError, RecursionError):
-            raise InvalidState("it is no JSON") from None
+            raise InvalidState("it is not JSON") from None
         return decode(document, self._boot, self._clock.stamp(), window_s)
 
-    def _set_aside(self, reason: str) -> str:
+    def _rename_invalid(self, reason: str) -> str:
         utc = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(max(0.0, min(self._clock.utc(), 1e11))))
         aside = self.path.with_name(f"{NAME}.corrupt-{utc}")
         try:
             self.path.replace(aside)
         except OSError as error:
-            return f"{self.path} is not believed ({reason}) and cannot be set aside: {error.strerror or error}"
+            return f"{self.path} is invalid ({reason}) and cannot be renamed: {error.strerror or error}"
         earlier = [entry for entry in self.path.parent.glob(f"{NAME}.corrupt-*") if _ASIDE.fullmatch(entry.name)]
         for old in sorted(earlier)[:-KEPT_CORRUPT]:
-            with contextlib.suppress(OSError):  # a directory of that name, say: the others are what matters
+            with contextlib.suppress(OSError):  # e.g. a directory of that name
                 old.unlink()
-        return f"{self.path} is not believed ({reason}): set aside as {aside.name}, PHM starts without what it knew"
+        return f"{self.path} is invalid ({reason}); renamed to {aside.name}, PHM starts with an empty state"
 
 
 class StateWriter:
-    """A subscriber of the bus that keeps the file as things are. All but `problem` runs in the bus's thread."""
+    """A subscriber of the bus that keeps the file up to date. All but `problem` runs in the bus's thread."""
 
     kinds = (FaultOpened, FaultClosed, ActionEvent, HoldChanged)
     period_s = 1.0
@@ -115,7 +115,7 @@ class StateWriter:
 
     @staticmethod
     def key(event: Event) -> str:
-        """One event is as good as another: each means `look`."""
+        """All events are equal: each means that something may have changed."""
         return "changed"
 
     def handle(self, event: Event) -> None:
@@ -123,7 +123,7 @@ class StateWriter:
             self.tick()
 
     def tick(self) -> None:
-        """Write when something has changed; an unwritable folder is tried again at each tick, and told."""
+        """Write when something has changed; an unwritable folder is tried again at each tick, and reported."""
         state = self.state()
         if state == self._written:
             return
@@ -139,7 +139,7 @@ class StateWriter:
             self._written, self._problem = state, ""
 
     def state(self) -> PersistedState:
-        """What is to be kept, as it is now; any thread may ask."""
+        """The current state to keep. Thread-safe."""
         faults, given_up = plain(self._pipeline.open_faults()), plain(self._pipeline.given_up())
         return PersistedState(faults, given_up, self._recovery(), self._clock.steps.kept())
 
@@ -148,5 +148,5 @@ class StateWriter:
 
 
 def plain(faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    """Faults without the numbers behind them, which change at each look and are not kept."""
+    """Faults without the numbers behind them, which change with each run and are not kept."""
     return tuple(replace(fault, result=replace(fault.result, values={})) for fault in faults)

@@ -1,7 +1,7 @@
 """Whether the vehicle is armed, as far as recovery may rely on it.
 
-Only a fresh HEARTBEAT of the vehicle's own autopilot that says disarmed counts as disarmed. Everything else keeps recovery
-away from what is flight-critical: armed, silent, never received, heartbeats that contradict each other.
+Only a fresh HEARTBEAT of the vehicle's own autopilot that says disarmed counts as disarmed. In every other state recovery
+does not disturb what is flight-critical: armed, silent, never received, contradictory heartbeats.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from phm.core.clock import Clock
 from phm.facts.links import AutopilotFact
 
 REBOOT_S = 30.0
-"""An autopilot that rebooted while armed says disarmed at first, also in the air: not relied on for so long."""
+"""An autopilot that rebooted while armed reports disarmed at first, also in the air: ignored for so long."""
 
 
 class ArmedState(str, Enum):
@@ -27,14 +27,14 @@ class ArmedState(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class ArmedStatus:
-    """The judged state, and the evidence in words, e.g. ``the autopilot has been silent for 5 s``."""
+    """The assessed state, and the evidence in words, e.g. ``the autopilot has been silent for 5 s``."""
 
     state: ArmedState
     why: str
 
     @property
-    def shut(self) -> bool:
-        """Whether what is flight-critical must be left alone."""
+    def restricts(self) -> bool:
+        """Whether nothing flight-critical may be disturbed."""
         return self.state is not ArmedState.DISARMED
 
 
@@ -82,14 +82,14 @@ def _never_received(last: LastArmedState | None) -> ArmedStatus:
 
 
 def _landed(fact: AutopilotFact, timeout_s: float) -> bool:
-    """Whether it was heard to change from armed to disarmed, with no silence between in which it may have rebooted."""
+    """Whether a change from armed to disarmed was received, without a silence between in which it may have rebooted."""
     if fact.armed_s is None or fact.disarmed_for_s is None:
         return False
     return fact.armed_s - fact.disarmed_for_s <= timeout_s
 
 
 def _steadily_disarmed(fact: AutopilotFact, timeout_s: float) -> bool:
-    """Whether a reboot that PHM may have missed is no longer why it says disarmed."""
+    """Whether it is disarmed for so long that a reboot which PHM may have missed does not explain it."""
     if fact.boot_s is not None and _within(fact.boot_age_s, timeout_s):
         return fact.boot_s >= REBOOT_S
     return fact.disarmed_for_s is not None and fact.disarmed_for_s >= REBOOT_S
@@ -100,7 +100,7 @@ def _within(age_s: float | None, limit_s: float) -> bool:
 
 
 class ArmedMonitor:
-    """Judges the state now and remembers the last one that was certain. Any thread may ask."""
+    """Assesses the state now and remembers the last one that was certain. Thread-safe."""
 
     def __init__(self, pilot: Callable[[], AutopilotFact | None], timeout_s: float, clock: Clock) -> None:
         self._pilot, self._timeout_s, self._clock = pilot, timeout_s, clock

@@ -1,4 +1,4 @@
-"""What must be left alone while the vehicle may be armed: flight-critical containers, and whatever takes one of them down."""
+"""What must not be disturbed while the vehicle may be armed: flight-critical containers, and what takes one of them down."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 class Impact(Enum):
     """What an action takes down for a moment, beside what it does to its target.
 
-    OTHERS:    not the target; what is done to other containers is asked about call by call.
+    OTHERS:    not the target; calls on other containers are checked one by one.
     NOTHING:   no other container.
     NETWORK:   the network, also of the containers that share the target's network namespace.
     CONTAINER: the target, and with it the containers that depend on it (`phm.recovery.containers.dependents`).
@@ -31,12 +31,12 @@ class FlightCriticalError(CannotTell):
 
 
 def critical_containers(settings: Settings) -> tuple[str, ...]:
-    """Keys of the containers that are left alone unless the vehicle is disarmed."""
+    """Keys of the containers that are not acted on unless the vehicle is disarmed."""
     return tuple(entry.key for entry in settings.containers if entry.flight_critical and entry.when_armed == "advise")
 
 
 class FlightCriticalGuard:
-    """The one place that knows what is flight-critical now. armed: the state at the time of the call."""
+    """Decides what is flight-critical now. armed: the state at the time of the call."""
 
     def __init__(
         self,
@@ -48,22 +48,22 @@ class FlightCriticalGuard:
         self._settings, self._container, self._myself, self.armed = settings, container, myself, armed
         self._critical = critical_containers(settings)
 
-    def forbids(self, target: str, reach: Impact, approved_at: ArmedState | None = None) -> str:
-        """Why nothing of this reach may be done to `target` now; empty: it may.
+    def forbids(self, target: str, impact: Impact, approved_at: ArmedState | None = None) -> str:
+        """Why nothing of this impact may be done to `target` now; empty: it may.
 
         approved_at: the armed state at which an operator approved it, which holds as long as that is the state.
         """
-        if not self._critical or reach is Impact.OTHERS:
+        if not self._critical or impact is Impact.OTHERS:
             return ""
         armed = self.armed()
-        if not armed.shut or armed.state is approved_at:
+        if not armed.restricts or armed.state is approved_at:
             return ""
         if target in self._critical:
             return f"flight-critical, and {armed.why}"
-        if reach is Impact.NOTHING:
+        if impact is Impact.NOTHING:
             return ""
         try:
-            below = self._below(target, network_only=reach is Impact.NETWORK)
+            below = self._below(target, network_only=impact is Impact.NETWORK)
         except CannotTell as error:
             return f"what it would take down is not known ({error}), and {armed.why}"
         hit = next((key for key in below if key in self._critical), "")
@@ -84,9 +84,9 @@ class FlightCriticalGuard:
         return ""
 
     @property
-    def idle(self) -> bool:
-        """Whether nothing has to be looked up: no container is flight-critical, or the vehicle is disarmed."""
-        return not self._critical or not self.armed().shut
+    def inactive(self) -> bool:
+        """Whether everything is allowed: no container is flight-critical, or the vehicle is disarmed."""
+        return not self._critical or not self.armed().restricts
 
     def _below(self, target: str, *, network_only: bool) -> list[str]:
         facts = {entry.key: self._container(entry.key) for entry in self._settings.containers}

@@ -1,7 +1,7 @@
-"""The engine as actions get it: before each call that changes something, the armed state is asked for again.
+"""The engine as actions get it: before each call that changes something, the armed state is checked again.
 
-Time passes between the decision and the call, and between the calls of one action: a stop that takes its time, a dependant that
-another repair is at work on. Every call of an action goes through here, also those of actions that are not PHM's own.
+Time passes between the decision and the call, and between the calls of one action: a slow stop, a dependent that another
+recovery acts on. Every call of an action passes through here, also those of plug-ins.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ READS = frozenset(
         "events",
     }
 )
-"""Calls that change nothing; every other one is asked about."""
+"""Calls that change nothing; every other one is checked."""
 REACH = {
     "start": Impact.NOTHING,
     "unpause": Impact.NOTHING,
@@ -38,11 +38,11 @@ REACH = {
     "connect": Impact.NETWORK,
     "disconnect": Impact.NETWORK,
 }
-"""What a call takes down; those that are not here: the container."""
+"""What a call takes down; a call that is not listed: the container."""
 BRINGS_BACK = frozenset({"start", "unpause", "connect"})
-"""Not refused for what the same action took down: half done is worse than done."""
+"""Never refused for what the same action took down: an action that is half done is worse than one that is complete."""
 STARTS = frozenset({"start", "restart"})
-"""Calls that the engine may still carry out after it gave no answer: they start a container."""
+"""Calls that start a container; the engine may still carry them out after it gave no answer."""
 
 Forbids = Callable[[str, Impact], str]
 
@@ -53,7 +53,7 @@ class GuardedEngine:
 
     def __init__(self, engine: DockerEngine, flight_critical_guard: FlightCriticalGuard, forbids: Forbids) -> None:
         """forbids: a container's key and what is taken down -> why not, empty: it may be done."""
-        self._engine, self._safeguard, self._forbids = engine, flight_critical_guard, forbids
+        self._engine, self._guard, self._forbids = engine, flight_critical_guard, forbids
         self._down: set[str] = set()
         self._unanswered = 0
 
@@ -84,8 +84,8 @@ class GuardedEngine:
         """Raises FlightCritical, and CannotTell when the engine does not say which container is meant."""
         if not ref or (call in BRINGS_BACK and ref in self._down):
             return
-        if not self._safeguard.idle:
-            key = self._safeguard.key_of(ref)
+        if not self._guard.inactive:
+            key = self._guard.key_of(ref)
             why = self._forbids(key, REACH.get(call, Impact.CONTAINER)) if key else ""
             if why:
                 raise FlightCriticalError(f"{call} of {key} was not done: {why}")
