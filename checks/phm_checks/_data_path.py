@@ -47,31 +47,31 @@ class DataPath:
         own = [name for name in names if settings.container_of_node(name) == key]
         self._wanted = [Wanted(name, key, words[name]) for name in own]
         self._ends = {name: NodeTopics.of(name, settings.ros.topics) for name in own}
-        self._life, self._met_at = "", 0.0
+        self._generation, self._met_at = "", 0.0
         self._cut_at = 0.0
         """The last sign before they were told to be cut off was at this moment at the latest."""
         self._pause_s, self._paused_at = 0.0, 0.0
         """The last silence of all that ended by itself, and when."""
-        self._deaf_life = ""
+        self._blocked_generation = ""
         """In which it was blocked last, until something was heard in another."""
         self.never_heard = False
         """Of the last answer that said why: whether nothing was ever heard in this life."""
 
-    def why(self, world: api.World, life: str) -> str:
+    def why(self, world: api.World, generation: str) -> str:
         """The evidence in words; empty while anything is heard, or when it cannot be told. life: of the container, now."""
-        why = self._why(world, life)
+        why = self._why(world, generation)
         if why:
-            self._deaf_life = life
+            self._blocked_generation = generation
         return why
 
-    def waiting(self, world: api.World, life: str) -> bool:
+    def waiting(self, world: api.World, generation: str) -> bool:
         """It was blocked in the life before, and whether data come in this one is not known yet. After `why`."""
-        if self._deaf_life in ("", life):
+        if self._blocked_generation in ("", generation):
             return False
         now = world.clock.mono()
         if now - self._met_at > 2 * self._grace_s or self._heard(world, now):
-            self._deaf_life = ""
-        return bool(self._deaf_life)
+            self._blocked_generation = ""
+        return bool(self._blocked_generation)
 
     def _heard(self, world: api.World, now: float) -> bool:
         """Whether any node has given a sign in this life."""
@@ -82,12 +82,12 @@ class DataPath:
         ages = (self._silent_s(node, fact) for node in self._wanted)
         return any(age is not None and now - age > self._met_at for age in ages)
 
-    def _why(self, world: api.World, life: str) -> str:
+    def _why(self, world: api.World, generation: str) -> str:
         if len(self._wanted) < WITNESSES:
             return ""
         now = world.clock.mono()
-        if life != self._life:
-            self._life, self._met_at = life, now
+        if generation != self._generation:
+            self._generation, self._met_at = generation, now
         try:
             fact = world.ros.look()
         except api.CannotTell:

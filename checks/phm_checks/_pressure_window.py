@@ -65,7 +65,7 @@ class PressureWindow:
 
 
 def _other(old: api.PressureFact, new: api.PressureFact) -> bool:
-    return (old.life, old.source) != (new.life, new.source) or new.at < old.at or _backwards(old, new)
+    return (old.generation, old.source) != (new.generation, new.source) or new.at < old.at or _backwards(old, new)
 
 
 def _backwards(old: api.PressureFact, new: api.PressureFact) -> bool:

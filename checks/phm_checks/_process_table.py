@@ -105,7 +105,7 @@ class ProcessTable:
         self._late_s: dict[str, float] = {}
         """How long after the first of the container's nodes each was started, at most, in all lives before."""
         self._status = ""
-        self._life = ""
+        self._generation = ""
         self._first = 0
         """The container's first process, once a list of this life has shown it."""
         self._ending_since: float | None = None
@@ -168,16 +168,16 @@ class ProcessTable:
 
     def _meet(self, fact: api.ContainerFact | None, now: float) -> None:
         self._status = fact.status if fact is not None else "missing"
-        life = fact.life if fact is not None else ""
-        if life and life != self._life:
+        generation = fact.generation if fact is not None else ""
+        if generation and generation != self._generation:
             # The first life that PHM meets may be old: nothing began then that it knows of.
-            if self._life:
+            if self._generation:
                 self._born_at = now
             self._learn()
-            if life.partition("@")[0] != self._life.partition("@")[0]:
+            if generation.partition("@")[0] != self._generation.partition("@")[0]:
                 # Another container may name its processes in another manner.
                 self._ways = dict.fromkeys(self._ways, BARE)
-            self._life, self._first, self._ending_since = life, 0, None
+            self._generation, self._first, self._ending_since = generation, 0, None
             self._known.clear()
 
     def _take(self, processes: Sequence[api.ProcessFact], now: float) -> None:
@@ -226,9 +226,9 @@ class ProcessTable:
     # ------------------------------------------------------------ telling
 
     @property
-    def life(self) -> str:
+    def generation(self) -> str:
         """Which life of the container was seen last; empty before the first look."""
-        return self._life
+        return self._generation
 
     def lived(self, name: str) -> bool:
         """Whether a process of the node was seen in this life."""

@@ -60,7 +60,7 @@ class RestartLoop:
 
     def _count(self, fact: api.ContainerFact, before: api.ContainerFact) -> None:
         """The engine's counter also tells of lives that nobody saw; a start by anybody else sets it to 0."""
-        risen, reborn = fact.restart_count - before.restart_count, fact.life != before.life
+        risen, reborn = fact.restart_count - before.restart_count, fact.generation != before.generation
         if not reborn and risen <= 0:
             return
         if self.steady:

@@ -60,7 +60,7 @@ class Container(PerContainer):
 
     def run(self, world: api.World) -> api.Result:
         fact = world.docker.container(self.key)
-        seen = api.Evidence(generation=fact.life if fact is not None else "")
+        seen = api.Evidence(generation=fact.generation if fact is not None else "")
         return self._judge(fact, world).with_evidence(seen)
 
     def _judge(self, fact: api.ContainerFact | None, world: api.World) -> api.Result:

@@ -27,7 +27,7 @@ def is_serial(fact: api.DeviceFact) -> bool:
 class _Known:
     """A device as it was first seen in this life of the container; `away` once it was missing or another since."""
 
-    life: str
+    generation: str
     numbers: tuple[int, int, int] | None
     """Major, minor and inode; None when it was missing then."""
     away: bool = False
@@ -167,8 +167,8 @@ class Devices(PerContainer):
         """Docker copies a device file when the container starts; one that goes and comes back is lost to it."""
         numbers = (fact.major, fact.minor, fact.inode) if fact is not None else None
         known = self._known.get(path)
-        if known is None or known.life != container.life:
-            self._known[path] = _Known(container.life, numbers)
+        if known is None or known.generation != container.generation:
+            self._known[path] = _Known(container.generation, numbers)
         elif numbers is None or numbers != known.numbers:
             known.away = True
 

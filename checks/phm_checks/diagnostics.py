@@ -153,10 +153,10 @@ class Diagnostics(api.Check):
             fact = world.docker.container(container)
         except api.CannotTell:
             fact = None
-        if fact is not None and fact.life != self._lives.get(container):
+        if fact is not None and fact.generation != self._lives.get(container):
             if container in self._lives:
                 self._began_s[container] = now
-            self._lives[container] = fact.life
+            self._lives[container] = fact.generation
         return self._began_s.get(container, float("-inf"))
 
 

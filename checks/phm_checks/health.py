@@ -65,7 +65,7 @@ class Health(PerContainer):
 
         A probe that fails counts up the streak; it came after the look before, and may have taken its whole time-out.
         """
-        probed = None if fact is None else (fact.life, fact.health, fact.health_streak)
+        probed = None if fact is None else (fact.generation, fact.health, fact.health_streak)
         if probed != self._probed:
             timeout_s = fact.healthcheck.timeout_s if fact is not None and fact.healthcheck is not None else 0.0
             self._probed, self._newer_than = probed, self._looked_at - timeout_s

@@ -63,7 +63,7 @@ class Network(PerContainer):
 
     def _blocked(self, world: api.World, fact: api.ContainerFact) -> api.Result | None:
         """The network is as it must be, and what the nodes say still does not come."""
-        why, never = self._deaf.why(world, fact.life), self._deaf.never_heard
+        why, never = self._deaf.why(world, fact.generation), self._deaf.never_heard
         if not why and (absent := self._deaf.absent(world)):
             return self._bad(
                 f"{self.key} is connected and responds, but {absent}: check ROS_DOMAIN_ID, firewalls and discovery between PHM and "
@@ -71,7 +71,7 @@ class Network(PerContainer):
                 "nodes unreachable",
                 "nodes_unreachable",
             )
-        if not why and self._deaf.waiting(world, fact.life):
+        if not why and self._deaf.waiting(world, fact.generation):
             return api.stale(
                 f"{self.key} is connected; its transport was blocked before it was restarted, and nothing has been received from its nodes since"
             )

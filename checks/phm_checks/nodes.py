@@ -38,7 +38,7 @@ class _Node:
         self.copies = 0
         """Processes of its own, where more than one lasts: then it is known to run twice, whatever leases say."""
         self._both_since: float | None = None
-        self._life = ""
+        self._generation = ""
 
     @property
     def doubts(self) -> set[tuple[str, str]]:
@@ -72,9 +72,9 @@ class _Node:
     def live(self, roster: ProcessTable | None, evidence: Iterable[Evidence], now: float) -> None:
         """Note whether it was alive in this life of its container. A name alone may be a dead node's, until its lease ends; and
         who is heard in the first moment may be a node of the life before, which ends while this one begins."""
-        life, began_at = ("", NEVER) if roster is None else (roster.life, roster.began_at(self.wanted.name))
-        if life != self._life:
-            self._life, self.seen = life, self.seen and not self._life
+        generation, began_at = ("", NEVER) if roster is None else (roster.generation, roster.began_at(self.wanted.name))
+        if generation != self._generation:
+            self._generation, self.seen = generation, self.seen and not self._generation
         heard = any(
             piece.kind in (Kind.BEACON, Kind.TOPICS)
             and piece.says is Observation.ALIVE

@@ -9,7 +9,7 @@ from phm.api import Check
 from phm.checking.scheduler import ScheduledCheck
 from phm.core.dependency_graph import DependencyGraph
 from phm.core.settings import CheckSettings, Settings
-from phm.tracker import TrackedUnit, all_needs
+from phm.tracker import TrackedUnit, all_needs, graph_of
 from phm.tracker.tracker import PRESSURE
 
 HOST_PRESSURE = ("host/cpu", "host/io", "host/memory")
@@ -21,13 +21,13 @@ class CheckPlan:
 
     scheduled: tuple[ScheduledCheck, ...]
     tracked: tuple[TrackedUnit, ...]
-    needs: DependencyGraph
+    graph: DependencyGraph
 
     def below(self, unit: str) -> Mapping[str, frozenset[str]]:
         """Units that need `unit` and belong to other containers, by container."""
         targets = {entry.unit.id: entry.unit.target for entry in self.tracked}
         found: dict[str, set[str]] = {}
-        for name in self.needs.downstream(unit) if unit in targets else ():
+        for name in self.graph.downstream(unit) if unit in targets else ():
             if targets[name] not in ("", targets[unit]):
                 found.setdefault(targets[name], set()).add(name)
         return {target: frozenset(units) for target, units in found.items()}
@@ -39,7 +39,7 @@ class CheckPlan:
 
 
 def build_plan(settings: Settings, checks: Mapping[str, type[Check]]) -> CheckPlan:
-    """The plan for this configuration. Raises `NeedsLoop` when the needs run in a circle."""
+    """The plan for this configuration. Raises `DependencyCycle` when units need each other."""
     instances: list[tuple[Check, CheckSettings]] = []
     for name, check_class in sorted(checks.items(), key=lambda item: (item[1].slot, item[0])):
         override = settings.checks.get(name, CheckSettings())
@@ -50,12 +50,12 @@ def build_plan(settings: Settings, checks: Mapping[str, type[Check]]) -> CheckPl
         by_check.setdefault(check.name, []).extend(unit.id for unit in check.units)
     scheduled = tuple(_schedule(check, override, settings) for check, override in instances)
     tracked = tuple(entry for check, override in instances for entry in _track(check, override, by_check))
-    needs = DependencyGraph({entry.unit.id: entry.needs for entry in tracked})
-    return CheckPlan(scheduled, _with_starved_by(tracked, needs, settings), needs)
+    graph = graph_of(tracked)
+    return CheckPlan(scheduled, _with_starved_by(tracked, graph, settings), graph)
 
 
 def _with_starved_by(
-    tracked: Sequence[TrackedUnit], needs: DependencyGraph, settings: Settings
+    tracked: Sequence[TrackedUnit], graph: DependencyGraph, settings: Settings
 ) -> tuple[TrackedUnit, ...]:
     """Each unit with the pressure units that can explain its symptoms: its own container's, those of what it needs, the host's.
 
@@ -69,7 +69,7 @@ def _with_starved_by(
     def starved_by(unit: str) -> tuple[str, ...]:
         if unit in HOST_PRESSURE or unit in relieved:
             return ()
-        homes = () if unit.startswith(PRESSURE) else (targets[unit], *(targets[name] for name in needs.upstream(unit)))
+        homes = () if unit.startswith(PRESSURE) else (targets[unit], *(targets[name] for name in graph.upstream(unit)))
         names = (*(f"{PRESSURE}{home}" for home in dict.fromkeys(homes)), *HOST_PRESSURE)
         return tuple(name for name in names if name in targets)
 

@@ -53,9 +53,7 @@ def _plan(config: str | None) -> CheckPlan:
 
 def _graph_json(plan: CheckPlan) -> list[dict[str, Any]]:
     """One entry per unit, in slot order. `needs` are direct dependencies; `blocks` are direct and indirect dependents."""
-    from phm.core.dependency_graph import DependencyGraph
-
-    needs = DependencyGraph({entry.unit.id: entry.needs for entry in plan.tracked})
+    graph = plan.graph
     known = {entry.unit.id for entry in plan.tracked}
     return [
         {
@@ -63,7 +61,7 @@ def _graph_json(plan: CheckPlan) -> list[dict[str, Any]]:
             "check": entry.check,
             "slot": int(entry.slot),
             "needs": [need for need in entry.needs if need in known],
-            "blocks": list(needs.downstream(entry.unit.id)),
+            "blocks": list(graph.downstream(entry.unit.id)),
             "target": entry.unit.target,
             "settle_s": entry.unit.settle_s,
             "grace_s": entry.unit.grace_s,
@@ -77,14 +75,12 @@ def _graph_json(plan: CheckPlan) -> list[dict[str, Any]]:
 
 def _tree(plan: CheckPlan) -> Iterator[str]:
     """Each unit once, indented below the last of its direct dependencies; the others are named beside it."""
-    from phm.core.dependency_graph import DependencyGraph
-
-    needs = DependencyGraph({entry.unit.id: entry.needs for entry in plan.tracked})
+    graph = plan.graph
     entries = {entry.unit.id: entry for entry in plan.tracked}
     below: dict[str, list[str]] = {}
     for unit, entry in entries.items():
         direct = [need for need in entry.needs if need in entries]
-        below.setdefault(max(direct, key=lambda need: len(needs.upstream(need)), default=""), []).append(unit)
+        below.setdefault(max(direct, key=lambda need: len(graph.upstream(need)), default=""), []).append(unit)
 
     def lines(parent: str, above: tuple[str, ...]) -> Iterator[str]:
         for unit in below.get(parent, ()):

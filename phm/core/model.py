@@ -207,7 +207,7 @@ class Fault:
     `well_s` is for how many seconds the unit had been told as OK, without a break, when it broke;
     `well_in_life_s` the same in all since its target's container was last seen to be started, breaks or not; `life_seen`
     whether that start was seen at all: else the container runs for longer than PHM; `life` names the life of that container in
-    which the fault opened, as a check saw it last (`phm.facts.ContainerFact.life`), empty where none is known or PHM has been
+    which the fault opened, as a check saw it last (`phm.facts.ContainerFact.generation`), empty where none is known or PHM has been
     restarted since.
     """
 
@@ -226,7 +226,7 @@ class Fault:
     ok_s: float = 0.0
     ok_since_start_s: float = 0.0
     start_seen: bool = False
-    life: str = ""
+    generation: str = ""
 
 
 @dataclass(frozen=True, slots=True)

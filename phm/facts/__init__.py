@@ -158,7 +158,7 @@ class ContainerFact:
         return self.status == "running"
 
     @property
-    def life(self) -> str:
+    def generation(self) -> str:
         """Changes exactly when the container is recreated or started again."""
         return f"{self.id}@{self.started_at}"
 

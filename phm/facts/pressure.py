@@ -24,7 +24,7 @@ class PressureFact:
     """Monotonic seconds of this reading."""
     source: str
     """`cgroup v2`, `cgroup v1`, or `engine statistics`."""
-    life: str = ""
+    generation: str = ""
     """Counters of readings with the same text can be compared."""
     not_seen: tuple[str, ...] = ()
     """What this source does not show, in words."""

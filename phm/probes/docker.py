@@ -82,7 +82,7 @@ class Docker:
     def reachable(self, address: str) -> bool:
         facts = [entry.fact for entry in self._entries.values() if entry.fact is not None]
         holder = next((fact for fact in facts if any(one.address == address for one in fact.networks)), None)
-        return self._pinger.answers(address, holder.life if holder is not None else "")
+        return self._pinger.answers(address, holder.generation if holder is not None else "")
 
     def answering(self) -> tuple[str, ...]:
         """Addresses of configured containers that run and have answered in this life; see `phm.probes.reachability_monitor`."""
@@ -92,7 +92,7 @@ class Docker:
             for fact in facts
             if fact.running
             for one in fact.networks
-            if one.address and self._pinger.heard(one.address, fact.life)
+            if one.address and self._pinger.heard(one.address, fact.generation)
         )
 
     def ping(self, address: str) -> bool:

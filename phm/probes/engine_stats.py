@@ -25,7 +25,7 @@ def pressure_fact(answer: Mapping[str, Any], container: ContainerFact, at: float
     return PressureFact(
         at,
         SOURCE,
-        container.life,
+        container.generation,
         NOT_SEEN,
         cpu_limit=container.cpu_limit,
         cpu_used_s=used_ns / 1e9,

@@ -195,7 +195,7 @@ class Files:
         return False
 
     def _sum_by_engine(self, fact: ContainerFact, path: str, version: tuple[int, str]) -> str:
-        key = (fact.life, path, *version)
+        key = (fact.generation, path, *version)
         known = self._known(key)
         if known:
             return known

@@ -32,7 +32,7 @@ class FaultCase:
     """Restored, with an action under way: its action hold lasts until it recovers or the next action."""
 
     def __post_init__(self) -> None:
-        self.generation = self.fault.life
+        self.generation = self.fault.generation
 
     def update_fault(self, fault: Fault) -> None:
         """The condition may have changed, and with it the actions that apply."""

@@ -68,7 +68,7 @@ class Components:
         started = clock.stamp()
         self.plan = build_plan(settings, registry.checks())
         self.bus = Bus(clock)
-        tracker = Tracker(self.plan.tracked, started, fault_prefix=f"{self.boot_id[:4]}-")
+        tracker = Tracker(self.plan.tracked, self.plan.graph, started, fault_prefix=f"{self.boot_id[:4]}-")
         self.pipeline = Pipeline(tracker, self.bus, clock, self.plan.pass_limit_s)
         self.probes = build_probes(
             settings,

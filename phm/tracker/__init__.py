@@ -6,6 +6,6 @@ and closes faults; `units` holds the records that they share.
 
 from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S
 from phm.tracker.tracker import Tracker
-from phm.tracker.units import Effects, TrackedUnit, all_needs
+from phm.tracker.units import Effects, TrackedUnit, all_needs, graph_of
 
-__all__ = ["GRACE_ENDS_AFTER_OK_S", "Effects", "TrackedUnit", "Tracker", "all_needs"]
+__all__ = ["GRACE_ENDS_AFTER_OK_S", "Effects", "TrackedUnit", "Tracker", "all_needs", "graph_of"]

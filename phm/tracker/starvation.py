@@ -100,77 +100,80 @@ def explanation(result: Result) -> Explanation | None:
     return EXPLAINED.get(result.condition)
 
 
-def pressure_units(entry: UnitRecord, scene: TrackerView) -> list[UnitRecord]:
+def pressure_units(record: UnitRecord, view: TrackerView) -> list[UnitRecord]:
     """The pressure units whose figures decide whether the unit's newest result is a fault of its own."""
-    if entry.raw is None or explanation(entry.raw) is None:
+    if record.latest is None or explanation(record.latest) is None:
         return []
-    return [scene.units[name] for name in entry.spec.starved_by]
+    return [view.units[name] for name in record.spec.starved_by]
 
 
-def cause(entry: UnitRecord, scene: TrackerView) -> UnitRecord | None:
+def cause(record: UnitRecord, view: TrackerView) -> UnitRecord | None:
     """The pressure unit that starves this one and so explains its newest result; the host's, where it starves that one too."""
-    symptom = explanation(entry.raw) if entry.raw is not None else None
+    symptom = explanation(record.latest) if record.latest is not None else None
     if symptom is None:
         return None
-    for other in pressure_units(entry, scene):
+    for other in pressure_units(record, view):
         if other.starving is not None and other.starving.condition in symptom.by:
-            return cause(other, scene) or other
+            return cause(other, view) or other
     return None
 
 
-def undecided(entry: UnitRecord) -> bool:
+def undecided(record: UnitRecord) -> bool:
     """Whether the unit's newest result is a symptom that waits to be published."""
-    waits = entry.pending is not None and entry.told.level is not Level.ERROR
-    return waits and entry.raw is not None and explanation(entry.raw) is not None
+    waits = record.pending is not None and record.published.level is not Level.ERROR
+    return waits and record.latest is not None and explanation(record.latest) is not None
 
 
-def may_become_explained(entry: UnitRecord, scene: TrackerView) -> bool:
+def may_become_explained(record: UnitRecord, view: TrackerView) -> bool:
     """Whether a pressure unit is at WARN, and may be on its way to ERROR."""
-    return any(other.raw is not None and other.raw.level is Level.WARN for other in pressure_units(entry, scene))
+    return any(other.latest is not None and other.latest.level is Level.WARN for other in pressure_units(record, view))
 
 
-def predates(entry: UnitRecord, starver: UnitRecord) -> bool:
+def predates(record: UnitRecord, pressure_unit: UnitRecord) -> bool:
     """Whether the unit's fault is another one: older than the starvation, or opened for what that does not explain."""
-    if entry.fault is None:
-        return entry.published_given_up
-    since, symptom = starver.starving.since if starver.starving is not None else 0.0, explanation(entry.fault.result)
-    if symptom is None or (symptom.most_s is not None and entry.fault.opened.mono >= since + symptom.most_s):
+    if record.fault is None:
+        return record.published_given_up
+    since, symptom = (
+        pressure_unit.starving.since if pressure_unit.starving is not None else 0.0,
+        explanation(record.fault.result),
+    )
+    if symptom is None or (symptom.most_s is not None and record.fault.opened.mono >= since + symptom.most_s):
         return True
-    return entry.fault.opened.mono < since - BEFORE_PRESSURE_S
+    return record.fault.opened.mono < since - BEFORE_PRESSURE_S
 
 
-def outlasted(entry: UnitRecord, now: float) -> bool:
+def outlasted(record: UnitRecord, now: float) -> bool:
     """Whether the unit's newest result is a symptom that lasts for longer than starvation can explain."""
-    symptom = explanation(entry.raw) if entry.raw is not None else None
+    symptom = explanation(record.latest) if record.latest is not None else None
     if symptom is None or symptom.most_s is None:
         return False
     return (
-        entry.told.level is Level.STALE
-        and bool(entry.told.blocked_by)
-        and now - entry.told.since.mono >= symptom.most_s
+        record.published.level is Level.STALE
+        and bool(record.published.blocked_by)
+        and now - record.published.since.mono >= symptom.most_s
     )
 
 
-def observe(entry: UnitRecord, now: float) -> bool:
+def observe(record: UnitRecord, now: float) -> bool:
     """Take note of the newest result of a pressure unit; whether it has begun to starve others, or ceased to."""
-    was, raw = entry.starving, entry.raw
-    assert raw is not None
-    if raw.level is Level.ERROR and raw.condition in WAITING | {"pids_limit"}:
-        entry.starving = Starvation(was.since if was is not None else now, now, raw.condition)
-    elif raw.level is not Level.STALE or (was is not None and now - was.seen >= UNKNOWN_PRESSURE_S):
-        entry.starving = None
-    return (was is None) != (entry.starving is None)
+    was, latest = record.starving, record.latest
+    assert latest is not None
+    if latest.level is Level.ERROR and latest.condition in WAITING | {"pids_limit"}:
+        record.starving = Starvation(was.since if was is not None else now, now, latest.condition)
+    elif latest.level is not Level.STALE or (was is not None and now - was.seen >= UNKNOWN_PRESSURE_S):
+        record.starving = None
+    return (was is None) != (record.starving is None)
 
 
-def ended(entry: UnitRecord, starver: str, now: float) -> None:
+def ended(record: UnitRecord, pressure_unit: str, now: float) -> None:
     """This pressure unit no longer starves the other: symptoms seen before prove nothing, and need time to go."""
-    entry.starver, entry.symptoms_count_from = starver, now
-    entry.symptom_grace_until = now + max(entry.spec.unit.grace_s, RECOVERY_S)
-    entry.pending = entry.ok_since = None
+    record.pressure_unit, record.symptoms_count_from = pressure_unit, now
+    record.symptom_grace_until = now + max(record.spec.unit.grace_s, RECOVERY_S)
+    record.pending = record.ok_since = None
 
 
-def recovering(entry: UnitRecord, now: float) -> bool:
+def recovering(record: UnitRecord, now: float) -> bool:
     """Whether the unit's newest result is a symptom that may still follow from a starvation that is over."""
-    if entry.raw is None or explanation(entry.raw) is None:
+    if record.latest is None or explanation(record.latest) is None:
         return False
-    return now < entry.symptom_grace_until or entry.started - entry.raw.age_s < entry.symptoms_count_from
+    return now < record.symptom_grace_until or record.started - record.latest.age_s < record.symptoms_count_from

@@ -65,7 +65,7 @@ class Pending:
     """A bad result that waits to be told, since a moment (monotonic seconds)."""
 
     since: float
-    asked: bool = False
+    requested: bool = False
     """Its witnesses have been called for the last time before it is told."""
 
 
@@ -83,8 +83,8 @@ class UnitRecord:
     """Everything known about one unit. `raw` is its newest result, `told` what is published."""
 
     spec: TrackedUnit
-    told: UnitState
-    raw: Result | None = None
+    published: UnitState
+    latest: Result | None = None
     started: float = NEVER
     bad_in_a_row: int = 0
     pending: Pending | None = None
@@ -108,7 +108,7 @@ class UnitRecord:
     """The fault that recovery gave up on, while `escalated`."""
     starving: Starvation | None = None
     """Of a pressure unit: it explains the symptoms of those that it starves."""
-    starver: str = ""
+    pressure_unit: str = ""
     """The pressure unit that starved it last."""
     symptoms_count_from: float = NEVER
     """When starvation last ended: symptoms of which the evidence is older prove nothing."""
@@ -150,32 +150,36 @@ class UnitRecord:
 
     def ok_since_start_s(self, now: float) -> float:
         """Told as OK for so long, in all, in this life of its container."""
-        spell_s = now - max(self.told.since.mono, self.container_started) if self.told.level is Level.OK else 0.0
+        spell_s = (
+            now - max(self.published.since.mono, self.container_started) if self.published.level is Level.OK else 0.0
+        )
         return self.ok_before_s + spell_s
 
     @property
     def published_given_up(self) -> bool:
         """Known as a fault that PHM has given up on: grace after a restart of PHM does not make it unknown again."""
-        return self.escalated and self.told.level is Level.ERROR
+        return self.escalated and self.published.level is Level.ERROR
 
     @property
-    def anew(self) -> bool:
+    def new_condition(self) -> bool:
         """It was given up, and is now in ERROR for another reason: that is confirmed like any other ERROR."""
-        return self.escalated and self.failing and self.raw is not None and self.raw.condition not in self.conditions
+        return (
+            self.escalated and self.failing and self.latest is not None and self.latest.condition not in self.conditions
+        )
 
     @property
     def failing(self) -> bool:
         """Its newest result is an ERROR, whether told or not: enough to be somebody else's cause."""
-        return self.raw is not None and self.raw.level is Level.ERROR
+        return self.latest is not None and self.latest.level is Level.ERROR
 
     @property
     def unpublished(self) -> bool:
         """It is bad and not told so yet, or well while its fault is still open: time may end that."""
-        if self.raw is None:
+        if self.latest is None:
             return False
-        if self.raw.level is Level.OK:
+        if self.latest.level is Level.OK:
             return self.fault is not None or self.published_given_up
-        return self.raw.level.bad and (self.told.level is not self.raw.level or self.anew)
+        return self.latest.level.bad and (self.published.level is not self.latest.level or self.new_condition)
 
     @property
     def waiting(self) -> bool:
@@ -184,7 +188,7 @@ class UnitRecord:
 
     @property
     def unknown(self) -> bool:
-        return self.raw is None or self.raw.level is Level.STALE
+        return self.latest is None or self.latest.level is Level.STALE
 
 
 @dataclass(frozen=True)
@@ -194,25 +198,25 @@ class TrackerView:
 
     units: Mapping[str, UnitRecord]
     needs: DependencyGraph
-    holds: Mapping[str, ActionInProgress]
+    actions: Mapping[str, ActionInProgress]
     stops: Mapping[str, float] = field(default_factory=dict)
-    pauses: Mapping[str, TargetHold] = field(default_factory=dict)
+    holds: Mapping[str, TargetHold] = field(default_factory=dict)
 
     def stopping(self, target: str, now: float) -> bool:
         return now < self.stops.get(target, NEVER)
 
     def is_part(self, unit: str) -> bool:
         """Whether the unit needs another one of its own target, as a node needs its container."""
-        entry = self.units[unit]
-        return bool(entry.target) and any(other.target == entry.target for other in self.upstream(unit))
+        record = self.units[unit]
+        return bool(record.target) and any(other.target == record.target for other in self.upstream(unit))
 
     @cached_property
     def starved(self) -> Mapping[str, tuple[UnitRecord, ...]]:
         """By pressure unit, those whose symptoms it can explain."""
         found: dict[str, list[UnitRecord]] = {}
-        for entry in self.units.values():
-            for name in entry.spec.starved_by:
-                found.setdefault(name, []).append(entry)
+        for record in self.units.values():
+            for name in record.spec.starved_by:
+                found.setdefault(name, []).append(record)
         return {name: tuple(entries) for name, entries in found.items()}
 
     def upstream(self, unit: str) -> list[UnitRecord]:
@@ -221,6 +225,11 @@ class TrackerView:
 
     def downstream(self, unit: str) -> list[UnitRecord]:
         return [self.units[name] for name in self.needs.downstream(unit)]
+
+
+def graph_of(tracked: Iterable[TrackedUnit]) -> DependencyGraph:
+    """The dependency graph of these units. Raises `phm.core.dependency_graph.DependencyCycle`."""
+    return DependencyGraph({record.unit.id: record.needs for record in tracked})
 
 
 def all_needs(unit: Unit, added: Iterable[str], units_by_check: Mapping[str, Sequence[str]]) -> tuple[str, ...]:

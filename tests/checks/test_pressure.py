@@ -233,7 +233,7 @@ def test_a_container_started_again_is_not_compared_with_its_life_before() -> Non
     bench = Bench()
     bench.calm()
     bench.looks(3, **STARVED)
-    bench.fact = replace(FACT, life="another", at=0.0)
+    bench.fact = replace(FACT, generation="another", at=0.0)
     assert bench.look().level is api.Level.STALE
     assert bench.look().level is api.Level.OK
 
@@ -242,7 +242,7 @@ def test_counters_that_go_back_are_another_life() -> None:
     """Where the source shows no life."""
     bench = Bench()
     bench.looks(3, **STARVED)
-    bench.fact = replace(FACT, life="life", cpu_used_s=0.0)
+    bench.fact = replace(FACT, generation="life", cpu_used_s=0.0)
     assert bench.look().level is api.Level.STALE
 
 

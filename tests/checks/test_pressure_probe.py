@@ -116,10 +116,10 @@ def test_version_2_is_read(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     fact = bench.probe.container("ros_app")
     assert fact is not None and bench.engine.asked == []
-    assert fact.life.startswith(str(folder))
-    assert dataclasses.replace(fact, life="") == dataclasses.replace(
+    assert fact.generation.startswith(str(folder))
+    assert dataclasses.replace(fact, generation="") == dataclasses.replace(
         fact,
-        life="",
+        generation="",
         at=1000.0,
         source="cgroup v2",
         not_seen=(),
@@ -212,7 +212,7 @@ def test_another_life_has_another_text(tmp_path: Path) -> None:
     folder.rename(tmp_path / "gone")
     v2(tmp_path)
     second = bench.probe.container("ros_app")
-    assert first is not None and second is not None and first.life != second.life
+    assert first is not None and second is not None and first.generation != second.generation
 
 
 def test_the_engine_is_asked_where_there_is_no_cgroup(tmp_path: Path) -> None:

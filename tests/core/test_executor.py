@@ -20,7 +20,7 @@ from phm.recovery.base import Action, ActionContext, ActionFailed
 from phm.recovery.executor import Executor
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.target import Target
-from phm.tracker import TrackedUnit, Tracker
+from phm.tracker import TrackedUnit, Tracker, graph_of
 from tests.fakes.until import until
 
 
@@ -42,7 +42,7 @@ class World:
             TrackedUnit(unit, "health", Slot.CONTAINER, Layer.DOCKER),
             TrackedUnit(nodes, "nodes", Slot.NODES, Layer.ROS, 1, nodes.needs),
         ]
-        tracker = Tracker(tracked, self.clock.stamp())
+        tracker = Tracker(tracked, graph_of(tracked), self.clock.stamp())
         self.bus = Bus(self.clock)
         self.pipeline = Pipeline(tracker, self.bus, self.clock)
         self.pipeline.attach(lambda units, reason: self.look())

@@ -35,7 +35,7 @@ def examples(count: int) -> settings:
 
 def independent(one: str, other: str) -> bool:
     """Whether neither fault's unit is upstream of the other's, nor the same, nor explained by the other."""
-    needs = Sim(0).tracker.needs
+    needs = Sim(0).tracker.graph
     if STARVING.intersection((one, other)) and HIDDEN.intersection((one, other)):
         return False
     a, b = CAUSES[one][0], CAUSES[other][0]

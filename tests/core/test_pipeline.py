@@ -9,7 +9,7 @@ from phm.api import Layer, Level, Slot, Unit, error, ok, stale
 from phm.checking.pipeline import Pipeline
 from phm.core.bus import Bus
 from phm.core.model import Event, Report, ReportStarted, Result
-from phm.tracker import TrackedUnit, Tracker
+from phm.tracker import TrackedUnit, Tracker, graph_of
 
 BAD = error("broken", brief="broken", condition="broken")
 
@@ -27,7 +27,9 @@ class Rig:
         ]
         bus = Bus(self.clock)
         bus.publish = self.events.append  # type: ignore[method-assign]
-        self.pipeline = Pipeline(Tracker(tracked, self.clock.stamp()), bus, self.clock, pass_limit_s=15.0)
+        self.pipeline = Pipeline(
+            Tracker(tracked, graph_of(tracked), self.clock.stamp()), bus, self.clock, pass_limit_s=15.0
+        )
         self.pipeline.attach(self.wake)
 
     def wake(self, units: Iterable[str], reason: str) -> None:

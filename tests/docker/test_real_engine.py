@@ -78,9 +78,9 @@ def test_a_life_of_a_container(real: Any, engine: DockerEngine) -> None:
     engine.start(made.name)
     second = fact_of(docker, made.name)
     assert second.running
-    assert second.life != first.life
+    assert second.generation != first.generation
     engine.restart(made.name, 10)
-    assert fact_of(docker, made.name).life != second.life
+    assert fact_of(docker, made.name).generation != second.generation
     engine.kill(made.name)
     until(lambda: fact_of(docker, made.name).exit_code == 137, "the kill to show")
     made.remove(force=True)
@@ -147,7 +147,7 @@ def test_the_engines_own_restarts_are_counted_and_a_start_by_hand_counts_anew(
     until(lambda: events[-1].action == "restart", "the restart by hand")
     by_hand = fact_of(docker, made.name)
     assert by_hand.restart_count == 0
-    assert len({first.life, again.life, by_hand.life}) == 3
+    assert len({first.generation, again.generation, by_hand.generation}) == 3
     assert [event.begins_life for event in events].count(True) == 3
 
 

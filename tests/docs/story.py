@@ -96,7 +96,7 @@ class _Agent:
         made = plan.build_plan(self.settings, registry.checks())
         self.checks = [entry.check for entry in made.scheduled]
         self.events = _Events()
-        tracker = Tracker(made.tracked, self.clock.stamp(), fault_prefix="ab12-")
+        tracker = Tracker(made.tracked, made.graph, self.clock.stamp(), fault_prefix="ab12-")
         self.pipeline = Pipeline(tracker, cast(Bus, self.events), self.clock)
         context = ReporterContext(
             self.settings, self.clock, "ab12c34d56ef", self.pipeline.states, lambda: True, self._health

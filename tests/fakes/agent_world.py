@@ -244,7 +244,7 @@ class World:
             return Result(Level.STALE, "not judged while the container does not run")
         if self._is_ghost(unit, at):
             return OK
-        evidence = Evidence(generation=self.fact(at).life if unit == f"container/{TARGET}" else "")
+        evidence = Evidence(generation=self.fact(at).generation if unit == f"container/{TARGET}" else "")
         target = TARGET if unit in targeted() else ""
         found = [span for span in self.bad.get(unit, ()) if span.covers(at)]
         if not found:
@@ -307,7 +307,7 @@ class Sim:
         self.random = Random(seed)
         self.world = World(self.random)
         self.now = 0.0
-        self.tracker = Tracker(self.plan.tracked, self.stamp())
+        self.tracker = Tracker(self.plan.tracked, self.plan.graph, self.stamp())
         self.events: list[tuple[float, Event]] = []
         self.listeners: list[Callable[[Event], None]] = []
         self.watch: list[Callable[[], None]] = []
@@ -317,7 +317,7 @@ class Sim:
         self.granted: dict[str, float] = {entry.unit.id: 0.0 for entry in self.plan.tracked}
         self.well_from: dict[str, float] = {}
         self.sure: dict[str, float] = {}
-        self.touched = targeted().union(*(self.tracker.needs.downstream(unit) for unit in targeted()))
+        self.touched = targeted().union(*(self.tracker.graph.downstream(unit) for unit in targeted()))
         self._graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
         self._checks = [entry.units for entry in self.plan.scheduled]
         self._periods = [entry.period_s for entry in self.plan.scheduled]
@@ -429,7 +429,7 @@ class Sim:
         if isinstance(event, FaultOpened):
             self._opened(event)
         if isinstance(event, Transition) and event.new is Level.OK and event.old is Level.ERROR:
-            self.grant(self.tracker.needs.downstream(event.unit))
+            self.grant(self.tracker.graph.downstream(event.unit))
         for listener in self.listeners:
             listener(event)
 

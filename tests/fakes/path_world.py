@@ -42,7 +42,7 @@ class PathWorld:
         )
         installed = {name: check for name, check in registry.checks().items() if name in CHECKS}
         self.plan = plan.build_plan(self.settings, installed)
-        self.tracker = Tracker(self.plan.tracked, self.clock.stamp())
+        self.tracker = Tracker(self.plan.tracked, self.plan.graph, self.clock.stamp())
         self.events: list[Event] = []
         self.down: set[str] = set()
         self.never: set[str] = set()

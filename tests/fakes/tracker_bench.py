@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from phm.api import Layer, Level, Result, Slot, Unit, error, ok
 from phm.core.model import Event, FaultClosed, FaultOpened, Outcome, Stamp
-from phm.tracker import Effects, TrackedUnit, Tracker
+from phm.tracker import Effects, TrackedUnit, Tracker, graph_of
 
 OK = ok("well")
 BAD = error("broken", brief="broken", condition="broken")
@@ -21,7 +21,7 @@ class Bench:
     events: list[Event] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.tracker = Tracker(self.tracked, self.stamp())
+        self.tracker = Tracker(self.tracked, graph_of(self.tracked), self.stamp())
 
     def stamp(self) -> Stamp:
         return Stamp(1e9 + self.now, self.now)

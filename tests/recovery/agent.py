@@ -22,7 +22,7 @@ from phm.recovery.executor import Executor
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState, ArmedStatus
 from phm.recovery.target import Target
-from phm.tracker import TrackedUnit, Tracker
+from phm.tracker import TrackedUnit, Tracker, graph_of
 from phm.transport.docker import EngineError
 from tests.fakes.until import until
 
@@ -135,7 +135,7 @@ class Agent:
         )
         self.units = tuple(units)
         self.bus = Bus(clock)
-        self.pipeline = Pipeline(Tracker(tracked, clock.stamp()), self.bus, clock)
+        self.pipeline = Pipeline(Tracker(tracked, graph_of(tracked), clock.stamp()), self.bus, clock)
         self.memory = PersistenceService(self.settings, self.pipeline, self.bus, clock, monitor) if folder else None
         if self.memory is not None:
             self.memory.restore()

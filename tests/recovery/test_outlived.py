@@ -33,7 +33,7 @@ def agent() -> Iterator[Agent]:
 
 def seen(agent: Agent) -> None:
     """The container's check names the life that it sees."""
-    agent.found[CONTAINER] = ok("running").with_evidence(Evidence(generation=agent.containers.facts["app"].life))
+    agent.found[CONTAINER] = ok("running").with_evidence(Evidence(generation=agent.containers.facts["app"].generation))
 
 
 def restart(agent: Agent) -> None:

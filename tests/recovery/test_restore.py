@@ -21,7 +21,7 @@ from phm.recovery.executor import Executor, NotApprovable
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.target import Target
-from phm.tracker import TrackedUnit, Tracker
+from phm.tracker import TrackedUnit, Tracker, graph_of
 from tests.fakes.until import until
 
 APP = "health/app"
@@ -40,7 +40,7 @@ class Life:
         settings = Settings.model_validate({"containers": [app], "recovery": recovery, "state_dir": str(folder)})
         tracked = [TrackedUnit(Unit(unit, target="app"), "health", Slot.CONTAINER, Layer.DOCKER) for unit in units]
         self.bus = Bus(clock)
-        self.pipeline = Pipeline(Tracker(tracked, clock.stamp()), self.bus, clock)
+        self.pipeline = Pipeline(Tracker(tracked, graph_of(tracked), clock.stamp()), self.bus, clock)
         self.units = units
         self.memory = PersistenceService(settings, self.pipeline, self.bus, clock)
         self.memory.restore()

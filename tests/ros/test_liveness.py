@@ -59,7 +59,7 @@ class Agent:
         self.clock, self.events = SystemClock(), list[Event]()
         made = plan.build_plan(settings, {"nodes": Nodes, "topics": Topics, "rates": Rates})
         self.bus = Bus(self.clock)
-        self.pipeline = Pipeline(Tracker(made.tracked, self.clock.stamp()), self.bus, self.clock)
+        self.pipeline = Pipeline(Tracker(made.tracked, made.graph, self.clock.stamp()), self.bus, self.clock)
         world = testing.world(clock=self.clock, ros=self.probe, docker=self.docker)
         self.engine = CheckScheduler(made.scheduled, world, self.clock, self._take)
         self.pipeline.attach(self.engine.wake_units)

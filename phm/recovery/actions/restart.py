@@ -98,7 +98,7 @@ def _follow(
         return f"{key} depends on it and has not opted in (recover: true): restart it manually", False
     try:
         with context.holding(key, fault, "restart", stop_timeout_s(facts[key], context) + FOLLOW_S):
-            skipped = _restart_dependent(entry, "" if always else facts[key].life, context)
+            skipped = _restart_dependent(entry, "" if always else facts[key].generation, context)
     except FlightCriticalError as error:
         return f"{key} depends on it: {error}; restart it manually when that is safe", False
     except CannotTell as error:
@@ -109,7 +109,7 @@ def _follow(
 def _restart_dependent(entry: ContainerSettings, before: str, context: ActionContext) -> str:
     """Everything is checked again: another recovery may have had it locked until now.
 
-    before: its generation (`ContainerFact.life`) as observed after the target's start: one that runs as another generation
+    before: its generation (`ContainerFact.generation`) as observed after the target's start: one that runs as another generation
     now was started later than the target, whatever the engine's clock says, and is not restarted. Empty: restart it in
     any case. Returns why it was not restarted; empty: it was.
     """
@@ -118,7 +118,7 @@ def _restart_dependent(entry: ContainerSettings, before: str, context: ActionCon
         return f"{key}, which depends on it, does not exist"
     if words := context.on_hold(key):
         return f"{key}, which depends on it, is {words}: restart it manually"
-    if fact.running and before and fact.life != before:
+    if fact.running and before and fact.generation != before:
         return f"{key}, which depends on it, was started after it already"
     restart_gracefully(fact, context)
     return ""

@@ -56,7 +56,7 @@ class Generation:
 
     @property
     def name(self) -> str:
-        """As in results of checks: see `phm.facts.ContainerFact.life`."""
+        """As in results of checks: see `phm.facts.ContainerFact.generation`."""
         return f"{self.id}@{self.started}"
 
     @property
