@@ -22,8 +22,8 @@ from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dns import Resolver
 from tests.core.test_engine import Scripted
-from tests.core.test_executor import World, make, worlds  # noqa: F401 - a fixture
 from tests.fakes.until import until
+from tests.recovery.test_executor import World, make, worlds  # noqa: F401 - a fixture
 
 LIMIT_S = 20.0
 

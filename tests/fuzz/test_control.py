@@ -17,7 +17,7 @@ from tests.commands.test_control_server import Daemon
 from tests.fakes.until import until
 from tests.fuzz.hostile import messages
 from tests.fuzz.targets import folder, fuzzed
-from tests.recovery.test_holds import Scene
+from tests.recovery.holds.scene import Scene
 
 LIMIT_S = 30.0
 MAX_HOLD_S = 4 * 3600.0

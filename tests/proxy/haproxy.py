@@ -120,7 +120,7 @@ class Door:
 
 
 class BehindProxy(DockerEngine):
-    """The real engine for what a test does itself; PHM's client (`tests.recovery.bench`) is behind a proxy."""
+    """The real engine for what a test does itself; PHM's client (`tests.recovery.action_bench`) is behind a proxy."""
 
     def __init__(self, proxies: Proxies) -> None:
         super().__init__(f"unix://{ENGINE}", timeout_s=10)

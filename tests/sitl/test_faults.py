@@ -77,7 +77,7 @@ UNPROVEN = {
     "qos_mismatch": ENDS,
     "node_duplicate": ENDS,
     "transport_blocked": ENDS,
-    "cpu_starved": "needs recovery.relieve; played with the real engine's calls by tests/recovery/test_relief.py",
+    "cpu_starved": "needs recovery.relieve; played with the real engine's calls by tests/recovery/containers/test_cpu_weights.py",
     "link_silent": LINKS,
     "radio_silent": LINKS,
     "autopilot_silent": LINKS,

@@ -10,7 +10,7 @@ import pytest
 from phm.api import Result, error, stale
 from phm.core.model import Outcome, Phase
 from phm.testing import FakeClock
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 UNITS = {"container/app": Of("app"), "health/app": Of("app", ("container/app",)), "files/app": Of("app")}
 LADDERS = {"unhealthy": ["restart"], "broken": ["restart"], "exited": ["restart"]}

@@ -9,7 +9,7 @@ import pytest
 from phm.core.model import ActionEvent, Phase
 from phm.recovery.executor import NotAllowed, NotNow
 from phm.testing import FakeClock
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from phm.recovery.base import ActionFailed, NotNeeded
 from phm.testing import FakeClock
 from phm.transport.docker import DockerEngine, EngineBroken, EngineTimeout
 from tests.fakes.engine import FakeEngine, Hang, Status, container
-from tests.recovery.bench import Bench, bench, fault
+from tests.recovery.action_bench import Bench, bench, fault
 
 PATH = "/ws/src/critical_file"
 GOOD = b"#!/bin/sh\nexit 0\n"

@@ -10,7 +10,7 @@ from phm import testing
 from phm.api import ok
 from phm.core.model import Event, Evidence, FaultOpened, Phase
 from tests.fakes.until import until
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 CONTAINER, ONE, TWO = "container/app", "nodes/app", "more/app"
 UNITS = {

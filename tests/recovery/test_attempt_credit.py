@@ -16,7 +16,7 @@ from phm.recovery.actions.reopen import BEHIND_S, BOOT_S, PROMPT_S, Reopen
 from phm.recovery.base import ActionContext, NotNeeded
 from phm.recovery.target import Target, TargetKind
 from phm.testing import settings
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 # ---------------------------------------------------------------- any action
 

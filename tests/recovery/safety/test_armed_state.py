@@ -14,7 +14,7 @@ from phm.recovery.base import ActionContext
 from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState, LastArmedState, assess
 from phm.recovery.safety.flight_critical import FlightCriticalError
 from phm.testing import FakeClock
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 TIMEOUT_S = 3.5
 FLEW = LastArmedState(True, 0.0)

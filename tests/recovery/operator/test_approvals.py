@@ -13,7 +13,7 @@ from phm.recovery.executor import NotNow
 from phm.recovery.operator.approval import Approval, Situation
 from phm.recovery.safety.armed_state import ArmedState
 from phm.testing import FakeClock
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 THEN = Situation("restart", ArmedState.ARMED, "app@1")
 

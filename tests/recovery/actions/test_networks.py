@@ -15,7 +15,7 @@ from phm.recovery.actions.start import Start
 from phm.recovery.base import Action, NotYet
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, Status, container
-from tests.recovery.bench import Bench, bench, fault
+from tests.recovery.action_bench import Bench, bench, fault
 
 OFF = fault("network/app", "disconnected")
 APP = {"name": "app", "recover": True, "networks": ["swarm"]}

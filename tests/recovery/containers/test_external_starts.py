@@ -12,7 +12,7 @@ from phm import testing
 from phm.core.model import ActionEvent, Fault, Phase
 from phm.recovery.base import ActionContext
 from phm.transport.docker import EngineError, EngineNotConnected, EngineTimeout, EngineUnreachable
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 LATE = EngineTimeout("the engine did not answer within 20 s")
 BROKEN = EngineUnreachable("the connection to the engine broke")

@@ -17,7 +17,7 @@ from phm.recovery.containers.cpu_weights import CALM_S, DEFAULT_SHARES, LOW_SHAR
 from phm.recovery.target import Target
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
-from tests.recovery.bench import Bench, bench, fault
+from tests.recovery.action_bench import Bench, bench, fault
 
 STARVED = fault("pressure/app", "cpu_starved")
 UNIT = "pressure/app"

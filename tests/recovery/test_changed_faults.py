@@ -11,7 +11,7 @@ from phm.api import error
 from phm.core.model import Fault, Level, Outcome, Phase
 from phm.recovery.base import ActionContext
 from phm.testing import FakeClock
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 UNITS = {"container/app": Of("app"), "network/app": Of("app", ("container/app",)), "nodes/one": Of("app")}
 HUNG = error("hung", brief="hung", condition="node_hung", target="app")

@@ -10,7 +10,7 @@ from phm import testing
 from phm.core.model import Fault, Phase
 from phm.facts import CannotTell
 from phm.recovery.base import ActionContext
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 UNITS = {name: Of(name.partition("/")[2]) for name in ("health/app", "health/side")}
 

@@ -28,7 +28,7 @@ from phm.recovery.persistence.state import (
 )
 from phm.recovery.persistence.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
 from phm.recovery.safety.armed_state import LastArmedState
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 BOOT, OTHER = "boot-a", "boot-b"
 WINDOW_S = 600.0

@@ -18,7 +18,7 @@ from phm.recovery.base import ActionFailed
 from phm.transport.docker import DockerEngine
 from tests.fakes.until import until
 from tests.proxy.haproxy import BehindProxy
-from tests.recovery.bench import Bench, bench, fault
+from tests.recovery.action_bench import Bench, bench, fault
 
 pytestmark = pytest.mark.engine
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm.core.model import Phase
-from tests.recovery.test_whole_real import Phm, Start, phm
+from tests.recovery.test_recovery_real import Phm, Start, phm
 
 __all__ = ["phm"]
 

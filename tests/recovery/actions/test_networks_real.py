@@ -12,8 +12,8 @@ from docker.errors import APIError
 from phm.core.model import ActionEvent, FaultOpened, Phase
 from phm.recovery.actions.start import Start
 from phm.transport.docker import DockerEngine
-from tests.recovery.bench import bench, fault
-from tests.recovery.test_whole_real import RUN, Phm, Start as StartPhm, phm
+from tests.recovery.action_bench import bench, fault
+from tests.recovery.test_recovery_real import RUN, Phm, Start as StartPhm, phm
 
 __all__ = ["phm"]
 

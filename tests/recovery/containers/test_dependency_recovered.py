@@ -13,7 +13,7 @@ from phm.checking.plan import CheckPlan
 from phm.core.dependency_graph import DependencyGraph
 from phm.core.model import Outcome, Phase
 from phm.tracker import TrackedUnit
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 UNITS = {"net/base": Of("base"), "health/app": Of("app", ("net/base",)), "files/app": Of("app")}
 RULES: dict[str, Any] = {"verify": 5.0, "backoff": 50.0, "backoff_max": 60.0}

@@ -11,7 +11,7 @@ from phm import testing
 from phm.core.model import ActionEvent, Fault, Phase
 from phm.facts import CannotTell
 from phm.recovery.base import ActionContext
-from tests.recovery.agent import Agent, Containers, Of
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 UNITS = {name: Of(name.partition("/")[2], grace_s=2.0) for name in ("health/a", "health/b", "health/side")}
 RULES: dict[str, Any] = {"verify": 30.0, "backoff": 0.1}

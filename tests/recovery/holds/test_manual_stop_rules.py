@@ -1,0 +1,237 @@
+"""What PHM does after an operator has stopped a container (`recovery.on_manual_stop`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from phm.core.model import Level, Phase
+from phm.facts import EventStreamFact
+from phm.recovery.holds.hold_service import CLOSED_S
+from phm.recovery.safety.armed_state import ArmedState as ArmedState
+from tests.recovery.holds.scene import STOP, Scene, stopped
+
+
+def test_on_the_ground_a_stop_is_respected_for_a_while(scene: Scene) -> None:
+    """No alarm, a hold with an end, and then a fault like any other."""
+    stopped(scene)
+    scene.agent.rest(10)
+    assert scene.changes() == [("app", True)] and scene.agent.opened() == []
+    assert scene.service.snapshot()[0]["source"] == "stop" and "stopped by hand" in scene.summary()
+    scene.agent.rest(595)
+    assert scene.agent.opened() == ["container/app"] and scene.agent.runs != []
+
+
+def test_a_start_ends_the_hold_of_a_stop_and_no_other(scene: Scene) -> None:
+    """What an operator put on hold stays so until its end."""
+    scene.hold("cam", 600.0)
+    stopped(scene)
+    scene.agent.rest(10)
+    scene.happen(("start", ""))
+    scene.happen(("start", ""), key="cam")
+    scene.agent.bad = {}
+    scene.agent.rest(1)
+    assert [hold["container"] for hold in scene.service.snapshot()] == ["cam"]
+    assert "it was started again" in scene.last()
+
+
+@pytest.mark.parametrize("by", ["start", "recreate"])
+def test_what_was_started_without_an_event_is_not_on_hold(scenes: Any, by: str) -> None:
+    """Before a stop is judged, the engine is asked whether the container is there; events are lost."""
+    scene = scenes(on_manual_stop="respect")
+    stopped(scene)
+    getattr(scene.containers, by)("app")
+    scene.agent.bad = {}
+    scene.agent.rest(10)
+    assert scene.changes() == [] and scene.level() is Level.OK
+
+
+def test_a_copy_that_was_never_started_is_a_fault_when_the_old_one_is_removed(scenes: Any) -> None:
+    """The name is there, under another id: nobody has removed the container by hand."""
+    scene = scenes(on_manual_stop="respect")
+    scene.containers.recreate("app")
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "created"}
+    for action in ("kill", "die", "destroy"):
+        scene.service.happened("app", action, "signal 9", "id of the old one")
+    scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the alarm")
+    assert scene.changes() == []
+
+
+def test_a_hold_ends_with_a_start_that_no_event_has_told(scene: Scene) -> None:
+    """The containers are looked at every half minute."""
+    stopped(scene)
+    scene.agent.rest(10)
+    scene.containers.start("app")
+    scene.agent.bad = {}
+    scene.agent.rest(60)
+    assert scene.changes() == [("app", True), ("app", False)] and "it was started again" in scene.last()
+
+
+@pytest.mark.parametrize("armed", [ArmedState.ARMED, ArmedState.UNKNOWN])
+def test_in_the_air_a_stop_is_a_failure(scene: Scene, armed: ArmedState) -> None:
+    """Also where nobody knows whether it is in the air."""
+    scene.armed = armed
+    stopped(scene, "cam")
+    scene.agent.until(lambda: scene.agent.runs, "the restart")
+    assert scene.agent.opened() == ["container/cam"] and scene.service.snapshot() == []
+
+
+def test_one_word_is_the_rule_for_both(scenes: Any) -> None:
+    """`on_manual_stop: respect`, e.g. for a bench without an autopilot."""
+    scene = scenes(on_manual_stop="respect")
+    scene.armed = ArmedState.UNKNOWN
+    stopped(scene)
+    scene.agent.rest(10)
+    assert scene.changes() == [("app", True)] and scene.agent.opened() == []
+
+
+def test_what_is_flight_critical_and_armed_is_never_respected_quietly(scenes: Any) -> None:
+    """The alarm is raised even where the rule for the air is to respect."""
+    scene = scenes(on_manual_stop="respect")
+    scene.armed = ArmedState.ARMED
+    stopped(scene)
+    scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the alarm")
+    assert scene.changes() == []
+
+
+def test_advise_raises_the_alarm_and_does_nothing_unless_approved(scenes: Any) -> None:
+    """The advice says that it was stopped by hand."""
+    scene = scenes(on_manual_stop="advise")
+    stopped(scene, "cam")
+    scene.agent.until(lambda: scene.agent.steps("cam") == [Phase.ADVISED], "the advice")
+    assert "stopped by hand" in scene.agent.actions()[0].detail
+    scene.agent.rest(5)
+    assert scene.agent.runs == []
+    scene.agent.executor.approve(scene.agent.pipeline.open_faults()[0].id)
+    scene.agent.until(lambda: scene.agent.runs, "the restart")
+
+
+@pytest.mark.parametrize("rule", ["respect", "advise"])
+def test_a_stop_is_not_undone_because_a_fault_was_open_before(scenes: Any, rule: str) -> None:
+    """Nothing is done before it is decided whether it was a stop by hand."""
+    scene = scenes(on_manual_stop=rule)
+    scene.agent.bad = {"container/app": "restarting"}
+    scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the fault")
+    stopped(scene)
+    scene.agent.rest(20)
+    assert scene.agent.runs == []
+
+
+def test_a_crash_with_an_open_fault_is_healed_after_the_verdict(scenes: Any) -> None:
+    """`docker kill` of a container that was failing already."""
+    scene = scenes(on_manual_stop="respect")
+    scene.agent.bad = {"container/app": "restarting"}
+    scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the fault")
+    scene.happen(("kill", "signal 9"), ("die", "exit code 137"))
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.until(lambda: scene.agent.runs, "the restart")
+
+
+def test_a_stop_whose_signal_was_missed_is_not_undone(scenes: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stream was opened after the `kill`: the alarm comes with the `die`, and the action waits for a `stop`."""
+    monkeypatch.setattr("phm.recovery.holds.manual_stop.UNSURE_S", 1.0)
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
+    scene.agent.rest(1)
+    scene.happen(STOP[1])
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.rest(0.5)
+    assert scene.agent.opened() == ["container/app"]
+    scene.happen(STOP[2])
+    scene.agent.rest(30)
+    assert scene.changes() == [("app", True)] and scene.agent.runs == []
+
+
+def test_a_crash_after_the_stream_was_opened_is_healed(scenes: Any) -> None:
+    """No `stop` follows; the alarm does not wait for one."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
+    scene.agent.rest(1)
+    scene.happen(STOP[1])
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.step()
+    assert scene.agent.opened() == ["container/app"]
+    scene.agent.until(lambda: scene.agent.runs, "the start")
+    assert scene.changes() == []
+
+
+def test_an_end_while_the_stream_is_closed_is_not_acted_on_before_it_is_explained(scenes: Any) -> None:
+    """When it is open again, the engine replays what happened."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(False, scene.clock.mono(), 0.0)
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.rest(CLOSED_S / 2)
+    scene.stream = EventStreamFact(True, scene.clock.mono(), 0.0)
+    scene.happen(*STOP)
+    scene.agent.rest(30)
+    assert scene.changes() == [("app", True)] and scene.agent.runs == []
+
+
+@pytest.mark.parametrize(("condition", "waits"), [("exited", True), ("broken", False)])
+def test_a_stream_that_stays_closed_keeps_nothing_from_being_healed(scenes: Any, condition: str, waits: bool) -> None:
+    """What has ended is acted on CLOSED_S after the stream broke, and what else is wrong is acted on immediately."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(False, scene.clock.mono(), 0.0)
+    scene.agent.bad = {"container/app": condition}
+    scene.agent.rest(CLOSED_S / 2)
+    assert scene.agent.runs == ([] if waits else [("app", "container/app")])
+    scene.agent.rest(CLOSED_S)
+    assert scene.agent.runs[0] == ("app", "container/app")
+
+
+def test_a_dependant_that_was_stopped_by_hand_is_not_started(scenes: Any) -> None:
+    """Neither before that is decided nor afterwards, until somebody starts it."""
+    scene = scenes(on_manual_stop="advise")
+    holds = scene.holds
+    assert holds.why_not_start("cam", scene.clock.stamp()) == ""
+    stopped(scene, "cam")
+    assert "being stopped" in holds.why_not_start("cam", scene.clock.stamp())
+    scene.agent.rest(10)
+    assert "stopped by hand" in holds.why_not_start("cam", scene.clock.stamp())
+    scene.happen(("start", ""), key="cam")
+    assert holds.why_not_start("cam", scene.clock.stamp()) == ""
+
+
+def test_a_hold_binds_up_to_the_beginning_of_an_action(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the decision and the action the engine is asked, which takes seconds."""
+
+    def asks(*_words: object) -> str:
+        if not scene.service.snapshot():
+            scene.hold(for_s=600)
+        return ""
+
+    monkeypatch.setattr(scene.agent.executor.catalog._actions["restart"], "waits_for", asks)
+    scene.agent.bad = {"container/app": "broken"}
+    scene.agent.until(lambda: scene.service.snapshot(), "the hold")
+    scene.agent.rest(10)
+    assert scene.agent.runs == [] and Phase.STARTED not in scene.agent.steps()
+
+
+def test_while_a_recreation_may_be_under_way_nothing_is_raised(scenes: Any) -> None:
+    """Whatever the rule is; a crash is not waited for."""
+    scene = scenes(on_manual_stop="heal")
+    scene.happen(("replace", ""), *STOP, ("destroy", ""))
+    scene.agent.bad = {"container/app": "missing"}
+    scene.agent.rest(10)
+    scene.agent.bad = {}
+    scene.happen(("start", ""))
+    scene.agent.rest(5)
+    assert scene.agent.opened() == []
+    scene.agent.bad = {"container/app": "exited"}
+    scene.happen(("die", "exit code 1"))
+    scene.agent.rest(0.3)
+    assert scene.agent.opened() == ["container/app"]
+
+
+def test_what_else_is_wrong_meanwhile_is_raised(scenes: Any) -> None:
+    """Only an end of the container may be part of a restart."""
+    scene = scenes(on_manual_stop="heal")
+    scene.happen(("kill", "signal 1"))
+    scene.agent.bad = {"nodes/app": "broken"}
+    scene.agent.until(lambda: scene.agent.opened() == ["nodes/app"], "the alarm")

@@ -1,0 +1,180 @@
+"""Holds over a restart of PHM and a reboot of the machine."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.core.model import Phase, Stamp
+from phm.probes.docker_events import DockerEvent
+from phm.recovery.holds.hold_registry import Hold, HoldRegistry
+from phm.recovery.holds.hold_service import HoldInputs, HoldService
+from phm.recovery.persistence.state import InvalidState, PersistedState, RecoveryState, decode, encode
+from phm.recovery.safety.armed_state import ArmedState as ArmedState, ArmedStatus, LastArmedState
+from phm.runtime.daemon import Daemon
+from phm.testing import settings
+from tests.recovery.holds.scene import BY, PATIENT, Scene, stopped
+
+
+def test_a_hold_survives_a_restart_of_phm(scenes: Any, tmp_path: Path) -> None:
+    """With the same end."""
+    first = scenes(tmp_path)
+    first.hold(for_s=100)
+    first.agent.rest(5)
+    first.agent.stop()
+    first.clock.advance(20)
+    second = scenes(tmp_path, first.clock)
+    hold = second.service.snapshot()[0]
+    assert hold["reason"] == "new firmware" and 70 < hold["left_s"] < 76
+    second.agent.bad = {"container/app": "broken"}
+    second.agent.rest(60)
+    assert second.agent.opened() == []
+    second.agent.until(lambda: second.agent.opened() == ["container/app"], "the end of the hold")
+
+
+def test_while_on_hold_no_check_is_run_for_the_sake_of_recovery(
+    scenes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault from before a restart of PHM: what is found on hold does not count, and a fresh run is asked for afterwards."""
+    first = scenes(tmp_path, **PATIENT)
+    first.agent.behave = lambda key, context, fault: None
+    first.agent.bad = {"container/app": "broken"}
+    first.agent.until(lambda: first.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
+    first.hold(for_s=100)
+    first.agent.rest(5)
+    first.agent.stop()
+    second = scenes(tmp_path, first.clock, bad={"container/app": "broken"}, **PATIENT)
+    looks: list[str] = []
+    monkeypatch.setattr(second.agent.pipeline, "recheck", lambda *units: looks.extend(units))
+    second.agent.rest(60)
+    assert looks == []
+    second.agent.until(lambda: looks, "the fresh run")
+    second.agent.until(lambda: Phase.STARTED in second.agent.steps(), "the next attempt")
+
+
+def test_a_stop_that_is_over_when_phm_starts_holds_nothing(scenes: Any, tmp_path: Path) -> None:
+    """It was started while PHM did not run, so no event says so; where it still is stopped, its hold goes on."""
+    first = scenes(tmp_path)
+    stopped(first, "app")
+    stopped(first, "cam")
+    first.agent.bad = {"container/app": "exited", "container/cam": "exited"}
+    first.agent.rest(10)
+    first.agent.stop()
+    first.containers.start("app")
+    second = scenes(tmp_path, first.clock, containers=first.containers)
+    assert [hold["container"] for hold in second.service.snapshot()] == ["cam"]
+
+
+def test_a_stop_that_is_only_advised_about_stays_so_over_a_restart(scenes: Any, tmp_path: Path) -> None:
+    """Until the container is started."""
+    first = scenes(tmp_path, on_manual_stop="advise")
+    stopped(first, "cam")
+    first.agent.until(lambda: first.agent.steps("cam") == [Phase.ADVISED], "the advice")
+    first.agent.stop()
+    first.containers.end("cam")
+    second = scenes(tmp_path, first.clock, containers=first.containers, on_manual_stop="advise")
+    second.agent.bad = {"container/cam": "exited"}
+    second.agent.rest(20)
+    assert second.agent.runs == []
+
+
+def test_a_window_that_was_released_stays_so_over_a_restart(scenes: Any, tmp_path: Path) -> None:
+    """An occurrence is one hold, also for the next PHM."""
+    windows = [{"when": "02:00-02:10", "container": "cam"}]
+    first = scenes(tmp_path, maintenance=windows)
+    first.clock.jump_utc(1795312860.0 - first.clock.utc())  # 2026-11-22 02:01 UTC
+    first.agent.rest(10)
+    assert first.changes() == [("cam", True)]
+    first.service.release("cam", BY)
+    first.agent.stop()
+    second = scenes(tmp_path, first.clock, maintenance=windows)
+    second.agent.rest(20)
+    assert second.changes() == [] and second.service.snapshot() == []
+
+
+def test_a_window_that_was_removed_from_the_configuration_ends(scenes: Any, tmp_path: Path) -> None:
+    """The hold that was kept for it ends with it."""
+    first = scenes(tmp_path, maintenance=[{"when": "02:00-02:10", "container": "cam"}])
+    first.clock.jump_utc(1795312860.0 - first.clock.utc())  # 2026-11-22 02:01 UTC
+    first.agent.rest(10)
+    first.agent.stop()
+    second = scenes(tmp_path, first.clock)
+    second.agent.rest(20)
+    assert second.changes() == [("cam", False)] and second.service.snapshot() == []
+
+
+@pytest.mark.parametrize(("before", "left"), [(True, ["cam"]), (False, [])])
+def test_only_a_take_off_ends_a_respected_stop(scene: Scene, before: bool, left: list[str]) -> None:
+    """A stop that was respected in flight stays so when PHM is started again in flight; one from the ground does not."""
+    known = RecoveryState(armed=LastArmedState(before, 0.0))
+    scene.agent.executor.restore(PersistedState(recovery=known))
+    scene.holds.put(Hold("cam", "stop", scene.clock.mono() + 600.0, "an operator"))
+    scene.armed = ArmedState.ARMED
+    world = HoldInputs(lambda: ArmedStatus(scene.armed, "armed"), lambda key: None, scene.agent.executor.action_on)
+    following = HoldService(
+        scene.agent.settings, scene.holds, scene.agent.pipeline, scene.agent.bus.publish, scene.clock, world
+    )
+    following.tick()
+    assert [hold["container"] for hold in following.snapshot()] == left
+
+
+def carried(left_s: float, *, boot: str, now: Stamp) -> Hold:
+    """A hold of so many seconds at (utc 1000, mono 500) as it is read back at another moment."""
+    holds = HoldRegistry()
+    holds.put(Hold("app", "operator", 500.0 + left_s, BY, "why"))
+    state = PersistedState(recovery=RecoveryState(holds=holds.kept(500.0)))
+    document = json.loads(json.dumps(encode(state, "boot", Stamp(1000.0, 500.0))))
+    return decode(document, boot, now, 600.0).recovery.holds[0].hold
+
+
+@pytest.mark.parametrize("utc", [0.0, 1000.0, 1e9])
+def test_on_the_same_boot_the_end_is_what_it_was(utc: float) -> None:
+    """Whatever the clock of the day says."""
+    assert carried(90.0, boot="boot", now=Stamp(utc, 530.0)).until == 590.0
+
+
+@pytest.mark.parametrize("utc", [0.0, 1000.0, 1e9])
+def test_after_a_reboot_what_was_left_counts(utc: float) -> None:
+    """At most half a minute more, and never less because a clock was wrong."""
+    assert carried(80.0, boot="other", now=Stamp(utc, 5.0)).until == 95.0
+
+
+def test_what_is_left_is_written_every_half_minute() -> None:
+    """So that reboots cannot extend a hold for ever, and a disk is not written to at each look."""
+    holds = HoldRegistry()
+    holds.put(Hold("app", "operator", 600.0, BY))
+    assert holds.kept(0.0) == holds.kept(29.0) != holds.kept(31.0)
+
+
+@pytest.mark.parametrize("body", [{"left_s": "x"}, {"left_s": 1e300}, {"until_mono": None}, {"target": 5}])
+def test_a_damaged_hold_extends_nothing(body: dict[str, Any]) -> None:
+    """It makes the file invalid, or lasts a day at most."""
+    good = {
+        "target": "app",
+        "source": "operator",
+        "until_mono": 600.0,
+        "left_s": 60.0,
+        "by": "",
+        "reason": "",
+        "occurrence": "",
+    }
+    document = encode(PersistedState(), "boot", Stamp(1000.0, 500.0))
+    document["holds"] = [{**good, **body}]
+    with contextlib.suppress(InvalidState):
+        kept = decode(document, "other", Stamp(1000.0, 500.0), 600.0).recovery.holds
+        assert all(entry.hold.until <= 500.0 + 86400.0 for entry in kept)
+
+
+def test_a_signal_that_ends_nothing_is_no_stop(tmp_path: Path) -> None:
+    """`docker kill -s HUP` has it read its configuration; SIGTERM may be the beginning of a stop."""
+    made = settings(containers=[{"name": "app"}], state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"))
+    daemon = Daemon(made)
+    for number, end_s, undecided in (("1", 0.0, frozenset()), ("15", 121.0, frozenset({"app"}))):
+        event = DockerEvent("container", "app", "kill", f"signal {number}", daemon.clock.stamp(), end_s=end_s)
+        daemon.components.docker_events.apply(event)
+        assert daemon.components.holds._stops.undecided() == undecided
+    daemon.components.bus.close()
