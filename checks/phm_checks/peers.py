@@ -78,7 +78,7 @@ class Peers(api.Check):
         away = [(agent, fact.peers[agent]) for agent in self._away if agent in fact.peers]
         coming = {agent for agent, peer in away if peer.state == "lost" or peer.since_s < SETTLE_S}
         self._away = frozenset(coming.union(fact.split))
-        there = ("alive", "late", "unheard by some")
+        there = ("alive", "late", "partly reachable")
         here = {fact.own, *(agent for agent, peer in fact.peers.items() if peer.state in there)} - self._away
         return [
             api.error(
@@ -97,15 +97,15 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
         "state": peer.state,
         "age_s": None if peer.age_s is None else round(peer.age_s, 1),
         "heard_by": len(peer.heard_by),
-        "unheard_by": len(peer.unheard_by),
+        "not_heard_by": len(peer.not_heard_by),
     }
     # Another agent has lost it, too, so the cause is not that this agent is late.
-    known = api.Evidence(conclusive=bool(set(peer.unheard_by) - {fact.own}))
+    known = api.Evidence(conclusive=bool(set(peer.not_heard_by) - {fact.own}))
     dissent = f", but still received by {_names(peer.heard_by)}" if peer.heard_by else ""
     silent = "" if peer.age_s is None else f", here for {span(peer.age_s)}"
     if peer.state == "lost":
         words = (
-            f"agent {name} is lost: no heartbeat received by {_names(peer.unheard_by)}{silent}{dissent}: check the "
+            f"agent {name} is lost: no heartbeat received by {_names(peer.not_heard_by)}{silent}{dissent}: check the "
             "vehicle, its power and its radio"
         )
         return api.Result(Level.ERROR, words, brief(name, "lost"), "peer_lost", values=values, evidence=known)
@@ -114,12 +114,12 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
         return api.Result(
             Level.WARN, words, brief(name, "never seen"), "peer_never_seen", values=values, evidence=known
         )
-    if peer.state == "unheard by some":
+    if peer.state == "partly reachable":
         words = (
-            f"agent {name} is alive, received by {_names(peer.heard_by)} but not by {_names(peer.unheard_by)}: the network "
+            f"agent {name} is alive, received by {_names(peer.heard_by)} but not by {_names(peer.not_heard_by)}: the network "
             "between these is broken or at the edge of its range"
         )
-        short = brief(name, f"not seen by {_names(peer.unheard_by, 3)}")
+        short = brief(name, f"not seen by {_names(peer.not_heard_by, 3)}")
         return api.Result(Level.WARN, words, short, "peer_partly", values=values, evidence=known)
     if peer.state == "left":
         return api.bypass(f"agent {name} was shut down intentionally", **values)

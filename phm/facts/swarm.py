@@ -11,8 +11,8 @@ from typing import Protocol
 class PeerFact:
     """One other agent, as the swarm agrees on it.
 
-    state: alive, late, unheard by some, lost, never seen, or left (stopped on purpose). age_s: since this agent heard it,
-    None when it never did. heard_by, unheard_by: ids of the agents whose view counted, this one included. gcs: whether
+    state: alive, late, partly reachable, lost, never seen, or left (stopped on purpose). age_s: since this agent heard it,
+    None when it never did. heard_by, not_heard_by: ids of the agents whose view counted, this one included. gcs: whether
     it hears a ground station by its own word; None when it has not said so lately. word: its newest status word.
     since_s: for how long its state has been this one.
     """
@@ -20,7 +20,7 @@ class PeerFact:
     state: str
     age_s: float | None
     heard_by: tuple[int, ...] = ()
-    unheard_by: tuple[int, ...] = ()
+    not_heard_by: tuple[int, ...] = ()
     gcs: bool | None = None
     word: int = 0
     since_s: float = float("inf")

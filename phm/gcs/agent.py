@@ -64,12 +64,12 @@ class Agent:
     """Its last refresh said that not everything is known."""
     on_hold: bool = False
     """By its lines: what is not known is on hold, or a hold has begun and is not over."""
-    told: ReceivedText | None = None
+    last_text: ReceivedText | None = None
     bad: dict[int, OrderedDict[str, ReportedProblem]] = field(default_factory=dict)
     """By slot, then by text, oldest first."""
     view: PeerView | None = None
     view_at: Stamp | None = None
-    deaf: bool | None = None
+    no_ground: bool | None = None
     """It does not hear the ground, by its own view or as another agent says."""
     restarts: int = 0
     shown: PresenceState = PresenceState.NEVER
@@ -99,7 +99,7 @@ class Agent:
         if beat.state == BOOT and self.state not in (BOOT, None):
             self.restarts += 1
             self.bad.clear()
-            self.view, self.view_at, self.deaf = None, None, None
+            self.view, self.view_at, self.no_ground = None, None, None
         try:
             levels, self.problem = status_word.decode(beat.custom_mode), ""
         except ValueError as error:
@@ -125,7 +125,7 @@ class Agent:
             self._worse(line, line.level, at)
         elif line.recovered:
             if line.recovered.startswith("GCS:"):
-                self.deaf = False
+                self.no_ground = False
             units = self.bad.get(line.slot, OrderedDict())
             for text in [text for text in units if line.resolves(text)]:
                 del units[text]
@@ -135,13 +135,13 @@ class Agent:
         units = self.bad.setdefault(line.slot, OrderedDict())
         known = next((text for text in units if matches(text, line.text)), None)
         old = units[known] if known is not None and line.kind is LineKind.REFRESH else None
-        told = old or ReportedProblem(level, line.text, at)
-        units.pop(told.text, None)
-        units[told.text] = told
+        reported = old or ReportedProblem(level, line.text, at)
+        units.pop(reported.text, None)
+        units[reported.text] = reported
         while len(units) > MAX_BAD:
             units.popitem(last=False)
         if line.alone:
-            self.bad = {line.slot: OrderedDict({told.text: told})}
+            self.bad = {line.slot: OrderedDict({reported.text: reported})}
 
     def repeats(self, line: ParsedLine, text: str, now: float) -> bool:
         """Whether this line says nothing that it has not said before."""

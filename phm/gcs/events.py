@@ -44,8 +44,8 @@ def severity_name(severity: int) -> str:
 
 def describe(news: GcsEvent) -> str:
     """For people, without the time; empty for what only repeats itself."""
-    told = _WORDS.get(news.event)
-    return told(news.body) if told is not None else ""
+    describe_body = _WORDS.get(news.event)
+    return describe_body(news.body) if describe_body is not None else ""
 
 
 def describe_with_time(news: GcsEvent) -> str:
@@ -93,8 +93,10 @@ def _link(body: Mapping[str, Any]) -> str:
 
 
 def _digest(body: Mapping[str, Any]) -> str:
-    told = ", ".join(f"{agent_name(int(agent))} {level}" for agent, level in body["levels"].items() if level != "OK")
-    return f"swarm: {body['alive']} of {body['members']} live{', ' if told else ''}{told}" if body["changed"] else ""
+    not_ok = ", ".join(f"{agent_name(int(agent))} {level}" for agent, level in body["levels"].items() if level != "OK")
+    return (
+        f"swarm: {body['alive']} of {body['members']} live{', ' if not_ok else ''}{not_ok}" if body["changed"] else ""
+    )
 
 
 def _name(body: Mapping[str, Any]) -> str:

@@ -165,13 +165,13 @@ class FleetState:
             unwell = statustext_parser.unhealthy_agents(line)
             for other in self.fleet.agents.values():
                 if unwell is not None and other.system not in unwell:
-                    other.deaf = None  # a relay is said once, and its end by nobody
+                    other.no_ground = None  # a relay is said once, and its end by nobody
         elif line.kind is LineKind.RELAY and line.agent != said.system:
             about = self.fleet.agent(line.agent, PHM_COMPONENT, at.mono)
             if about is not None:
-                about.told, about.deaf = ReceivedText(said.text, said.severity, at, via=said.system), True
+                about.last_text, about.no_ground = ReceivedText(said.text, said.severity, at, via=said.system), True
         else:
-            agent.told = ReceivedText(said.text, said.severity, at)
+            agent.last_text = ReceivedText(said.text, said.severity, at)
             agent.line(line, at)
 
     # ------------------------------------------------------------ tunnels
@@ -188,7 +188,7 @@ class FleetState:
         who = snapshot.who(agent)
         if isinstance(message, PeerView):
             old, agent.view, agent.view_at = agent.view, message, at
-            agent.deaf = not message.gcs
+            agent.no_ground = not message.gcs
             if old is None or snapshot.view(old) != snapshot.view(message):
                 yield GcsEvent(at, "view", {**who, **snapshot.view(message)})
         elif isinstance(message, SwarmDigest):

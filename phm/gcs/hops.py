@@ -46,10 +46,10 @@ def first_broken(agent: Agent, state: PresenceState, silent_s: float | None, aro
     """None: no hop is known to be broken."""
     if state is PresenceState.LEFT:
         return None
-    return _told(agent) if state.there else _unheard(silent_s, around)
+    return _reported(agent) if state.there else _silent(silent_s, around)
 
 
-def _unheard(silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
+def _silent(silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
     since = "never heard" if silent_s is None else f"silent {silent_s:.0f} s"
     if around.closed:
         return BrokenHop("ground link", around.closed)
@@ -64,7 +64,7 @@ def _unheard(silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
     return BrokenHop("radio or vehicle", since, certain=False)
 
 
-def _told(agent: Agent) -> BrokenHop | None:
+def _reported(agent: Agent) -> BrokenHop | None:
     """From the ground to the autopilot, by what the agent says of itself."""
     ground, radio = _bad(agent, Slot.COMPANION), _bad(agent, Slot.RADIO)
     name = _place(ground)
@@ -74,7 +74,7 @@ def _told(agent: Agent) -> BrokenHop | None:
         return BrokenHop(_place(radio) or "radio", _rest(radio))
     if ground is not None:
         return BrokenHop(name or "companion", _rest(ground), certain=bool(name))
-    if agent.deaf:
+    if agent.no_ground:
         return BrokenHop("radio", "it does not hear the ground", certain=False)
     for slot in (Slot.CONTAINER, Slot.NODES):
         # Whether what is dead passes commands on is known aboard alone.
@@ -87,9 +87,9 @@ def _told(agent: Agent) -> BrokenHop | None:
 
 def _bad(agent: Agent, slot: Slot) -> str | None:
     """Words for an ERROR in this slot."""
-    told = agent.newest(slot, Level.ERROR)
-    if told is not None:
-        return told.text
+    reported = agent.newest(slot, Level.ERROR)
+    if reported is not None:
+        return reported.text
     return f"ERROR in slot {slot:d}, not told why" if agent.levels.get(slot) is Level.ERROR else None
 
 

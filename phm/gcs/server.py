@@ -146,9 +146,9 @@ class GcsServer:
         if now >= self._alive_at:
             self._alive_at = now + ALIVE_S
             number, at = self._station.snapshot()[0], self._clock.stamp()
-            self._tell(self._station.line(number, GcsEvent(at, "alive", {})))
+            self._broadcast(self._station.line(number, GcsEvent(at, "alive", {})))
         for item in items:
-            self._tell(item.line, item.number)
+            self._broadcast(item.line, item.number)
         for client in list(self._clients.values()):
             self._judge(client, now)
 
@@ -230,7 +230,7 @@ class GcsServer:
         client.ends, client.moved = True, self._clock.mono()
         self._flush(client)
 
-    def _tell(self, line: bytes, number: int | None = None) -> None:
+    def _broadcast(self, line: bytes, number: int | None = None) -> None:
         """A line to all that listen; one with a number to those who do not have it yet."""
         for client in list(self._clients.values()):
             if client.seen is None or client.ends or (number is not None and number <= client.seen):

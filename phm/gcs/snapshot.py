@@ -113,10 +113,10 @@ def seconds(value: float | None) -> float | None:
 
 def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, now: float) -> dict[str, Any]:
     state = look.state(agent)
-    heard_by, unheard_by = look.heard_by(agent)
+    heard_by, not_heard_by = look.heard_by(agent)
     said = fleet.swarm.digest
     level = said.levels.get(agent.system) if said is not None else None
-    aboard = fleet.pilots.get(agent.system)
+    autopilot = fleet.pilots.get(agent.system)
     learned = agent.presence.heard_s is not None
     return {
         **who(agent),
@@ -135,10 +135,10 @@ def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, now: float) -> dict[
         "bad": _bad(agent, now) if state.there else [],
         "view": _view(agent, now),
         "heard_by": heard_by,
-        "unheard_by": unheard_by,
-        "hears_ground": None if agent.deaf is None else not agent.deaf,
+        "not_heard_by": not_heard_by,
+        "hears_ground": None if agent.no_ground is None else not agent.no_ground,
         "swarm_says": level.name if level not in (None, Level.STALE) else None,
-        "pilot": pilot(aboard, now) if aboard is not None else None,
+        "pilot": pilot(autopilot, now) if autopilot is not None else None,
         "on_hold": agent.on_hold,
         "restarts": agent.restarts,
         "problem": agent.problem or None,
@@ -148,11 +148,11 @@ def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, now: float) -> dict[
 
 
 def _line(agent: Agent, now: float) -> dict[str, Any] | None:
-    told = agent.told
-    if told is None:
+    received = agent.last_text
+    if received is None:
         return None
-    age_s = seconds(now - told.at.mono)
-    return {"text": told.text, "severity": told.severity, "age_s": age_s, "via": told.via or None}
+    age_s = seconds(now - received.at.mono)
+    return {"text": received.text, "severity": received.severity, "age_s": age_s, "via": received.via or None}
 
 
 def _bad(agent: Agent, now: float) -> list[dict[str, Any]]:
@@ -176,6 +176,6 @@ def _swarm(swarm: SwarmState, now: float) -> dict[str, Any] | None:
         "line_age_s": seconds(now - swarm.line_at.mono) if swarm.line_at else None,
         "digest_age_s": seconds(now - swarm.digest_at.mono) if swarm.digest_at else None,
     }
-    told = digest(swarm.digest) if swarm.digest is not None else {"members": None, "alive": None, "levels": {}}
+    body = digest(swarm.digest) if swarm.digest is not None else {"members": None, "alive": None, "levels": {}}
     by = swarm.line_by or swarm.digest_by
-    return {"by": by, "line": swarm.line or None, **told, **ages}
+    return {"by": by, "line": swarm.line or None, **body, **ages}

@@ -115,10 +115,10 @@ class GroundStation:
                 return ""
             self._clock.wait(self._stop, 0.02)
 
-    def subscribe(self, outlet: SubscriberQueue) -> None:
+    def subscribe(self, queue: SubscriberQueue) -> None:
         """Have all news put there from now on."""
         with self._lock:
-            self._queues = (*self._queues, outlet)
+            self._queues = (*self._queues, queue)
 
     def snapshot(self) -> tuple[int, GcsEvent]:
         """How everybody is, and the number of the last news that is in it."""
@@ -204,5 +204,5 @@ class GroundStation:
         for one in news:
             self._number += 1
             item = QueuedEvent(self._number, one, encode(one, self.run, self._number))
-            for outlet in self._queues:
-                outlet.put(item)
+            for queue in self._queues:
+                queue.put(item)

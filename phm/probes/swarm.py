@@ -168,7 +168,7 @@ class SwarmMonitor:
         if not isinstance(told, tunnel.PeerView):
             return None
         with self._lock:
-            return self._peers.told(agent, told, self._clock.mono())
+            return self._peers.add_view(agent, told, self._clock.mono())
 
     def _hears_ground(self) -> bool:
         age_s = self._gcs_age_s()
@@ -189,7 +189,7 @@ class SwarmMonitor:
             status.state.value,
             age_s,
             status.heard_by,
-            status.unheard_by,
+            status.not_heard_by,
             status.gcs,
             status.word,
             now - self._since[agent][1],

@@ -1,7 +1,7 @@
 """The allow-list as a configuration file of HAProxy 2.4 or later. Pure: settings in, text out.
 
 Ids are learned: when the engine answers about a configured *name*, the id in its answer is kept in a variable of the
-process, and from then on that id stands for the name. A call by any other id is refused.
+process, and from then on that id is accepted for the name. A call by any other id is refused.
 """
 
 from __future__ import annotations

@@ -35,9 +35,9 @@ class FlapDamper:
     def __init__(self) -> None:
         self._units: dict[str, _Unit] = {}
 
-    def through(self, lines: Sequence[StatusTextLine], now: float, flapping: str) -> list[StatusTextLine]:
+    def filter(self, lines: Sequence[StatusTextLine], now: float, flapping: str) -> list[StatusTextLine]:
         """What of these changes is told now. flapping: the text to tell when a unit begins to be held down."""
-        told: list[StatusTextLine] = []
+        passed: list[StatusTextLine] = []
         for line in lines:
             unit = self._unit(line.key)
             unit.changed = now
@@ -47,22 +47,22 @@ class FlapDamper:
             unit.times.append(now)
             if len(unit.times) == MANY and now - unit.times[0] <= WITHIN_S:
                 unit.holding, unit.held = True, line
-                told.append(StatusTextLine(line.key, Severity.WARNING, flapping))
+                passed.append(StatusTextLine(line.key, Severity.WARNING, flapping))
             else:
-                told.append(line)
-        return told
+                passed.append(line)
+        return passed
 
-    def calm(self, now: float) -> list[StatusTextLine]:
+    def settled(self, now: float) -> list[StatusTextLine]:
         """The state of units that have come to rest, to be told now."""
-        told = []
+        passed = []
         for unit in self._units.values():
             if unit.holding and now - unit.changed >= CALM_S:
                 unit.holding = False
                 unit.times.clear()
                 if unit.held is not None:
-                    told.append(unit.held)
+                    passed.append(unit.held)
                 unit.held = None
-        return told
+        return passed
 
     def _unit(self, key: str) -> _Unit:
         unit = self._units.pop(key, None) or _Unit()

@@ -45,7 +45,7 @@ class FleetReporter(Reporter):
         self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
         self._sequence = 0
         self._complete = self._changed = False
-        self._told_at, self._again_at = float("-inf"), float("inf")
+        self._sent_at, self._again_at = float("-inf"), float("inf")
         link.start()
 
     @classmethod
@@ -72,16 +72,16 @@ class FleetReporter(Reporter):
                 return
             self._complete = True
         self._changed = True
-        if self._context.clock.mono() - self._told_at >= ALONG_S:
+        if self._context.clock.mono() - self._sent_at >= ALONG_S:
             self.tick()
 
     def tick(self) -> None:
         alive = self._context.alive()
         self._link.present(alive)
         now = self._context.clock.mono()
-        if alive and (self._changed or now >= min(self._again_at, self._told_at + self._settings.refresh)):
+        if alive and (self._changed or now >= min(self._again_at, self._sent_at + self._settings.refresh)):
             self._again_at = now + AGAIN_S if self._changed else float("inf")
-            self._told_at, self._changed = now, False
+            self._sent_at, self._changed = now, False
             self._link.put(self._status())
 
     def close(self) -> None:

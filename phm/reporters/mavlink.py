@@ -50,9 +50,9 @@ class MavlinkReporter(Reporter):
         self._context, self._port = context, port
         self._settings, self._agent = context.settings.mavlink, context.settings.agent.id
         now = context.clock.mono()
-        self._teller, self._damper = StatusTextBuilder(self._agent), FlapDamper()
+        self._builder, self._damper = StatusTextBuilder(self._agent), FlapDamper()
         open_before = {fault.unit for fault in context.restored}
-        self._teller.knows([state for state in context.states() if state.unit in open_before])
+        self._builder.knows([state for state in context.states() if state.unit in open_before])
         self._heartbeat_at = now
         self._refresh_at: float | None = None
         self._again: tuple[float, ...] = ()
@@ -67,21 +67,21 @@ class MavlinkReporter(Reporter):
 
     def handle(self, event: Event) -> None:
         if isinstance(event, Transition):
-            self._change(self._teller.transition(event), event.state.slot, status_line.brief_of(event.state))
+            self._change(self._builder.transition(event), event.state.slot, status_line.brief_of(event.state))
         elif isinstance(event, (FaultOpened, FaultClosed)):
             fault = event.fault
-            self._change(self._teller.fault(event), fault.slot, fault.result.brief or fault.unit)
+            self._change(self._builder.fault(event), fault.slot, fault.result.brief or fault.unit)
         elif isinstance(event, ActionEvent):
-            self._say(self._teller.action(event, {state.unit: state for state in self._context.states()}))
+            self._say(self._builder.action(event, {state.unit: state for state in self._context.states()}))
         elif isinstance(event, HoldChanged):
-            self._say(self._teller.hold(event))
+            self._say(self._builder.hold(event))
         elif isinstance(event, Report) and self._refresh_at is None:
             self._refresh_at = self._context.clock.mono()
 
     def tick(self) -> None:
         """Heartbeat, refresh and the answer to a new ground station, when due and while the engine lives."""
         now = self._context.clock.mono()
-        self._say(self._damper.calm(now))
+        self._say(self._damper.settled(now))
         by_size_s = default_periods(self._port.agents)
         if self._context.alive():
             if now >= self._heartbeat_at:
@@ -90,11 +90,11 @@ class MavlinkReporter(Reporter):
             if self._full_at is not None and now >= self._full_at:
                 self._full_at, self._last_full = None, now
                 self._heartbeat()
-                self._say(self._teller.full(self._context.states()))
+                self._say(self._builder.full(self._context.states()))
             elif self._refresh_at is not None and now >= self._refresh_at:
                 self._refresh_at = _next(self._refresh_at, self._settings.refresh or by_size_s[1], now)
                 states = self._context.states()
-                self._say([*self._teller.reconcile(states), self._teller.refresh(states)])
+                self._say([*self._builder.reconcile(states), self._builder.refresh(states)])
             elif self._again and now >= self._again[0]:
                 self._again = self._again[1:]
                 self._say_again()
@@ -121,12 +121,12 @@ class MavlinkReporter(Reporter):
         if lines and self._refresh_at is not None:
             self._again = tuple(self._context.clock.mono() + after_s for after_s in AGAIN_S)
         flapping = status_line.flapping(self._agent, slot, brief)
-        self._say(self._damper.through(lines, self._context.clock.mono(), flapping))
+        self._say(self._damper.filter(lines, self._context.clock.mono(), flapping))
 
     def _say_again(self) -> None:
         states = self._context.states()
         if any(state.slot is Slot.RADIO and state.level.bad for state in states):
-            self._say([self._teller.refresh(states)])
+            self._say([self._builder.refresh(states)])
 
     def _leads(self) -> bool:
         """Whether this agent leads for the swarm: each agent notices that another is lost, and one tells the ground."""

@@ -45,7 +45,7 @@ class StatusTextBuilder:
 
     def __init__(self, agent: int) -> None:
         self._agent = agent
-        self._told: dict[str, tuple[UnitState, str]] = {}
+        self._sent: dict[str, tuple[UnitState, str]] = {}
         self._open: set[str] = set()
         self._asks: dict[str, StatusTextLine] = {}
         """By unit, what the operator was asked for and has not answered."""
@@ -63,7 +63,7 @@ class StatusTextBuilder:
         if state.level is Level.OK and state.unit not in self._open:
             return self._over(state.unit, "")
         if state.result.condition == ON_HOLD:
-            self._told.pop(state.unit, None)  # if it is still bad after the hold, that is said again
+            self._sent.pop(state.unit, None)  # if it is still bad after the hold, that is said again
         return []  # STALE says nothing by itself; OK with an open fault is told when the fault closes, with who did it
 
     def fault(self, event: FaultOpened | FaultClosed) -> list[StatusTextLine]:
@@ -134,7 +134,7 @@ class StatusTextBuilder:
         lines = []
         for state in status_line.worst_first(states)[:FULL_LINES]:
             if state.level.bad:
-                self._told.pop(state.unit, None)
+                self._sent.pop(state.unit, None)
                 lines += self._bad(state)
                 if state.unit in self._asks:
                     lines.append(self._asks[state.unit])
@@ -147,21 +147,21 @@ class StatusTextBuilder:
 
     def _bad(self, state: UnitState) -> list[StatusTextLine]:
         text = status_line.failing(self._agent, state.level, state.slot, status_line.brief_of(state))
-        told = self._told.get(state.unit)
-        self._told[state.unit] = (state, text)
-        if told is not None and told[1] == text:
+        sent = self._sent.get(state.unit)
+        self._sent[state.unit] = (state, text)
+        if sent is not None and sent[1] == text:
             return []
         return [StatusTextLine(state.unit, status_line.severity(state.level, state.slot), text)]
 
     def _over(self, unit: str, by: str) -> list[StatusTextLine]:
         self._asks.pop(unit, None)
-        told = self._told.pop(unit, None)
-        if told is None:
+        sent = self._sent.pop(unit, None)
+        if sent is None:
             return []
-        state = told[0]
+        state = sent[0]
         subject = status_line.subject_of(state)
         if any(
-            other.slot is state.slot and status_line.subject_of(other) == subject for other, _ in self._told.values()
+            other.slot is state.slot and status_line.subject_of(other) == subject for other, _ in self._sent.values()
         ):
             subject = ""  # ambiguous: another unit with this name is still failing
         text = status_line.recovered(self._agent, state.slot, status_line.brief_of(state), by, subject)

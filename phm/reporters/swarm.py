@@ -46,9 +46,9 @@ class SwarmReporter(Reporter):
         self._viewed: object = None
         self._again = False
         self._view_at = float("-inf")
-        self._told_line, self._line_at = "", float("-inf")
+        self._sent_line, self._line_at = "", float("-inf")
         self._relayed: dict[int, tuple[object, float]] = {}
-        """What the ground was told for each agent that cannot reach it, by this or another leader, and since when it is so."""
+        """What the ground was passed for each agent that cannot reach it, by this or another leader, and since when it is so."""
         self._spoke, self._damper = False, FlapDamper()
         self._stations = GcsPresence(self._agent, context.settings.mavlink.gcs_timeout)
         self._appeared = threading.Event()
@@ -72,17 +72,17 @@ class SwarmReporter(Reporter):
         self._view(fact, now)
         leads = fact.leader == self._agent
         if leads and self._appeared.is_set():
-            self._told_line, self._relayed = "", {}
+            self._sent_line, self._relayed = "", {}
         elif leads and not self._spoke:
             # What the last leader may have been lost with, untold, is told; the rest would be repeated aloud.
             untold_s = UNTOLD_HEARTBEATS * self._heartbeat_s()
-            self._relayed = {agent: told for agent, told in self._relayed.items() if now - told[1] > untold_s}
+            self._relayed = {agent: sent for agent, sent in self._relayed.items() if now - sent[1] > untold_s}
         self._appeared.clear()
         self._spoke = leads
         if leads:
             self._speak(fact, now)
         else:
-            self._told_line = ""
+            self._sent_line = ""
             self._relay(fact, now)
 
     def _hear(self, message: Any, link: str) -> None:
@@ -121,14 +121,14 @@ class SwarmReporter(Reporter):
         agreed = _consensus(fact)
         word = status_word.encode(worst_by_slot(self._context.states()))
         levels = digest.member_levels(agreed, word, fact.no_gcs)
-        self._tell(self._relay(fact, now), fact, now)
+        self._send_lines(self._relay(fact, now), fact, now)
         line = digest.digest_line(levels)
         refresh_s = self._context.settings.mavlink.refresh or default_periods(self._port.agents)[1]
         since_s = now - self._line_at
-        if since_s < CALM_S or (line == self._told_line and since_s < refresh_s):
+        if since_s < CALM_S or (line == self._sent_line and since_s < refresh_s):
             return
-        changed = line != self._told_line
-        self._told_line, self._line_at = line, now
+        changed = line != self._sent_line
+        self._sent_line, self._line_at = line, now
         self._port.send(
             _tunnel(tunnel.encode(digest.swarm_digest(agreed, levels))), MessagePriority.SWARM, key="digest"
         )
@@ -151,13 +151,13 @@ class SwarmReporter(Reporter):
             del self._relayed[agent]
         return lines
 
-    def _tell(self, lines: list[StatusTextLine], fact: SwarmFact, now: float) -> None:
+    def _send_lines(self, lines: list[StatusTextLine], fact: SwarmFact, now: float) -> None:
         """These lines, unless their agent comes and goes again and again; then its last one when that has ended."""
         deaf = {f"{RELAY}{agent}" for agent in fact.no_gcs}
-        told = [line for line in self._damper.calm(now) if line.key in deaf]
+        passed = [line for line in self._damper.settled(now) if line.key in deaf]
         for line in lines:
-            told += self._damper.through([line], now, digest.flapping_line(int(line.key.removeprefix(RELAY))))
-        for line in told:
+            passed += self._damper.filter([line], now, digest.flapping_line(int(line.key.removeprefix(RELAY))))
+        for line in passed:
             self._say(line.text, line.severity, line.key, line.kind)
 
     def _say(self, text: str, severity: Severity, key: str, kind: MessagePriority) -> None:
@@ -174,7 +174,7 @@ def _seen(state: str, heard: bool) -> PeerState:
 
 def _consensus(fact: SwarmFact) -> Consensus:
     statuses = {
-        agent: MemberStatus(MemberState(peer.state), peer.heard_by, peer.unheard_by, peer.gcs, peer.word)
+        agent: MemberStatus(MemberState(peer.state), peer.heard_by, peer.not_heard_by, peer.gcs, peer.word)
         for agent, peer in fact.peers.items()
     }
     return Consensus(fact.own, statuses, split=fact.split)

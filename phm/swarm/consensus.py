@@ -1,8 +1,8 @@
-"""What the swarm agrees on, from everybody's views: lost or only unheard by some, split, or without its ground. Pure.
+"""What the swarm agrees on, from everybody's views: lost or only partly reachable, split, or without its ground. Pure.
 
 Each agent computes it for itself from the same views, with no leader and no rounds: views are small, sent often, and
 old ones do not count. An observer is an agent that this one hears and whose view is young, and this one itself.
-An agent is *lost* when more observers have lost it than hear it, and *unheard by some* otherwise; who hears it and who
+An agent is *lost* when more observers have lost it than hear it, and *partly reachable* otherwise; who hears it and who
 does not is reported in both cases. No vote of others makes an agent lost that this one hears itself. In a split network each
 side sees the other as lost, which is what either can know; it says so as a split when several vanish together.
 """
@@ -25,7 +25,7 @@ class MemberState(str, Enum):
     """What the swarm agrees on about one agent."""
 
     ALIVE = "alive"
-    PARTLY = "unheard by some"
+    PARTLY = "partly reachable"
     LATE = "late"
     LOST = "lost"
     NEVER = "never seen"
@@ -35,13 +35,13 @@ class MemberState(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class MemberStatus:
-    """About one agent. `heard_by`, `unheard_by`: observers; where all agree, `heard_by` is all of them and may name the agent
+    """About one agent. `heard_by`, `not_heard_by`: observers; where all agree, `heard_by` is all of them and may name the agent
     itself. `gcs`: whether it hears a ground station, None unknown.
     """
 
     state: MemberState
     heard_by: tuple[int, ...] = ()
-    unheard_by: tuple[int, ...] = ()
+    not_heard_by: tuple[int, ...] = ()
     gcs: bool | None = None
     word: int = 0
 
@@ -115,13 +115,13 @@ def _unanimous(
 def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], peers: Peers, now: float) -> MemberStatus:
     peer = peers.peer(agent)
     assert peer is not None
-    heard, unheard = ([peers.own], []) if how in THERE else ([], [peers.own])
+    heard, not_hearing = ([peers.own], []) if how in THERE else ([], [peers.own])
     for observer, view in views.items():
         if observer == agent:
             continue
-        (heard if agent in view.there else unheard).append(observer)
+        (heard if agent in view.there else not_hearing).append(observer)
     own_word = views.get(agent)
-    words = (tuple(sorted(heard)), tuple(sorted(unheard)), own_word.gcs if own_word else None, peer.word)
+    words = (tuple(sorted(heard)), tuple(sorted(not_hearing)), own_word.gcs if own_word else None, peer.word)
     if peer.leaving and how is PeerState.LOST:
         return MemberStatus(MemberState.LEFT, *words)
     if not heard:
@@ -129,9 +129,9 @@ def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], peers: Pe
             view.peers.get(agent, PeerState.NEVER) is not PeerState.NEVER for view in views.values()
         )
         return MemberStatus(MemberState.LOST if ever else MemberState.NEVER, *words)
-    if len(unheard) > len(heard) and how is not PeerState.ALIVE:
+    if len(not_hearing) > len(heard) and how is not PeerState.ALIVE:
         return MemberStatus(MemberState.LOST, *words)
-    if unheard:
+    if not_hearing:
         return MemberStatus(MemberState.PARTLY, *words)
     return MemberStatus(MemberState.LATE if how is PeerState.LATE else MemberState.ALIVE, *words)
 

@@ -61,31 +61,31 @@ def worst_slot(word: int, *, no_gcs: bool = False) -> tuple[Level, Slot | None]:
 
 def member_levels(consensus: Consensus, own_word: int, no_gcs: Collection[int] = ()) -> dict[int, tuple[Level, str]]:
     """Each member's level with a word for why it is not OK, by agent id."""
-    told = {consensus.own: _of_word(own_word, no_gcs=consensus.own in no_gcs)}
+    levels = {consensus.own: _of_word(own_word, no_gcs=consensus.own in no_gcs)}
     for agent, status in consensus.statuses.items():
         if status.state is MemberState.LEFT:
             continue
         if status.state is MemberState.LOST:
-            told[agent] = (Level.ERROR, "lost")
+            levels[agent] = (Level.ERROR, "lost")
         elif status.state is MemberState.NEVER:
-            told[agent] = (Level.STALE, "unseen")
+            levels[agent] = (Level.STALE, "unseen")
         else:
-            told[agent] = _of_word(status.word, no_gcs=agent in no_gcs)
+            levels[agent] = _of_word(status.word, no_gcs=agent in no_gcs)
     for agent in no_gcs:
-        if told[agent][0] in (Level.OK, Level.STALE):
-            told[agent] = (Level.WARN, "no-GCS")
-    return dict(sorted(told.items()))
+        if levels[agent][0] in (Level.OK, Level.STALE):
+            levels[agent] = (Level.WARN, "no-GCS")
+    return dict(sorted(levels.items()))
 
 
-def digest_line(told: Mapping[int, tuple[Level, str]]) -> str:
+def digest_line(levels: Mapping[int, tuple[Level, str]]) -> str:
     """See the module."""
-    well = sum(level is Level.OK for level, _ in told.values())
+    well = sum(level is Level.OK for level, _ in levels.values())
     bad = sorted(
-        ((agent, level, why) for agent, (level, why) in told.items() if level is not Level.OK and why),
+        ((agent, level, why) for agent, (level, why) in levels.items() if level is not Level.OK and why),
         key=lambda entry: (-_GRAVITY[entry[1]], entry[2] != "lost", entry[0]),
     )
-    gravest = max((level for level, _ in told.values()), key=lambda level: _GRAVITY[level], default=Level.STALE)
-    text = f"SWARM {well}/{len(told)} {_WORD[gravest]}"
+    gravest = max((level for level, _ in levels.values()), key=lambda level: _GRAVITY[level], default=Level.STALE)
+    text = f"SWARM {well}/{len(levels)} {_WORD[gravest]}"
     for number, (agent, _, why) in enumerate(bad):
         piece = f" {agent_name(agent)}:{why}"
         left = len(bad) - number - 1
@@ -124,9 +124,9 @@ def relay_severity(word: int) -> Severity:
     return severity(level, slot) if level.bad and slot is not None else Severity.WARNING
 
 
-def swarm_digest(consensus: Consensus, told: Mapping[int, tuple[Level, str]]) -> SwarmDigest:
+def swarm_digest(consensus: Consensus, levels: Mapping[int, tuple[Level, str]]) -> SwarmDigest:
     return SwarmDigest(
-        consensus.members, min(len(consensus.living), consensus.members), {a: lv for a, (lv, _) in told.items()}
+        consensus.members, min(len(consensus.living), consensus.members), {a: lv for a, (lv, _) in levels.items()}
     )
 
 

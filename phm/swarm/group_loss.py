@@ -89,8 +89,8 @@ def most_significant_group(everybody: Sequence[SilentPeer]) -> SilentGroup | Non
             if last.heard_s - entry.stats.period_s - entry.stats.slack_s < entry.heard_s <= last.heard_s
         )
         if len(members) >= FEWEST:
-            told = sum(entry.stats.weight(entry.missed) for entry in members)
-            groups.append(SilentGroup(members, told - math.log(math.comb(len(everybody), len(members)))))
+            evidence = sum(entry.stats.weight(entry.missed) for entry in members)
+            groups.append(SilentGroup(members, evidence - math.log(math.comb(len(everybody), len(members)))))
     return max(groups, key=lambda group: group.weight, default=None)
 
 

@@ -59,7 +59,7 @@ class Peer:
     """It was heard steadily, and is silent for longer than ever."""
     frames: dict[str, int] = field(default_factory=dict)
     """Newest frame number by link."""
-    beats: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    recent_heartbeats: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     """Link, frame number and word of the last heartbeats."""
     late_s: Late = never_late
 
@@ -69,13 +69,13 @@ class Peer:
     def count(self, frame: int, word: int, link: str, now: float) -> None:
         """Notice a sequence that falls back: a restart, or two senders with one id."""
         last, beat = self.frames.get(link), (link, frame, word)
-        known = beat in self.beats
+        known = beat in self.recent_heartbeats
         if last is not None:
             back = (last - frame) % 256
             if back <= 128 and not (known and back <= REORDERED):
                 self.falls.append(now)
         if not known:
-            self.beats.append(beat)
+            self.recent_heartbeats.append(beat)
         if link in self.frames or len(self.frames) < MAX_LINKS:
             self.frames[link] = frame
 
@@ -152,7 +152,7 @@ class Peers:
         peer.lost_together = peer.lost_alone = False
         return before != (peer.state(now), word, leaving)
 
-    def told(self, agent: int, view: PeerView, now: float) -> bool:
+    def add_view(self, agent: int, view: PeerView, now: float) -> bool:
         """A view of another agent. True when it says something else than the one before."""
         if agent == self.own or self._is_unlisted(agent, now):
             return False
@@ -207,7 +207,7 @@ class Peers:
             return len(self._listed | {self.own})
         return 1 + sum(
             not peer.leaving
-            and len(peer.beats) >= STEADY
+            and len(peer.recent_heartbeats) >= STEADY
             and peer.heard_s is not None
             and now - peer.heard_s <= RECENT_S
             for peer in self._peers.values()

@@ -1,8 +1,8 @@
 """Wall-clock deadlines for calls over sockets: one thread shuts down the sockets of overdue calls.
 
-A socket's own timeout counts from byte to byte, so a peer that trickles one byte a second holds a
-reader for ever. Here a call registers the sockets it uses, and `shutdown` wakes the reader with an end
-of file. The call itself runs in the thread that made it: nothing is left behind when it is cut.
+The timeout of a socket counts from byte to byte, so a peer that sends one byte a second blocks a
+reader forever. Here a call registers the sockets it uses, and `shutdown` wakes the reader with an end
+of file. The call itself runs in the calling thread, so nothing is left behind when it is interrupted.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from phm.core import threads
 from phm.core.clock import Clock
 
 _MAX_STALE = 256
-"""Finished calls that may wait in the heap for their time before it is swept."""
+"""Finished calls that may stay in the heap before it is cleaned."""
 
 
 def shut_down(sock: socket.socket) -> None:
-    """Wake whoever reads or writes `sock`; harmless when it is closed or not connected."""
+    """Wake the thread that reads or writes `sock`; harmless when it is closed or not connected."""
     with contextlib.suppress(OSError, ValueError):
         sock.shutdown(socket.SHUT_RDWR)
 
@@ -30,7 +30,7 @@ def shut_down(sock: socket.socket) -> None:
 class PendingCall:
     """One call to the outside and the sockets that it uses.
 
-    Invariant: a socket is cut only between `attach` and `finish`, so one that a later call uses is safe.
+    Invariant: a socket is shut down only between `attach` and `finish`, so one that a later call uses is safe.
     """
 
     def __init__(self, began: float, limit_s: float) -> None:
@@ -61,7 +61,7 @@ class PendingCall:
                 shut_down(sock)
 
     def finish(self) -> tuple[socket.socket, ...]:
-        """No longer watch; the sockets, for whoever goes on using them."""
+        """End the deadline; the sockets, which the caller may go on using."""
         with self._lock:
             self._done = True
             sockets, self._sockets = tuple(self._sockets), []
@@ -69,7 +69,7 @@ class PendingCall:
 
 
 class CallDeadlines:
-    """Expires calls when they are due. The thread starts with the first call and ends with `close`."""
+    """Interrupts calls at their deadline. The thread starts with the first call and ends with `close`."""
 
     def __init__(self, clock: Clock, name: str) -> None:
         self._clock, self._name = clock, name
@@ -82,8 +82,8 @@ class CallDeadlines:
 
     @contextlib.contextmanager
     def watch(self, limit_s: float) -> Iterator[PendingCall]:
-        """A call that is expired `limit_s` seconds from now unless it is left before. Time in which PHM does not run is added:
-        the answer may have come meanwhile."""
+        """A call that expires `limit_s` seconds from now. Time in which PHM does not run is added: the answer may have arrived
+        meanwhile."""
         call = PendingCall(self._clock.mono(), limit_s)
         self._add(call)
         try:
@@ -92,7 +92,7 @@ class CallDeadlines:
             call.finish()
 
     def close(self) -> None:
-        """Expire what is under way and end the thread."""
+        """Expire all running calls and end the thread."""
         with self._lock:
             self._closed = True
             calls = [call for _, _, call in self._heap]

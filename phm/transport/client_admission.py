@@ -1,8 +1,8 @@
-"""Which peers a listening endpoint keeps when more come than it has room for. Pure; the caller brings time.
+"""Which peers a listening endpoint keeps when there are too many. Pure; the caller brings time.
 
-Any host on the network can come with many source ports or open many connections, so one address has half of the places at
-most, a peer that is idle makes room for a new one, and so does one of the address that has most. The only peer of its address
-is displaced by none that does not sign while it sends. With signing on some places are kept for peers that sign.
+Any host on the network can use many source ports or open many connections. So one address has at most half of the places.
+An idle peer makes room for a new one, and so does a peer of the address that has the most. An active peer that is the only one
+of its address is replaced only by one that signs. With signing on, some places are reserved for peers that sign.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ PER_ADDRESS = 8
 RESERVED = 4
 """Places for peers that sign, where signing is on."""
 IDLE_S = 3.0
-"""A peer that was silent for so long may have to make room. Ground stations and autopilots send a HEARTBEAT a second."""
+"""After this silence a peer may be replaced. Ground stations and autopilots send a HEARTBEAT each second."""
 PROVE_S = 5.0
-"""A connection in a reserved place has so long to send something signed."""
+"""Time within which a connection in a reserved place must send a signed frame."""
 
 
 @dataclass(slots=True)
@@ -54,7 +54,7 @@ class ClientAdmission:
         return list(self._peers)
 
     def admit(self, key: Any, host: str, now: float, *, signed: bool = False) -> list[Any] | None:
-        """Who has to go so that this new peer may stay; None: it may not. host: its IP address."""
+        """The peers to disconnect so that this new one is admitted; None: it is refused. host: its IP address."""
         address = _address(host)
         going = self._victims(address, now, signed)
         if going is None:
@@ -65,7 +65,7 @@ class ClientAdmission:
         return going
 
     def heard(self, key: Any, now: float, *, signed: bool) -> None:
-        """It has sent something; whether that was signed."""
+        """A peer sent something. signed: with a valid signature."""
         peer = self._peers[key]
         peer.heard, peer.signed = now, peer.signed or signed
 
@@ -73,11 +73,11 @@ class ClientAdmission:
         self._peers.pop(key, None)
 
     def expire(self, now: float, silent_s: float) -> None:
-        """Forget who was silent for so long."""
+        """Forget peers that were silent for `silent_s`."""
         self._peers = {key: peer for key, peer in self._peers.items() if now - peer.heard <= silent_s}
 
     def unproven(self, now: float) -> list[Any]:
-        """Who has been in a reserved place for too long without signing."""
+        """Peers that used a reserved place for too long without signing."""
         return [key for key in self._trial() if now - self._peers[key].since > PROVE_S]
 
     def _victims(self, address: str, now: float, signed: bool) -> list[Any] | None:

@@ -33,6 +33,6 @@ class _Radio(mavlink.MAVLink_radio_status_message):  # type: ignore[misc]  # pym
 
 mavlink.mavlink_map[RADIO] = _Radio
 SAME = {RADIO: mavlink.MAVLINK_MSG_ID_RADIO_STATUS}
-"""Numbers on the wire that stand for others."""
+"""Message ids on the wire that mean other ids."""
 
 __all__ = ["SAME", "mavlink"]

@@ -1,7 +1,7 @@
-"""The Docker Engine, asked and told through docker-py, with a wall-clock deadline on every call.
+"""Calls to the Docker Engine through docker-py, with a wall-clock deadline for each.
 
-Both the probes and the recovery actions use one `DockerEngine`. What may be asked and told is here; how a call is made, cut
-and explained is in `phm.transport.docker_session`.
+The probes and the recovery actions use one `DockerEngine`. The calls are here; deadlines, clients and errors are in
+`phm.transport.docker_session`.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class DockerEngine(DockerSession):
     ) -> int:
         """Hand the content of a regular file to `sink` piece by piece; its size in bytes.
 
-        Raises CannotTell when the path is no regular file (a link is not followed) or exceeds `limit`.
+        Raises CannotTell when the path is not a regular file (a link is not followed) or exceeds `limit`.
         """
         return self._fetch(container, path, sink, limit, deadline_s).size
 

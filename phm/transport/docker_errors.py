@@ -1,4 +1,4 @@
-"""What can go wrong when the Docker Engine is asked, as few kinds, each with a sentence for the operator."""
+"""Errors of calls to the Docker Engine, each with a sentence for the operator."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class EngineTimeout(EngineError):
 
 
 class EngineUnreachable(EngineError):
-    """No connection: no socket, no permission, nobody listens, or the connection broke."""
+    """No connection: no socket, no permission, no listener, or the connection was lost."""
 
 
 class EngineNotConnected(EngineUnreachable):
-    """No connection could be made: the engine has not got the request."""
+    """The connection failed: the engine has not received the request."""
 
 
 class EngineRefused(EngineError, NotPermitted):
@@ -46,7 +46,7 @@ class EngineMissing(EngineError):
 
 
 class EngineBroken(EngineError):
-    """HTTP 5xx and other refusals, or an answer that makes no sense."""
+    """HTTP 5xx and other errors, or an invalid answer."""
 
 
 _BY_STATUS: dict[int, type[EngineError]] = {
@@ -72,14 +72,14 @@ def translate(error: BaseException, call: PendingCall, url: str, limit_s: float,
         return _late(url, limit_s, what)
     if isinstance(error, _BROKE):
         if "BadStatusLine" in repr(error) or "LineTooLong" in repr(error):
-            return EngineBroken(f"{url} does not speak the Docker Engine's language: asked for {what}: {_short(error)}")
-        return EngineUnreachable(f"the connection to the Docker Engine at {url} broke ({what}): {_short(error)}")
-    return EngineBroken(f"the Docker Engine at {url} answered nonsense ({what}): {_short(error)}")
+            return EngineBroken(f"{url} does not answer like a Docker Engine ({what}): {_short(error)}")
+        return EngineUnreachable(f"the connection to the Docker Engine at {url} was lost ({what}): {_short(error)}")
+    return EngineBroken(f"the Docker Engine at {url} sent an invalid answer ({what}): {_short(error)}")
 
 
 def _late(url: str, limit_s: float, what: str) -> EngineTimeout:
     return EngineTimeout(
-        f"the Docker Engine at {url} did not answer within {limit_s:.1f} s ({what}): it hangs or is overloaded; "
+        f"the Docker Engine at {url} did not answer within {limit_s:.1f} s ({what}): it is unresponsive or overloaded; "
         "see `journalctl -u docker`"
     )
 

@@ -75,7 +75,7 @@ class _Socket(socket.socket):
         return super().recv_into(buffer, nbytes, flags)
 
     def unread(self) -> bool:
-        """Whether something was received that nobody has read, or the other end has closed."""
+        """Whether received data has not been read yet, or the other end has closed."""
         poll = select.poll()
         try:
             poll.register(self, select.POLLIN)

@@ -1,7 +1,7 @@
 """Calls to the Docker Engine through docker-py: a client for each thread, the API's version, deadlines and errors.
 
-Calls run in the thread that makes them; a call that is overdue is cut by the watchdog (see `phm.transport.call_deadlines`),
-even when the engine keeps sending a byte now and then, which docker-py's own timeout never notices.
+Calls run in the calling thread. An overdue call is interrupted (`phm.transport.call_deadlines`), even when the engine sends a
+byte from time to time, which docker-py's own timeout does not notice.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ T = TypeVar("T")
 Answer = dict[str, Any]
 
 API_WANTED = (1, 44)
-"""Newest API that this module was written against; an older engine is spoken to in its own."""
+"""The newest API that this module uses; an older engine is called with its own."""
 API_FALLBACK = "1.41"
 """Where a socket proxy hides /version: Docker 20.10 and later understand this."""
 FAILURES = (
@@ -49,7 +49,7 @@ FAILURES = (
 
 
 class DockerSession:
-    """How one engine is spoken to; `phm.transport.docker.DockerEngine` says what is. Thread-safe; nothing is opened here.
+    """The connection to one engine; `phm.transport.docker.DockerEngine` has the calls. Thread-safe; nothing is opened here.
 
     url: ``unix:///path`` or ``tcp://host:port``. timeout_s: the deadline of a call that names none.
     """
@@ -57,12 +57,12 @@ class DockerSession:
     def __init__(self, url: str, timeout_s: float = 5.0, clock: Clock | None = None) -> None:
         self.url, self.timeout_s = url, timeout_s
         self._clock = clock or SystemClock()
-        self._watchdog = CallDeadlines(self._clock, "phm-docker-deadlines")
+        self._deadlines = CallDeadlines(self._clock, "phm-docker-deadlines")
         self._local = threading.local()  # docker-py's client is not thread-safe
         self._resolver = resolver_for(url)
         self._api = ""
         self.on_change: Callable[[], None] = lambda: None
-        """Called after each call that was to change something, whatever came of it: what was read before is old."""
+        """Called after each call that may have changed something, also after a failed one: earlier readings are outdated."""
 
     def call(self, fn: Callable[[APIClient], T], *, deadline_s: float | None = None, what: str = "answer") -> T:
         """Run `fn` on this thread's docker-py client, to be over after `deadline_s` (default: the time-out)."""
@@ -70,27 +70,27 @@ class DockerSession:
             return fn(client)
 
     def close(self) -> None:
-        """Cut the calls that are under way; every later call fails at once."""
-        self._watchdog.close()
+        """Interrupt running calls; every later call fails immediately."""
+        self._deadlines.close()
 
     @contextlib.contextmanager
     def calling(self, what: str, deadline_s: float | None) -> Iterator[tuple[APIClient, PendingCall]]:
         """This thread's client for one call, under a deadline in seconds. Whatever goes wrong inside leaves it as EngineError."""
         limit_s = self.timeout_s if deadline_s is None else deadline_s
-        with self._watchdog.watch(limit_s) as call, using(call):
+        with self._deadlines.watch(limit_s) as call, using(call):
             try:
                 if call.expired:
                     raise EngineNotConnected("PHM is closing its connection to the Docker Engine")
                 yield self._client(limit_s), call
             except CannotTell as error:
-                # Our own reading may stumble over the end of file that the watchdog caused.
+                # Reading may fail at the end of file that the deadline caused.
                 raise translate(error, call, self.url, limit_s, what) if call.expired else error from error.__cause__
             except FAILURES as error:
-                told = translate(error, call, self.url, limit_s, what)
-                if isinstance(told, EngineUnreachable):
+                translated = translate(error, call, self.url, limit_s, what)
+                if isinstance(translated, EngineUnreachable):
                     self._api = ""  # what comes back may be another version
-                raise told from error
-            # An answer without a length that was cut looks complete.
+                raise translated from error
+            # An interrupted answer without a length looks complete.
             if call.expired:
                 raise translate(TimeoutError(), call, self.url, limit_s, what)
 
@@ -106,13 +106,13 @@ class DockerSession:
         client = client_for(self.url, API_FALLBACK, self._resolver)
         client.timeout = limit_s  # type: ignore[assignment]
         try:
-            told = mapping(client.version(api_version=False))
+            answer = mapping(client.version(api_version=False))
         except DockerException as error:
             if getattr(error, "status_code", None) not in (401, 403, 404):
                 raise
             self._api = API_FALLBACK
         else:
-            newest, oldest = _numbers(told["ApiVersion"]), _numbers(told.get("MinAPIVersion") or "1.24")
+            newest, oldest = _numbers(answer["ApiVersion"]), _numbers(answer.get("MinAPIVersion") or "1.24")
             self._api = "{}.{}".format(*max(min(newest, API_WANTED), oldest))
         return self._api
 

@@ -49,7 +49,7 @@ def unpack(response: Response, sink: Callable[[bytes], object], what: str, limit
         member: tarfile.TarInfo | None = archive.next()
         content = archive.extractfile(member) if member is not None and member.isreg() else None
         if member is None or content is None:
-            raise CannotTell(f"{what} is no regular file")
+            raise CannotTell(f"{what} is not a regular file")
         if member.size > limit:
             raise CannotTell(f"{what} has {member.size} bytes, more than the {limit} that PHM reads")
         size = 0

@@ -1,7 +1,7 @@
-"""The MAVLink endpoints that PHM's reporter writes to and its link probe listens to.
+"""The MAVLink endpoints that PHM's reporters write to and its link probe listens to.
 
-Each endpoint has a thread, a codec and an outbox of its own: one that hangs, or whose name cannot be
-found, keeps nobody waiting.
+Each endpoint has its own thread, codec and send queue: one that hangs, or whose host name cannot be resolved,
+delays no other.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CLOSE_LIMIT_S = 1.0
 
 
 class MavlinkHub:
-    """All endpoints of one agent. Making it opens nothing; `start` does."""
+    """All endpoints of one agent. `start` opens them."""
 
     def __init__(
         self,
@@ -66,15 +66,15 @@ class MavlinkHub:
         return self._signing is not None
 
     def remember(self) -> None:
-        """Keep what was heard, so that a signed frame is not believed again after a restart of PHM. Waits for the disk. Raises
-        OSError with a sentence when it is not kept."""
+        """Save the newest signing times, so that a signed frame is not accepted again after a restart of PHM. Waits for the disk.
+        Raises OSError with a sentence when they cannot be saved."""
         if self._signing is not None and (problem := self._signing.save()):
             raise OSError(problem)
 
     def clock_problem(self) -> str:
-        """Why it is not known how old signed frames are, else empty. A clock that is behind what was signed is either wrong, and
-        then frames that were recorded since look new; or it is right, and another one is ahead: only a clock that is known
-        to be synchronized distinguishes the two."""
+        """Why the age of signed frames is unknown, else empty. A clock that is behind the newest signature is either wrong, and
+        then recorded frames look new; or it is right, and the sender's is ahead. Only a clock that is known to be
+        synchronized distinguishes the two."""
         ahead_s = self._signing.ahead_s() if self._signing is not None else 0.0
         if ahead_s <= self._command_age_s or self._synchronized():
             return ""
@@ -94,7 +94,7 @@ class MavlinkHub:
             endpoint.start()
 
     def close(self) -> None:
-        """Send what is queued, for at most a third of a second, and close all endpoints together."""
+        """Send queued messages for at most a third of a second, and close all endpoints."""
         for endpoint in self._endpoints:
             endpoint.stop()
         for endpoint in self._endpoints:
@@ -111,8 +111,8 @@ class MavlinkHub:
         urgency: int = 0,
         link: str = "",
     ) -> None:
-        """Queue one unpacked message for every endpoint, or for the one named `link`; never blocks. What leads to other agents
-        alone gets without its name only HEARTBEATs: they read nothing else that is for all.
+        """Queue one unpacked message for every endpoint, or for the one named `link`; never blocks. An endpoint that leads only
+        to other agents gets just HEARTBEATs unless it is named: agents read no other broadcast.
 
         kind, urgency: what leaves first where the link's budget makes others wait. key: a newer message with the same
         key replaces this one while it waits. HEARTBEATs leave at once. The caller must not change the message after.
@@ -128,7 +128,7 @@ class MavlinkHub:
         return self._agents
 
     def set_agent_count(self, agents: int, *, leads: bool = False) -> None:
-        """So many agents share the links, this one included; whether it speaks for them."""
+        """Set how many agents share the links, this one included. leads: this agent is the leader of the swarm."""
         self._agents = max(1, agents)
         for endpoint in self._endpoints:
             endpoint.set_agent_count(self._agents, leads=leads)
@@ -146,11 +146,11 @@ class MavlinkHub:
         self._watchers = (*self._watchers, callback)
 
     def subscribers(self) -> tuple[object, ...]:
-        """Who listens or watches now; for `forget`."""
+        """Listeners and watchers registered now; for `forget`."""
         return (*self._listeners, *self._watchers)
 
     def forget(self, those: Iterable[object]) -> None:
-        """These listeners and watchers belong to parts that have been replaced."""
+        """Remove these listeners and watchers."""
         gone = tuple(those)
         self._listeners = tuple(entry for entry in self._listeners if entry not in gone)
         self._watchers = tuple(entry for entry in self._watchers if entry not in gone)
@@ -160,19 +160,19 @@ class MavlinkHub:
         return tuple(fact for endpoint in self._endpoints if (fact := endpoint.fact()) is not None)
 
     def read_at(self, link: str) -> float | None:
-        """Until when what came by this endpoint has been read, in seconds of the clock; None: it is not open."""
+        """The time up to which received data of this endpoint has been read (monotonic seconds); None: it is not open."""
         return next((endpoint.read_at() for endpoint in self._endpoints if endpoint.name == link), None)
 
     def traffic(self) -> dict[str, Traffic]:
-        """What went over each endpoint since the start."""
+        """Traffic of each endpoint since the start."""
         return {endpoint.name: endpoint.traffic() for endpoint in self._endpoints}
 
     def reopen(self, link: str, timeout_s: float) -> bool:
-        """Close the endpoint of this name and open it anew; whether it was open again in time. Blocks for so long at most."""
+        """Close and reopen the endpoint of this name; whether it was open again within `timeout_s`. Blocks for so long at most."""
         return any(endpoint.reopen(timeout_s) for endpoint in self._endpoints if endpoint.name == link)
 
     def retry_now(self, container: str) -> None:
-        """The container at the other end of some endpoints has been started: those that are closed are tried at once."""
+        """A container started: try its closed endpoints immediately."""
         for endpoint in self._endpoints:
             if endpoint.container == container:
                 endpoint.retry_now()
@@ -204,7 +204,7 @@ class MavlinkHub:
         return found
 
     def echo(self, frame: bytes) -> bool:
-        """Whether one of the endpoints sent this very frame lately, so that it comes back from a router."""
+        """Whether an endpoint sent this exact frame recently, so that it is an echo from a router."""
         return any(endpoint.codec.sent(frame) for endpoint in self._endpoints)
 
     # ------------------------------------------------------------ from the endpoints' threads

@@ -1,7 +1,7 @@
-"""The ways MAVLink bytes travel: TCP and serial here, UDP in `phm.transport.mavlink_udp`; none of them ever blocks.
+"""Non-blocking channels for MAVLink: TCP and serial here, UDP in `phm.transport.mavlink_udp`.
 
-A channel belongs to the thread of its endpoint. It says which descriptors to poll, gives the messages
-that came in, and takes whole frames. OSError from any of its methods means: it is lost, open it anew.
+A channel belongs to the thread of its endpoint. It names the descriptors to poll, returns received messages,
+and takes complete frames. OSError from any of its methods means that the channel is lost and must be reopened.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from phm.transport.serial_errors import SerialErrorCount
 READ_BYTES = 16384
 SEND_BUFFER_BYTES = 16384
 CLIENT_BACKLOG_BYTES = 16384
-"""A TCP client that is this far behind loses frames, and nobody else does."""
+"""A TCP client with a longer backlog loses frames; other clients do not."""
 _POLL_LOST = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
@@ -41,15 +41,15 @@ class Channel(ABC):
     @property
     @abstractmethod
     def ready(self) -> bool:
-        """Whether another frame is taken now. Where nobody listens, frames are taken and go nowhere: whoever
-        comes later is told the full state, not what was."""
+        """Whether another frame is taken now. Without a listener, frames are taken and discarded: a ground station
+        that connects later gets the full state."""
 
     @abstractmethod
     def write(self, frame: bytes) -> int:
-        """Take a frame while `ready`; to how many it went."""
+        """Send a frame while `ready`; to how many peers."""
 
     def line(self) -> SerialErrorCount | None:
-        """Errors on the line, where there is one whose driver counts them."""
+        """Errors of the serial line; None where the driver does not count them."""
         return None
 
     @abstractmethod

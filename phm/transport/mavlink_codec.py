@@ -24,7 +24,7 @@ _SIGNED = 0x01
 _RECENT_FRAMES = 256
 
 Wanted = Callable[[int], bool]
-"""Whether anybody listens to messages of this id."""
+"""Whether a listener wants messages of this id."""
 
 
 @dataclass(slots=True)
@@ -77,7 +77,7 @@ class Codec:
         return len(copy.copy(message).pack(self._scale)) + (SIGNATURE_BYTES if self._signer is not None else 0)
 
     def sent(self, frame: bytes) -> bool:
-        """Whether this very frame was sent here lately: then hearing it is an echo."""
+        """Whether this exact frame was sent here recently: then receiving it is an echo."""
         with self._lock:
             return self._recent.get(frame) is not None
 
@@ -90,7 +90,7 @@ class Codec:
 
 
 class Parser:
-    """Finds frames in one stream of bytes. Nothing that comes in raises; at most one frame is kept waiting."""
+    """Finds frames in one stream of bytes. No input raises; at most one incomplete frame is kept."""
 
     def __init__(
         self, mav: Any, wanted: Wanted, counters: LinkCounters, senders: SenderTable, signer: Signer | None = None
@@ -110,7 +110,7 @@ class Parser:
         return messages
 
     def feed(self, data: bytes, *, verify: bool = False) -> list[Any]:
-        """Messages somebody wants. Others are skipped by their length, unless `verify` asks for their checksum."""
+        """Messages that a listener wants. Others are skipped by their length, unless `verify` asks for their checksum."""
         self._buffer += data
         self._counters.bytes_in += len(data)
         messages, at, garbage = [], 0, False
@@ -152,12 +152,12 @@ class Parser:
         return self._buffer[at + 1] + 12 + (SIGNATURE_BYTES if flags & _SIGNED else 0)
 
     def _judge(self, at: int, length: int, verify: bool) -> tuple[bool, Any]:
-        """Whether these bytes are a frame, and its message when somebody wants it."""
+        """Whether these bytes are a frame, and its message when a listener wants it."""
         frame = self._buffer[at : at + length]
         number = frame[5] if frame[0] == V1 else int.from_bytes(frame[7:10], "little")
         known, wanted = number in mavlink.mavlink_map, self._wanted(SAME.get(number, number))
         if not known or not (verify or wanted):
-            # No checksum without the message's definition; a frame is believed when another one follows it.
+            # No checksum without the message's definition; a frame is accepted when another one follows it.
             end = at + length
             return end == len(self._buffer) or self._buffer[end] in _MARKERS, None
         try:

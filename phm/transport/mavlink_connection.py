@@ -22,11 +22,11 @@ from phm.transport.serial_errors import SerialErrorCount, keep_dtr, read_counts
 CONNECT_LIMIT_S = 5.0
 RESOLVE_LIMIT_S = 5.0
 _SLICE_S = 0.1
-"""How soon an opening notices that it is to end."""
+"""How soon an opening is cancelled."""
 
 
 class ChannelOpener:
-    """Opens one endpoint again and again. `open` is called in the endpoint's own thread, and given up when `enough` is set."""
+    """Opens the channel of one endpoint. `open` runs in the endpoint's thread, and returns early when `enough` is set."""
 
     def __init__(self, settings: EndpointSettings, codec: Codec, clock: Clock, enough: threading.Event) -> None:
         self._settings, self._codec, self._clock, self._enough = settings, codec, clock, enough
@@ -42,8 +42,8 @@ class ChannelOpener:
             self._resolver = Resolver(host, int(port), kind, passive=self._scheme.endswith("in"))
 
     def moved(self) -> bool:
-        """Whether the peer's name now stands for another address (its container was started again), or the way there begins
-        at another address of this machine (another interface has taken over).
+        """Whether the peer's name now has another address (its container was restarted), or the route there begins at another
+        address of this machine (another interface is in use).
 
         Looks the name up in the background; what it says is what earlier look-ups found. For `udpout` only:
         TCP notices by itself.
@@ -91,7 +91,7 @@ class ChannelOpener:
         return StreamChannel(sock, sock.fileno(), self._codec)
 
     def _connected(self, sock: socket.socket) -> int:
-        """The error number with which a connection in progress ended, 0 when it stands."""
+        """The error number of a connection in progress, 0 when it is established."""
         poller = select.poll()
         poller.register(sock, select.POLLOUT)
         end = self._clock.mono() + CONNECT_LIMIT_S
@@ -161,7 +161,7 @@ class ChannelOpener:
 def _closed_on_failure(sock: socket.socket) -> Iterator[None]:
     try:
         yield
-    except BaseException:  # goes on to whoever asked; here only the socket must not be left open
+    except BaseException:  # raised again; only the socket must not be left open
         sock.close()
         raise
 

@@ -29,7 +29,7 @@ RADIO_STATUS = 109
 BACKOFF_S = 0.1
 BACKOFF_MAX_S = 5.0
 STEADY_S = 5.0
-"""An endpoint that was open for this long begins its back-off anew."""
+"""An endpoint that was open for this long starts its back-off again."""
 SILENT_S = 10.0
 """A named peer that was not heard for so long is looked up again."""
 IDLE_S = 0.5
@@ -77,7 +77,7 @@ class Endpoint:
         self._ring()
 
     def set_agent_count(self, agents: int, *, leads: bool) -> None:
-        """So many agents use the link that this endpoint leads to, and whether this one speaks for them."""
+        """Set how many agents share the link, and whether this one is the leader of the swarm."""
         self._queue.set_agent_count(agents, leads=leads)
 
     def budget(self) -> tuple[dict[MessagePriority, MessageCount], float]:
@@ -99,7 +99,7 @@ class Endpoint:
         )
 
     def reopen(self, timeout_s: float) -> bool:
-        """Have the thread close what is open and open it anew; whether it was open again within `timeout_s`."""
+        """Have the thread close and reopen the channel; whether it was open again within `timeout_s`."""
         before, end = self._opened, self._clock.mono() + timeout_s
         self._again.set()
         self._ring()
@@ -108,7 +108,7 @@ class Endpoint:
         return self._opened != before
 
     def retry_now(self) -> None:
-        """What is at the other end has been started: try at once, and soon again. Nothing happens while it is open."""
+        """The container at the other end started: try immediately, and soon again. Does nothing while the endpoint is open."""
         if self._fact is None or not self._fact.open:
             self._soon.set()
 
@@ -132,10 +132,10 @@ class Endpoint:
                 was_open, opened = True, self._clock.mono()
                 self._live(channel)
             except OSError as error:
-                self._tell(is_open=False, error=error.strerror or str(error), code=error.errno or 0)
-            except Exception as error:  # a defect of ours must not end this link for ever
+                self._set_state(is_open=False, error=error.strerror or str(error), code=error.errno or 0)
+            except Exception as error:  # a defect must not end this link forever
                 logger.exception("MAVLink endpoint %s failed unexpectedly", self.name)
-                self._tell(is_open=False, error=f"{type(error).__name__}: {error}")
+                self._set_state(is_open=False, error=f"{type(error).__name__}: {error}")
             if was_open and self._clock.mono() - opened >= STEADY_S:
                 backoff.reset()
             if self._clock.wait(self._soon, backoff.next_s()) and not self._stopping.is_set():
@@ -143,10 +143,10 @@ class Endpoint:
                 backoff.reset()
 
     def _live(self, channel: Channel) -> None:
-        """Serve an open channel until PHM stops or wants it opened anew. Raises OSError when it is lost."""
+        """Serve an open channel until PHM stops or wants it reopened. Raises OSError when it is lost."""
         try:
             if channel.proven or self._fact is None:
-                self._tell(is_open=True)
+                self._set_state(is_open=True)
             self._heard = self._clock.mono()
             self._queue.expire()
             self._again.clear()
@@ -182,7 +182,7 @@ class Endpoint:
                 continue
             for message in channel.serve(fd, events):
                 self._heard = self._clock.mono()
-                self._tell(is_open=True)
+                self._set_state(is_open=True)
                 if message.get_msgId() == RADIO_STATUS:
                     if not self._radio:
                         continue  # there is no radio that could have sent it
@@ -198,7 +198,7 @@ class Endpoint:
         while channel.ready and (item := self._queue.take()) is not None:
             try:
                 frame = self.codec.pack(item.message)
-            except Exception:  # a message that cannot be packed is our defect; the link is well
+            except Exception:  # a message that cannot be packed is a defect of PHM; the link is OK
                 self.codec.counters.dropped += 1
                 logger.exception("a MAVLink message could not be packed")
                 continue
@@ -210,9 +210,9 @@ class Endpoint:
             if taken:
                 self.codec.counters.sent += 1
                 self.codec.counters.bytes_out += len(frame)
-                self._tell(is_open=True)
+                self._set_state(is_open=True)
 
-    def _tell(self, *, is_open: bool, error: str = "", code: int = 0) -> None:
+    def _set_state(self, *, is_open: bool, error: str = "", code: int = 0) -> None:
         old = self._fact
         failed = 0 if is_open or (old is not None and old.open) else 1 + (old.failed if old is not None else 0)
         self._fact = LinkFact(self.name, is_open, error, code, failed=failed)

@@ -1,12 +1,12 @@
-"""MAVLink 2 signing: one key for all endpoints, a time that never goes back, and the newest time heard of each sender.
+"""MAVLink 2 signing: one key for all endpoints, a time that never goes back, and the newest time of each sender.
 
-pymavlink signs what goes out. What comes in is checked here, because pymavlink takes over the time of a frame before it has
-compared the hash: one forged frame from the year 2100 would shut the true sender out. Here the hash comes first, and
-a frame that does not match it changes nothing.
+pymavlink signs outgoing frames. Incoming frames are checked here, because pymavlink takes over the time of a frame before it
+compares the hash: one forged frame from the year 2100 would lock out the real sender. Here the hash is compared first, and a
+frame that does not match changes nothing.
 
-A frame whose time is ahead of ours is believed, as the standard wants, and our time follows: a companion without a clock of its
-own starts in the past, and would otherwise refuse its operator. Such a frame is signed with the key, but it may have been recorded
-long ago; so commands that change something wait until the clock is set (`MavlinkHub.clock_problem`).
+A frame whose time is ahead of ours is accepted, as the standard requires, and our time follows: a companion without a
+battery-backed clock starts in the past, and would otherwise refuse its operator. Such a frame is signed with the key, but it may
+have been recorded long ago; so commands that change something wait until the clock is set (`MavlinkHub.clock_problem`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ EPOCH_S = 1_420_070_400
 TICKS = 100_000
 """A second: the unit is 10 microseconds."""
 LATE_S = 60.0
-"""A sender not heard before may be this far behind us."""
+"""A new sender may be this far behind us."""
 LAST = 2**48 - 10 * 365 * 86400 * TICKS
 """Times beyond, about the year 2094, are refused: our own, which follows, must never come to the end of its 48 bits."""
 MAX_STREAMS = 1024
@@ -41,7 +41,7 @@ KEPT_STREAMS = 256
 SAVE_S = 30.0
 NAME = "mavlink_signing.json"
 MAX_FILE_BYTES = 65_536
-FORGED_TOLD_S = 60.0
+FORGED_SHOWN_S = 60.0
 
 
 class InvalidKey(Exception):
@@ -49,12 +49,12 @@ class InvalidKey(Exception):
 
 
 class SignatureResult(Enum):
-    """What the signature of a frame is worth."""
+    """Result of checking the signature of a frame."""
 
     NONE = "none"
     GOOD = "good"
     OLD = "old"
-    """Rightly signed, and not newer than what was heard: a copy, or replayed."""
+    """Valid, but not newer than the last frame: a copy, or replayed."""
     FORGED = "forged"
 
 
@@ -64,7 +64,7 @@ def read_key(path: str) -> bytes:
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as stream:
             about = os.fstat(stream.fileno())
             if not stat.S_ISREG(about.st_mode):
-                raise InvalidKey(f"mavlink.signing.key: {path} is no file")
+                raise InvalidKey(f"mavlink.signing.key: {path} is not a regular file")
             if about.st_mode & 0o077:
                 raise InvalidKey(
                     f"mavlink.signing.key: {path} can be read by others than its owner (mode "
@@ -83,7 +83,7 @@ def read_key(path: str) -> bytes:
 
 
 class Signing:
-    """Shared by all endpoints, so that what was heard by one is not believed again by another. Thread-safe.
+    """Shared by all endpoints, so that a frame accepted by one is not accepted again by another. Thread-safe.
 
     Invariant: a time given out is never given out again, also not after PHM was killed, unless the clock was set back meanwhile:
     what is saved is at most SAVE_S behind, and where the clock has not gone on, a new start begins so much later.
@@ -136,7 +136,7 @@ class Signing:
             self._streams[stream] = time
             self._time = max(self._time, time)
             if len(self._streams) > MAX_STREAMS:
-                # The oldest: what it said is mostly too late to be believed of a new sender, too.
+                # The oldest: its frames would mostly be too old for a new sender, too.
                 del self._streams[min(self._streams, key=self._streams.__getitem__)]
         return SignatureResult.GOOD
 
@@ -152,7 +152,7 @@ class Signing:
 
     def problem(self) -> str:
         """A sentence when something is wrong now, else empty."""
-        if self._clock.mono() - self._forged_at <= FORGED_TOLD_S:
+        if self._clock.mono() - self._forged_at <= FORGED_SHOWN_S:
             return "MAVLink frames with a wrong signature are heard: somebody has another key, or tries to forge"
         return self._problem
 
@@ -237,7 +237,7 @@ class Signer:
         if number in COMMANDS and seal is SignatureResult.NONE:
             return True  # refused later, with an answer; a copy gets none, the first has had it
         if self._unsigned(number):
-            return True  # whoever replays it could also send it unsigned
+            return True  # the sender of a replay could also send it unsigned
         self.refused["old" if seal is SignatureResult.OLD else "unsigned"] += 1
         return False
 
@@ -264,13 +264,13 @@ def _time_of(frame: bytes | bytearray) -> int:
 
 def _ticks(value: object) -> int:
     if type(value) is not int or not 0 <= value <= LAST:
-        raise ValueError("a time is no time")
+        raise ValueError("a time is invalid")
     return value
 
 
 def _byte(value: object) -> int:
     if type(value) is not int or not 0 <= value <= 255:
-        raise ValueError("a number is no byte")
+        raise ValueError("a number is not a byte")
     return value
 
 

@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 from phm.transport.serial_errors import SerialErrorCount
 
 MAX_SENDERS = 64
-"""Whoever can send on a link can make up senders; of too many, those with the fewest frames are forgotten."""
-ANEW = 64
-"""A larger gap counts as a sender that began anew, or a long pause, and not as loss: the number has eight bits."""
+"""Any sender can invent system ids; of too many, those with the fewest frames are forgotten."""
+RESTART_GAP = 64
+"""A larger gap counts as a restarted sender or a long pause, not as loss: the number has eight bits."""
 LATE = 16
-"""A frame that is so little behind was overtaken, or came by two ways."""
+"""A frame that is less far behind was reordered, or arrived by two paths."""
 
 
 @dataclass(slots=True)
 class SenderStats:
-    """Since it was first heard. `lost` may go down: a frame that was overtaken is not lost."""
+    """Counts since its first frame. `lost` may go down: a reordered frame is not lost."""
 
     frames: int = 0
     lost: int = 0
@@ -47,7 +47,7 @@ class SenderTable:
             sender.lost = max(0, sender.lost - 1)
             return
         gap = (sequence - sender.sequence - 1) & 0xFF
-        if gap < ANEW:
+        if gap < RESTART_GAP:
             sender.lost += gap
         sender.sequence = sequence
 
@@ -59,7 +59,7 @@ class SenderTable:
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """Of one endpoint since PHM's start; only `line` begins anew when a serial port is opened again."""
+    """Of one endpoint since PHM's start; only `line` is reset when a serial port is reopened."""
 
     bytes_in: int = 0
     bytes_out: int = 0

@@ -1,8 +1,8 @@
-"""How much of a link PHM may use, and what leaves first when not all may. Pure; the caller brings time.
+"""How much of a link PHM may use, and which message is sent first. Pure; the caller brings time.
 
-The numbers: a 64 kbit/s SiK or RFD900 radio guarantees 3170 bytes a second each way, and health may take 5 % of
-it for the whole swarm. Each agent gets its part by the number of agents, saves up for a burst, and slows down when the
-radio's RADIO_STATUS says that its buffer fills. A fault must not wait for a refresh, so there are classes.
+A 64 kbit/s SiK or RFD900 radio guarantees 3170 bytes a second each way, and PHM may use 5 % of it for the entire swarm. Each
+agent gets an equal part, saves up for a burst, and slows down when RADIO_STATUS reports that the radio's buffer fills. A fault
+must not wait for a refresh, so messages have priorities.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ SIZES: tuple[tuple[int, float, float], ...] = ((8, 2.0, 10.0), (30, 5.0, 30.0), 
 
 
 class MessagePriority(IntEnum):
-    """What leaves first. Heartbeats are not here: they are sent on time."""
+    """The lowest is sent first. Heartbeats have none: they are sent on time."""
 
     TRANSITION = 0
-    """A change: a fault, its end, an advice."""
+    """A change: a fault, its end, a recommended action."""
     STATE = 1
     """The full state for a ground station that has just appeared."""
     SWARM = 2
     """Views and digests."""
     REFRESH = 3
-    """What repeats."""
+    """Periodic messages."""
     REQUEST = 4
-    """Answers that somebody asked for: details, ONBOARD_COMPUTER_STATUS."""
+    """Requested messages: details, ONBOARD_COMPUTER_STATUS."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,16 +96,16 @@ class FlowControl:
         self._factor = min(max(self._factor, 1.0), SLOWEST)
 
     def factor(self, now: float) -> float:
-        """1 to 10: by how much to slow down; 1 when no radio has said anything lately."""
+        """1 to 10: by how much to slow down; 1 without a recent RADIO_STATUS."""
         return self._factor if now - self._heard <= TXBUF_STALE_S else 1.0
 
 
 @dataclass(slots=True)
 class LinkBudget:
-    """What may leave one link now. bytes_s: the whole swarm's share on it; None: the link has no limit.
+    """What may be sent on one link now. bytes_s: the share of the entire swarm; None: the link has no limit.
 
-    Heartbeats are never held back, because silence means death; what they take is not there for the rest. At least
-    REST of the share is: where the heartbeats of a large swarm use all of it, faults must still be told.
+    Heartbeats are never delayed, because silence means a lost agent; their bytes are taken from the rest. At least REST of
+    the share remains: where the heartbeats of a large swarm use all of it, faults must still be reported.
     Invariant: over any time t not more than `burst + t * rate` bytes leave besides the heartbeats.
     """
 
@@ -113,7 +113,7 @@ class LinkBudget:
     now: float
     agents: int = 1
     leads: bool = False
-    """This agent speaks for the swarm, and has a fifth of the swarm's share for that."""
+    """This agent is the leader of the swarm, and has a fifth of the swarm's share for that."""
     flow: FlowControl = field(default_factory=FlowControl)
     counts: dict[MessagePriority, MessageCount] = field(
         default_factory=lambda: {kind: MessageCount() for kind in MessagePriority}
@@ -147,7 +147,7 @@ class LinkBudget:
         self._beat = (now, size / (now - last) if now > last else self._beat[1])
 
     def put(self, item: QueuedMessage) -> None:
-        """The newest of a key waits. When too many wait, the least of the least class is dropped."""
+        """Queue a message; it replaces the one with its key. When too many wait, the least important one is dropped."""
         old = self._waiting.pop(item.key, None)
         if old is not None:
             self.counts[old.kind].coalesced += 1
@@ -158,7 +158,7 @@ class LinkBudget:
             self.counts[least.kind].dropped += 1
 
     def next(self, now: float) -> QueuedMessage | None:
-        """What leaves now, or None. Nothing small overtakes something graver that has to wait for credit."""
+        """The message to send now, or None. A small message does not pass a more important one that waits for credit."""
         self._credit.refill(now, self.rate / self.flow.factor(now), self.burst)
         item = min(self._waiting.values(), key=_order, default=None)
         if item is None or not self._credit.take(item.size):
@@ -169,7 +169,7 @@ class LinkBudget:
         return item
 
     def give_back(self, item: QueuedMessage) -> None:
-        """It could not be sent after all. It is first among its equals again, unless a newer one of its key waits."""
+        """It could not be sent. It is first among its equals again, unless a newer one with its key waits."""
         self._credit.tokens = min(self.burst, self._credit.tokens + item.size)
         count = self.counts[item.kind]
         count.sent, count.bytes = count.sent - 1, count.bytes - item.size

@@ -1,4 +1,4 @@
-"""What waits to leave by one MAVLink endpoint: heartbeats on time, the rest by class and within the link's budget."""
+"""Messages that wait for one MAVLink endpoint: heartbeats on time, the rest by priority and within the link's budget."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from phm.transport.priority import LinkBudget, MessageCount, MessagePriority, Qu
 
 HEARTBEAT = 0
 OUTBOX_AGE_S = 30.0
-"""What could not be sent for so long because the link was lost is no news any more; the ground gets the full state when
-it is back. While the link is open nothing grows too old: newer words of the same key replace older ones."""
+"""Messages that could not be sent for this long because the link was lost are dropped; the ground gets the full state when
+it is back. While the link is open no message grows too old: a newer one with the same key replaces it."""
 
 
 class SendQueue:
@@ -55,7 +55,7 @@ class SendQueue:
             self._budget.put(QueuedMessage(key or f"#{self._number}", kind, size, message, urgency, now))
 
     def take(self) -> QueuedMessage | None:
-        """What leaves next, or None when nothing may leave now."""
+        """The next message to send, or None when nothing may be sent now."""
         with self._lock:
             now = self._clock.mono()
             if self._heartbeat is not None:
@@ -65,7 +65,7 @@ class SendQueue:
             return self._budget.next(now)
 
     def give_back(self, item: QueuedMessage) -> None:
-        """What was taken could not be sent: it is first again, unless newer words of its key wait by now."""
+        """It could not be sent: it is first again, unless a newer message with its key waits."""
         with self._lock:
             if item.message.get_msgId() == HEARTBEAT:
                 self._heartbeat = self._heartbeat or item
@@ -73,7 +73,7 @@ class SendQueue:
                 self._budget.give_back(item)
 
     def expire(self) -> None:
-        """The link is open again: forget what is no news any more."""
+        """The link is open again: drop outdated messages."""
         with self._lock:
             self._budget.expire(self._clock.mono() - OUTBOX_AGE_S)
 
@@ -83,7 +83,7 @@ class SendQueue:
             self._budget.flow.txbuf(percent, self._clock.mono())
 
     def set_agent_count(self, agents: int, *, leads: bool) -> None:
-        """So many agents share the link, and whether this one speaks for them."""
+        """Set how many agents share the link, and whether this one is the leader of the swarm."""
         with self._lock:
             self._budget.agents, self._budget.leads = agents, leads
 

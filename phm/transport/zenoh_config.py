@@ -9,7 +9,7 @@ from typing import Any
 from phm.core.settings import FleetSettings
 
 RETRY_MS = (500, 4000)
-"""Zenoh's pauses between attempts to find a lost router again, the first and the longest."""
+"""Zenoh's first and longest pause between attempts to reconnect to a router."""
 _SOURCE_PLACE = re.compile(r"\s+at /\S+?\.rs:\d+\.?")
 _MAX_WORDS = 200
 
@@ -26,8 +26,8 @@ def config_options(settings: FleetSettings) -> dict[str, Any]:
         "connect/exit_on_failure": settings.mode == "client",
         "connect/retry": {"period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1]},
         "listen/endpoints": list(settings.listen),
-        # Only those that are named: nobody is looked for by multicast, and agents do not connect to one another because a
-        # router told them of each other, which would be half a million connections in a fleet of 1000.
+        # Only named endpoints: no multicast scouting, and agents do not connect to one another through gossip of a router,
+        # which would be half a million connections in a fleet of 1000.
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         # Of no use between machines, and each session of a router locks memory for it: with the usual limit of 8 MB for that,
@@ -60,7 +60,7 @@ def make_config(settings: FleetSettings) -> Any:
 
 
 def error_text(error: BaseException) -> str:
-    """What an error says, in one line, without the place in Zenoh's sources."""
+    """The message of an error in one line, without the position in Zenoh's sources."""
     if isinstance(error, ImportError):
         return "eclipse-zenoh cannot be imported: pip install 'phm-sidecar[fleet]'"
     said = _SOURCE_PLACE.sub("", str(error)).strip() or type(error).__name__

@@ -1,7 +1,7 @@
 """One agent's place in a fleet on Zenoh: a session that is opened and kept open, a status, a token of presence.
 
-All of it is done by one thread, so whatever Zenoh waits for, nobody else does. Zenoh finds a lost router again by itself
-and then declares everything anew; this thread opens the session and sees to what must be said after that.
+One thread does all of it, so a Zenoh call that blocks delays nothing else. Zenoh reconnects to a lost router by itself
+and repeats its declarations; this thread opens the session and publishes the status after each reconnect.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ logger = logging.getLogger(__name__)
 
 BACKOFF_S, BACKOFF_MAX_S = 0.5, 5.0
 IDLE_S = 0.5
-"""How soon a lost or a new connection is noticed."""
+"""How soon a lost or new connection is detected."""
 STUCK_S = 10.0
-"""A turn of the thread that takes so much longer than the deadlines of all endpoints is told: Zenoh does not come back."""
+"""A turn of the thread that takes this much longer than the deadlines of all endpoints is reported: a Zenoh call hangs."""
 MAX_QUERIES, MAX_NAMESAKES = 64, 16
 FAREWELL_S = 2.0
 FAREWELL_LEAD_S = 0.2
@@ -61,7 +61,7 @@ class FleetFact:
 
 
 class ZenohLink:
-    """See the module. Making it opens nothing; `start` does. Every method returns at once, but for `close`."""
+    """See the module. `start` opens the session. Every method but `close` returns immediately."""
 
     def __init__(self, settings: FleetSettings, keys: FleetKeys, clock: Clock) -> None:
         self._settings, self._keys, self._clock = settings, keys, clock
@@ -80,12 +80,12 @@ class ZenohLink:
         threads.start(self._thread)
 
     def put(self, payload: bytes) -> None:
-        """Have this published, now or as soon as there is a connection. What waits is replaced: only the newest counts."""
+        """Publish this now or as soon as there is a connection. It replaces a payload that still waits."""
         self._newest, self._due = payload, True
         self._bell.set()
 
     def present(self, yes: bool) -> None:
-        """Whether this PHM looks after its agent: only then is its token there, and only then are queries answered."""
+        """Whether this PHM monitors its agent: only then does its token exist, and only then are queries answered."""
         if yes is not self._present:
             self._present = yes
             self._bell.set()
@@ -95,10 +95,10 @@ class ZenohLink:
         stuck_s = now - self._turned
         if self._thread.ident is not None and not self._stopping.is_set():
             if not self._thread.is_alive():
-                error = "the thread of the session has ended"
+                error = "the thread of the Zenoh session has ended"
             elif stuck_s > self._settings.deadline * max(1, len(self._settings.connect)) + STUCK_S:
-                error = f"Zenoh has not come back for {stuck_s:.0f} s"
-        # What is left of a PHM that was here before goes away within its lease.
+                error = f"Zenoh has not responded for {stuck_s:.0f} s"
+        # The token of an earlier PHM disappears within its lease.
         steady_s = 1.5 * self._settings.lease
         namesakes = tuple(name for name, since in list(self._namesakes.items()) if now - since > steady_s)
         return FleetFact(
@@ -113,7 +113,7 @@ class ZenohLink:
         )
 
     def close(self, last: bytes = b"") -> None:
-        """Publish `last` where there is a connection, take the token back, and close; waits at most FAREWELL_S."""
+        """Publish `last` if connected, withdraw the token, and close; waits at most FAREWELL_S."""
         if last:
             self.put(last)
         self._stopping.set()
@@ -131,10 +131,10 @@ class ZenohLink:
                 session = self._open()
                 opened = True
                 self._serve(session)
-            except BaseException as error:  # a panic in Zenoh is no Exception; it must not end this thread either
+            except BaseException as error:  # a panic in Zenoh is not an Exception; it must not end this thread either
                 if opened:
-                    logger.warning("fleet: the session is opened anew", exc_info=True)
-                self._tell(connected=False, error=zenoh_config.error_text(error))
+                    logger.warning("fleet: the Zenoh session failed and is reopened", exc_info=True)
+                self._set_state(connected=False, error=zenoh_config.error_text(error))
             if opened:
                 backoff.reset()
             self._turned = self._clock.mono()
@@ -155,7 +155,7 @@ class ZenohLink:
                 self._bell.clear()
             self._say_farewell(session, declared)
         finally:
-            self._tell(connected=False, error="closed")
+            self._set_state(connected=False, error="closed")
             self._namesakes.clear()
             self._links = set()
             session.close()
@@ -177,10 +177,10 @@ class ZenohLink:
         connected = bool(links)
         if links - self._links:
             self._connects += 1
-            self._due = bool(self._newest)  # whoever was not reached before has missed what was said meanwhile
+            self._due = bool(self._newest)  # subscribers behind the lost connection have missed updates
         self._links = links
         if connected != self._connected or not connected:
-            self._tell(connected=connected, error="" if connected else self._nobody())
+            self._set_state(connected=connected, error="" if connected else self._no_connection())
         declared.present(self._present)
         if self._due and connected:
             # Before the payload is read: one that is put meanwhile is due again.
@@ -199,14 +199,14 @@ class ZenohLink:
         if self._queries:
             self._bell.set()
 
-    def _nobody(self) -> str:
+    def _no_connection(self) -> str:
         return (
             f"no connection to {', '.join(self._settings.connect)}"
             if self._settings.connect
-            else "nobody has connected"
+            else "no peer has connected"
         )
 
-    def _tell(self, *, connected: bool, error: str) -> None:
+    def _set_state(self, *, connected: bool, error: str) -> None:
         if connected != self._connected:
             self._since = self._clock.mono()
             logger.info("fleet: %s", "connected" if connected else error)

@@ -2,7 +2,7 @@
 
 Requests are ``{"do": "ping"}``, ``{"do": "reload"}``, ``{"do": "approve", "fault": ID}``,
 ``{"do": "note", "text": TEXT}``, ``{"do": "hold", "container": KEY, "for_s": SECONDS or null, "reason": TEXT}``
-and ``{"do": "release", "container": KEY}``, where an empty KEY stands for all containers; answers are
+and ``{"do": "release", "container": KEY}``, where an empty KEY means all containers; answers are
 ``{"ok": true, "text": ...}`` or ``{"ok": false, "error": ...}``. Standard library only.
 """
 
@@ -23,7 +23,7 @@ DEADLINE_S = 5.0
 
 
 class NoAnswer(Exception):
-    """The daemon did not answer; the message is one sentence that says why and what to do."""
+    """The daemon did not answer; the message says why and what to do."""
 
 
 class Refused(Exception):

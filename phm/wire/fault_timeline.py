@@ -1,4 +1,4 @@
-"""Faults with their timelines, put together from the JSON log (`phm.wire.json_log`) and the status file.
+"""Faults with their timelines, built from the JSON log (`phm.wire.json_log`) and the status file.
 
 Standard library only. The log is the record of what happened; the status file says what is open now.
 """

@@ -3,7 +3,7 @@
 Keys of Zenoh::
 
     phm/<fleet>/<agent>/status          the status; a query is answered with the newest one
-    phm/<fleet>/<agent>/alive/<boot>    a liveliness token for as long as this PHM looks after the agent
+    phm/<fleet>/<agent>/alive/<boot>    a liveliness token while this PHM monitors the agent
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def encode(
 
 
 def first_broken_hop(states: Sequence[UnitState]) -> str | None:
-    """The first hop of the path of a command that is broken, as the path check sees it; empty: none is; None: nobody looks."""
+    """The first broken hop on the path of a command, by the path check; empty: none; None: not checked."""
     path = next((state for state in states if state.unit == PATH_UNIT), None)
     if path is None:
         return None
@@ -120,9 +120,9 @@ def decode(payload: bytes) -> FleetStatus:
     try:
         document = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"a status is no JSON: {error}") from None
+        raise ValueError(f"a status is not valid JSON: {error}") from None
     if not isinstance(document, dict) or document.get("v") != VERSION:
-        raise ValueError(f"this is no status of version {VERSION}")
+        raise ValueError(f"this is not a status of version {VERSION}")
     slots, faults, hop = document.get("slots"), document.get("faults"), document.get("broken_hop")
     if not isinstance(slots, dict) or not isinstance(faults, list) or not isinstance(hop, str | None):
         raise ValueError("slots, faults or broken_hop of a status are of the wrong type")
@@ -165,19 +165,19 @@ def _level(number: str, name: Any) -> tuple[Slot, Level]:
 def _text(document: Mapping[str, Any], name: str) -> str:
     value = document.get(name)
     if not isinstance(value, str) or len(value) > MAX_TEXT:
-        raise ValueError(f"{name} of a status is no text of at most {MAX_TEXT} characters")
+        raise ValueError(f"{name} of a status is not a text of at most {MAX_TEXT} characters")
     return value
 
 
 def _whole(document: Mapping[str, Any], name: str) -> int:
     value = document.get(name)
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**63:
-        raise ValueError(f"{name} of a status is no whole number")
+        raise ValueError(f"{name} of a status is not an integer")
     return value
 
 
 def _number(document: Mapping[str, Any], name: str) -> float:
     value = document.get(name)
     if not isinstance(value, int | float) or isinstance(value, bool) or value != value or abs(value) > 1e18:
-        raise ValueError(f"{name} of a status is no number")
+        raise ValueError(f"{name} of a status is not a number")
     return float(value)

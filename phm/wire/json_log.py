@@ -53,7 +53,7 @@ def rotated_number(base: str, name: str) -> int | None:
 def read(path: Path | str) -> Iterator[dict[str, Any]]:
     """Every event of a log, oldest first, from its rotated files and the current one.
 
-    A line that is no JSON object is skipped: power cuts leave torn lines and runs of zero bytes. The log
+    A line that is not a JSON object is skipped: power cuts leave torn lines and runs of zero bytes. The log
     may be written and rotated meanwhile: what was there at the first step is read once and completely.
     """
     with ExitStack() as stack:

@@ -37,14 +37,14 @@ def encode(levels: Mapping[Slot, Level]) -> int:
 
 
 def decode(word: int) -> dict[Slot, Level]:
-    """The slots that the word says something about; what is left out is not known. Empty for word 0.
+    """Levels by slot; a slot that is missing is unknown. Empty for word 0.
 
     Raises ValueError for a word that is not one of ours: more than 32 bits, or another version.
     """
     if word == 0:
         return {}
     if not 0 < word < 2**32:
-        raise ValueError(f"{word} is no status word: it has more than 32 bits")
+        raise ValueError(f"{word} is not a status word: it has more than 32 bits")
     version = word >> _VERSION_SHIFT
     if version != VERSION:
         raise ValueError(f"0x{word:08X} is a status word of version {version}; this program reads version {VERSION}")

@@ -1,4 +1,4 @@
-"""What agents tell each other and the ground in MAVLink TUNNEL messages: views, digests, fault details.
+"""What agents send each other and the ground in MAVLink TUNNEL messages: views, digests, fault details.
 
 Layout of a payload, at most 128 bytes; numbers are unsigned and little-endian. TUNNEL's own fields stay free:
 ``target_system`` 0 for all, ``payload_type`` is ``PAYLOAD_TYPE``, of the range for private use::
@@ -11,13 +11,13 @@ Layout of a payload, at most 128 bytes; numbers are unsigned and little-endian. 
     byte  3       first agent id
     byte  4...    2 bits an agent, lowest first: 0 never seen, 1 alive, 2 late, 3 lost
 
-    kind 2, DIGEST: how the swarm is, by the elected leader
+    kind 2, DIGEST: the status of the swarm, by the elected leader
     byte  1       agents that count as members
     byte  2       agents of these that are alive
     byte  3       first agent id
     byte  4...    2 bits an agent, lowest first: 0 not known, 1 OK, 2 WARN, 3 ERROR
 
-    kind 3, WORDS: status words as the sender heard them
+    kind 3, WORDS: status words as the sender received them
     byte  1       first agent id
     byte  2...    4 bytes an agent: its status word, 0 not known
 
@@ -51,7 +51,7 @@ _LEVELS = (Level.STALE, Level.OK, Level.WARN, Level.ERROR)
 
 
 class TunnelError(ValueError):
-    """A payload that is not of this contract; the message says why."""
+    """A payload that does not follow this contract; the message says why."""
 
 
 class PeerState(IntEnum):
@@ -192,7 +192,7 @@ def _bits(payload: bytes, at: int) -> dict[int, int]:
     codes = {first + i: whole >> 2 * i & 3 for i in range(4 * max(0, len(payload) - at - 1))}
     said = {agent: code for agent, code in codes.items() if code}
     if said and max(said) not in AGENTS:
-        raise TunnelError(f"it speaks of agent {max(said)}; ids are 1 to 250")
+        raise TunnelError(f"it names agent {max(said)}; ids are 1 to 250")
     return said
 
 
@@ -233,7 +233,7 @@ def _words(payload: bytes) -> StatusWords:
     words = {first + i: int.from_bytes(body[4 * i : 4 * i + 4], "little") for i in range(len(body) // 4)}
     said = {agent: word for agent, word in words.items() if word}
     if said and max(said) not in AGENTS:
-        raise TunnelError(f"it speaks of agent {max(said)}; ids are 1 to 250")
+        raise TunnelError(f"it names agent {max(said)}; ids are 1 to 250")
     return StatusWords(said)
 
 

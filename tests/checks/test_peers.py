@@ -52,7 +52,7 @@ def test_a_loss_is_conclusive_by_the_word_of_others() -> None:
     ("peer", "level", "condition"),
     [
         (PeerFact("never seen", None), Level.WARN, "peer_never_seen"),
-        (PeerFact("unheard by some", 2.0, (1,), (2,)), Level.WARN, "peer_partly"),
+        (PeerFact("partly reachable", 2.0, (1,), (2,)), Level.WARN, "peer_partly"),
         (PeerFact("late", 7.0), Level.OK, ""),
         (PeerFact("left", 70.0), Level.OK, ""),
     ],
@@ -88,7 +88,7 @@ def test_those_that_come_back_one_by_one_are_not_told_each_time() -> None:
         return dict(check.run(testing.world(swarm=swarm)))[WHOLE].brief
 
     back = PeerFact("alive", 0.1, (1, 2), (), since_s=0.1)
-    partly = PeerFact("unheard by some", 0.1, (1,), (2,), since_s=0.1)
+    partly = PeerFact("partly reachable", 0.1, (1,), (2,), since_s=0.1)
     assert brief(a3=LOST, a4=LOST, a5=LOST) == "split 2/5 lost A03 A04 A05"
     assert brief(a3=LOST, a4=LOST, a5=replace(LOST, heard_by=(1,))) == "split 2/5 lost A03 A04 A05"
     assert brief(a3=LOST, a4=LOST, a5=partly) == "split 2/5 lost A03 A04 A05"
@@ -127,9 +127,9 @@ def test_without_configuration_the_heard_ones_are_missed() -> None:
 
 def test_without_configuration_a_heard_one_is_missed_no_sooner_than_a_configured_one() -> None:
     """A view that is on its way may still say that it lives, or that several are lost."""
-    fresh = PeerFact("unheard by some", 7.0, (1,), (2,), since_s=1.0)
+    fresh = PeerFact("partly reachable", 7.0, (1,), (2,), since_s=1.0)
     assert judge({2: ALIVE, 3: fresh}, ())[WHOLE].level is Level.OK
-    lasting = PeerFact("unheard by some", 7.0, (1,), (2,), since_s=SETTLE_S)
+    lasting = PeerFact("partly reachable", 7.0, (1,), (2,), since_s=SETTLE_S)
     assert judge({2: ALIVE, 3: lasting}, ())[WHOLE].condition == "peer_partly"
 
 

@@ -271,7 +271,7 @@ def test_views_say_who_hears_whom(ground: Ground) -> None:
     ground.hear(told(1, both), told(2, PeerView(1, gcs=True, autopilot=True, radio=False, peers={3: PeerState.LOST})))
     ground.wait(20, beat(1), beat(2))
     agent = ground.agent(3)
-    assert (agent["heard_by"], agent["unheard_by"]) == ([1], [2])
+    assert (agent["heard_by"], agent["not_heard_by"]) == ([1], [2])
     assert agent["hop"] == {"name": "radio", "evidence": "silent 20 s here, heard by A01", "certain": True}
     ground.wait(20, beat(2))
     assert ground.agent(3)["heard_by"] == []

@@ -46,7 +46,7 @@ class Swarm:
         for hearer in self.agents:
             if hearer not in self.down and hearer != sender and (sender, hearer) not in self.cut:
                 self.peers[hearer].heartbeat(sender, self.words[sender], self.now)
-                self.peers[hearer].told(sender, view, self.now)
+                self.peers[hearer].add_view(sender, view, self.now)
 
     def separate(self, one: Iterable[int], other: Iterable[int]) -> None:
         self.cut |= {pair for a in one for b in other for pair in ((a, b), (b, a))}
@@ -85,7 +85,7 @@ def test_one_that_does_not_hear_does_not_make_lost() -> None:
     for agent in (1, 2, 4, 5):
         status = swarm.agreed(agent).statuses[3]
         assert status.state is MemberState.PARTLY
-        assert status.unheard_by == (1,)
+        assert status.not_heard_by == (1,)
         assert status.heard_by == tuple({2, 4, 5})
 
 
@@ -171,7 +171,7 @@ def test_an_agent_that_is_not_listed_counts_for_nothing() -> None:
         for at in range(0, 20, 2):
             peers.heartbeat(2, WELL, float(at), frame=at)
             peers.heartbeat(77, WELL, float(at), frame=at)
-            peers.told(77, PeerView(at, True, True, True, {2: PeerState.LOST}), float(at))
+            peers.add_view(77, PeerView(at, True, True, True, {2: PeerState.LOST}), float(at))
     assert listed.states(20.0) == {2: PeerState.ALIVE, 3: PeerState.NEVER}
     assert (listed.unlisted(20.0), listed.agents_on_links(20.0)) == ((77,), 3)
     assert (open_.unlisted(20.0), open_.agents_on_links(20.0)) == ((), 3)
@@ -276,7 +276,7 @@ def test_the_same_frame_by_two_ways_is_no_clash() -> None:
 def test_our_own_frames_are_no_peer() -> None:
     peers = Peers(7, PERIOD_S)
     assert not peers.heartbeat(7, WELL, 0.0)
-    assert not peers.told(7, PeerView(0, True, True, True), 0.0)
+    assert not peers.add_view(7, PeerView(0, True, True, True), 0.0)
     assert peers.states(0.0) == {}
 
 
