@@ -1,4 +1,5 @@
-"""The ground station `phm gcs`: what the agents of a MAVLink network say, kept, shown, recorded and served. `docs/reference/gcs.md`.
+"""The ground station `phm gcs`: receives, shows, records and serves the status of all agents. `docs/reference/gcs.md`.
 
-`store` and what it uses (`frames`, `lines`, `presence`, `agent`, `hops`, `news`) is pure; `station` hears, `record` and `serve` tell.
+`fleet_state` and what it uses (`frames`, `statustext_parser`, `presence`, `agent`, `hops`, `events`) is pure. `station` receives;
+`console`, `recorder` and `server` publish.
 """

@@ -1,4 +1,4 @@
-"""What the ground knows of one agent: what it said last, and when that was by the ground's clock. Pure."""
+"""The state of one agent as the ground knows it: its last reports, and when they were received. Pure."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from phm.wire.tunnel import FaultDetail, PeerView
 
 PHM_COMPONENT = 193
 MAX_BAD = 4
-"""Bad units that are remembered of a slot: PHM tells up to ten in all."""
+"""Failing units that are kept for a slot: PHM reports up to ten in all."""
 MAX_DETAILS = 4
 MAX_CHANGES, AGAIN_S = 16, 5.0
-"""An agent with two ways to the ground says everything twice, in frames that differ by their numbers."""
+"""An agent with two links to the ground sends everything twice, in frames with different sequence numbers."""
 _RANK = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 
 
 @dataclass(frozen=True, slots=True)
 class ReceivedText:
-    """A line, with its severity, when it came, and which agent said it where that is another."""
+    """A line of text, its severity, when it was received, and the agent that relayed it (0: its own)."""
 
     text: str
     severity: int
@@ -36,7 +36,7 @@ class ReceivedText:
 
 @dataclass(frozen=True, slots=True)
 class ReportedProblem:
-    """A unit that was told as WARN or ERROR, in its own words."""
+    """A unit that was reported as WARN or ERROR, with its text."""
 
     level: Level
     text: str
@@ -45,7 +45,7 @@ class ReportedProblem:
 
 @dataclass(slots=True)
 class Agent:
-    """`system` and `component` are its MAVLink ids. What it has not said is None or empty."""
+    """`system` and `component` are its MAVLink ids. What it has not sent is None or empty."""
 
     system: int
     component: int
@@ -53,29 +53,29 @@ class Agent:
     link: str = ""
     first: Stamp | None = None
     last: Stamp | None = None
-    """Of its heartbeats."""
+    """When its first and its last heartbeat were received."""
     word: int | None = None
     state: int | None = None
     levels: Mapping[Slot, Level] = field(default_factory=dict)
     """By its last status word."""
     problem: str = ""
-    """Why its status word says nothing to this program."""
+    """Why its status word cannot be read."""
     partial: bool = False
-    """Its last refresh said that not everything is known."""
+    """Its last refresh reported that some slots are unknown."""
     on_hold: bool = False
-    """By its lines: what is not known is on hold, or a hold has begun and is not over."""
+    """By its lines: all unknown slots are on hold, or a hold has begun and has not ended."""
     last_text: ReceivedText | None = None
     bad: dict[int, OrderedDict[str, ReportedProblem]] = field(default_factory=dict)
     """By slot, then by text, oldest first."""
     view: PeerView | None = None
     view_at: Stamp | None = None
     no_ground: bool | None = None
-    """It does not hear the ground, by its own view or as another agent says."""
+    """It does not receive the ground, by its own view or by another agent's report."""
     restarts: int = 0
     shown: PresenceState = PresenceState.NEVER
-    """As it was told in the news last."""
+    """As in the last event about it."""
     hop: object = None
-    """The same of its first broken hop."""
+    """Its first broken hop, as in the last event about it."""
     details: OrderedDict[str, dict[int, FaultDetail]] = field(default_factory=OrderedDict)
     refreshed: dict[LineKind, str] = field(default_factory=dict)
     """The newest line of each kind that repeats."""
@@ -90,12 +90,12 @@ class Agent:
 
     @property
     def worst(self) -> Level | None:
-        """By its last word; None: it has said nothing of any slot."""
+        """By its last status word; None: it reported no slot."""
         known = max(self.levels.values(), key=_RANK.__getitem__, default=None)
         return Level.STALE if known is Level.OK and self.partial else known
 
     def beat(self, beat: Heartbeat) -> dict[Slot, tuple[Level, Level]]:
-        """Take over its status word; what changed by slot, from and to."""
+        """Take over its status word; the changed slots with their old and new level."""
         if beat.state == BOOT and self.state not in (BOOT, None):
             self.restarts += 1
             self.bad.clear()
@@ -131,7 +131,7 @@ class Agent:
                 del units[text]
 
     def _worse(self, line: ParsedLine, level: Level, at: Stamp) -> None:
-        """A unit is bad. A refresh repeats the worst one, of which the line may have been lost, and may know of no other."""
+        """A unit fails. A refresh repeats the worst one, whose own line may have been lost, and may know no other."""
         units = self.bad.setdefault(line.slot, OrderedDict())
         known = next((text for text in units if matches(text, line.text)), None)
         old = units[known] if known is not None and line.kind is LineKind.REFRESH else None
@@ -144,7 +144,7 @@ class Agent:
             self.bad = {line.slot: OrderedDict({reported.text: reported})}
 
     def repeats(self, line: ParsedLine, text: str, now: float) -> bool:
-        """Whether this line says nothing that it has not said before."""
+        """Whether the line is a repetition."""
         if line.kind is not LineKind.CHANGE:
             old, self.refreshed[line.kind] = self.refreshed.get(line.kind), text
             return old == text
@@ -153,12 +153,12 @@ class Agent:
         return again
 
     def newest(self, slot: int, level: Level) -> ReportedProblem | None:
-        """The newest unit of this level that was told for a slot."""
+        """The newest unit of this level that was reported for a slot."""
         found = [bad for bad in self.bad.get(slot, {}).values() if bad.level is level]
         return found[-1] if found else None
 
     def part(self, detail: FaultDetail) -> str | None:
-        """A piece of the text about a fault; the whole text when this was its last missing piece."""
+        """A part of the text about a fault; the complete text when no other part is missing."""
         parts = self.details.pop(detail.fault, {})
         if any(other.parts != detail.parts for other in parts.values()):
             parts = {}

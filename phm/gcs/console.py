@@ -1,4 +1,4 @@
-"""Shows the news to whoever started the program: a live table, lines of words, or lines of JSON."""
+"""Shows events on the terminal: as a live table, as lines of text, or as lines of JSON."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from phm.gcs.subscriber_queue import SubscriberQueue
 REDRAW_S = 0.5
 LOOK_S = 0.2
 KEPT_LINES = 20
-NOT_WELL = frozenset(("ERROR", "LOST", "UNKNOWN"))
+NOT_OK = frozenset(("ERROR", "LOST", "UNKNOWN"))
 
 Print = Callable[[str], None]
 
 
 class ConsoleView:
-    """All of it runs in the thread that calls.
+    """Runs in the calling thread.
 
-    notes: what the program has to say about itself; `warn` prints one where there is no table to show it in.
+    notes: messages about the program itself; `warn` prints one where there is no table to show it in.
     """
 
     def __init__(
@@ -40,37 +40,37 @@ class ConsoleView:
         station.subscribe(self._queue)
 
     def lines(self, stop: threading.Event, end: float | None, *, as_json: bool) -> None:
-        """A line for each piece of news until `stop`, or until the clock is at `end`."""
+        """Print a line for each event until `stop` is set, or the clock is at `end`."""
         while not self._over(stop, end):
             self.rest(LOOK_S, as_json=as_json)
             self._warn_once()
 
     def rest(self, timeout_s: float, *, as_json: bool) -> None:
-        """What waits to be shown, or comes within the time."""
+        """Print the events that wait, or arrive within the time."""
         for item in self._queue.take(timeout_s):
             text = item.line.decode("ascii") if as_json else describe_with_time(item.news)
             if text:
                 self._echo(text)
 
     def live(self, stop: threading.Event, end: float | None, console: Console) -> None:
-        """The table in place."""
+        """Show the table and update it in place."""
         with Live(self._table(console), console=console, screen=True, auto_refresh=False) as live:
             while not self._over(stop, end):
                 self._clock.wait(stop, REDRAW_S)
                 live.update(self._table(console), refresh=True)
 
     def once(self, console: Console, *, as_json: bool) -> bool:
-        """How all are, printed; whether every agent is well, and there is one."""
+        """Print the status of all agents; whether there is one, and all are OK."""
         number, news = self._station.snapshot()
         if as_json:
             self._echo(self._station.line(number, news).decode("ascii"))
         else:
             console.print(table.render(news.body, notes=self._notes()))
         hows = {agent["how"] for agent in news.body["agents"]}
-        return bool(hows) and not hows & NOT_WELL
+        return bool(hows) and not hows & NOT_OK
 
     def _warn_once(self) -> None:
-        """Each note when it appears, not again for each new count in it; again when it comes back."""
+        """Print each note when it appears, not again when only a number in it changes."""
         notes = {re.sub(r"\d+", "#", note): note for note in self._notes()}
         for kind in notes.keys() - self._warned:
             self._warn(notes[kind])

@@ -1,4 +1,4 @@
-"""News: what the ground has learned at one moment, as a line of JSON for machines and a line of words for people. Pure.
+"""Events of the ground station, as a line of JSON for programs and a line of text for people. Pure.
 
 The keys of the JSON lines are a contract: `docs/reference/gcs.md`.
 """
@@ -14,8 +14,8 @@ from phm.core.model import Stamp
 from phm.wire.report import clock_text, iso
 from phm.wire.status_line import agent_name
 
-VERSION = 1
-"""`v` of the lines. It rises only when a key changes its meaning or goes away."""
+VERSION = 2
+"""`v` of the lines. It is raised only when a key changes its meaning or is removed."""
 SEVERITIES = ("EMERGENCY", "ALERT", "CRITICAL", "ERROR", "WARNING", "NOTICE", "INFO", "DEBUG")
 
 _BAD = frozenset(("WARN", "ERROR"))
@@ -24,7 +24,7 @@ _QUIET = {"OK": "OK", "STALE": "unknown"}
 
 @dataclass(frozen=True, slots=True)
 class GcsEvent:
-    """at: when it came, by the ground's clocks. body: JSON-able."""
+    """at: when it was received, by the ground's clocks. body: JSON-able."""
 
     at: Stamp
     event: str
@@ -32,7 +32,7 @@ class GcsEvent:
 
 
 def encode(news: GcsEvent, run: str, number: int) -> bytes:
-    """One line of JSON, without its end. run: id of this run; number: counts its news up from 1."""
+    """One line of JSON, without its end. run: id of this run; number: counts its events from 1."""
     when = {"utc": iso(news.at.utc), "utc_s": round(news.at.utc, 6), "mono": round(news.at.mono, 6)}
     whole = {"v": VERSION, "run": run, "seq": number, **when, "event": news.event, **news.body}
     return json.dumps(whole, separators=(",", ":"), allow_nan=False, default=str).encode("ascii")
@@ -43,13 +43,13 @@ def severity_name(severity: int) -> str:
 
 
 def describe(news: GcsEvent) -> str:
-    """For people, without the time; empty for what only repeats itself."""
+    """Text for people, without the time; empty for a repetition."""
     describe_body = _WORDS.get(news.event)
     return describe_body(news.body) if describe_body is not None else ""
 
 
 def describe_with_time(news: GcsEvent) -> str:
-    """`describe` with UTC before them; empty when they are."""
+    """`describe` with the UTC time before it; empty if that is."""
     said = describe(news)
     return f"{clock_text(news.at.utc)} {said}" if said else ""
 
@@ -62,7 +62,7 @@ def _text(body: Mapping[str, Any]) -> str:
 
 
 def _slots(body: Mapping[str, Any]) -> str:
-    """What is bad or was: slot by slot; the others by number."""
+    """Slots that fail or failed one by one; the number of the others."""
     changed = dict(body["changed"])
     notable = {slot: pair for slot, pair in changed.items() if _BAD.intersection(pair)}
     pieces = [f"slot {slot} {old} -> {new}" for slot, (old, new) in notable.items()]
@@ -79,8 +79,8 @@ def _presence(body: Mapping[str, Any]) -> str:
 def _hop(body: Mapping[str, Any]) -> str:
     hop = body["hop"]
     if hop is None:
-        return f"{_name(body)} the way is whole, as far as is known"
-    return f"{_name(body)} {'broken' if hop['certain'] else 'maybe broken'} at {hop['name']}: {hop['evidence']}"
+        return f"{_name(body)} no broken hop detected"
+    return f"{_name(body)} {'broken' if hop['certain'] else 'possibly broken'} at {hop['name']}: {hop['evidence']}"
 
 
 def _pilot(body: Mapping[str, Any]) -> str:
@@ -95,7 +95,7 @@ def _link(body: Mapping[str, Any]) -> str:
 def _digest(body: Mapping[str, Any]) -> str:
     not_ok = ", ".join(f"{agent_name(int(agent))} {level}" for agent, level in body["levels"].items() if level != "OK")
     return (
-        f"swarm: {body['alive']} of {body['members']} live{', ' if not_ok else ''}{not_ok}" if body["changed"] else ""
+        f"swarm: {body['alive']} of {body['members']} alive{', ' if not_ok else ''}{not_ok}" if body["changed"] else ""
     )
 
 
@@ -111,8 +111,8 @@ _WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "pilot": _pilot,
     "link": _link,
     "digest": _digest,
-    "agent": lambda body: f"{_name(body)} is heard, {body['system']}/{body['component']} on {body['link']}",
-    "restart": lambda body: f"{_name(body)} PHM has started anew",
+    "agent": lambda body: f"{_name(body)} discovered, {body['system']}/{body['component']} on {body['link']}",
+    "restart": lambda body: f"{_name(body)} PHM restarted",
     "detail": lambda body: f"{_name(body)} fault {body['fault']}: {body['text']}",
     "problem": lambda body: f"problem: {body['text']}",
     "start": lambda body: (

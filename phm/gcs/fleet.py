@@ -1,7 +1,6 @@
-"""Who there is, as far as the ground knows, and how everybody is at one moment. Pure; the caller brings time.
+"""The agents that the ground knows, and the state of all at one moment. Pure; the caller brings time.
 
-Everything is capped: who can send on a link can make up any number of agents. Who is not there any more makes room for new
-ones, and those expected stay.
+Everything is capped: a sender can invent any number of agents. A lost agent makes room for a new one, unless it is expected.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ PILOT_GUESS_S = 1.0
 """Autopilots and ground stations send a heartbeat a second."""
 STATION_S = RADIO_S = 10.0
 FULL_S = 1.0
-"""When all agents are there, it is not looked at once more before: a flood of new ones must cost little."""
+"""When there is no room, the next search for room is this much later: a flood of invented agents must cost little."""
 _THERE = (PeerState.ALIVE, PeerState.LATE)
 K = TypeVar("K")
 V = TypeVar("V")
@@ -48,7 +47,7 @@ class Autopilot:
 
 @dataclass(slots=True)
 class SwarmState:
-    """What the elected leader said last: its digest, and its line in words."""
+    """The last report of the elected leader: its digest and its line of text."""
 
     digest: SwarmDigest | None = None
     digest_by: int = 0
@@ -59,7 +58,7 @@ class SwarmState:
 
 
 class Fleet:
-    """Not thread-safe. expected: ids of agents that are shown, and missed, before they were ever heard."""
+    """Not thread-safe. expected: ids of agents that are shown and reported as missing even if never received."""
 
     def __init__(self, expected: Iterable[int] = ()) -> None:
         self.expected = frozenset(expected)
@@ -70,9 +69,9 @@ class Fleet:
         self.links: Mapping[str, tuple[bool, str]] = {}
         """The ground's own, by name: whether open, and if not why."""
         self.radios: OrderedDict[str, tuple[float, RadioStatus]] = OrderedDict()
-        """What the radio on each of the ground's links said last, and when."""
+        """The last RADIO_STATUS on each of the ground's links, and when it was received."""
         self.began: float | None = None
-        """Since when the ground listens."""
+        """When the ground began to listen."""
         self.refused = 0
         """Frames of agents for which there was no room."""
         self._full_until = float("-inf")
@@ -81,14 +80,14 @@ class Fleet:
 
     @property
     def guess_s(self) -> float:
-        """Heartbeat period of an agent that was not heard often enough: PHM's default for a swarm of this size."""
+        """Heartbeat period of an agent that was not received often enough: PHM's default for a swarm of this size."""
         return default_periods(len(self.agents))[0]
 
     def state(self, agent: Agent, now: float) -> PresenceState:
         return agent.presence.state(now, self.guess_s)
 
     def agent(self, system: int, component: int, now: float) -> Agent | None:
-        """The one there is or a new one; None: there is no room."""
+        """The known agent or a new one; None: there is no room."""
         key = (system, component)
         if key not in self.agents:
             if now < self._full_until or not _room(self.agents, MAX_AGENTS, lambda one: self._stays(one, now)):
@@ -106,7 +105,7 @@ class Fleet:
         return self.pilots[system]
 
     def station(self, system: int, component: int, now: float) -> None:
-        """Another ground station was heard."""
+        """A heartbeat of another ground station was received."""
         self.stations.pop((system, component), None)
         self.stations[system, component] = now
         while len(self.stations) > MAX_STATIONS:
@@ -126,7 +125,7 @@ class Fleet:
 
 
 class FleetSnapshot:
-    """How everybody is at `now`, monotonic seconds. Made for one moment, and asked before the fleet changes again."""
+    """The state of all agents at `now` (monotonic seconds). Valid until the fleet changes."""
 
     def __init__(self, fleet: Fleet, now: float) -> None:
         self._fleet, self._now = fleet, now
@@ -135,7 +134,7 @@ class FleetSnapshot:
         shut = [f"{name}: {error}" for name, (is_open, error) in fleet.links.items() if not is_open]
         began = now if fleet.began is None else fleet.began
         self._early = now - began <= LOST_PERIODS * fleet.guess_s
-        """Who was never heard may just not have spoken yet."""
+        """An agent that was never received may not have sent a heartbeat yet."""
         self._closed = ", ".join(shut) if fleet.links and len(shut) == len(fleet.links) else ""
         heard = [self._states[key] for key, agent in fleet.agents.items() if agent.first is not None]
         self._all_silent = (
@@ -148,7 +147,7 @@ class FleetSnapshot:
         return self._states[agent.system, agent.component]
 
     def heard_by(self, agent: Agent) -> tuple[list[int], list[int]]:
-        """Which other agents hear it and which do not, by their newest views."""
+        """Which other agents receive it and which do not, by their newest views."""
         sides: tuple[set[int], set[int]] = (set(), set())
         for other, view in self._views:
             if other.system != agent.system:
@@ -156,7 +155,7 @@ class FleetSnapshot:
         return sorted(sides[0]), sorted(sides[1])
 
     def hop(self, agent: Agent) -> BrokenHop | None:
-        """Where its way is broken first."""
+        """The first broken hop on the path to its autopilot."""
         state = self.state(agent)
         if state.there or state is PresenceState.LEFT:
             return first_broken(agent, state, None, HopEvidence())
@@ -173,11 +172,11 @@ class FleetSnapshot:
         return first_broken(agent, state, agent.presence.silent_s(self._now), around)
 
     def stations(self) -> list[tuple[int, int]]:
-        """MAVLink ids of the other ground stations that are there."""
+        """MAVLink ids of the other active ground stations."""
         return sorted(ids for ids, heard in self._fleet.stations.items() if self._now - heard <= STATION_S)
 
     def _counts(self, key: tuple[int, int], agent: Agent) -> PeerView | None:
-        """Its view, while it lives and the view is young enough."""
+        """Its view, if it is alive and the view is new enough."""
         if agent.view is None or agent.view_at is None or not self._states[key].there:
             return None
         longest_s = VIEW_LATE_PERIODS * agent.presence.period_s(self._fleet.guess_s)
@@ -185,7 +184,7 @@ class FleetSnapshot:
 
 
 def _room(held: dict[K, V], most: int, stays: Callable[[V], bool]) -> bool:
-    """Whether there is room for one more, be it in the place of one that does not stay."""
+    """Whether there is room for one more, also by removing one that need not stay."""
     if len(held) < most:
         return True
     gone = next((key for key, one in held.items() if not stays(one)), None)

@@ -1,7 +1,7 @@
-"""Frames go in, news come out. Pure; the caller brings time.
+"""Turns received frames into events. Pure; the caller brings time.
 
-Agents are found by what they send: none needs to be known before, and none of their clocks is asked. A line counts as PHM's
-only when it comes from a PHM and says something about it (or about another agent, where that is what it is for).
+Agents are discovered by their heartbeats; their clocks are not used. A line counts as PHM's only when a PHM sent it about
+its own agent, or about another one in a line that is made for that.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ class FleetState:
     """Not thread-safe: the caller's lock."""
 
     def __init__(self, expected: Iterable[int] = (), own: tuple[int, int] = (0, 0), *, signed: bool = False) -> None:
-        """expected: agents that are missed before they were ever heard. own: our own MAVLink ids, not judged here. signed: what is
-        not signed is not PHM's."""
+        """expected: agents to report as missing even if never received. own: our own MAVLink ids, which are ignored. signed:
+        unsigned frames are not PHM's."""
         self.fleet, self._own, self._signed = Fleet(expected), own, signed
 
     def hear(self, frame: Frame, link: str, at: Stamp) -> list[GcsEvent]:
-        """One frame that came by a link; what is new by it."""
+        """Take one received frame; the events that follow."""
         if (frame.system, frame.component) == self._own:
             return []
         if isinstance(frame, Heartbeat):
@@ -58,14 +58,14 @@ class FleetState:
         return list(self._payload(frame, at))
 
     def links(self, found: Mapping[str, tuple[bool, str]], at: Stamp) -> list[GcsEvent]:
-        """How the ground's own links are: by name, whether open, and if not why."""
+        """Take the state of the ground's own links by name: whether open, and if not why."""
         known = self.fleet.links
         changed = {name: how for name, how in found.items() if name not in known or known[name][0] is not how[0]}
         self.fleet.links = dict(found)
         return [GcsEvent(at, "link", {"link": name, "open": how[0], "error": how[1]}) for name, how in changed.items()]
 
     def tick(self, at: Stamp) -> list[GcsEvent]:
-        """What follows from time passing. Call a few times a second."""
+        """The events that follow from the passing of time. Call it a few times a second."""
         found: list[GcsEvent] = []
         if self.fleet.began is None:
             self.fleet.began = at.mono
@@ -79,7 +79,7 @@ class FleetState:
         look = self.fleet.look(at.mono)
         for agent in self.fleet.agents.values():
             hop = look.hop(agent)
-            # Seconds of silence in the evidence go on; that is no news.
+            # The evidence counts seconds of silence: those are not events.
             key = None if hop is None else (hop.name, hop.certain)
             if key != agent.hop:
                 agent.hop = key
@@ -87,7 +87,7 @@ class FleetState:
         return found
 
     def snapshot(self, at: Stamp) -> dict[str, Any]:
-        """How everybody is, JSON-able."""
+        """The state of all agents, JSON-able."""
         return snapshot.fleet_json(self.fleet, at)
 
     # ------------------------------------------------------------ heartbeats
@@ -122,7 +122,7 @@ class FleetState:
             yield GcsEvent(at, "slots", {**snapshot.who(agent), **snapshot.word(agent), "changed": names})
 
     def _presence(self, agent: Agent, at: Stamp) -> Iterator[GcsEvent]:
-        """Lost, left and back are news; one that is late may have lost a frame."""
+        """Lost, left and back are events; a late agent may have lost a frame."""
         state = self.fleet.state(agent, at.mono)
         shown = PresenceState.ALIVE if state is PresenceState.LATE else state
         if shown is agent.shown:
@@ -149,7 +149,7 @@ class FleetState:
     def _said(self, said: StatusText, link: str, at: Stamp) -> Iterator[GcsEvent]:
         line, agent = statustext_parser.parse(said.text), self.fleet.agents.get((said.system, said.component))
         repeat = False
-        if line is not None and (said.signed or not self._signed) and _believed(said, line, agent):
+        if line is not None and (said.signed or not self._signed) and _is_from_phm(said, line, agent):
             agent = agent or self.fleet.agent(said.system, said.component, at.mono)
             if agent is not None:
                 repeat = agent.repeats(line, said.text, at.mono)
@@ -165,7 +165,7 @@ class FleetState:
             unwell = statustext_parser.unhealthy_agents(line)
             for other in self.fleet.agents.values():
                 if unwell is not None and other.system not in unwell:
-                    other.no_ground = None  # a relay is said once, and its end by nobody
+                    other.no_ground = None  # a relay is reported once, and its end is not
         elif line.kind is LineKind.RELAY and line.agent != said.system:
             about = self.fleet.agent(line.agent, PHM_COMPONENT, at.mono)
             if about is not None:
@@ -177,7 +177,7 @@ class FleetState:
     # ------------------------------------------------------------ tunnels
 
     def _payload(self, payload: TunnelPayload, at: Stamp) -> Iterator[GcsEvent]:
-        """Only of agents whose heartbeat was heard: anybody may use the number of the payload."""
+        """Only of agents whose heartbeat was received: other programs may use the payload type."""
         agent = self.fleet.agents.get((payload.system, payload.component))
         if payload.kind != PAYLOAD_TYPE or agent is None or agent.first is None:
             return
@@ -207,21 +207,21 @@ class FleetState:
         changed = swarm.digest != digest
         swarm.digest, swarm.digest_by, swarm.digest_at = digest, agent.system, at
         for number in digest.levels:
-            self.fleet.agent(number, PHM_COMPONENT, at.mono)  # known of, though perhaps never heard
+            self.fleet.agent(number, PHM_COMPONENT, at.mono)  # known, though perhaps never received
         return GcsEvent(at, "digest", {**snapshot.who(agent), **snapshot.digest(digest), "changed": changed})
 
 
 def _is_phm(beat: Heartbeat) -> bool:
-    """By the version in the word: other programs aboard leave the field zero, or hold a small number there."""
+    """By the version in the status word: other programs on board set the field to zero or a small number."""
     if beat.kind != ONBOARD_CONTROLLER or beat.system not in AGENTS:
         return False
     version = beat.custom_mode >> 30
     return version == 1 or (version > 1 and beat.component == PHM_COMPONENT)
 
 
-def _believed(said: StatusText, line: ParsedLine, agent: Agent | None) -> bool:
-    """Whether it is PHM's: from one whose heartbeat is PHM's, or from the usual component of one not heard beating yet. An agent
-    speaks of itself; of others only where the line is made for that.
+def _is_from_phm(said: StatusText, line: ParsedLine, agent: Agent | None) -> bool:
+    """Whether a PHM sent it: an agent with PHM's heartbeat, or PHM's usual component before its first heartbeat. An agent reports
+    about itself, and about others only in a line that is made for that.
     """
     if agent is not None and agent.first is not None:
         return line.kind in (LineKind.SWARM, LineKind.RELAY) or line.agent == said.system

@@ -1,4 +1,4 @@
-"""What is taken from MAVLink messages, as data. Numbers from the air are not trusted, and nothing here raises on them."""
+"""MAVLink messages as data. Received numbers are not trusted, and nothing here raises on them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BOOT, POWEROFF = 1, 7
 _UNKNOWN = 255
 """In RADIO_STATUS."""
 MAX_TEXT = 200
-"""Characters that are kept of a text: escapes make 50 longer."""
+"""Characters that are kept of a text: escapes can make 50 characters longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +62,8 @@ class TunnelPayload:
 
 @dataclass(frozen=True, slots=True)
 class RadioStatus:
-    """A RADIO_STATUS, by which a radio tells of itself and of its other end (`rem...`). Signal and noise in its own units, None
-    where it does not know; txbuf: percent of its transmit buffer that is free."""
+    """A RADIO_STATUS: signal and noise of a radio and of its other end (`rem...`) in the radio's units, None if unknown; txbuf:
+    percent of its transmit buffer that is free."""
 
     system: int
     component: int
@@ -78,7 +78,7 @@ Frame = Heartbeat | StatusText | TunnelPayload | RadioStatus
 
 
 def parse(message: Any) -> Frame | None:
-    """A decoded pymavlink message; None for one that is none of IDS."""
+    """The data of a decoded pymavlink message; None for a message that is not one of IDS."""
     number, system, component = message.get_msgId(), message.get_srcSystem(), message.get_srcComponent()
     if number == HEARTBEAT:
         return Heartbeat(

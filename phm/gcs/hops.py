@@ -1,7 +1,7 @@
-"""Where the way from the ground to an agent's autopilot is broken, as far as it shows on the ground. Pure.
+"""Where the path from the ground to an agent's autopilot is broken, as the ground sees it. Pure.
 
-An agent knows its own way best and tells the first broken hop in its lines (`docs/reference/mavlink.md`, The path). The ground adds what no
-agent can say: that it is not heard at all, and whether its autopilot or other agents still are.
+An agent reports the first broken hop of its own path in its lines (`docs/reference/mavlink.md`, The path). The ground adds what
+no agent can report: that it is not received, and whether its autopilot or other agents still are.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _PLACES = ("port", "router", "link", "radio", "autopilot", "GCS")
 
 @dataclass(frozen=True, slots=True)
 class BrokenHop:
-    """certain: it follows from what was heard; else it is where to look first."""
+    """certain: it follows from received data; else it is only the first place to check."""
 
     name: str
     evidence: str
@@ -29,10 +29,10 @@ class BrokenHop:
 
 @dataclass(frozen=True, slots=True)
 class HopEvidence:
-    """What else is known on the ground while one agent is judged.
+    """What else the ground knows when it looks for the broken hop of one agent.
 
-    closed: why no link of the ground is open, else empty. all_silent: nobody at all is heard any more. pilot: the
-    vehicle's autopilot is heard. heard_by: other agents that hear it. radio: a radio on the ground's own link answers.
+    closed: why no link of the ground is open, else empty. all_silent: no sender is received any more. pilot: the vehicle's
+    autopilot is received. heard_by: other agents that receive it. radio: a radio on the ground's own link answers.
     """
 
     closed: str = ""
@@ -50,22 +50,22 @@ def first_broken(agent: Agent, state: PresenceState, silent_s: float | None, aro
 
 
 def _silent(silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
-    since = "never heard" if silent_s is None else f"silent {silent_s:.0f} s"
+    since = "never received" if silent_s is None else f"silent {silent_s:.0f} s"
     if around.closed:
         return BrokenHop("ground link", around.closed)
     if around.pilot:
-        return BrokenHop("companion", f"PHM {since}, autopilot heard")
+        return BrokenHop("companion", f"PHM {since}, autopilot received")
     if around.heard_by:
         return BrokenHop("radio", f"{since} here, heard by {' '.join(map(agent_name, around.heard_by))}")
     if around.all_silent and around.radio:
-        return BrokenHop("radio", "everybody is silent, the ground's radio answers", certain=False)
+        return BrokenHop("radio", "all agents are silent, the ground's radio answers", certain=False)
     if around.all_silent:
-        return BrokenHop("ground link", "everybody is silent", certain=False)
+        return BrokenHop("ground link", "all agents are silent", certain=False)
     return BrokenHop("radio or vehicle", since, certain=False)
 
 
 def _reported(agent: Agent) -> BrokenHop | None:
-    """From the ground to the autopilot, by what the agent says of itself."""
+    """From the ground to the autopilot, by the agent's own reports."""
     ground, radio = _bad(agent, Slot.COMPANION), _bad(agent, Slot.RADIO)
     name = _place(ground)
     if ground is not None and name == "GCS":
@@ -75,9 +75,9 @@ def _reported(agent: Agent) -> BrokenHop | None:
     if ground is not None:
         return BrokenHop(name or "companion", _rest(ground), certain=bool(name))
     if agent.no_ground:
-        return BrokenHop("radio", "it does not hear the ground", certain=False)
+        return BrokenHop("radio", "it does not receive the ground station", certain=False)
     for slot in (Slot.CONTAINER, Slot.NODES):
-        # Whether what is dead passes commands on is known aboard alone.
+        # Only the agent knows whether the failed unit forwards commands.
         application = _bad(agent, slot)
         if application is not None:
             return BrokenHop("application", application, certain=False)
@@ -86,11 +86,11 @@ def _reported(agent: Agent) -> BrokenHop | None:
 
 
 def _bad(agent: Agent, slot: Slot) -> str | None:
-    """Words for an ERROR in this slot."""
+    """Text of an ERROR in this slot."""
     reported = agent.newest(slot, Level.ERROR)
     if reported is not None:
         return reported.text
-    return f"ERROR in slot {slot:d}, not told why" if agent.levels.get(slot) is Level.ERROR else None
+    return f"ERROR in slot {slot:d}, cause not received" if agent.levels.get(slot) is Level.ERROR else None
 
 
 def _place(words: str | None) -> str:

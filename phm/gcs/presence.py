@@ -1,7 +1,7 @@
-"""Whether somebody is there, by the heartbeats heard and the ground's own clock alone. Pure.
+"""Whether a sender is alive, by its received heartbeats and the ground's own clock. Pure.
 
-A ground station is told no periods: agents choose theirs by the size of the swarm, and radios lose frames. So the usual pause
-is learned, from the longer ones: loss doubles some, and an answer to a ground station or a second way to the ground cuts some.
+The ground does not know heartbeat periods: agents choose theirs by the size of the swarm, and radios lose frames. So the usual
+pause is learned from the longer ones: loss doubles some, and an answer to a ground station or a second link shortens some.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from enum import Enum
 from phm.swarm.peers import LATE_PERIODS, LOST_PERIODS
 
 GAPS, ENOUGH, LONGER = 9, 3, 0.75
-"""Gaps that are remembered, that are enough to tell, and which of them by length counts."""
+"""Gaps that are kept, that are enough for an estimate, and the quantile that counts."""
 COPY_S = 0.1
-"""Two in one moment tell no period."""
+"""Heartbeats with a shorter gap are copies, not a period."""
 LONGEST_S = 150.0
 
 
@@ -24,7 +24,7 @@ class PresenceState(str, Enum):
     LATE = "late"
     LOST = "lost"
     LEFT = "left"
-    """It said that it was stopped on purpose."""
+    """It announced that it was stopped on purpose."""
 
     @property
     def there(self) -> bool:
@@ -40,7 +40,7 @@ class Presence:
         self._gaps: deque[float] = deque(maxlen=GAPS)
 
     def beat(self, now: float, *, leaving: bool = False) -> None:
-        """A heartbeat came; `leaving`: it is the last one."""
+        """A heartbeat was received; `leaving`: it is the last one."""
         if self.heard_s is not None and not self.leaving:
             gap_s = now - self.heard_s
             if COPY_S < gap_s <= LONGEST_S:
@@ -48,7 +48,7 @@ class Presence:
         self.heard_s, self.leaving = now, leaving
 
     def period_s(self, guess_s: float) -> float:
-        """Its usual pause; before that is known, the guess, or what was seen where that is longer."""
+        """Its usual pause; before that is known, the longer of the guess and the observed gaps."""
         if len(self._gaps) < ENOUGH:
             return max(guess_s, *self._gaps, 0.0)
         return sorted(self._gaps)[int(LONGER * len(self._gaps))]

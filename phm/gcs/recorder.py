@@ -1,4 +1,4 @@
-"""The record of the ground: every line of news, on disk, rotated and capped, with a snapshot every minute.
+"""Records every event on disk, rotated and capped, with a snapshot every minute.
 
 Stamps are of the ground's clocks alone. A line torn by a power cut stays on a line of its own, and readers skip it
 (`phm.wire.json_log.read`).
@@ -24,7 +24,7 @@ CLOSE_LIMIT_S = 3.0
 
 
 class Recorder:
-    """Has a thread of its own, since a dying disk keeps its writer waiting. `start` subscribes; `close` writes what waits."""
+    """Has its own thread, because a failing disk blocks its writer. `close` writes the events that still wait."""
 
     def __init__(
         self, path: str, station: GroundStation, clock: Clock, *, max_size: int = MAX_SIZE, files: int = FILES

@@ -1,7 +1,7 @@
-"""Serves the news to other programs: a snapshot first, then every line as it comes, by plain TCP or by HTTP on one port.
+"""Serves events to other programs: a snapshot, then every new event as a line of JSON, by plain TCP or by HTTP on one port.
 
-Whoever says nothing for a moment gets the bare lines; whoever sends a GET gets them as the body. Nothing that a client does or
-omits delays the station: one that does not read is dropped, and all else has a deadline.
+A client that sends nothing for GREET_S gets the bare lines; a client that sends a GET gets them as the body. No client can delay
+the station: one that does not read is dropped, and everything else has a deadline.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ logger = logging.getLogger(__name__)
 
 MAX_CLIENTS = 16
 PER_HOST = 8
-"""Clients of one other machine: none takes all places."""
+"""Clients of one other machine, so that none takes all places."""
 GREET_S = 0.3
-"""A client that has said nothing for so long is no HTTP client."""
+"""A client that has sent nothing for this long is not an HTTP client."""
 REQUEST_S = 5.0
 MAX_REQUEST = 8192
 MAX_BACKLOG = 4_000_000
-"""Bytes that may wait for one client: the snapshot of the largest swarm, and minutes of news."""
+"""Bytes that may wait for one client: the snapshot of the largest swarm, and minutes of events."""
 STUCK_S = 10.0
-"""A client that takes nothing for so long while something waits for it is dropped."""
+"""A client that reads nothing for this long while data waits for it is dropped."""
 ALIVE_S = 5.0
 SEND_BUFFER_BYTES = 65536
 _POLL_S = 0.1
@@ -44,7 +44,7 @@ _NEWS, _TEXT = "application/x-ndjson", "text/plain"
 
 @dataclass(slots=True)
 class _Client:
-    """seen: number of the last news that it has; None: it has not asked yet. `ends`: closed when all is sent."""
+    """seen: number of the last event that was sent to it; None: it has not made a request. `ends`: close it when all is sent."""
 
     sock: socket.socket
     since: float
@@ -59,7 +59,7 @@ class _Client:
 
 
 class _Feed(SubscriberQueue):
-    """A queue that rings the server's bell instead of being waited for."""
+    """A queue that wakes the server's selector through a socket."""
 
     def __init__(self, clock: Clock, bell: socket.socket) -> None:
         super().__init__(clock)
@@ -67,7 +67,7 @@ class _Feed(SubscriberQueue):
 
     def put(self, item: QueuedEvent) -> bool:
         kept = super().put(item)
-        with contextlib.suppress(OSError):  # full: it rings already; closed: nobody listens
+        with contextlib.suppress(OSError):  # full: it rings already; closed: the server has ended
             self._bell.send(b"x")
         return kept
 
@@ -100,7 +100,7 @@ class GcsServer:
         threads.start(self._thread)
 
     def about(self) -> str:
-        """Where it serves, and whom."""
+        """Its address and its clients."""
         return (
             f"served at {self.address[0]}:{self.address[1]} to {len(self._clients)}, {self.dropped} dropped as too slow"
         )
@@ -118,8 +118,8 @@ class GcsServer:
         while not self._stop.is_set():
             try:
                 self._turn()
-            except Exception:  # whatever one client brings about, the others are served
-                logger.exception("serving the news stumbled")
+            except Exception:  # a failure with one client must not affect the others
+                logger.exception("serving events failed")
                 self._clock.wait(self._stop, _POLL_S)
         for client in list(self._clients.values()):
             self._drop(client)

@@ -1,6 +1,6 @@
-"""What the store knows, as JSON: the bodies of news and the whole at one moment. Pure. The keys are a contract: `docs/reference/gcs.md`.
+"""The fleet's state as JSON: bodies of events and complete snapshots. Pure. The keys are a contract: `docs/reference/gcs.md`.
 
-What is not known is null or left out, never a guess; what an agent said before it was lost stands under `last_slots` alone.
+What is unknown is null or missing, never a guess; the slots of a lost agent are only in `last_slots`.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ def who(agent: Agent) -> dict[str, Any]:
 
 
 def word(agent: Agent) -> dict[str, Any]:
-    """What its last heartbeat said."""
+    """The content of its last heartbeat."""
     return {"word": agent.word, "state": state_name(agent.state), "slots": slots(agent)}
 
 
 def slots(agent: Agent) -> dict[str, str]:
-    """Those that its last word says something about."""
+    """The slots that its last status word reports."""
     return {str(int(slot)): level.name for slot, level in sorted(agent.levels.items())}
 
 
@@ -52,7 +52,7 @@ def pilot(found: Autopilot, now: float) -> dict[str, Any]:
 
 
 def text(said: StatusText, line: ParsedLine | None) -> dict[str, Any]:
-    """line: what PHM says with it; None: it is somebody else's."""
+    """line: the parsed line of a PHM; None: another program sent it."""
     body: dict[str, Any] = {
         "system": said.system,
         "component": said.component,
@@ -90,7 +90,7 @@ def agent_status(agent: Agent, state: PresenceState) -> str:
 
 
 def fleet_json(fleet: Fleet, at: Stamp) -> dict[str, Any]:
-    """Everybody at one moment."""
+    """The state of all agents at one moment."""
     look = fleet.look(at.mono)
     agents = sorted(fleet.agents.values(), key=lambda agent: (agent.system, agent.component))
     return {

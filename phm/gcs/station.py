@@ -1,7 +1,7 @@
-"""Hears: MAVLink endpoints into the store, and its news to whoever asked for them.
+"""Receives MAVLink frames, updates the fleet's state, and passes its events to subscribers.
 
-It speaks like any ground station, one HEARTBEAT a second, because an ArduPilot passes frames on only to a link that has
-itself sent one. It sends nothing else.
+It sends one HEARTBEAT a second like any ground station, because an ArduPilot forwards frames only to a link that has sent one.
+It sends nothing else.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
 HEARTBEAT_S = 1.0
 TICK_S = 0.2
 LATE_MOST_S = 5.0
-"""Beside its longest pause, the ground's delays of the last minute put silence off by so much at most."""
+"""The ground's own delays of the last minute extend the time before an agent is lost by at most this much."""
 MAX_WAITING = 4096
-"""Frames between the endpoints' threads and the store."""
+"""Frames between the endpoints' threads and the station's."""
 CLOSE_LIMIT_S = 3.0
 TAKEN = frozenset((errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.EACCES, errno.EPERM))
-"""Errors of a listening port that do not go away by waiting."""
+"""Errors of a listening port that waiting does not fix."""
 _LISTENING = ("udpin:", "tcpin:")
 
 
@@ -55,7 +55,7 @@ class _Heard:
 
 
 class GroundStation:
-    """Making it opens nothing; `start` does. Raises InvalidKey."""
+    """`start` opens the links. Raises InvalidKey."""
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class GroundStation:
         threads.start(self._thread)
 
     def close(self) -> None:
-        """Ends within seconds whatever the links do."""
+        """End within seconds, also when a link hangs."""
         self._stop.set()
         self._frames.wake()
         if self._thread.ident is not None:
@@ -103,7 +103,7 @@ class GroundStation:
             self._publish([GcsEvent(self._clock.stamp(), "end", {})])
 
     def taken(self, timeout_s: float) -> str:
-        """Why one of the listening ports can never open, empty when all do; waits until each was tried."""
+        """Why a listening port cannot be opened, empty if all can; waits until each was tried."""
         listening = {url for url in self._urls if url.startswith(_LISTENING)}
         end = self._clock.mono() + timeout_s
         while True:
@@ -116,12 +116,12 @@ class GroundStation:
             self._clock.wait(self._stop, 0.02)
 
     def subscribe(self, queue: SubscriberQueue) -> None:
-        """Have all news put there from now on."""
+        """Put all events into this queue from now on."""
         with self._lock:
             self._queues = (*self._queues, queue)
 
     def snapshot(self) -> tuple[int, GcsEvent]:
-        """How everybody is, and the number of the last news that is in it."""
+        """The state of all agents, and the number of the last event in it."""
         with self._lock:
             at = self._clock.stamp()
             body = {
@@ -145,7 +145,7 @@ class GroundStation:
         if sender == self.ids:
             if not self._hub.echo(raw):
                 self._twin = (
-                    f"another program sends as system {sender[0]} component {sender[1]}, and routers hide one of the "
+                    f"another program sends as system {sender[0]} component {sender[1]}, and routers drop one of the "
                     "two: give this one another id (--id)"
                 )
             return
@@ -163,8 +163,8 @@ class GroundStation:
         while not self._stop.is_set():
             try:
                 self._turn()
-            except Exception:  # a defect that one frame brings out must not end all
-                logger.exception("the ground station stumbled")
+            except Exception:  # a defect in handling one frame must not end the thread
+                logger.exception("processing a received frame failed")
             self._frames.wait(TICK_S)
 
     def _turn(self) -> None:
@@ -195,12 +195,12 @@ class GroundStation:
             self._publish([*news, *(replace(one, at=at) for one in self._store.tick(self._judged_at(at)))])
 
     def _judged_at(self, at: Stamp) -> Stamp:
-        """Silence is judged as of a moment that is earlier by the time in which the ground did not run lately: frames that came
-        meanwhile may not be read yet, and an agent that was received since is there in any case."""
+        """The moment up to which silence counts: earlier by the time in which the ground did not run recently, because frames that
+        arrived meanwhile may not be read yet."""
         return Stamp(at.utc, at.mono - self._clock.late_s(at.mono - WINDOW_S, LATE_MOST_S))
 
     def _publish(self, news: Iterable[GcsEvent]) -> None:
-        """With the lock held, so that a snapshot and the news that follow it leave no gap."""
+        """With the lock held, so that no event is missing between a snapshot and the events after it."""
         for one in news:
             self._number += 1
             item = QueuedEvent(self._number, one, encode(one, self.run, self._number))

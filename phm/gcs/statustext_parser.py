@@ -1,4 +1,4 @@
-"""Reads the lines that PHM tells the ground (`phm.wire.status_line`, `phm.swarm.digest`) back into data. Pure."""
+"""Parses the lines that PHM sends to the ground (`phm.wire.status_line`, `phm.swarm.digest`). Pure."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LEVELS = {"FAIL": Level.ERROR, "GAVE UP": Level.ERROR, "WARN": Level.WARN}
 
 
 class LineKind(str, Enum):
-    """REFRESH repeats how the whole agent is; RELAY is about an agent that does not reach the ground."""
+    """REFRESH repeats the status of the agent; RELAY is about an agent that does not reach the ground."""
 
     CHANGE = "change"
     REFRESH = "refresh"
@@ -36,7 +36,7 @@ class LineKind(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class ParsedLine:
-    """agent: whom it is about, 0 for the swarm. slot: 0 where the line has none. text: what stands behind the head."""
+    """agent: the agent that it is about, 0 for the swarm. slot: 0 if the line has none. text: the rest of the line."""
 
     kind: LineKind
     agent: int
@@ -44,11 +44,11 @@ class ParsedLine:
     slot: int
     text: str
     alone: bool = False
-    """A refresh that knows of one bad unit and no more."""
+    """A refresh that reports one failing unit and no more."""
 
     @property
     def level(self) -> Level | None:
-        """What it says a unit is: ERROR or WARN, else None."""
+        """The level that it reports for a unit: ERROR or WARN, else None."""
         return LEVELS.get(self.word) if self.kind in (LineKind.CHANGE, LineKind.REFRESH) and self.text else None
 
     @property
@@ -72,7 +72,7 @@ class ParsedLine:
 
 
 def parse(text: str) -> ParsedLine | None:
-    """None: not a line of PHM's."""
+    """The parsed line; None: it is not a line of PHM."""
     for kind, form in (
         (LineKind.REFRESH, _REFRESH),
         (LineKind.CHANGE, _CHANGE),
@@ -99,14 +99,14 @@ def parse(text: str) -> ParsedLine | None:
 
 
 def unhealthy_agents(line: ParsedLine) -> frozenset[int] | None:
-    """Who is not well by a SWARM line; None when it had no room for all."""
+    """The agents that are not OK by a SWARM line; None if it had no room for all."""
     if _MORE.search(f" {line.text}"):
         return None
     return frozenset(int(found) for found in _NAMED.findall(line.text))
 
 
 def matches(brief: str, cut: str) -> bool:
-    """Whether `cut` is `brief`, be it cut in its middle to fit a longer line."""
+    """Whether `cut` is `brief`, possibly cut in its middle to fit a longer line."""
     if brief == cut:
         return True
     head, dots, tail = cut.partition("..")

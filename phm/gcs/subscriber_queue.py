@@ -13,7 +13,7 @@ SIZE = 5000
 
 @dataclass(frozen=True, slots=True)
 class QueuedEvent:
-    """number: counts up by one. line: the news as JSON, without the line's end."""
+    """number: counts up by one. line: the event as JSON, without the line's end."""
 
     number: int
     news: GcsEvent

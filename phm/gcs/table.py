@@ -1,6 +1,6 @@
-"""The live table: agents by slots, of the same JSON that machines get. Levels are letters as well as colours.
+"""The live table: agents by slots, from the same JSON that programs get. Levels are letters as well as colours.
 
-At 80 columns every part has its place; what does not fit is cut in the table and stands whole in the lines below it.
+It fits 80 columns. A text that does not fit is cut in the table and is complete in the lines below it.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from phm.wire.text import one_line
 Json = Mapping[str, Any]
 SLOTS = tuple(str(number) for number in range(1, 16))
 GAPS = ("8", "12")
-"""A blank stands behind these: mission, the agent's surroundings, the user's own."""
+"""A blank follows these slots: mission, environment of the agent, user-defined."""
 HEADER = "12345678 9012 345"
-LEGEND = "+ ok  W warn  E error  - not known or unused  ? not heard"
+LEGEND = "+ ok  W warn  E error  - unknown or unused  ? not received"
 _CELLS = {"OK": ("+", "green"), "WARN": ("W", "bold yellow"), "ERROR": ("E", "bold white on red")}
 _NOT_KNOWN, _NOT_HEARD = ("-", "dim"), ("?", "magenta")
 _STYLES = {
@@ -39,10 +39,9 @@ _OTHERS = 8
 
 
 def render(snapshot: Json, news: Sequence[str] = (), *, height: int | None = None, notes: Sequence[str] = ()) -> Group:
-    """The table and what belongs to it.
+    """The table, its header and the lines below it.
 
-    news: the newest lines, oldest first. height: rows of the terminal, None for no limit. notes: what the program says
-    about itself.
+    news: the newest lines, oldest first. height: rows of the terminal, None for no limit. notes: messages about the program.
     """
     agents = list(snapshot["agents"])
     shown, left = _choose(agents, None if height is None else max(1, height - _OTHERS - min(len(news), 5)))
@@ -57,7 +56,7 @@ def render(snapshot: Json, news: Sequence[str] = (), *, height: int | None = Non
 
 
 def _choose(agents: list[Json], room: int | None) -> tuple[list[Json], list[Json]]:
-    """Those that are shown, in their order: where not all fit, the gravest are."""
+    """The agents to show and the others: where not all fit, the worst are shown, in their order."""
     if room is None or len(agents) <= room:
         return agents, []
     ranked = sorted(range(len(agents)), key=lambda place: (_GRAVITY.index(agents[place]["how"]), place))
@@ -67,7 +66,7 @@ def _choose(agents: list[Json], room: int | None) -> tuple[list[Json], list[Json
 
 def _head(snapshot: Json) -> Text:
     agents = snapshot["agents"]
-    heard = "no agent heard yet" if not agents else f"{len(agents)} agents: {_counts(agents)}"
+    heard = "no agent received yet" if not agents else f"{len(agents)} agents: {_counts(agents)}"
     return _plain(f"phm gcs {snapshot['system']}/{snapshot['component']}  {heard}", "bold", crop=True)
 
 
@@ -124,7 +123,7 @@ def _age(agent: Json) -> Text:
 
 
 def _pilot(agent: Json) -> Text:
-    """What the autopilot of its vehicle says."""
+    """State of the vehicle's autopilot."""
     pilot = agent["pilot"]
     if pilot is None:
         return Text("?", "dim")
@@ -148,12 +147,12 @@ def _line(agent: Json) -> Text:
     line = agent["line"]
     if line is None:
         says = agent["swarm_says"]
-        return Text(f"the swarm says {says}", "dim") if says else Text("")
+        return Text(f"by swarm: {says}", "dim") if says else Text("")
     return _plain(line["text"].removeprefix(f"{agent['name']} "), "" if line["severity"] > 4 else "yellow")
 
 
 def _below(snapshot: Json, notes: Sequence[str]) -> list[RenderableType]:
-    """The swarm, the links, other ground stations, and what is wrong with the ground itself."""
+    """The swarm, the links, other ground stations, and problems of the ground station itself."""
     parts: list[RenderableType] = []
     swarm = snapshot["swarm"]
     if swarm and swarm["line"]:
@@ -161,7 +160,7 @@ def _below(snapshot: Json, notes: Sequence[str]) -> list[RenderableType]:
     links = [f"{one['link']} {'open' if one['open'] else one['error']}" for one in snapshot["links"]]
     others = [f"{one['system']}/{one['component']}" for one in snapshot["stations"]]
     closed = bool(snapshot["links"]) and not all(one["open"] for one in snapshot["links"])
-    words = f"links: {', '.join(links) or 'opening'}; other ground stations: {', '.join(others) or 'none heard'}"
+    words = f"links: {', '.join(links) or 'opening'}; other ground stations: {', '.join(others) or 'none'}"
     parts.append(_plain(words, "yellow" if closed else "dim", crop=True))
     parts += [_plain(_radio(radio), "dim", crop=True) for radio in snapshot["radios"]]
     parts += [_plain(note, "dim", crop=True) for note in notes]

@@ -1,7 +1,7 @@
-"""What a reporter is: one file that takes events from the bus to one place outside.
+"""Base of reporters. A reporter is one file that sends events from the bus to one destination.
 
-Found through the entry-point group ``phm.reporters``. The bus gives each reporter a bounded queue and a
-thread of its own, so a slow sink delays nobody; what does not fit is dropped, oldest first, and counted.
+Reporters are found through the entry-point group ``phm.reporters``. The bus gives each a bounded queue and a thread, so a slow
+destination delays no other; when the queue is full, its oldest event is dropped and counted.
 """
 
 from __future__ import annotations
@@ -52,19 +52,19 @@ class DiagnosticsPublisher(Protocol):
     """The way to /diagnostics (`phm.probes.ros.supervisor.RosSupervisor`)."""
 
     def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
-        """Have these published, by name; never blocks. Returns how many times in a row that did not succeed."""
+        """Publish these statuses by name; never blocks. Returns how many times in a row that failed."""
 
 
 @dataclass(frozen=True)
 class ReporterContext:
-    """What a reporter may know.
+    """What a reporter may use.
 
-    states: what the tracker publishes now, in configuration order.
-    alive:  False when the engine has stalled; a dead man's switch for heartbeats.
+    states: the units as the tracker publishes them, in configuration order.
+    alive:  False when the check scheduler hangs; then a reporter must not report that all is OK.
     health: a snapshot of PHM's own condition for `phm status` (JSON-able).
-    swarm:  the other agents. pilot: whether this agent's autopilot is heard.
+    swarm:  the other agents. pilot: whether this agent's autopilot is received.
     holds: what is on hold, as in `phm status --json`.
-    restored: faults that were open before PHM was started again, and were told then.
+    restored: faults that were open, and were reported, before PHM restarted.
     open_faults, given_up: faults as they are now, also of units that recovery has given up on and that have not been OK since.
     """
 
@@ -86,7 +86,7 @@ class ReporterContext:
 
 
 class Reporter(ABC):
-    """One sink. `period_s` asks for `tick` that often; `kinds` are the event classes it takes."""
+    """One destination. `period_s` asks for `tick` that often; `kinds` are the event classes it takes."""
 
     name: ClassVar[str]
     period_s: ClassVar[float | None] = None
@@ -100,7 +100,7 @@ class Reporter(ABC):
 
     @abstractmethod
     def handle(self, event: Event) -> None:
-        """Take one event. An exception is counted and reported, and never stops the reporter."""
+        """Handle one event. An exception is counted and reported, and does not stop the reporter."""
 
     def tick(self) -> None:
         """Called every `period_s` seconds, between events."""
@@ -109,15 +109,15 @@ class Reporter(ABC):
         """Called once at the end, after the last event."""
 
     def hand_over(self) -> None:
-        """Called instead of `close` when the configuration is reloaded: another of its kind follows at once, so there is no
-        farewell to send.
+        """Called instead of `close` when the configuration is reloaded: another reporter of its kind follows immediately, so
+        it must not report an end.
         """
         self.close()
 
     def problem(self) -> str:
-        """A sentence when the sink is not well, else empty."""
+        """A sentence when the destination cannot be reached, else empty."""
         return ""
 
     def report(self) -> dict[str, Any]:
-        """How the sink does, for `phm status`; JSON-able. Empty: there is nothing to say."""
+        """State of the destination for `phm status`; JSON-able. Empty: nothing to show."""
         return {}

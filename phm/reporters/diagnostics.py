@@ -1,7 +1,7 @@
-"""PHM's own state as ROS diagnostics: one status for each unit and one for the whole, every second and on each change.
+"""PHM's units as ROS diagnostics: one status for each unit and a summary, every second and on each change.
 
-The daemon has no ROS: what is to be published goes through a pipe to the ROS child. A dead man's switch as the MAVLink
-heartbeat: when the engine stalls nothing is published, and whoever listens sees it grow stale.
+The daemon does not use ROS: statuses go through a pipe to the ROS child process. When the check scheduler hangs nothing is
+published, so subscribers see the statuses become stale.
 `docs/reference/ros.md` states names, hardware id and key-values as a contract.
 """
 
@@ -41,7 +41,7 @@ _RANK = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 
 
 class DiagnosticsReporter(Reporter):
-    """/diagnostics, by way of the ROS child."""
+    """Publishes on /diagnostics through the ROS child process."""
 
     name = "diagnostics"
     period_s = 1.0
@@ -78,18 +78,20 @@ class DiagnosticsReporter(Reporter):
             self._send(self._statuses(self._context.states()))
 
     def close(self) -> None:
-        """The last array: nothing is known any more, said now and not when listeners lose patience."""
+        """Publish a last array in which all is STALE, so that subscribers need not wait for their timeouts."""
         last = self._statuses(self._context.states())
-        gone = DiagnosticFact(0.0, int(Level.STALE), "PHM has ended", self._context.settings.agent.name)
+        gone = DiagnosticFact(0.0, int(Level.STALE), "PHM has stopped", self._context.settings.agent.name)
         self._send(dict.fromkeys(last, gone))
 
     def hand_over(self) -> None:
-        """The next one goes on where this one ends."""
+        """Send nothing: the next reporter continues."""
 
     def problem(self) -> str:
         if self._not_taken < _NOT_TAKEN:
             return ""
-        return f"/diagnostics is not published: the ROS child has not taken the last {self._not_taken} arrays"
+        return (
+            f"/diagnostics is not published: the ROS child process has not accepted the last {self._not_taken} arrays"
+        )
 
     def _send(self, statuses: dict[str, DiagnosticFact]) -> None:
         self._sent_at = self._context.clock.mono()
@@ -154,7 +156,7 @@ class DiagnosticsReporter(Reporter):
 
 
 def _text(value: Any) -> str:
-    """Numbers as JSON would write them, so that a plot can read them; truth as `true` and `false`."""
+    """Numbers as in JSON, so that plots can read them; booleans as `true` and `false`."""
     if value is None:
         return ""
     if isinstance(value, bool):

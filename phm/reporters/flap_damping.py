@@ -1,8 +1,8 @@
-"""Holds down what flaps: a unit that fails and recovers again and again would speak for ever and say nothing new. Pure.
+"""Flap damping: limits the lines about a unit that fails and recovers repeatedly. Pure.
 
-A unit of which MANY changes were told within WITHIN_S is told once more, as flapping, and then not until it has not
-changed for CALM_S; then its state is told if it is not what was told last. Nothing is hidden meanwhile: the status
-word and the refresh show each change, and the log has all of them.
+A unit with MANY reported changes within WITHIN_S is reported once more, as flapping, and then suppressed until it has not
+changed for CALM_S; then its state is reported again. Nothing is hidden meanwhile: the status word and the refresh show each
+change, and the log has all of them.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ MAX_UNITS = 1000
 class _Unit:
     times: deque[float] = field(default_factory=lambda: deque(maxlen=MANY))
     held: StatusTextLine | None = None
-    """The newest line that was not sent; None while nothing is held down."""
+    """The newest suppressed line; None if there is none."""
     holding: bool = False
     changed: float = 0.0
 
 
 class FlapDamper:
-    """Between what there is to say and what is said. Lines are told apart by their key."""
+    """Passes or suppresses lines by their key. Not thread-safe."""
 
     def __init__(self) -> None:
         self._units: dict[str, _Unit] = {}
 
     def filter(self, lines: Sequence[StatusTextLine], now: float, flapping: str) -> list[StatusTextLine]:
-        """What of these changes is told now. flapping: the text to tell when a unit begins to be held down."""
+        """The lines to send now. flapping: the text of the line that is sent when suppression of a unit begins."""
         passed: list[StatusTextLine] = []
         for line in lines:
             unit = self._unit(line.key)
@@ -53,7 +53,7 @@ class FlapDamper:
         return passed
 
     def settled(self, now: float) -> list[StatusTextLine]:
-        """The state of units that have come to rest, to be told now."""
+        """The lines to send about units that are stable again."""
         passed = []
         for unit in self._units.values():
             if unit.holding and now - unit.changed >= CALM_S:

@@ -1,7 +1,7 @@
-"""To a fleet on IP: the status as a small JSON over Zenoh, on each change and from time to time, and a token of presence.
+"""Reports to a fleet on IP: the status as a small JSON over Zenoh, on each change and periodically, and a liveliness token.
 
-`docs/reference/fleet.md` states keys and payload as a contract. A dead man's switch as the MAVLink heartbeat: when the engine stalls the
-token is taken back, nothing is published, and no query is answered.
+`docs/reference/fleet.md` states keys and payload as a contract. When the check scheduler hangs the token is
+withdrawn, nothing is published, and no query is answered.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ AGAIN_S = 1.0
 """A change is published once more after this time: in a burst of many agents a router drops what a reader cannot take."""
 _OPEN_FAULTS = 256
 _ATTEMPTS = 2
-"""A fleet that is not reached for so many deadlines is a problem of PHM: a lost packet or a roaming radio is not."""
+"""A fleet that is unreachable for so many deadlines is reported as a problem: a lost packet or a roaming radio is not."""
 
 
 class FleetLink(Protocol):
@@ -85,21 +85,21 @@ class FleetReporter(Reporter):
             self._link.put(self._status())
 
     def close(self) -> None:
-        """Say that this end was meant; whoever sees the token go without it knows that it was not."""
+        """Publish POWEROFF; a token that disappears without it means an unexpected end."""
         self._link.close(self._status(fleet_status.POWEROFF))
 
     def hand_over(self) -> None:
-        """The session ends without POWEROFF; the next one opens its own."""
+        """End the session without POWEROFF; the next reporter opens its own."""
         self._link.close()
 
     def problem(self) -> str:
         fact = self._link.fact()
         if fact.namesakes:
             key = fleet_status.key(self._settings.name, self._context.settings.agent.name)
-            return f"another PHM is present as {key}: give each agent a name of its own (agent.name)"
+            return f"another PHM is present as {key}: give each agent a unique name (agent.name)"
         if fact.connected or fact.since_s < _ATTEMPTS * self._settings.deadline:
             return ""
-        return f"the fleet {self._settings.name} is not reached by Zenoh: {fact.error}"
+        return f"Zenoh does not reach the fleet {self._settings.name}: {fact.error}"
 
     def report(self) -> dict[str, Any]:
         fact = self._link.fact()

@@ -1,4 +1,4 @@
-"""Which ground stations are there, and when one appears that has heard nothing so far. Not thread-safe."""
+"""Detects new ground stations, which have received nothing yet. Not thread-safe."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ MAX_STATIONS = 16
 
 
 class GcsPresence:
-    """own: this agent's system id, under which a program aboard may call itself a ground station. timeout_s: a station that was
-    silent for longer has missed what was sent meanwhile."""
+    """own: this agent's system id, which a program on board may use as a ground station. timeout_s: a station that was silent for
+    longer has missed messages."""
 
     def __init__(self, own: int, timeout_s: float) -> None:
         self._own, self._timeout_s = own, timeout_s
         self._heard: OrderedDict[tuple[int, int], float] = OrderedDict()
 
     def appears(self, message: Any, now: float) -> bool:
-        """Whether this HEARTBEAT is that of a ground station that is new, or back."""
+        """Whether this HEARTBEAT is from a ground station that is new or back."""
         if message.type != mavlink.MAV_TYPE_GCS or message.get_srcSystem() == self._own:
             return False
         sender = (message.get_srcSystem(), message.get_srcComponent())

@@ -1,4 +1,4 @@
-"""The log on board: `phm.log` for people and `phm.jsonl`, the record for everything computed after flight.
+"""The log on board: `phm.log` for people and `phm.jsonl`, the record for analysis after flight.
 
 What the lines look like is `phm.reporters.text_log_format` (text) and `docs/reference/logs.md` (JSON keys, a contract); how
 they get to the disk is `phm.reporters.rotating_file`.
@@ -71,10 +71,10 @@ class LogReporter(Reporter):
 
     def handle(self, event: Event) -> None:
         sync = self._sync and isinstance(event, (FaultOpened, FaultClosed, Report))
-        # The record first: should the process die in between, the file that is computed with is complete.
+        # The record first: if the process dies in between, the file for analysis is complete.
         for at, name, kind, body in self._bodies(event):
             self._put(at, name, kind, body, sync=sync and name != "unit")
-        for line in self._text.of(event):
+        for line in self._text.format(event):
             self._plain.write(encode(line), sync=sync)
 
     def tick(self) -> None:
@@ -192,7 +192,7 @@ def _lost_text(count: int, reason: str, last: bytes) -> bytes:
 
 
 def _lost_json(count: int, reason: str, last: bytes) -> bytes:
-    """Takes the place of the last lost line, with its number and stamps: so `seq` goes on without a gap."""
+    """Replaces the last lost line, with its number and stamps, so that `seq` has no gap."""
     head = json.loads(last)
     kept = {key: head[key] for key in ("v", "agent", "agent_id", "boot_id", "seq", "mono", "utc", "utc_s")}
     return _json({**kept, "event": "lost", "kind": "PHM", "lines": count, "reason": reason})

@@ -1,7 +1,7 @@
-"""To the ground: a HEARTBEAT that carries the status word, and a line of text for each change.
+"""Reports to the ground: a HEARTBEAT that carries the status word, and a line of text for each change.
 
-`docs/reference/mavlink.md` states what is sent as a contract. The heartbeat is a dead man's switch: it stops when
-the engine does, so that silence means that nobody is looking after this agent.
+`docs/reference/mavlink.md` states what is sent as a contract. The heartbeat stops when the check
+scheduler hangs, so that silence means that this agent is not monitored.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PEERS = "peers/"
 FULL_EVERY_S = 5.0
 """Ground stations that come and go have the full state sent again at most this often."""
 AGAIN_S = (0.7, 2.0, 4.0)
-"""After a change while the radio is bad its line may be lost, and the refresh follows so much later: it is never spoken."""
+"""After a change while the radio is bad its line may be lost, so refreshes follow after these times; they are not spoken."""
 SPREAD_S = 0.02
 """Seconds by which agents' answers to the same ground station differ, times the agent's number: as long as a 64 kbit/s radio
 needs for a heartbeat and a refresh."""
@@ -79,7 +79,7 @@ class MavlinkReporter(Reporter):
             self._refresh_at = self._context.clock.mono()
 
     def tick(self) -> None:
-        """Heartbeat, refresh and the answer to a new ground station, when due and while the engine lives."""
+        """Send heartbeat, refresh and the full state when due, while the check scheduler runs."""
         now = self._context.clock.mono()
         self._say(self._damper.settled(now))
         by_size_s = default_periods(self._port.agents)
@@ -100,14 +100,14 @@ class MavlinkReporter(Reporter):
                 self._say_again()
 
     def close(self) -> None:
-        """A last heartbeat that says POWEROFF: a planned end is no failure."""
+        """Send a last heartbeat with POWEROFF: a planned end is not a failure."""
         self._send_heartbeat(self._context.states(), mavlink.MAV_STATE_POWEROFF)
 
     def hand_over(self) -> None:
-        """The next one goes on where this one ends."""
+        """Send nothing: the next reporter continues."""
 
     def gcs_appeared(self) -> None:
-        """Send the full state once, soon: a ground station is there that has heard nothing so far."""
+        """Send the full state soon: a new ground station has received nothing yet."""
         soon = self._context.clock.mono() + SPREAD_S * self._agent
         self._full_at = max(soon, self._last_full + FULL_EVERY_S)
 
@@ -117,7 +117,7 @@ class MavlinkReporter(Reporter):
             self.gcs_appeared()
 
     def _change(self, lines: list[StatusTextLine], slot: Slot, brief: str) -> None:
-        """Changes of one unit: told, unless it flaps."""
+        """Send changes of one unit, unless it flaps."""
         if lines and self._refresh_at is not None:
             self._again = tuple(self._context.clock.mono() + after_s for after_s in AGAIN_S)
         flapping = status_line.flapping(self._agent, slot, brief)
@@ -129,7 +129,7 @@ class MavlinkReporter(Reporter):
             self._say([self._builder.refresh(states)])
 
     def _leads(self) -> bool:
-        """Whether this agent leads for the swarm: each agent notices that another is lost, and one tells the ground."""
+        """Whether this agent is the leader of the swarm: each agent detects a lost peer, and the leader reports it."""
         swarm = self._context.swarm
         return swarm is None or swarm.look().leader == self._agent
 
@@ -151,5 +151,5 @@ class MavlinkReporter(Reporter):
 
 
 def _next(due: float, period_s: float, now: float) -> float:
-    """When it is due again: in step with before, unless a turn was missed; none is made up for."""
+    """When it is due again: in step with before, unless a turn was missed; missed turns are not repeated."""
     return due + period_s if due + period_s > now else now + period_s

@@ -1,4 +1,4 @@
-"""The reporters of this PHM: those installed and wanted, each with a queue of its own on the bus."""
+"""Builds the installed reporters that are configured, each with its own queue on the bus."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ logger = logging.getLogger(__name__)
 
 
 class ReporterManager:
-    """Builds and closes them. Each is a plug-in: what one raises costs that one alone."""
+    """Builds and closes reporters. Each is a plug-in: an exception in one does not affect the others."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._reporters: list[Reporter] = []
 
     def start(self, context: ReporterContext) -> None:
-        """Before the first result, so that nobody misses it."""
+        """Build and subscribe them; call it before the first result, so that none misses it."""
         for found in registry.find(registry.REPORTERS, Reporter):
             if found.loaded is None:
                 continue
             try:
                 kind: type[Reporter] = found.loaded
                 reporter = kind.build(context)
-            except Exception:  # the others report all the same
-                logger.exception("reporter %s could not be built", found.name)
+            except Exception:  # the others must still report
+                logger.exception("reporter %s cannot be started", found.name)
                 continue
             if reporter is not None:
                 self._reporters.append(reporter)
@@ -46,9 +46,9 @@ class ReporterManager:
         return [problem for reporter in self._reporters if (problem := reporter.problem())]
 
     def reports(self) -> dict[str, dict[str, Any]]:
-        """By name, of those that have something to say."""
+        """Reports by name, without empty ones."""
         return {reporter.name: report for reporter in self._reporters if (report := reporter.report())}
 
     def closers(self, *, last: bool = True) -> tuple[tuple[str, Callable[[], None]], ...]:
-        """What ends each, by name: to be called after the bus, which hands out what is queued. `last`: PHM ends with them."""
+        """What closes each, by name; call it after the bus is closed, which delivers queued events. `last`: PHM ends, too."""
         return tuple((each.name, each.close if last else each.hand_over) for each in self._reporters)

@@ -1,7 +1,8 @@
-"""A file of lines that outlives what flights do to files: SIGKILL, power cuts, full disks, vanished directories.
+"""A file of lines that survives SIGKILL, power cuts, full disks and removed directories.
 
-Each line is one `os.write` to a descriptor opened with O_APPEND and nothing is kept in user space, so every
-line handed over survives the death of the process. What cannot be written waits in a bounded ring in memory.
+Each line is one `os.write` to a descriptor opened with O_APPEND and nothing is buffered in user space, so every written line
+survives the death of the process. Lines that cannot be written wait in a bounded ring in memory: not a `BoundedQueue`, because
+a line leaves it only after it is on disk, and the last lost line is needed.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ RING_LINES = 1000
 FIRST_RETRY_S = 1.0
 LAST_RETRY_S = 30.0
 HANGS_S = 5.0
-"""A call to the disk that takes longer is told: a dying SD card blocks its writer instead of failing."""
+"""A write that takes longer is reported: a failing SD card blocks its writer instead of returning an error."""
 
 LostLine = Callable[[int, str, bytes], bytes]
 """Makes the line that says how many lines were lost, why, and which the last of them was."""
@@ -87,7 +88,7 @@ class RotatingFile:
         return f"cannot write {self.path}: {reason}; {waiting} lines are kept in memory, {lost} lost"
 
     def close(self) -> None:
-        """Try once more to write what waits, then let go of the file."""
+        """Try once more to write the waiting lines, then close the file."""
         self.retry(now=True)
         self._close()
 
@@ -142,7 +143,7 @@ class RotatingFile:
             self._close()
         directory = os.path.dirname(self.path)
         os.makedirs(directory, exist_ok=True)
-        # O_NONBLOCK: a log that someone turned into a pipe nobody reads must fail, not hang.
+        # O_NONBLOCK: a log that was replaced by a pipe without a reader must fail, not hang.
         self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK, 0o644)
         self._size = 0
         if self._regular():
@@ -200,7 +201,7 @@ class RotatingFile:
     def _close(self) -> None:
         if self._fd >= 0:
             fd, self._fd = self._fd, -1
-            # The descriptor is gone either way; what could not be written was told by the write.
+            # The descriptor is gone either way; a write error was reported by the write.
             with contextlib.suppress(OSError):
                 os.close(fd)
 

@@ -1,7 +1,7 @@
-"""The status file, from which `phm status` and the container's HEALTHCHECK read how the running daemon does.
+"""The status file, from which `phm status` and the container's HEALTHCHECK read the state of the running daemon.
 
-Written atomically to ``run_dir/status.json`` every two seconds and on change; removed at the end. When to believe
-it is `phm.wire.status_file`; its keys are in `docs/reference/cli.md`.
+Written atomically to ``run_dir/status.json`` every two seconds and on change; removed at the end. When it is
+valid is in `phm.wire.status_file`; its keys are in `docs/reference/cli.md`.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ class StatusReporter(Reporter):
         self._write()
 
     def close(self) -> None:
-        # A file that stays would be refused after 5 s anyway; without it the reason is plain at once.
+        # A file that stays would be refused after 5 s anyway; without it the reason is clear immediately.
         with contextlib.suppress(OSError):
             os.unlink(self._path)
 
     def hand_over(self) -> None:
-        """The next one goes on where this one ends."""
+        """Keep the file: the next reporter continues."""
 
     def problem(self) -> str:
         return self._problem
@@ -107,7 +107,7 @@ class StatusReporter(Reporter):
         for state in states:
             if state.blocked_by:
                 blocked.setdefault(state.blocked_by, []).append(state.unit)
-        # Events say what is open, the tracker what is wrong by now.
+        # Events report which faults are open, the tracker their current state.
         current = {**self._open, **{fault.id: fault for fault in context.open_faults()}}
         opened = [fault_json(fault, blocks=blocked.get(fault.unit, ())) for fault in current.values()]
         given_up = [

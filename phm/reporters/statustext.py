@@ -1,7 +1,7 @@
-"""Which line of `phm.wire.status_line` follows from which event.
+"""Builds the lines of `phm.wire.status_line` from events.
 
-Pure but for what was told: the rule is that the ground hears each change once, with the cause's own words,
-and that what follows from another fault says nothing.
+The ground gets each change once, with the text of its cause; a consequence of another fault is not reported. The only state is
+what was sent.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from phm.wire import command, status_line
 from phm.wire.status_line import Severity
 
 FULL_LINES = 10
-"""Bad units told one by one to a ground station that has just appeared; the rest is in the refresh line."""
+"""Failing units that are sent one by one to a new ground station; the others are counted in the refresh line."""
 
 
 @dataclass(frozen=True, slots=True)
 class StatusTextLine:
-    """`key`: a newer line with the same key makes this one superfluous while it waits."""
+    """`key`: a newer line with the same key replaces this one while it waits."""
 
     key: str
     severity: Severity
@@ -41,17 +41,17 @@ class StatusTextLine:
 
 
 class StatusTextBuilder:
-    """Events in, lines out. `told` holds, by unit, the bad line that the ground heard last and not yet took back."""
+    """Builds lines from events. `_sent` holds, by unit, the last failure that was sent and has not been resolved."""
 
     def __init__(self, agent: int) -> None:
         self._agent = agent
         self._sent: dict[str, tuple[UnitState, str]] = {}
         self._open: set[str] = set()
         self._asks: dict[str, StatusTextLine] = {}
-        """By unit, what the operator was asked for and has not answered."""
+        """By unit, the request to the operator that is not answered."""
 
     def knows(self, states: Sequence[UnitState]) -> None:
-        """The ground has heard of these bad units from an earlier run of PHM."""
+        """The ground received the failures of these units from an earlier run of PHM."""
         for state in states:
             self._open.add(state.unit)
             self._bad(state)
@@ -63,8 +63,8 @@ class StatusTextBuilder:
         if state.level is Level.OK and state.unit not in self._open:
             return self._over(state.unit, "")
         if state.result.condition == ON_HOLD:
-            self._sent.pop(state.unit, None)  # if it is still bad after the hold, that is said again
-        return []  # STALE says nothing by itself; OK with an open fault is told when the fault closes, with who did it
+            self._sent.pop(state.unit, None)  # if it still fails after the hold, that is sent again
+        return []  # STALE is not reported; OK with an open fault is reported with the end of the fault, and by what it ended
 
     def fault(self, event: FaultOpened | FaultClosed) -> list[StatusTextLine]:
         fault = event.fault
@@ -82,7 +82,7 @@ class StatusTextBuilder:
         return [StatusTextLine(f"hold {event.target}", Severity.NOTICE, text)]
 
     def action(self, event: ActionEvent, states: Mapping[str, UnitState]) -> list[StatusTextLine]:
-        """Only what asks something of the operator; what PHM did is told by what came of it."""
+        """Only requests to the operator; an action of PHM is reported by its result."""
         state = states.get(event.unit)
         if state is None:
             return []
@@ -110,7 +110,7 @@ class StatusTextBuilder:
         return line
 
     def _asked(self, event: ActionEvent, state: UnitState, key: str) -> list[StatusTextLine]:
-        """What an operator asked for without any fault; its beginning was acknowledged, its end is told."""
+        """The result of an operator's request without a fault; its beginning was acknowledged."""
         ends = {Phase.VERIFIED: "done", Phase.FAILED: "failed", Phase.REFUSED: "refused"}
         if event.phase not in ends:
             return []
@@ -119,7 +119,7 @@ class StatusTextBuilder:
         return [StatusTextLine(key, severity, text)]
 
     def reconcile(self, states: Sequence[UnitState]) -> list[StatusTextLine]:
-        """Tell what lost events did not: nothing, when none were lost."""
+        """The lines of lost events; none, if no event was lost."""
         self._open = {state.unit for state in states if state.fault}
         lines = []
         for state in states:
@@ -130,7 +130,7 @@ class StatusTextBuilder:
         return lines
 
     def full(self, states: Sequence[UnitState]) -> list[StatusTextLine]:
-        """Everything again, worst first, for a ground station that has heard nothing of it."""
+        """All failures again, worst first, for a new ground station."""
         lines = []
         for state in status_line.worst_first(states)[:FULL_LINES]:
             if state.level.bad:

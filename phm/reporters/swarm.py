@@ -1,6 +1,6 @@
-"""To the other agents: this one's view of them. To the ground, by the elected leader: the swarm in one line.
+"""Sends this agent's view to the other agents, and, as the elected leader, the swarm's status to the ground.
 
-`docs/reference/swarm.md` states what is sent as a contract; all of it is bound by the links' budgets, after changes of the agent itself.
+`docs/reference/swarm.md` states what is sent as a contract. The links' budgets apply; changes of the agent itself come first.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from phm.wire.status_line import Severity
 from phm.wire.tunnel import PeerState, PeerView
 
 VIEW_HEARTBEATS = 20
-"""A view every so many heartbeats when nothing changes; at once when something does, and once more a heartbeat later."""
+"""A view every so many heartbeats without a change; immediately after a change, and again a heartbeat later."""
 CALM_S = 1.0
 """Changes within this time, or half a heartbeat, go out as one view: agents are lost and found in groups."""
 TUNNEL_BYTES = 128
-UNTOLD_HEARTBEATS = 6
-"""A leader is known to be lost after five of its heartbeats: what became so within them it may not have told."""
+MISSED_HEARTBEATS = 6
+"""The loss of a leader is detected after five of its heartbeats: it may not have reported changes within them."""
 RELAY = "relay "
 
 
@@ -48,7 +48,7 @@ class SwarmReporter(Reporter):
         self._view_at = float("-inf")
         self._sent_line, self._line_at = "", float("-inf")
         self._relayed: dict[int, tuple[object, float]] = {}
-        """What the ground was passed for each agent that cannot reach it, by this or another leader, and since when it is so."""
+        """The report sent for each agent that cannot reach the ground, by this or another leader, and when it became so."""
         self._spoke, self._damper = False, FlapDamper()
         self._stations = GcsPresence(self._agent, context.settings.mavlink.gcs_timeout)
         self._appeared = threading.Event()
@@ -61,7 +61,7 @@ class SwarmReporter(Reporter):
         return cls(context, context.mavlink, context.swarm)
 
     def handle(self, event: Event) -> None:
-        """Nothing: the swarm is looked at, not told."""
+        """Ignored: the swarm is polled."""
 
     def tick(self) -> None:
         if not self._context.alive():
@@ -74,9 +74,9 @@ class SwarmReporter(Reporter):
         if leads and self._appeared.is_set():
             self._sent_line, self._relayed = "", {}
         elif leads and not self._spoke:
-            # What the last leader may have been lost with, untold, is told; the rest would be repeated aloud.
-            untold_s = UNTOLD_HEARTBEATS * self._heartbeat_s()
-            self._relayed = {agent: sent for agent, sent in self._relayed.items() if now - sent[1] > untold_s}
+            # Send what the last leader may not have sent before it was lost; the rest would be a repetition.
+            missed_s = MISSED_HEARTBEATS * self._heartbeat_s()
+            self._relayed = {agent: sent for agent, sent in self._relayed.items() if now - sent[1] > missed_s}
         self._appeared.clear()
         self._spoke = leads
         if leads:
@@ -132,11 +132,11 @@ class SwarmReporter(Reporter):
         self._port.send(
             _tunnel(tunnel.encode(digest.swarm_digest(agreed, levels))), MessagePriority.SWARM, key="digest"
         )
-        # INFO is shown and never spoken: each agent leads for itself, and the leader's own check for the lost ones.
+        # INFO is shown and not spoken: each agent reports its own failures, and the leader's check the lost agents.
         self._say(line, Severity.INFO, "swarm line", MessagePriority.TRANSITION if changed else MessagePriority.REFRESH)
 
     def _relay(self, fact: SwarmFact, now: float) -> list[StatusTextLine]:
-        """What agents that cannot reach the ground would say, once for each change."""
+        """The reports for agents that cannot reach the ground, once for each change."""
         lines = []
         for agent in fact.no_gcs:
             peer = fact.peers.get(agent)
@@ -152,9 +152,9 @@ class SwarmReporter(Reporter):
         return lines
 
     def _send_lines(self, lines: list[StatusTextLine], fact: SwarmFact, now: float) -> None:
-        """These lines, unless their agent comes and goes again and again; then its last one when that has ended."""
-        deaf = {f"{RELAY}{agent}" for agent in fact.no_gcs}
-        passed = [line for line in self._damper.settled(now) if line.key in deaf]
+        """Send these lines, unless their agent flaps; then its last line when it is stable."""
+        keys = {f"{RELAY}{agent}" for agent in fact.no_gcs}
+        passed = [line for line in self._damper.settled(now) if line.key in keys]
         for line in lines:
             passed += self._damper.filter([line], now, digest.flapping_line(int(line.key.removeprefix(RELAY))))
         for line in passed:
@@ -166,7 +166,7 @@ class SwarmReporter(Reporter):
 
 
 def _seen(state: str, heard: bool) -> PeerState:
-    """How this agent alone sees it: what the swarm agrees on must not echo back as evidence."""
+    """Its state as seen by this agent alone: the consensus must not count as evidence for itself."""
     if state == MemberState.NEVER.value:
         return PeerState.NEVER
     return PeerState.ALIVE if heard else PeerState.LOST

@@ -1,6 +1,6 @@
-"""The words of the text log, in the manner of the PHM paper's Fig. 5: events in, lines out.
+"""The lines of the text log, in the format of the PHM paper's Fig. 5.
 
-``2026-03-01 12:00:00.123 ---- KIND: (slot) message``. Knows nothing of files. `docs/reference/logs.md` is the contract.
+``2026-03-01 12:00:00.123 ---- KIND: (slot) message``. `docs/reference/logs.md` is the contract.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ MAX_BYTES = 8000
 
 NOTE_KINDS = ("ACTION", "COMMAND", "DOCKER", "HOLD", "NOTE", "PHM")
 _KINDS = {Level.OK: "SUCCESS", Level.WARN: "WARNING", Level.ERROR: "FAILURE", Level.STALE: "STALE"}
-# How several well units of one check read as one line: what they are, and what is well about them.
+# Several OK units of one check in one line: what they are, and their state.
 _WELL = {
-    Slot.CONTAINER: ("containers", "are well"),
+    Slot.CONTAINER: ("containers", "are OK"),
     Slot.FILES: ("file checks", "passed"),
     Slot.NETWORK: ("network checks", "passed"),
     Slot.DEVICES: ("device checks", "passed"),
@@ -73,7 +73,7 @@ def encode(line: str) -> bytes:
 
 
 class TextLogFormatter:
-    """Turns events into lines. Remembers only what later lines need: slots of units, open faults, told escalations."""
+    """Turns events into lines. Its state: slots of units, open faults, logged escalations."""
 
     def __init__(self) -> None:
         self._slots: dict[str, Slot] = {}
@@ -81,14 +81,14 @@ class TextLogFormatter:
         self._faults: dict[str, Fault] = {}
         self._open_report: int | None = None
 
-    def of(self, event: Event) -> list[str]:
-        """The lines for one event; none for what another line tells already."""
-        return [one_line(line) for line in self._of(event)]
+    def format(self, event: Event) -> list[str]:
+        """The lines for one event; none for what another line already shows."""
+        return [one_line(line) for line in self._lines(event)]
 
-    def _of(self, event: Event) -> Iterator[str]:
+    def _lines(self, event: Event) -> Iterator[str]:
         if isinstance(event, Transition):
             self._slots[event.unit] = event.state.slot
-            # While a report is being made, what turns out well is in its list a moment later.
+            # During a report, a unit that becomes OK is listed in it a moment later.
             if not (self._open_report is not None and (event.old, event.new) == (Level.STALE, Level.OK)):
                 yield _unit_line(event.at, event.state, self._faults.get(event.unit))
         elif isinstance(event, ReportStarted):
@@ -120,7 +120,7 @@ class TextLogFormatter:
             yield from _check_lines(report.at, tuple(states), self._faults)
         if report.missing:
             yield _line(
-                report.at, "PHM", None, f"not in this report, the check has not come back: {', '.join(report.missing)}"
+                report.at, "PHM", None, f"not in this report, its check has not returned: {', '.join(report.missing)}"
             )
         array = status_array(report.units)
         yield (
@@ -152,7 +152,7 @@ class TextLogFormatter:
         elif fault.outcome is Outcome.ESCALATED and fault.id not in self._escalated:
             self._escalated.append(fault.id)
             yield _line(event.at, "ESCALATED", fault.slot, f"{fault.unit}: PHM has given up {after}")
-        # REATTRIBUTED needs no line: the unit's own `STALE ... blocked by` tells it.
+        # REATTRIBUTED needs no line: the unit's own `STALE ... blocked by` shows it.
 
 
 def _line(at: Stamp, kind: str, slot: Slot | None, message: str) -> str:
@@ -173,7 +173,7 @@ def _unit_line(at: Stamp, state: UnitState, fault: Fault | None = None) -> str:
 
 
 def following(fault: Fault, text: str) -> str:
-    """What stands behind a fault's sentence `text`: its consequences, and what else is bad and could be its cause.
+    """What follows a fault's sentence `text`: its consequences, and other failures that could be its cause.
 
     ``: blocks nodes, topics, rates; host/disk is also bad``; ``; blocks ...`` after a sentence that has its colon.
     """
@@ -195,7 +195,7 @@ def _message(state: UnitState) -> str:
 
 
 def _check_lines(at: Stamp, states: Sequence[UnitState], faults: Mapping[str, Fault]) -> Iterator[str]:
-    """The units of one check: what is well in one line, at the place of the first; everything else by itself."""
+    """The units of one check: those that are OK in one line, at the place of the first; the others one by one."""
     judged = [state for state in states if unit_kind(state) != "BYPASS"]
     well = [state for state in judged if state.level is Level.OK]
     folded = len(well) > 1
@@ -209,7 +209,7 @@ def _check_lines(at: Stamp, states: Sequence[UnitState], faults: Mapping[str, Fa
 def _folded(well: Sequence[UnitState], of_all: int) -> str:
     first = well[0]
     words = _WELL_CHECKS.get(first.check) or _WELL.get(first.slot)
-    what, how = words or (f"units of {first.check}", "are well")
+    what, how = words or (f"units of {first.check}", "are OK")
     count = f"All {of_all}" if len(well) == of_all else f"{len(well)} of {of_all}"
     return f"{count} {what} {how}: {', '.join(map(_named, well))}"
 

@@ -1,1 +1,1 @@
-"""What agents know of each other, and what they agree on. Pure: frames and time are brought by the caller."""
+"""The other agents and the consensus about them. Pure: the caller brings frames and time."""

@@ -1,7 +1,7 @@
-"""How many agents share the links, as heartbeat periods and budgets follow it: it changes slowly. Pure.
+"""The number of agents that share the links, smoothed: heartbeat periods and budgets follow it. Pure.
 
-Where the agents are not listed, anybody can send heartbeats of made-up ones. Silence is measured in heartbeat periods, so a
-sudden jump of the period would hide a real loss; a slow one costs a large swarm a few minutes of denser heartbeats.
+Where the agents are not listed, any sender can invent some. Silence is measured in heartbeat periods, so a sudden change of the
+period would hide a real loss; a slow one costs a large swarm a few minutes of more frequent heartbeats.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ AT_ONCE = 8
 """Up to so many agents have the same, shortest period."""
 DOUBLES_S = 60.0
 RECENT_S = 120.0
-"""Who was heard within this time sends on the links."""
+"""An agent that was received within this time counts as a user of the links."""
 STEADY = 3
-"""So many different heartbeats make a sender count."""
+"""A sender counts after this many different heartbeats."""
 
 
 class SmoothedAgentCount:
@@ -22,7 +22,7 @@ class SmoothedAgentCount:
         self._value, self._at = float(max(1, agents)), now
 
     def update(self, agents: int, now: float) -> int:
-        """How many to count with at `now`, seconds, when there are so many: at most twice or half as many a minute."""
+        """The smoothed number at `now` (seconds) when there are `agents`: it at most doubles or halves in a minute."""
         factor = 2.0 ** ((now - self._at) / DOUBLES_S)
         self._at = now
         if agents > self._value:

@@ -1,10 +1,10 @@
-"""What the swarm agrees on, from everybody's views: lost or only partly reachable, split, or without its ground. Pure.
+"""Consensus of the swarm from the views of all agents: lost, partly reachable, split, or without a ground station. Pure.
 
-Each agent computes it for itself from the same views, with no leader and no rounds: views are small, sent often, and
-old ones do not count. An observer is an agent that this one hears and whose view is young, and this one itself.
-An agent is *lost* when more observers have lost it than hear it, and *partly reachable* otherwise; who hears it and who
-does not is reported in both cases. No vote of others makes an agent lost that this one hears itself. In a split network each
-side sees the other as lost, which is what either can know; it says so as a split when several vanish together.
+Each agent computes it from the same views, without a leader and without rounds: views are small and sent often, and old ones do
+not count. Observers are this agent and each agent that it receives and whose view is new enough. An agent is *lost* when more
+observers have lost it than receive it, and *partly reachable* if some do not receive it; both lists are reported. An agent that
+this one receives is not lost, whatever the others vote. In a split network each side sees the other as lost; when several agents
+are lost together, it is reported as a split.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from phm.wire.tunnel import PeerState, PeerView
 
 THERE = frozenset((PeerState.ALIVE, PeerState.LATE))
 SPLIT_S = 15.0
-"""Agents that were lost within this time of each other vanished together."""
+"""Agents that were lost within this time of each other count as lost together."""
 
 
 class MemberState(str, Enum):
-    """What the swarm agrees on about one agent."""
+    """The state of one agent by consensus."""
 
     ALIVE = "alive"
     PARTLY = "partly reachable"
@@ -30,13 +30,13 @@ class MemberState(str, Enum):
     LOST = "lost"
     NEVER = "never seen"
     LEFT = "left"
-    """It said that it was stopped on purpose."""
+    """It announced that it was stopped on purpose."""
 
 
 @dataclass(frozen=True, slots=True)
 class MemberStatus:
-    """About one agent. `heard_by`, `not_heard_by`: observers; where all agree, `heard_by` is all of them and may name the agent
-    itself. `gcs`: whether it hears a ground station, None unknown.
+    """Consensus about one agent. `heard_by`, `not_heard_by`: observers; where all agree, `heard_by` is all of them and may
+    include the agent itself. `gcs`: whether it receives a ground station, None if unknown.
     """
 
     state: MemberState
@@ -48,22 +48,22 @@ class MemberStatus:
 
 @dataclass(frozen=True, slots=True)
 class Consensus:
-    """As of one moment, as this agent computes it. `observers`: whose views counted, this one included."""
+    """At one moment, as this agent computes it. `observers`: agents whose views counted, this one included."""
 
     own: int
     statuses: Mapping[int, MemberStatus] = field(default_factory=dict)
     observers: tuple[int, ...] = ()
     split: tuple[int, ...] = ()
-    """Agents that vanished together, two or more; empty when the network is whole as far as one can tell."""
+    """Two or more agents that were lost together; empty when no split is detected."""
 
     @property
     def members(self) -> int:
-        """This agent and all others that belong to the swarm; who left on purpose does not count."""
+        """Number of members, this agent included, without those that left on purpose."""
         return 1 + sum(status.state is not MemberState.LEFT for status in self.statuses.values())
 
     @property
     def living(self) -> tuple[int, ...]:
-        """Ids of those that live, this one included, ascending."""
+        """Ids of the agents that are alive, this one included, ascending."""
         there = (MemberState.ALIVE, MemberState.PARTLY, MemberState.LATE)
         return tuple(sorted((self.own, *(a for a, v in self.statuses.items() if v.state in there))))
 
@@ -73,11 +73,11 @@ class Consensus:
 
 
 def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
-    """The swarm's state. own_gcs: whether this agent hears a ground station itself."""
+    """The state of the swarm. own_gcs: whether this agent receives a ground station."""
     seen = peers.states(now)
     views: dict[int, PeerView] = {agent: view for agent, peer in peers.all().items() if (view := peer.votes(now))}
     observers = tuple(sorted((peers.own, *views)))
-    # Mostly all observers hear the same agents: those need no counting, and a hundred agents cost no ten thousand looks.
+    # Usually all observers receive the same agents: those need no counting, and 100 agents do not cost 10 000 comparisons.
     undisputed = frozenset(agent for agent, how in seen.items() if how in THERE).intersection(
         *(view.there | {observer} for observer, view in views.items())
     )
@@ -87,7 +87,7 @@ def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
         else _status(agent, how, views, peers, now)
         for agent, how in seen.items()
     }
-    # Those that we hear did not vanish: when a split heals, the other half's views still say that ours is lost.
+    # An agent that we receive is not lost: when a split ends, views of the other half still report ours as lost.
     lost = [
         agent for agent, status in statuses.items() if status.state is MemberState.LOST and seen[agent] not in THERE
     ]
@@ -95,7 +95,7 @@ def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
 
 
 def without_gcs(consensus: Consensus, own_gcs: bool) -> tuple[int, ...]:
-    """Living agents that do not hear the ground while another one does: their radio has failed, not the ground."""
+    """Agents that are alive and do not receive the ground while another one does: their radio failed, not the ground."""
     some_do = own_gcs or any(status.gcs for status in consensus.statuses.values())
     if not some_do:
         return ()
@@ -137,7 +137,7 @@ def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], peers: Pe
 
 
 def _together(lost: list[int], peers: Peers) -> tuple[int, ...]:
-    """The largest group of lost agents that fell silent within SPLIT_S of each other, when it is two or more."""
+    """The largest group of two or more lost agents that became silent within SPLIT_S of each other; else empty."""
     times = sorted((peer.heard_s, agent) for agent in lost if (peer := peers.peer(agent)) and peer.heard_s is not None)
     best: list[int] = []
     for start, (began, _) in enumerate(times):

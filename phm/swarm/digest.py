@@ -1,12 +1,12 @@
-"""The swarm in one line and in one TUNNEL: what the leader tells the ground. Pure.
+"""The status of the swarm in one line and in one TUNNEL, which the leader sends to the ground. Pure.
 
-The line, at most 50 characters: how many of how many are well, the worst word, and who is not, gravest first::
+The line, at most 50 characters: how many of how many agents are OK, the worst level, and the others, worst first::
 
     SWARM 8/8 OK
     SWARM 7/8 FAIL A03:ROS
     SWARM 5/8 FAIL A06:lost A07:lost A03:ROS
     SWARM 90/100 FAIL A07:lost A12:DOCKER A13:ROS +7
-    SWARM 7/8 WARN A02:no-GCS                    lives, but hears no ground station
+    SWARM 7/8 WARN A02:no-GCS                    alive, but receives no ground station
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ _WORD = {Level.OK: "OK", Level.STALE: "OK", Level.WARN: "WARN", Level.ERROR: "FA
 
 
 def worst_slot(word: int, *, no_gcs: bool = False) -> tuple[Level, Slot | None]:
-    """The worst level in a status word and the first slot that has it; STALE, None for one that says nothing.
+    """The worst level in a status word and the first slot that has it; STALE, None for an empty word.
 
-    no_gcs: an agent that hears no ground station says so in slot 1 or 11, and so does not know the whole path of a command (10):
-    neither may hide what else is wrong with it.
+    no_gcs: an agent that receives no ground station reports that in slot 1 or 11, and does not know the complete path of a
+    command (10): neither may hide its other failures.
     """
     try:
         member_levels = status_word.decode(word)
     except ValueError:
         return Level.STALE, None
-    # An agent's slot 12 says that it misses others: the digest tells that once, from the consensus.
+    # Slot 12 reports lost peers: the digest reports those once, from the consensus.
     member_levels.pop(Slot.PEERS, None)
     if not member_levels:
         return Level.STALE, None
     if no_gcs:
-        member_levels = {slot: level for slot, level in member_levels.items() if not _is_way(slot, level)} or {
+        member_levels = {slot: level for slot, level in member_levels.items() if not _is_path(slot, level)} or {
             Slot.COMPANION: Level.OK
         }
     slot = max(member_levels, key=lambda entry: (_GRAVITY[member_levels[entry]], -entry))
@@ -60,7 +60,7 @@ def worst_slot(word: int, *, no_gcs: bool = False) -> tuple[Level, Slot | None]:
 
 
 def member_levels(consensus: Consensus, own_word: int, no_gcs: Collection[int] = ()) -> dict[int, tuple[Level, str]]:
-    """Each member's level with a word for why it is not OK, by agent id."""
+    """Level and cause of each member, by agent id."""
     levels = {consensus.own: _of_word(own_word, no_gcs=consensus.own in no_gcs)}
     for agent, status in consensus.statuses.items():
         if status.state is MemberState.LEFT:
@@ -97,7 +97,7 @@ def digest_line(levels: Mapping[int, tuple[Level, str]]) -> str:
 
 
 def relay_line(agent: int, heard_by: Collection[int], word: int) -> str:
-    """What an agent would say that does not reach the ground, at most 50 characters, by its newest status word::
+    """The status of an agent that does not reach the ground, at most 50 characters, by its newest status word::
 
     A03 no GCS radio, heard by A01 A02: 2 ERROR
     A03 no GCS radio, heard by A01 A02 +5: OK
@@ -114,12 +114,12 @@ def relay_line(agent: int, heard_by: Collection[int], word: int) -> str:
 
 
 def flapping_line(agent: int) -> str:
-    """An agent loses and finds the ground again and again, or fails and recovers meanwhile; it is not told each time."""
+    """An agent repeatedly loses and finds the ground, or fails and recovers meanwhile; each change is not reported."""
     return f"{agent_name(agent)} no GCS radio: flapping"
 
 
 def relay_severity(word: int) -> Severity:
-    """As the agent's own line would have; a radio that is lost is a warning by itself."""
+    """As of the agent's own line; a lost radio alone is a warning."""
     level, slot = worst_slot(word, no_gcs=True)
     return severity(level, slot) if level.bad and slot is not None else Severity.WARNING
 
@@ -130,7 +130,7 @@ def swarm_digest(consensus: Consensus, levels: Mapping[int, tuple[Level, str]]) 
     )
 
 
-def _is_way(slot: Slot, level: Level) -> bool:
+def _is_path(slot: Slot, level: Level) -> bool:
     return slot in (Slot.COMPANION, Slot.RADIO) or (slot is Slot.AUTOPILOT and level is Level.STALE)
 
 

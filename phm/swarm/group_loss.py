@@ -1,8 +1,8 @@
-"""Whether several peers fell silent in one moment: known sooner than that one of them is lost, for chance would have to strike
-them all. Pure.
+"""Detects that several peers became silent together, which is known sooner than the loss of a single peer: random loss would
+have to affect all of them. Pure.
 
-One heartbeat that is missed says little on a lossy radio; of seven peers one each says much. So the missed heartbeats of all that
-fell silent together are added up, each by how improbable its loss is (`HeartbeatStats.weight`), less what the choice of these peers among
+One missed heartbeat means little on a lossy radio; one of each of seven peers means much. So the missed heartbeats of all peers
+that became silent together are added up, each by how improbable its loss is (`HeartbeatStats.weight`), less what the choice of these peers among
 all explains. And since a short fade of this agent's own radio, or of the air between two groups, takes one heartbeat of each, too,
 the silence has to be longer than any fade of one period, and half as long again as those that were seen lately.
 """
@@ -22,7 +22,7 @@ FEWEST = 2
 
 @dataclass(frozen=True, slots=True)
 class SilentPeer:
-    """One peer that is not lost so far. `missed`: how many of its heartbeats are overdue."""
+    """One peer that is not lost yet. `missed`: how many of its heartbeats are overdue."""
 
     agent: int
     heard_s: float
@@ -48,7 +48,7 @@ class SilentGroup:
 
     @property
     def since_s(self) -> float:
-        """The last that was heard of any of them."""
+        """When the last heartbeat of any of them was received."""
         return max(member.heard_s for member in self.members)
 
     @property
@@ -64,21 +64,19 @@ class SilentGroup:
             (1.0 + member.stats.jitter / 2) * member.stats.period_s for member in self.members
         )
 
-    def complete(self, everybody: Iterable[SilentPeer]) -> bool:
-        """Whether each other peer has been heard since, or had fallen silent before: nobody's turn is still to come."""
-        return all(
-            other.heard_s > self.due_s or other.missed > 0 for other in everybody if other.agent not in self.agents
-        )
+    def complete(self, peers: Iterable[SilentPeer]) -> bool:
+        """Whether every other peer was received since, or was silent before: no other heartbeat is still to come."""
+        return all(other.heard_s > self.due_s or other.missed > 0 for other in peers if other.agent not in self.agents)
 
 
 def silent_peers(peers: Iterable[tuple[int, float, HeartbeatStats]], now: float) -> list[SilentPeer]:
-    """Agent, when it was heard last, and its stats, for each peer that is not lost."""
+    """Agent, time of its last heartbeat, and its statistics, for each peer that is not lost."""
     return [SilentPeer(agent, heard, stats, stats.missed(now - heard)) for agent, heard, stats in peers]
 
 
-def most_significant_group(everybody: Sequence[SilentPeer]) -> SilentGroup | None:
-    """The group of two or more that chance explains worst."""
-    overdue = [entry for entry in everybody if entry.missed]
+def most_significant_group(peers: Sequence[SilentPeer]) -> SilentGroup | None:
+    """The group of two or more whose silence is the least probable by chance."""
+    overdue = [entry for entry in peers if entry.missed]
     if len(overdue) < FEWEST:
         return None
     groups = []
@@ -90,16 +88,16 @@ def most_significant_group(everybody: Sequence[SilentPeer]) -> SilentGroup | Non
         )
         if len(members) >= FEWEST:
             evidence = sum(entry.stats.weight(entry.missed) for entry in members)
-            groups.append(SilentGroup(members, evidence - math.log(math.comb(len(everybody), len(members)))))
+            groups.append(SilentGroup(members, evidence - math.log(math.comb(len(peers), len(members)))))
     return max(groups, key=lambda group: group.weight, default=None)
 
 
-def lost_together(everybody: Sequence[SilentPeer], now: float, least_s: float = 0.0) -> frozenset[int]:
+def lost_together(peers: Sequence[SilentPeer], now: float, least_s: float = 0.0) -> frozenset[int]:
     """Agents that are lost together; empty when none are, or it is too early to say. least_s: of their silence."""
-    group = most_significant_group(everybody)
+    group = most_significant_group(peers)
     if group is None or group.weight < SURE or now - group.since_s < least_s:
         return frozenset()
-    if not (group.outlasts_a_fade and group.complete(everybody)):
+    if not (group.outlasts_a_fade and group.complete(peers)):
         return frozenset()
-    # Who had lost a heartbeat by chance just before is none of the group, and as silent.
-    return group.agents | {entry.agent for entry in everybody if entry.missed > 1}
+    # A peer that had lost a heartbeat by chance just before is not in the group, but is as silent.
+    return group.agents | {entry.agent for entry in peers if entry.missed > 1}

@@ -1,4 +1,4 @@
-"""How regularly one peer's heartbeats come: its period, its jitter, how many are lost on the way. Pure."""
+"""Statistics of one peer's heartbeats: period, jitter and loss. Pure."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ GAPS = 15
 MEMORY = 150.0
 """Heartbeats over which the share that is lost is counted, the older ones less."""
 PRIOR_LOST, PRIOR_HEARD = 2.0, 8.0
-"""Before anything is known, a fifth is taken to be lost."""
+"""Before anything is known, a fifth is assumed to be lost."""
 FLOOR, SAFETY = 0.04, 2.0
-"""The share of lost heartbeats that is reckoned with: twice what was counted, at least 4 %, for losses come in bursts."""
+"""The assumed loss: twice the counted one, at least 4 %, because losses come in bursts."""
 MOST = 0.9
 OUTAGE = 5
-"""A pause of more periods is no loss of frames."""
+"""A pause of more periods is not a loss of frames."""
 JITTER, JITTER_MIN, JITTER_MAX, FORGET = 0.1, 0.025, 0.5, 0.98
 """In periods: the first guess, the bounds, and what is left of the largest deviation a heartbeat later."""
 SURE = math.log(1e4)
 FEWEST_MISSED, MORE_THAN_EVER = 3, 2
-"""One peer alone is not given up before so many heartbeats are missed, and so many more than ever lately."""
+"""A single peer is lost after this many missed heartbeats, and this many more than the recent maximum."""
 RUNS = 300
 
 
@@ -45,7 +45,7 @@ class HeartbeatStats:
         self.least_s = self.period_s
 
     def add_gap(self, gap_s: float) -> None:
-        """A heartbeat came, so long after the one before."""
+        """A heartbeat was received `gap_s` after the one before."""
         self._gaps.append(gap_s)
         ordered = sorted(self._gaps)
         self.period_s = max(self.least_s, ordered[len(ordered) // 2])
@@ -62,18 +62,18 @@ class HeartbeatStats:
 
     @property
     def loss_probability(self) -> float:
-        """Of its heartbeats, how many are reckoned to be lost by chance."""
+        """Assumed probability that a heartbeat is lost by chance."""
         counted = (self.lost + PRIOR_LOST) / (self.heard + self.lost + PRIOR_LOST + PRIOR_HEARD)
         return min(MOST, max(FLOOR, SAFETY * counted))
 
     @property
     def repeated_loss_probability(self) -> float:
-        """How often another one is lost after one that is: fades take several."""
+        """Assumed probability that another one is lost after a lost one: fades affect several."""
         lost = self.loss_probability
         return min(MOST, max(lost, (self.lost - self.pauses + PRIOR_LOST * lost) / (self.lost + PRIOR_LOST)))
 
     def weight(self, missed: int) -> float:
-        """What so many missed in a row say: the negative logarithm of their probability by chance."""
+        """Evidence of so many missed in a row: the negative logarithm of their probability by chance."""
         return (
             -math.log(self.loss_probability) - (missed - 1) * math.log(self.repeated_loss_probability)
             if missed
@@ -90,7 +90,7 @@ class HeartbeatStats:
         return max(0, math.floor((silent_s - self.slack_s) / self.period_s))
 
     def is_lost(self, silent_s: float) -> bool:
-        """Whether its silence alone says that it is lost: only where it has been heard steadily."""
+        """Whether its silence alone proves that it is lost: only if it was received regularly."""
         missed = self.missed(silent_s)
         if missed < FEWEST_MISSED or self.weight(missed) < SURE:
             return False

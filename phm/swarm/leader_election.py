@@ -1,8 +1,8 @@
-"""Who leads for the swarm: the lowest living id that hears the ground. Elected by each for itself, no messages. Pure.
+"""Election of the leader: the lowest id that is alive and receives the ground. Each agent computes it; no messages. Pure.
 
-An agent that would be a better leader takes over only after it has been fit for STEADY_S, so that one on the edge of
-its radio does not pass the word back and forth. While views still differ, two may speak for a moment: a digest
-is the same whoever sends it, and a second one costs 46 bytes.
+A better candidate takes over only after it has been fit for STEADY_S, so that an agent at the edge of its radio range does not
+cause repeated changes. While views differ, two agents may act as leader for a moment: their digests are the same, and a second
+one costs 46 bytes.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ class LeaderElection:
         self._fit_since: dict[int, float] = {}
 
     def leader(self, consensus: Consensus, own_gcs: bool, now: float) -> int | None:
-        """The id of the agent that leads now; None while nobody here hears the ground."""
+        """The id of the current leader; None while no agent on this side receives the ground."""
         fit = _fit(consensus, own_gcs)
         self._fit_since = {agent: self._fit_since.get(agent, now) for agent in fit}
         if self._leader not in fit:
-            # Nobody leads: the best one begins at once.
+            # There is no leader: the best candidate takes over immediately.
             self._leader = min(fit, default=None)
             return self._leader
         steady = [agent for agent in fit if now - self._fit_since[agent] >= STEADY_S]
@@ -35,7 +35,7 @@ class LeaderElection:
 
 
 def _fit(consensus: Consensus, own_gcs: bool) -> list[int]:
-    """Living agents that hear the ground, by their own word."""
+    """Agents that are alive and receive the ground by their own views."""
     there = (MemberState.ALIVE, MemberState.PARTLY, MemberState.LATE)
     fit = [agent for agent, status in consensus.statuses.items() if status.state in there and status.gcs]
     return sorted([*fit, *([consensus.own] if own_gcs else [])])

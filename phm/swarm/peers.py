@@ -1,8 +1,8 @@
-"""The other agents, as this one hears them: who lives, who is late, who is lost, who uses an id twice. Pure.
+"""The other agents, as this one receives them: alive, late, lost, or with a duplicate id. Pure.
 
-A peer is known by PHM's own heartbeat, which carries its status word. How long its silence may be follows from how
-often it is heard: agents may be set to other periods than ours, and radios lose frames. Where its heartbeats were steady, it is
-known to be lost sooner (`phm.swarm.heartbeat_stats`), and sooner still where others fell silent with it (`phm.swarm.group_loss`).
+A peer is known by PHM's heartbeat, which carries its status word. The allowed silence follows from its usual period: agents may
+have other periods than ours, and radios lose frames. The loss of a peer with regular heartbeats is detected sooner
+(`phm.swarm.heartbeat_stats`), and even sooner where others became silent with it (`phm.swarm.group_loss`).
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from phm.swarm.heartbeat_stats import HeartbeatStats
 from phm.wire.tunnel import PeerState, PeerView
 
 LATE_PERIODS, LOST_PERIODS = 2.5, 5.0
-"""Silence in heartbeat periods of the peer: one lost frame says nothing, four in a row do. LOST_PERIODS is the most."""
+"""Silence in heartbeat periods of the peer: one lost frame means nothing, four in a row do. LOST_PERIODS is the maximum."""
 FADE_S, FADE_MARGIN = 600.0, 1.5
-"""How long a fade is remembered, after which several peers were back, and how much longer a silence then has to be."""
+"""How long a fade of several peers is remembered, and by what factor a later silence must be longer."""
 STALL_PERIODS = 0.5
-"""Looked at after a longer pause, the silence may have been ours: then everybody has a period to be heard first."""
+"""After a longer pause between looks the silence may be our own: then each peer has one period to be received first."""
 LEARN = 0.3
 """Weight of the newest gap in the estimate of a peer's period."""
 MAX_PERIOD_S = 60.0
 VIEW_LATE_PERIODS = 45.0
 """A view is too old to vote when its sender has sent none for so many periods. Views come when something changes, twice,
-and every 20 heartbeats; while its sender lives and says nothing new, its view stands."""
+and every 20 heartbeats; while its sender is alive and sends no other one, its view remains valid."""
 CLASHES, CLASH_PERIODS = 3, 30.0
 """An id is used twice when the frames' sequence falls back this often within so many periods: a restart does it once."""
 REORDERED = 8
-"""Frames may overtake each other by so many, or come twice by two ways: what falls back no further counts only when it was
-not heard before. Two agents that were switched on together, from copies of one card, are never further apart."""
+"""Frames may be reordered by so many, or arrive by two links: a smaller step back counts only if the frame was not received
+before. Two agents that were switched on together, from copies of one card, are never further apart."""
 REMEMBERED = 32
 MAX_LINKS = 16
 MAX_PEERS = 250
@@ -48,15 +48,15 @@ class Peer:
     heard_s: float | None = None
     word: int = 0
     leaving: bool = False
-    """It said POWEROFF: silence that follows is planned."""
+    """It sent POWEROFF: the silence that follows is planned."""
     view: PeerView | None = None
     view_s: float | None = None
     falls: deque[float] = field(default_factory=lambda: deque(maxlen=CLASHES))
     stats: HeartbeatStats = field(init=False)
     lost_together: bool = False
-    """It fell silent together with others, and was not heard since."""
+    """It became silent together with others, and was not received since."""
     lost_alone: bool = False
-    """It was heard steadily, and is silent for longer than ever."""
+    """It was received regularly, and is silent for longer than ever before."""
     frames: dict[str, int] = field(default_factory=dict)
     """Newest frame number by link."""
     recent_heartbeats: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
@@ -67,7 +67,7 @@ class Peer:
         self.stats = HeartbeatStats(self.period_s)
 
     def count(self, frame: int, word: int, link: str, now: float) -> None:
-        """Notice a sequence that falls back: a restart, or two senders with one id."""
+        """Detect a sequence that goes back: a restart, or two senders with one id."""
         last, beat = self.frames.get(link), (link, frame, word)
         known = beat in self.recent_heartbeats
         if last is not None:
@@ -90,7 +90,7 @@ class Peer:
         return PeerState.LATE if silent_s > LATE_PERIODS * self.period_s else PeerState.ALIVE
 
     def silent_s(self, now: float) -> float:
-        """Since it was heard, without the time in which PHM did not run. To be asked of one that was heard."""
+        """Silence in seconds, without the time in which PHM did not run. Only for a peer that was received."""
         assert self.heard_s is not None
         age_s = now - self.heard_s
         if age_s <= LATE_PERIODS * self.period_s / 2:
@@ -98,7 +98,7 @@ class Peer:
         return max(0.0, age_s - self.late_s(self.heard_s, LOST_PERIODS * self.period_s))
 
     def votes(self, now: float) -> PeerView | None:
-        """Its view, when it lives and the view is young enough to count."""
+        """Its view, if it is alive and the view is new enough to count."""
         if self.view is None or self.view_s is None or self.state(now) not in (PeerState.ALIVE, PeerState.LATE):
             return None
         return self.view if now - self.view_s <= VIEW_LATE_PERIODS * self.period_s else None
@@ -107,9 +107,9 @@ class Peer:
 class Peers:
     """All other agents. Not thread-safe.
 
-    expected: agent ids of the fleet, each of which counts as a member before it was ever heard; others count for nothing, be
-    they of another fleet or made up. Without them the members are those that were heard.
-    period_s: our own heartbeat's, the first guess for everyone's. late_s: for how long PHM did not run, which is no silence.
+    expected: agent ids of the fleet, which count as members even if never received; other ids are ignored. Without it the
+    members are the agents that were received.
+    period_s: of our own heartbeat, the first guess for all. late_s: for how long PHM did not run, which does not count as silence.
     """
 
     def __init__(self, own: int, period_s: float, expected: Iterable[int] = (), late_s: Late = never_late) -> None:
@@ -118,17 +118,17 @@ class Peers:
         self._listed = frozenset(expected)
         self._expected = self._listed - {own}
         self._unlisted: dict[int, float] = {}
-        """Agents that are not listed, and when they were heard."""
+        """Agents that are not listed, and when they were received."""
         self._peers = {agent: Peer(agent, period_s, late_s=late_s) for agent in sorted(self._expected)}
         self._watched: float | None = None
         self._blind_until = float("-inf")
         self._fades: deque[tuple[float, float]] = deque(maxlen=8)
-        """When a fade ended, and how long nothing was heard of several peers, seconds."""
+        """When a fade ended, and for how long several peers were silent, seconds."""
 
     def heartbeat(
         self, agent: int, word: int, now: float, *, leaving: bool = False, frame: int | None = None, link: str = ""
     ) -> bool:
-        """A heartbeat of another agent's PHM. True when how it is seen, or what it says, changed.
+        """Take a heartbeat of another agent's PHM. True when its state or its content changed.
 
         frame: the sequence number of its MAVLink frame, which counts all that this sender sends on the link.
         """
@@ -143,7 +143,7 @@ class Peers:
             gap_s <= LOST_PERIODS * peer.period_s and not peer.leaving
         ):
             gap_s = min(gap_s, MAX_PERIOD_S)
-            # Two heartbeats in one moment come from an answer to a ground station, and tell no period.
+            # Two heartbeats in one moment come from an answer to a ground station, and are not a period.
             if gap_s > 0.2 * peer.period_s:
                 peer.period_s += LEARN * (gap_s - peer.period_s)
                 peer.stats.add_gap(gap_s)
@@ -153,7 +153,7 @@ class Peers:
         return before != (peer.state(now), word, leaving)
 
     def add_view(self, agent: int, view: PeerView, now: float) -> bool:
-        """A view of another agent. True when it says something else than the one before."""
+        """Take a view of another agent. True when it differs from the one before."""
         if agent == self.own or self._is_unlisted(agent, now):
             return False
         peer = self._peer(agent)
@@ -167,10 +167,10 @@ class Peers:
         )
 
     def watch(self, now: float, period_s: float, *, hears: bool = True) -> None:
-        """Notice who is lost sooner than after LOST_PERIODS: alone, or together with others. To be called a few times in each period.
+        """Detect losses sooner than after LOST_PERIODS: of single peers and of groups. Call it a few times in each period.
 
-        period_s: of heartbeats in a swarm of this size. hears: the links on which they were heard are open; that one is
-        closed tells it itself.
+        period_s: of heartbeats in a swarm of this size. hears: the links on which they were received are open; a
+        closed link is reported elsewhere.
         """
         last, self._watched = self._watched, now
         if period_s != self._period_s:  # all change over, and the first pause is a long one
@@ -192,7 +192,7 @@ class Peers:
             self._peers[agent].lost_alone = stats.is_lost(now - heard_s)
 
     def states(self, now: float) -> dict[int, PeerState]:
-        """How each member but ourselves is seen, by agent id."""
+        """The state of each other member, by agent id."""
         return {agent: peer.state(now) for agent, peer in sorted(self._peers.items())}
 
     def peer(self, agent: int) -> Peer | None:
@@ -202,7 +202,7 @@ class Peers:
         return self._peers
 
     def agents_on_links(self, now: float) -> int:
-        """How many agents use the links, this one included: those that are listed, or those that were heard lately and steadily."""
+        """How many agents use the links, this one included: those listed, or those received recently and regularly."""
         if self._listed:
             return len(self._listed | {self.own})
         return 1 + sum(
@@ -214,11 +214,11 @@ class Peers:
         )
 
     def unlisted(self, now: float) -> tuple[int, ...]:
-        """Agents heard lately that are not listed, where some are."""
+        """Agents received recently that are not listed, if a list is configured."""
         return tuple(sorted(agent for agent, heard_s in self._unlisted.items() if now - heard_s <= RECENT_S))
 
     def duplicate_ids(self, now: float) -> tuple[int, ...]:
-        """Ids that two agents use: the sequence of their frames falls back again and again."""
+        """Ids that two agents use: the sequence of their frames goes back repeatedly."""
         return tuple(
             agent
             for agent, peer in sorted(self._peers.items())
@@ -226,7 +226,7 @@ class Peers:
         )
 
     def _listened(self, now: float) -> list[tuple[int, float, HeartbeatStats]]:
-        """Those that are missed when they are silent, and have one stats each."""
+        """Peers that are expected to send and whose id is unique, with the time of their last heartbeat and their statistics."""
         mixed = self.duplicate_ids(now)
         return [
             (agent, now - peer.silent_s(now), peer.stats)
@@ -238,7 +238,7 @@ class Peers:
         ]
 
     def _fade(self, peer: Peer, now: float) -> None:
-        """Remember how long a silence of several was, when the first of them is heard again before long."""
+        """Remember the length of a fade of several peers when the first of them is received again."""
         if peer.heard_s is None or not peer.stats.missed(silent_s := now - peer.heard_s):
             return
         if self._fades and now - self._fades[-1][0] <= 2.0 * peer.stats.period_s:
@@ -254,7 +254,7 @@ class Peers:
     def _is_unlisted(self, agent: int, now: float) -> bool:
         if not self._listed or agent in self._listed:
             return False
-        self._unlisted[agent] = now  # a system id has one byte
+        self._unlisted[agent] = now  # bounded: a system id has one byte
         return True
 
     def _peer(self, agent: int) -> Peer:

@@ -143,7 +143,7 @@ def test_a_client_takes_the_router_that_answers(bench: Bench) -> None:
 def test_a_peer_needs_no_router(bench: Bench) -> None:
     """It listens, and a reader connects to it."""
     agent = bench.agent(mode="peer", connect=[], listen=[bench.endpoint])
-    until(lambda: agent.reporter.report()["error"] == "nobody has connected", "the missing reader to be reported")
+    until(lambda: agent.reporter.report()["error"] == "no peer has connected", "the missing reader to be reported")
     ground = bench.ground()
     ground.wait(lambda g: "agent_1" in g.statuses and len(g.tokens) == 1)
 

@@ -440,7 +440,7 @@ def test_a_terminal_gets_a_live_table(voices: tuple[int, Callable[[], None]]) ->
             shown.extend(os.read(ours, 65536))
         return words in shown
 
-    until(lambda: sees(b"no agent heard yet"), "the table")
+    until(lambda: sees(b"no agent received yet"), "the table")
 
     def told() -> bool:
         speak()
@@ -464,7 +464,7 @@ def test_once_says_by_its_exit_code_whether_all_are_well(voices: tuple[int, Call
     assert [(one["name"], one["how"]) for one in whole["agents"]] == [("A01", "UNKNOWN"), ("A02", "UNKNOWN")]
     nobody = run(f"udpin:127.0.0.1:{port}", "--once", "--for", "0.3")
     output, _ = nobody.communicate(timeout=60)
-    assert (nobody.returncode, "no agent heard yet" in output) == (1, True)
+    assert (nobody.returncode, "no agent received yet" in output) == (1, True)
 
 
 def test_a_bare_name_is_recorded_in_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

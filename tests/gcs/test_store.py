@@ -345,7 +345,7 @@ def test_words_of_others_are_passed_on(ground: Ground) -> None:
             "A07 FAIL 10 autopilot: no heartbeat 4 s",
             ("autopilot", "no heartbeat 4 s", True),
         ),
-        ({Slot.AUTOPILOT: Level.ERROR}, "", ("autopilot", "ERROR in slot 10, not told why", True)),
+        ({Slot.AUTOPILOT: Level.ERROR}, "", ("autopilot", "ERROR in slot 10, cause not received", True)),
         ({Slot.RADIO: Level.WARN}, "A07 WARN 11 radio: weak, margin 8", None),
         ({Slot.FILES: Level.ERROR}, "A07 FAIL 3 map.bin missing", None),
     ],
@@ -375,7 +375,7 @@ def test_silence_is_told_by_what_else_is_heard(ground: Ground) -> None:
     ground.wait(20, beat(8), every=1)
     assert ground.agent(7)["hop"] == {"name": "radio or vehicle", "evidence": "silent 40 s", "certain": False}
     ground.wait(20)
-    assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "everybody is silent", "certain": False}
+    assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "all agents are silent", "certain": False}
     ground.hear(RadioStatus(51, 68, 190, 180, 60, None, 99))
     assert ground.agent(7)["hop"]["name"] == "radio"
     assert ground.whole()["radios"] == [
@@ -389,7 +389,7 @@ def test_who_was_never_heard_is_given_time_to_speak() -> None:
     """Five heartbeats long nothing is said of an expected agent; then where to look."""
     ground = Ground(expected=(3,))
     assert ground.wait(9) == []
-    assert [body["hop"]["evidence"] for body in events(ground.wait(2), "hop")] == ["never heard"]
+    assert [body["hop"]["evidence"] for body in events(ground.wait(2), "hop")] == ["never received"]
 
 
 def test_a_hop_is_news_once(ground: Ground) -> None:
@@ -404,7 +404,11 @@ def test_a_hop_is_news_once(ground: Ground) -> None:
 def test_an_agent_that_does_not_hear_the_ground_says_so_in_its_view(ground: Ground) -> None:
     """One way of its radio is broken: it is heard, and commands do not reach it."""
     ground.hear(beat(7), told(7, PeerView(1, gcs=False, autopilot=True, radio=False)))
-    assert ground.agent(7)["hop"] == {"name": "radio", "evidence": "it does not hear the ground", "certain": False}
+    assert ground.agent(7)["hop"] == {
+        "name": "radio",
+        "evidence": "it does not receive the ground station",
+        "certain": False,
+    }
 
 
 # ---------------------------------------------------------------- autopilots

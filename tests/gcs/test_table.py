@@ -52,11 +52,11 @@ def test_each_agent_has_its_row(ground: Ground) -> None:
     assert row(lines, "A02").startswith("A02   ++-++E++ W--- --- ERROR   0s   dis  application?: … FAIL 6 node_1 dead")
     assert row(lines, "A03").startswith("A03   ???????? ???? ??? LOST    30s  ?    radio: sil")
     assert row(lines, "A04").startswith("A04   ???????? ???? ??? UNKNOWN ?    ?")
-    assert row(lines, "A04").endswith("the swarm says WARN")
+    assert row(lines, "A04").endswith("by swarm: WARN")
     assert row(lines, "A07").startswith("A07   ???????? ???? ??? LOST    30s  dis  companion")
     assert row(lines, "A100").startswith("A100  ++++++++ ++-- +-- OK      0s   ?")
     assert "SWARM 1/5 FAIL A07:lost A02:ROS  (A01, 0s ago)" in lines
-    assert "links: gcs open; other ground stations: none heard" in lines
+    assert "links: gcs open; other ground stations: none" in lines
     ground.hear(RadioStatus(51, 68, 190, 180, 60, None, 99))
     assert "radio of gcs: signal/noise 190/60, other end 180/?, 0s ago" in drawn(ground)
 
@@ -91,8 +91,8 @@ def test_before_anybody_is_heard_it_says_so() -> None:
     ground = Ground()
     ground.store.links({}, ground.clock.stamp())
     lines = drawn(ground)
-    assert lines[0] == "phm gcs 254/190  no agent heard yet"
-    assert "links: opening; other ground stations: none heard" in lines
+    assert lines[0] == "phm gcs 254/190  no agent received yet"
+    assert "links: opening; other ground stations: none" in lines
 
 
 def test_names_from_the_air_cannot_steer_the_terminal(ground: Ground) -> None:

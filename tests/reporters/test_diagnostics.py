@@ -146,7 +146,7 @@ def test_the_end_is_said() -> None:
     """The last array says of each status that it is not known any more."""
     reporter, port = make((WELL, DEAD))
     reporter.close()
-    assert {(fact.level, fact.message) for fact in port.sent[-1].values()} == {(3, "PHM has ended")}
+    assert {(fact.level, fact.message) for fact in port.sent[-1].values()} == {(3, "PHM has stopped")}
     assert set(port.sent[-1]) == {SUMMARY, CONTAINER, NODE}
 
 

@@ -30,8 +30,8 @@ def changed(target: str, *, began: bool, for_s: float = 1200.0, reason: str = "n
         ("ros_app", True, 1200.0, "new firmware", "A01 HOLD 2 ros_app 20 min: new firmware"),
         ("ros_app", True, 90.0, "", "A01 HOLD 2 ros_app 90 s"),
         ("", True, 14400.0, "", "A01 HOLD 2 all 240 min"),
-        ("ros_app", False, 5.0, "new firmware", "A01 HOLD 2 ros_app over"),
-        ("", False, 0.0, "", "A01 HOLD 2 all over"),
+        ("ros_app", False, 5.0, "new firmware", "A01 HOLD 2 ros_app released"),
+        ("", False, 0.0, "", "A01 HOLD 2 all released"),
     ],
 )
 def test_a_hold_is_a_line(target: str, began: bool, for_s: float, reason: str, text: str) -> None:
@@ -47,7 +47,7 @@ def test_a_hold_fits_whatever_it_is_called() -> None:
     for began in (True, False):
         text = StatusTextBuilder(250).hold(changed("x" * 128, began=began, reason="\x1bümlaut " * 40))[0].text
         assert len(text) <= 50 and text.isascii() and text.isprintable()
-        assert text.endswith(" over") is not began
+        assert text.endswith(" released") is not began
 
 
 def test_the_refresh_says_hold_where_all_that_is_not_known_is_on_hold() -> None:
@@ -94,5 +94,5 @@ def test_the_ground_shows_a_hold_and_its_end() -> None:
     assert how() == ("HOLD", True)
     ground.hear(beat(1, {Slot.CONTAINER: Level.STALE, Slot.NODES: Level.ERROR}))
     assert how() == ("ERROR", True)
-    ground.hear(beat(1), said(1, "A01 HOLD 2 ros_app over", 5), said(1, "A01 OK 11111111", 6))
+    ground.hear(beat(1), said(1, "A01 HOLD 2 ros_app released", 5), said(1, "A01 OK 11111111", 6))
     assert how() == ("OK", False)

@@ -75,6 +75,6 @@ def test_a_reporter_that_fails_costs_the_others_nothing(
         closing.step(name, close, 60.0)
     assert Plain.closed == 1
     assert [record.message for record in caplog.records] == [
-        "reporter a_broken could not be built",
+        "reporter a_broken cannot be started",
         "plain did not close",
     ]

@@ -42,13 +42,13 @@ def test_a_blocked_unit_says_what_it_would_have_said() -> None:
     summary = "blocked by pressure/ros_app: topic /x at 3 Hz, expected 10"
     state = unit("rates/x", Slot.RATES, Level.STALE, summary, blocked_by="pressure/ros_app")
     report = Report(at(20.9), 7, at(), (state,))
-    assert f"STALE: (8) rates/x: {summary}" in "\n".join(TextLogFormatter().of(report))
+    assert f"STALE: (8) rates/x: {summary}" in "\n".join(TextLogFormatter().format(report))
 
 
 def test_a_report_is_written_as_in_figure_5() -> None:
     """From `Start of a new report` to the status array, one line per unit, well ones of a check in one line."""
     lines = TextLogFormatter()
-    written = [*lines.of(ReportStarted(at(), 7)), *lines.of(figure_5())]
+    written = [*lines.format(ReportStarted(at(), 7)), *lines.format(figure_5())]
     end = "2026-03-01 12:00:21.023"
     assert written == [
         f"{STAMP} ---- Start of a new report",
@@ -69,7 +69,7 @@ def test_a_report_is_written_as_in_figure_5() -> None:
 def test_all_nodes_well_are_one_line() -> None:
     """Several OK units of one check are folded, worded as in the paper."""
     nodes = tuple(unit(f"nodes/agent_1/node_{n}", Slot.NODES) for n in (1, 2, 3))
-    lines = TextLogFormatter().of(Report(at(), 1, at(), nodes))
+    lines = TextLogFormatter().format(Report(at(), 1, at(), nodes))
     assert lines[1].endswith(
         "---- SUCCESS: (6) All 3 required nodes are running: agent_1/node_1, agent_1/node_2, agent_1/node_3"
     )
@@ -81,27 +81,29 @@ def test_folded_topics_show_their_rates() -> None:
         unit("rates/agent_1/topic_1", Slot.RATES, values={"hz": 0.99949}),
         unit("rates/agent_1/map", Slot.RATES, values={"publishers": 1}),
     )
-    lines = TextLogFormatter().of(Report(at(), 1, at(), rates))
+    lines = TextLogFormatter().format(Report(at(), 1, at(), rates))
     assert lines[1].endswith("SUCCESS: (8) All 2 topics have their rate: agent_1/topic_1: 0.999, agent_1/map")
 
 
 def test_checks_of_others_are_folded_too() -> None:
     """A slot without words of its own is named after its check."""
     units = tuple(unit(f"battery/{n}", Slot.USER_1) for n in (1, 2))
-    assert TextLogFormatter().of(Report(at(), 1, at(), units))[1].endswith("(13) All 2 units of battery are well: 1, 2")
+    assert (
+        TextLogFormatter().format(Report(at(), 1, at(), units))[1].endswith("(13) All 2 units of battery are OK: 1, 2")
+    )
 
 
 def test_watched_diagnostics_are_not_called_nodes() -> None:
     """Checks that share a slot have words of their own."""
     units = tuple(unit(f"diagnostics/camera: {name}", Slot.NODES) for name in ("Frequency", "Frames"))
-    line = TextLogFormatter().of(Report(at(), 1, at(), units))[1]
+    line = TextLogFormatter().format(Report(at(), 1, at(), units))[1]
     assert line.endswith("(6) All 2 watched diagnostics say OK: camera: Frequency, camera: Frames")
 
 
 def test_what_had_nothing_to_judge_does_not_count_as_unwell() -> None:
     """A BYPASS has its own line, and the others are still all of them."""
     units = (*(unit(f"host/{name}", Slot.HOST) for name in ("cpu", "disk")), unit("host/heat", Slot.HOST, bypass=True))
-    lines = TextLogFormatter().of(Report(at(), 1, at(), units))
+    lines = TextLogFormatter().format(Report(at(), 1, at(), units))
     assert [line.partition(" ---- ")[2] for line in lines[1:3]] == [
         "SUCCESS: (9) All 2 host limits are kept: cpu, disk",
         "BYPASS: (9) host/heat says so",
@@ -111,7 +113,7 @@ def test_what_had_nothing_to_judge_does_not_count_as_unwell() -> None:
 def test_units_of_another_check_in_the_same_slot_are_not_folded_together() -> None:
     """Only units of one check share a line."""
     units = (unit("container/a", Slot.CONTAINER), unit("health/a", Slot.CONTAINER))
-    assert len(TextLogFormatter().of(Report(at(), 1, at(), units))) == 4
+    assert len(TextLogFormatter().format(Report(at(), 1, at(), units))) == 4
 
 
 def test_the_report_counts_slots_not_units() -> None:
@@ -121,19 +123,19 @@ def test_the_report_counts_slots_not_units() -> None:
         unit("nodes/b", Slot.NODES, Level.ERROR),
         unit("host", Slot.HOST, Level.ERROR),
     )
-    last = TextLogFormatter().of(Report(at(), 1, at(), units))[-1]
+    last = TextLogFormatter().format(Report(at(), 1, at(), units))[-1]
     assert last.endswith("REPORT Successes: 0, Failures: 1, Status Array: [-, -, -, -, -, 0, -, -]")
 
 
 def test_a_report_whose_start_was_dropped_still_begins() -> None:
     """The start line is made up from the report when the bus had to drop the event."""
-    lines = TextLogFormatter().of(figure_5())
+    lines = TextLogFormatter().format(figure_5())
     assert lines[0] == f"{STAMP} ---- Start of a new report"
 
 
 def test_a_transition_is_a_line_at_once() -> None:
     """Between reports a change does not wait for the next one."""
-    assert TextLogFormatter().of(transition(NODE_DEAD)) == [
+    assert TextLogFormatter().format(transition(NODE_DEAD)) == [
         f"{STAMP} ---- FAILURE: (6) Node /agent_1/node_1 is not running"
     ]
 
@@ -141,11 +143,11 @@ def test_a_transition_is_a_line_at_once() -> None:
 def test_units_found_well_while_a_report_is_made_are_told_once() -> None:
     """STALE to OK between start and end of a report is left to the report's own list; a failure is not."""
     lines = TextLogFormatter()
-    lines.of(ReportStarted(at(), 1))
-    assert lines.of(transition(unit("host", Slot.HOST), Level.STALE)) == []
-    assert len(lines.of(transition(NODE_DEAD, Level.STALE))) == 1
-    lines.of(figure_5())
-    assert len(lines.of(transition(unit("host", Slot.HOST), Level.STALE))) == 1
+    lines.format(ReportStarted(at(), 1))
+    assert lines.format(transition(unit("host", Slot.HOST), Level.STALE)) == []
+    assert len(lines.format(transition(NODE_DEAD, Level.STALE))) == 1
+    lines.format(figure_5())
+    assert len(lines.format(transition(unit("host", Slot.HOST), Level.STALE))) == 1
 
 
 def action(phase: Phase, detail: str = "") -> ActionEvent:
@@ -183,16 +185,16 @@ def action(phase: Phase, detail: str = "") -> ActionEvent:
 def test_each_event_has_its_line(event: Event, line: str) -> None:
     """Kind, slot and words of every event that is not about a level."""
     lines = TextLogFormatter()
-    lines.of(transition(NODE_DEAD))
-    written = lines.of(event)
+    lines.format(transition(NODE_DEAD))
+    written = lines.format(event)
     assert [text.partition(" ---- ")[2] for text in written] == [line]
 
 
 def test_giving_up_is_said_once() -> None:
     """The action's escalation and the fault's closing are one line."""
     lines = TextLogFormatter()
-    assert len(lines.of(action(Phase.ESCALATED, "land"))) == 1
-    assert lines.of(closed(NODE_DEAD, Outcome.ESCALATED, "restart", 5.0)) == []
+    assert len(lines.format(action(Phase.ESCALATED, "land"))) == 1
+    assert lines.format(closed(NODE_DEAD, Outcome.ESCALATED, "restart", 5.0)) == []
 
 
 @pytest.mark.parametrize(
@@ -209,32 +211,33 @@ def test_a_failure_names_cause_and_consequences(summary: str, suspects: tuple[st
     event = opened(state)
     lines = TextLogFormatter()
     assert (
-        lines.of(replace(event, fault=replace(event.fault, consequences=("nodes", "topics"), suspects=suspects))) == []
+        lines.format(replace(event, fault=replace(event.fault, consequences=("nodes", "topics"), suspects=suspects)))
+        == []
     )
-    assert lines.of(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {told}"]
-    assert lines.of(Report(at(), 1, at(), (state,)))[1] == f"{STAMP} ---- FAILURE: (2) {told}"
-    lines.of(closed(state, Outcome.RESOLVED, "itself", 1.0))
-    assert lines.of(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {summary}"]
+    assert lines.format(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {told}"]
+    assert lines.format(Report(at(), 1, at(), (state,)))[1] == f"{STAMP} ---- FAILURE: (2) {told}"
+    lines.format(closed(state, Outcome.RESOLVED, "itself", 1.0))
+    assert lines.format(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {summary}"]
 
 
 def test_what_a_transition_has_told_is_not_repeated() -> None:
     """An opened fault and one that follows from another have their line already."""
-    assert TextLogFormatter().of(opened(NODE_DEAD)) == []
-    assert TextLogFormatter().of(closed(NODE_DEAD, Outcome.REATTRIBUTED, "", 1.0)) == []
+    assert TextLogFormatter().format(opened(NODE_DEAD)) == []
+    assert TextLogFormatter().format(closed(NODE_DEAD, Outcome.REATTRIBUTED, "", 1.0)) == []
 
 
 @pytest.mark.parametrize("breaker", ["\n", "\r", "\r\n", "\x0b", "\x0c", "\x1c", "\x85", "\u2028", "\u2029", "\x00"])
 def test_text_from_outside_cannot_forge_a_line(breaker: str) -> None:
     """Log injection: whatever breaks lines somewhere comes out as an escape."""
     evil = f"bad{breaker}2026-03-01 12:00:00.123 ---- SUCCESS: (6) All is well"
-    (line,) = TextLogFormatter().of(transition(unit("nodes/a", Slot.NODES, Level.ERROR, evil)))
+    (line,) = TextLogFormatter().format(transition(unit("nodes/a", Slot.NODES, Level.ERROR, evil)))
     assert len(line.splitlines()) == 1
     assert "\\" in line
 
 
 def test_text_from_outside_cannot_steer_the_terminal() -> None:
     """Escape sequences and direction overrides are shown, not obeyed; other languages stay as they are."""
-    (line,) = TextLogFormatter().of(Note(at(), "DOCKER", "\x1b[2J\u202e Füße 無人機 \x7f"))
+    (line,) = TextLogFormatter().format(Note(at(), "DOCKER", "\x1b[2J\u202e Füße 無人機 \x7f"))
     assert line.endswith(r"DOCKER: \x1b[2J\u202e Füße 無人機 \x7f")
 
 
@@ -249,6 +252,6 @@ def test_a_very_long_line_is_cut_with_a_mark() -> None:
 def test_a_report_names_the_units_whose_check_did_not_come_back() -> None:
     """The line before the totals says which units are older than the report."""
     hung = unit("custom/x", Slot.USER_1, Level.STALE, "no result yet")
-    lines = TextLogFormatter().of(Report(at(), 1, at(), (hung,), missing=("custom/x",)))
-    assert lines[-2] == f"{STAMP} ---- PHM: not in this report, the check has not come back: custom/x"
+    lines = TextLogFormatter().format(Report(at(), 1, at(), (hung,), missing=("custom/x",)))
+    assert lines[-2] == f"{STAMP} ---- PHM: not in this report, its check has not returned: custom/x"
     assert " REPORT " in lines[-1]

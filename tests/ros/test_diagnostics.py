@@ -274,7 +274,7 @@ def test_a_running_daemon_judges_what_it_hears_and_is_seen_by_others(bench: Benc
     finally:
         daemon.terminate()
         assert daemon.wait(30) == 0
-    until(lambda: monitor.heard[unit][:2] == [3, "PHM has ended"], "the farewell")
+    until(lambda: monitor.heard[unit][:2] == [3, "PHM has stopped"], "the farewell")
 
 
 def test_statuses_of_any_size_fit_into_messages() -> None:
