@@ -1,8 +1,8 @@
 """Find words that PHM's vocabulary replaces by standard terms, in code, messages and documents.
 
 Run by `scripts/check`. `scripts/words.yaml` has the words, the exceptions with their reasons, and under `rewrite` the
-files that still contain such words: at most the stated number each, which may only fall. `--report` prints counts per
-directory and never fails, `--list PATH...` prints each hit, `--shrink` lowers the numbers to the present counts.
+directories that still contain such words: at most the stated number each, which may only fall. `--report` prints counts
+per directory and never fails, `--list PATH...` prints each hit, `--shrink` lowers the numbers to the present counts.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 LIST = ROOT / "scripts" / "words.yaml"
-# `_`, digits and a change of case separate words: `told_at` and `isTold` both contain `told`.
+# `_`, digits and a change of case separate words: `word_at` and `isWord` both contain `word`.
 BEGIN, END = r"(?:(?<![A-Za-z])|(?-i:(?<=[a-z])(?=[A-Z])))", r"(?!(?-i:[a-z]))"
 BETWEEN = r"(?:[ _]|\s*\n[\s#>*]*)"
 
@@ -79,18 +79,24 @@ def find(rules: Rules, only: list[str]) -> list[Hit]:
     return [Hit(hit.path, max(hit.line - 1, 1), hit.word, hit.instead) for hit in found]
 
 
+def area(rules: Rules, path: str) -> str:
+    """The longest entry under `rewrite` that contains the file; empty when none does."""
+    return max((entry for entry in rules.rewrite if f"{path}/".startswith(f"{entry}/")), key=len, default="")
+
+
 def judge(rules: Rules, hits: list[Hit]) -> list[str]:
-    """The problems: new hits, and numbers under `rewrite` that no longer match."""
-    counts = Counter(hit.path for hit in hits)
+    """The problems: each hit outside of `rewrite`, and each area with more hits than its number."""
+    counts = Counter(area(rules, hit.path) for hit in hits)
     problems = [
         f"{hit.path}:{hit.line}: {' '.join(hit.word.split())!r}: use {hit.instead}"
         for hit in hits
-        if counts[hit.path] > rules.rewrite.get(hit.path, 0)
+        if not area(rules, hit.path)
     ]
-    for path, number in rules.rewrite.items():
-        if counts[path] < number:
-            problems.append(f"scripts/words.yaml: {path} has {counts[path]} hits, not {number}: run --shrink")
-    return problems
+    return problems + [
+        f"{entry}: {counts[entry]} banned words, at most {number}: `scripts/check_words.py --list {entry}` shows them"
+        for entry, number in rules.rewrite.items()
+        if counts[entry] > number
+    ]
 
 
 def report(hits: list[Hit]) -> str:
@@ -113,7 +119,7 @@ def shrink(rules: Rules, counts: Counter[str]) -> None:
 
 
 def main() -> int:
-    """Print what is found; 1 when a file has more hits than it may have."""
+    """Print what is found; 1 when an area has more hits than it may have."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--report", action="store_true", help="print counts per directory; never fails")
     parser.add_argument("--shrink", action="store_true", help="lower the numbers under `rewrite` to the present counts")
@@ -129,7 +135,7 @@ def main() -> int:
         print(report(hits))
         return 0
     if chosen.shrink:
-        shrink(rules, Counter(hit.path for hit in hits))
+        shrink(rules, Counter(area(rules, hit.path) for hit in hits))
         return 0
     problems = judge(rules, hits)
     print("\n".join(problems), end="\n" if problems else "")
