@@ -11,14 +11,8 @@ from hypothesis import strategies as st
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.containers.container_generation import Generation
 from phm.recovery.history import AttemptRecord
-from phm.recovery.persistence.state import (
-    PersistedCase,
-    PersistedState,
-    RecoveryState,
-    UnfinishedAction,
-    decode,
-    encode,
-)
+from phm.recovery.persistence.state import PersistedCase, PersistedState, RecoveryState, UnfinishedAction
+from phm.recovery.persistence.state_codec import decode, encode
 from phm.recovery.persistence.state_file import NAME, StateFile
 from phm.testing import FakeClock
 from tests.fuzz.hostile import messages

@@ -14,12 +14,12 @@ from typing import Any
 from phm.checking.pipeline import Pipeline
 from phm.core import threads
 from phm.core.clock import Clock
-from phm.core.maintenance import LABEL, parse
-from phm.core.model import Event, HoldChanged
+from phm.core.model import Event, HoldChanged, Stamp
 from phm.core.settings import Settings
 from phm.facts import COMPLETE, CannotTell, ContainerFact, EventStreamFact
 from phm.recovery.containers.dependents import dependents
 from phm.recovery.holds.hold_registry import ALL, MAX_TEXT, OPERATOR, STOP, WINDOW, Hold, HoldRegistry
+from phm.recovery.holds.maintenance_windows import MaintenanceWindows
 from phm.recovery.holds.manual_stop import ManualStopDetector, StopVerdict
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.wire.report import iso
@@ -30,8 +30,6 @@ logger = logging.getLogger(__name__)
 ENDINGS = frozenset({"exited", "missing", "created"})
 """Conditions of a container that may be part of a restart or a recreation."""
 WAITING = "being stopped by an operator: not judged yet, it may be started or recreated"
-CONFIGURED = "maintenance window"
-"""Who holds a container while a maintenance window of the configuration is open."""
 FLYING_S = 1.0
 """While there is a hold or a window, the armed state is checked this often."""
 WINDOWS_S, LABELS_S = 5.0, 30.0
@@ -83,9 +81,9 @@ class HoldService:
         self._publish, self._clock, self._world = publish, clock, world
         self._keys = tuple(entry.key for entry in settings.containers)
         self._stops = ManualStopDetector()
+        self._windows = MaintenanceWindows(self._rules.maintenance, holds, lambda text: pipeline.note("HOLD", text))
         holds.explained_until = self._explained_until
         self._flew: bool | None = None
-        self._complained: set[tuple[str, str]] = set()
         self._windows_at = self._labels_at = float("-inf")
         self._labels: dict[str, str] = {}
         self._facts: dict[str, ContainerFact] = {}
@@ -168,7 +166,7 @@ class HoldService:
                 self._stopped(key, StopVerdict.CRASHED if key in replaced else verdict)
             self._end([hold for hold in self._holds.all() if now >= hold.until], "its time is over")
             self._end_on_arming()
-            windows = self._check_windows(now)
+            windows = self._check_windows(self._clock.stamp())
             dues = [hold.until - now for hold in self._holds.all()]
             stop_due = self._stops.next_due()
             dues += [stop_due - now] if stop_due is not None else []
@@ -303,41 +301,17 @@ class HoldService:
                     self._runs(key)
             self._seen.add(key)
 
-    def _check_windows(self, now: float) -> bool:
-        """Begin the holds of maintenance windows; whether there may be any windows."""
-        if now - self._windows_at >= WINDOWS_S and not self._flew:
-            self._windows_at = now
-            configured = {window.container or ALL for window in self._rules.maintenance}
-            removed = [h for h in self._of_source(WINDOW) if h.by == CONFIGURED and h.target not in configured]
+    def _check_windows(self, now: Stamp) -> bool:
+        """Begin and end the holds of maintenance windows; whether there may be any windows."""
+        if now.mono - self._windows_at >= WINDOWS_S and not self._flew:
+            self._windows_at = now.mono
+            removed = self._windows.removed()
             if removed:
                 self._end(removed, "the configuration no longer has it")
-            for window in self._rules.maintenance:
-                self._open_window(window.container or ALL, window.when, window.reason, CONFIGURED)
-            for key, when in self._labels.items():
-                if when:
-                    self._open_window(key, when, "", "maintenance window of its label")
+            for hold in self._windows.due(now, self._labels):
+                if not (self._world.armed().restricts and self._critical(self._of(hold))):
+                    self._begin(hold)
         return bool(self._rules.maintenance or self._keys)
-
-    def _open_window(self, target: str, when: str, reason: str, by: str) -> None:
-        now = self._clock.stamp()
-        try:
-            window = parse(when)
-        except ValueError as error:
-            self._add_problem(target, f"{_name_of(target)}: the label {LABEL} is not used: {error}")
-            return
-        found = window.open_at(now.utc)
-        if found is None or (target, found[0]) in self._holds.done():
-            return
-        if any(hold.target == target and hold.occurrence == found[0] for hold in self._of_source(WINDOW)):
-            return
-        if self._world.armed().restricts and self._critical([key for key in self._keys if target in (ALL, key)]):
-            return
-        self._begin(Hold(target, WINDOW, now.mono + min(found[1], window.length_s), by, reason, found[0]))
-
-    def _add_problem(self, target: str, text: str) -> None:
-        if (target, text) not in self._complained:
-            self._complained.add((target, text))
-            self._pipeline.note("HOLD", text)
 
     def _of(self, hold: Hold) -> tuple[str, ...]:
         return tuple(key for key in self._keys if hold.covers(key))
@@ -390,8 +364,4 @@ class HoldService:
 
 
 def _name(hold: Hold) -> str:
-    return _name_of(hold.target)
-
-
-def _name_of(target: str) -> str:
-    return target or "every container"
+    return hold.target or "every container"

@@ -18,7 +18,8 @@ from pathlib import Path
 from phm.checking.pipeline import Pipeline
 from phm.core.clock import Clock
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, HoldChanged
-from phm.recovery.persistence.state import InvalidState, PersistedState, RecoveryState, decode, encode
+from phm.recovery.persistence.state import PersistedState, RecoveryState
+from phm.recovery.persistence.state_codec import InvalidState, decode, encode
 from phm.wire.status_file import place
 
 NAME = "state.json"

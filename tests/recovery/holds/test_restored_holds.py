@@ -13,7 +13,8 @@ from phm.core.model import Phase, Stamp
 from phm.probes.docker_events import DockerEvent
 from phm.recovery.holds.hold_registry import Hold, HoldRegistry
 from phm.recovery.holds.hold_service import HoldInputs, HoldService
-from phm.recovery.persistence.state import InvalidState, PersistedState, RecoveryState, decode, encode
+from phm.recovery.persistence.state import PersistedState, RecoveryState
+from phm.recovery.persistence.state_codec import InvalidState, decode, encode
 from phm.recovery.safety.armed_state import ArmedState as ArmedState, ArmedStatus, LastArmedState
 from phm.runtime.daemon import Daemon
 from phm.testing import settings

@@ -16,16 +16,8 @@ from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.containers.container_generation import OTHERS, Generation
 from phm.recovery.containers.cpu_weights import LoweredWeight
 from phm.recovery.history import AttemptRecord
-from phm.recovery.persistence.state import (
-    InvalidState,
-    PersistedCase,
-    PersistedState,
-    RecoveryState,
-    UnfinishedAction,
-    convert_time,
-    decode,
-    encode,
-)
+from phm.recovery.persistence.state import PersistedCase, PersistedState, RecoveryState, UnfinishedAction
+from phm.recovery.persistence.state_codec import InvalidState, convert_time, decode, encode
 from phm.recovery.persistence.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
 from phm.recovery.safety.armed_state import LastArmedState
 from tests.recovery.simulated_agent import Agent, Containers, Of

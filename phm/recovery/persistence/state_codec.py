@@ -1,0 +1,267 @@
+"""The state as JSON: `encode` makes the document of `state.json`, `decode` reads it. Pure.
+
+Times are kept on both clocks with the boot id of the machine: on the same boot the monotonic clock continues; on another,
+ages are differences of UTC, never negative. `phm.recovery.persistence.state_file` reads and writes the file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from phm.core.clock import MAX_STEPS
+from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.recovery.containers.container_generation import Generation
+from phm.recovery.containers.cpu_weights import LoweredWeight
+from phm.recovery.history import CLEAN_S, KEPT, AttemptRecord
+from phm.recovery.holds.hold_registry import MAX_DONE, MAX_HOLDS, Hold, PersistedHold, carried
+from phm.recovery.persistence.state import MAX_REPORTED, PersistedCase, PersistedState, RecoveryState, UnfinishedAction
+from phm.recovery.safety.armed_state import LastArmedState
+
+VERSION = 3
+MAX_FAULTS = 256
+MAX_TARGETS = 64
+MAX_TEXT = 2000
+MAX_SHARES = 262144
+"""The largest CPU weight that the kernel knows."""
+FAULT_AGE_S = 7 * 86400.0
+"""A fault is never taken to be older than this: a greater age is explained by a clock that was set."""
+
+
+class InvalidState(Exception):
+    """The state file is not what PHM writes; the message says in what way."""
+
+
+def encode(state: PersistedState, boot: str, now: Stamp) -> dict[str, Any]:
+    """The document; everything in it is capped. `boot` is the machine's boot id."""
+    recovery = state.recovery
+    newest = sorted(recovery.attempts.items(), key=lambda item: item[1][-1].at if item[1] else 0.0)[-MAX_TARGETS:]
+    return {
+        "v": VERSION,
+        "boot": boot,
+        "written": _stamp(now),
+        "faults": [_fault(fault) for fault in state.faults[:MAX_FAULTS]],
+        "given_up": [_fault(fault) for fault in state.given_up[:MAX_FAULTS]],
+        "attempts": {target: [_attempt(each, now) for each in made[-KEPT:]] for target, made in newest if made},
+        "cases": {
+            name: {
+                "refused": case.refused,
+                "reported": [text[:MAX_TEXT] for text in case.reported[:MAX_REPORTED]],
+                "approved": case.approved[:MAX_TEXT],
+            }
+            for name, case in list(recovery.cases.items())[:MAX_FAULTS]
+        },
+        "under_way": {
+            target: {"fault": action.fault, "attempt": _attempt(action.attempt, now)}
+            for target, action in list(recovery.under_way.items())[:MAX_TARGETS]
+        },
+        "stops": list(recovery.stops[:MAX_TARGETS]),
+        "windows": [list(window) for window in recovery.windows[-MAX_DONE:]],
+        "lowered": [asdict(entry) for entry in recovery.lowered[:MAX_TARGETS]],
+        "holds": [_hold(kept) for kept in recovery.holds[:MAX_HOLDS]],
+        "generations": {target: _life(life, now) for target, life in list(recovery.generations.items())[:MAX_TARGETS]},
+        "armed": None if recovery.armed is None else _last_known(recovery.armed, now),
+        "unfinished": dict(list(recovery.unfinished.items())[:MAX_TARGETS]),
+        "clock": [list(period) for period in state.clock[-MAX_STEPS:]],
+    }
+
+
+def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedState:
+    """The state of `document` with its times on the clocks of now. Raises Unbelievable.
+
+    window_s: attempts are never taken to be older than this (their budget and back-off are over by then).
+    """
+    if not isinstance(document, dict):
+        raise InvalidState("it does not contain a JSON object")
+    if document.get("v") != VERSION:
+        raise InvalidState(f"its version is {str(document.get('v'))[:20]!r}, this PHM writes {VERSION}")
+    try:
+        same = bool(boot) and document["boot"] == boot
+
+        def carried(stamp: Stamp, most_s: float) -> Stamp:
+            return convert_time(stamp, now, same_boot=same, most_s=most_s)
+
+        def attempt(body: Any) -> AttemptRecord:
+            when = carried(_read_stamp(body["at"]), max(window_s, CLEAN_S))
+            unit, condition, action = (str(body[key]) for key in ("unit", "condition", "action"))
+            flags = (body.get(key) is True for key in ("worked", "backoff_reset", "not_counted", "partly"))
+            return AttemptRecord(when.mono, unit, condition, action, *flags)
+
+        def fault(body: Any) -> Fault:
+            return _read_fault(body, carried(_read_stamp(body["opened"]), FAULT_AGE_S))
+
+        def moment(body: Any) -> float | None:
+            return None if body is None else carried(_read_stamp(body), max(window_s, CLEAN_S)).mono
+
+        def last_known(body: Any) -> LastArmedState | None:
+            if body is None:
+                return None
+            return LastArmedState(body["armed"] is True, carried(_read_stamp(body["since"]), FAULT_AGE_S).mono)
+
+        def life(body: Any) -> Generation:
+            name, started, by = (str(body[key])[:MAX_TEXT] for key in ("id", "started", "by"))
+            return Generation(name, started, moment(body["since"]), moment(body["made"]), by)
+
+        recovery = RecoveryState(
+            {
+                str(target): tuple(sorted((attempt(each) for each in made[-KEPT:]), key=lambda made: made.at))
+                for target, made in list(document["attempts"].items())[:MAX_TARGETS]
+            },
+            {
+                str(name): PersistedCase(
+                    case["refused"] is True,
+                    tuple(str(text) for text in case["reported"][:MAX_REPORTED]),
+                    str(case["approved"])[:MAX_TEXT],
+                )
+                for name, case in list(document["cases"].items())[:MAX_FAULTS]
+            },
+            {
+                str(target): UnfinishedAction(str(action["fault"]), attempt(action["attempt"]))
+                for target, action in list(document["under_way"].items())[:MAX_TARGETS]
+            },
+            {str(target): life(body) for target, body in list(document["generations"].items())[:MAX_TARGETS]},
+            last_known(document.get("armed")),
+            {
+                str(key)[:MAX_TEXT]: str(who)[:MAX_TEXT]
+                for key, who in list(document.get("unfinished", {}).items())[:MAX_TARGETS]
+            },
+            tuple(_read_hold(body, now, same_boot=same) for body in document.get("holds", [])[:MAX_HOLDS]),
+            tuple(str(key)[:MAX_TEXT] for key in document.get("stops", [])[:MAX_TARGETS]),
+            tuple((str(on)[:MAX_TEXT], str(begin)[:MAX_TEXT]) for on, begin in document.get("windows", [])[-MAX_DONE:]),
+            tuple(_read_lowered(body) for body in document.get("lowered", [])[:MAX_TARGETS]),
+        )
+        faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
+        clock = tuple((float(offset), float(begin)) for offset, begin in document.get("clock", [])[-MAX_STEPS:])
+        return PersistedState(
+            faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery, clock if same else ()
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise InvalidState(f"a part of it is wrong: {type(error).__name__}: {str(error)[:80]}") from None
+
+
+def convert_time(then: Stamp, now: Stamp, *, same_boot: bool, most_s: float) -> Stamp:
+    """A moment of an earlier run of PHM on the monotonic clock of now: never in the future, at most `most_s` ago."""
+    age_s = now.mono - then.mono if same_boot else now.utc - then.utc
+    return Stamp(then.utc, now.mono - min(max(age_s, 0.0), most_s))
+
+
+def _stamp(stamp: Stamp) -> dict[str, float]:
+    return {"utc": stamp.utc, "mono": stamp.mono}
+
+
+def _read_stamp(body: Any) -> Stamp:
+    utc, mono = float(body["utc"]), float(body["mono"])
+    if not (abs(utc) < 1e12 and abs(mono) < 1e12):
+        raise ValueError("a time is out of range")
+    return Stamp(utc, mono)
+
+
+def _moment(mono: float, now: Stamp) -> dict[str, float]:
+    """A moment of the monotonic clock on both clocks."""
+    return {"utc": round(now.utc - (now.mono - mono), 2), "mono": mono}
+
+
+def _life(life: Generation, now: Stamp) -> dict[str, Any]:
+    return {
+        "id": life.id[:MAX_TEXT],
+        "started": life.started[:MAX_TEXT],
+        "since": None if life.since is None else _moment(life.since, now),
+        "made": None if life.made is None else _moment(life.made, now),
+        "by": life.by[:MAX_TEXT],
+    }
+
+
+def _last_known(last: LastArmedState, now: Stamp) -> dict[str, Any]:
+    return {"armed": last.armed, "since": _moment(last.since, now)}
+
+
+def _hold(kept: PersistedHold) -> dict[str, Any]:
+    hold = kept.hold
+    return {
+        "target": hold.target,
+        "source": hold.source,
+        "until_mono": hold.until,
+        "left_s": kept.left_s,
+        "by": hold.by,
+        "reason": hold.reason,
+        "occurrence": hold.occurrence,
+    }
+
+
+def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> PersistedHold:
+    target, source, by, reason, occurrence = (
+        str(body[key])[:MAX_TEXT] for key in ("target", "source", "by", "reason", "occurrence")
+    )
+    until, left_s = float(body["until_mono"]), float(body["left_s"])
+    if not (abs(until) < 1e12 and abs(left_s) < 1e12):
+        raise ValueError("the end of a hold is not a time")
+    hold = carried(Hold(target, source, until, by, reason, occurrence), left_s, now.mono, same_boot=same_boot)
+    return PersistedHold(hold, hold.until - now.mono)
+
+
+def _read_lowered(body: Any) -> LoweredWeight:
+    shares = int(body["shares"])
+    if not 2 <= shares <= MAX_SHARES:
+        raise ValueError("a CPU weight that no container has")
+    key, container, unit = (str(body[part])[:MAX_TEXT] for part in ("key", "id", "unit"))
+    return LoweredWeight(key, container, shares, unit)
+
+
+def _attempt(attempt: AttemptRecord, now: Stamp) -> dict[str, Any]:
+    return {
+        "at": _moment(attempt.at, now),
+        "unit": attempt.unit,
+        "condition": attempt.condition,
+        "action": attempt.action,
+        "worked": attempt.worked,
+        "backoff_reset": attempt.backoff_reset,
+        "not_counted": attempt.not_counted,
+        "partly": attempt.partly,
+    }
+
+
+def _fault(fault: Fault) -> dict[str, Any]:
+    result = fault.result
+    return {
+        "id": fault.id,
+        "unit": fault.unit,
+        "slot": int(fault.slot),
+        "layer": fault.layer.value,
+        "opened": _stamp(fault.opened),
+        "by": fault.by,
+        "blocks": list(fault.blocks[:MAX_FAULTS]),
+        "consequences": list(fault.consequences[:MAX_FAULTS]),
+        "well_s": fault.ok_s,
+        "well_in_life_s": fault.ok_since_start_s,
+        "life_seen": fault.start_seen,
+        "result": {
+            "summary": result.summary[:MAX_TEXT],
+            "brief": result.brief[:MAX_TEXT],
+            "condition": result.condition[:MAX_TEXT],
+            "target": result.target[:MAX_TEXT],
+        },
+    }
+
+
+def _read_fault(body: Any, opened: Stamp) -> Fault:
+    return Fault(
+        str(body["id"])[:MAX_TEXT],
+        str(body["unit"]),
+        Slot(body["slot"]),
+        Layer(body["layer"]),
+        _read_result(body["result"]),
+        opened,
+        by=str(body["by"]),
+        blocks=tuple(str(unit) for unit in body["blocks"]),
+        consequences=tuple(str(name) for name in body["consequences"]),
+        ok_s=float(body.get("well_s", 0.0)),
+        ok_since_start_s=float(body.get("well_in_life_s", 0.0)),
+        start_seen=bool(body.get("life_seen", False)),
+    )
+
+
+def _read_result(body: Any) -> Result:
+    summary, brief, condition, target = (
+        str(body[key])[:MAX_TEXT] for key in ("summary", "brief", "condition", "target")
+    )
+    return Result(Level.ERROR, summary, brief, condition, target)
