@@ -1,7 +1,7 @@
 """How long a sender of heartbeats may be silent, by how it was heard until then. Pure; the caller brings time.
 
-Whoever was never silent for long is lost well before a timeout that is made for every link. Of one that was heard for less
-than LEARN_S, or whose beats come unevenly or get lost, nothing is concluded: there the configured timeout stays the only limit.
+A sender that was never silent for long is lost well before the configured timeout. Of one that was received for less
+than LEARN_S, or whose heartbeats are uneven or get lost, nothing is concluded: only the configured timeout applies.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from phm.core.scheduling_delay import Late, never_late
 FACTOR = 2.2
 """Silence of so many of the longest pauses: one more beat than ever may get lost."""
 UNEVEN_S = 2.5
-"""After such a pause, two beats lost in a row, the sender or the link is not steady."""
+"""After such a pause, two heartbeats lost in a row, the sender or the link is not steady."""
 LEARN_S = 120.0
 STEP_S, STEPS = 60.0, 60
 """Pauses of the last STEP_S * STEPS seconds count."""
@@ -46,13 +46,13 @@ class AdaptiveTimeout:
         """It was heard. late_s: of the pause before, how much PHM did not run."""
         self._keep(now, self._held_s)
         pause_s = 0.0 if self._last is None else max(0.0, now - self._last - late_s)
-        # A longer one was a fault and is no habit of the sender.
+        # A longer one was a fault, not a habit of the sender.
         self._held_s = pause_s if pause_s <= self._most_s else 0.0
         self._last, self._from, self._lost = now, now, False
         self._due_s = self._limit_s()
 
     def broke(self, now: float) -> None:
-        """What is heard next does not continue what was: the link was closed, PHM stood still, or the sender began anew."""
+        """The next heartbeat does not continue the last: the link was closed, PHM was suspended, or the sender restarted."""
         self._last, self._from, self._held_s = None, now, 0.0
         self._due_s = self._limit_s()
 

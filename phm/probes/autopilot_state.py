@@ -1,4 +1,4 @@
-"""The vehicle's autopilot by its heartbeats, and its reboots by the time since boot that it tells. Pure.
+"""The vehicle's autopilot by its heartbeats, and its reboots by the time since boot that it reports. Pure.
 
 As ArduPilot's routing asks of ground stations, a reboot is seen by `time_boot_ms` going back: in SYSTEM_TIME, or in whatever
 else carries it. It must not be missed, for an autopilot that reboots within seconds leaves no gap in its heartbeats.
@@ -55,7 +55,7 @@ class AutopilotState:
         return self._beat[2] if self._beat is not None else ""
 
     def broke(self, now: float) -> None:
-        """Pauses until now say nothing about it: its link was closed, or PHM stood still."""
+        """Pauses until now say nothing about it: its link was closed, or PHM was suspended."""
         self._cadence.broke(now)
 
     def stalled(self, now: float) -> None:

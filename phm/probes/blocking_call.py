@@ -55,7 +55,7 @@ class BlockingCallWorker:
             raise CannotTell(f"another call has kept {self._name} busy for {timeout_s:g} s")
         try:
             if self._hanging is not None and not self._hanging.done.is_set():
-                raise CannotTell("an earlier call has not come back from the kernel yet")
+                raise CannotTell("an earlier call has not returned from the kernel yet")
             self._hanging = None
             job: _Job[T] = _Job(function)
             self._start()
@@ -71,7 +71,7 @@ class BlockingCallWorker:
         if self._thread is None:
             thread = threading.Thread(target=self._loop, name=f"phm-{self._name}", daemon=True)
             if not threads.start_now(thread):
-                raise CannotTell("no thread can be started: the limit of processes is reached")
+                raise CannotTell("no thread can be started: the process limit is reached")
             self._thread = thread
 
     def _loop(self) -> None:

@@ -43,7 +43,7 @@ class CpuMonitor:
         self._clock, self._proc = clock, str(proc)
         self._last: _Reading | None = None
         self._use = CpuUsage(0.0)
-        with contextlib.suppress(OSError, ValueError, IndexError):  # whoever asks is told
+        with contextlib.suppress(OSError, ValueError, IndexError):  # `use` reports it
             self.use()  # the first reading has nothing to compare with, so it is taken here
 
     def use(self) -> CpuUsage:

@@ -24,7 +24,7 @@ from phm.probes.inotify import FileWatcher
 LOOK_S = 1.5
 """Deadline of one look; opening a device whose driver is stuck can hang."""
 DESCRIPTION_S = 10.0
-"""How long what a port says about itself is believed."""
+"""How long the description of a port is cached."""
 _MOST_DESCRIPTIONS = 64
 _MOST_LINKS = 16
 _DEV = PurePosixPath("/dev")
@@ -95,7 +95,7 @@ class Devices:
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
-            raise CannotTell(f"{path} cannot be looked at: {error.strerror or error}") from error
+            raise CannotTell(f"{path} cannot be inspected: {error.strerror or error}") from error
         if not stat.S_ISCHR(seen.st_mode):
             return DeviceFact(str(real), False, 0, 0, None, reason=_kind(seen.st_mode))
         openable, reason = self._usable(place, seen, open_it)
@@ -135,7 +135,7 @@ class Devices:
     def _usable(place: Path, seen: os.stat_result, open_it: bool) -> tuple[bool | None, str]:
         """Whether the device can be used, and why not or why that is not known."""
         if not seen.st_mode & 0o666:
-            return False, "its mode lets nobody read or write"
+            return False, "its mode allows no user to read or write"
         if not open_it:
             return None, "" if os.access(place, os.R_OK | os.W_OK) else "PHM itself may not open it"
         try:
@@ -163,9 +163,9 @@ class Devices:
             return ""
         with self._lock:
             now = self._clock.mono()
-            told = self._described.get(name)
-            if told is not None and now - told[0] < DESCRIPTION_S:
-                return told[1]
+            known = self._described.get(name)
+            if known is not None and now - known[0] < DESCRIPTION_S:
+                return known[1]
             if len(self._described) >= _MOST_DESCRIPTIONS:
                 self._described.clear()
             text = _port_words(name)
@@ -178,7 +178,7 @@ _GONE = "gone"
 
 
 def _port_words(name: str) -> str:
-    """Product, maker, serial number and USB ids of a port, as far as it tells them."""
+    """Product, maker, serial number and USB ids of a port, as far as known."""
     try:
         # Only the name counts: pyserial looks it up in /sys/class/tty, which is the host's in a container too.
         port = SysFS(f"/dev/{name}")
@@ -191,7 +191,7 @@ def _port_words(name: str) -> str:
 
 
 def _fitted(name: str) -> bool:
-    """Whether a ttyS port stands for hardware, judged as pyserial does: its subsystem is not `platform`."""
+    """Whether a ttyS port has hardware, decided as by pyserial: its subsystem is not `platform`."""
     try:
         subsystem = SysFS(f"/dev/{name}").subsystem
     except (OSError, TypeError, ValueError):

@@ -65,7 +65,7 @@ class Docker:
     def processes(self, name: str) -> tuple[ProcessFact, ...]:
         fact = self._container(name, FRESH_S)
         if fact is None or not fact.running:
-            raise CannotTell(f"{name} does not run, so it has no processes")
+            raise CannotTell(f"{name} is not running, so it has no processes")
         return self._processes.look(fact.id)
 
     def myself(self) -> ContainerFact | None:
@@ -114,9 +114,9 @@ class Docker:
         """
         entry = self._entries[key]
         called_at = self._clock.mono()
-        # Whoever holds the lock is through with it when its own deadline has passed.
+        # The holder of the lock releases it when its own deadline has passed.
         if not entry.lock.acquire(timeout=self._engine.timeout_s + 1):
-            raise CannotTell(f"the Docker Engine is still busy with an earlier question about {key.strip(chr(0))}")
+            raise CannotTell(f"the Docker Engine is still answering an earlier request for {key.strip(chr(0))}")
         try:
             if not self._usable(entry, called_at, young_s):
                 self._ask(entry, ask)

@@ -2,7 +2,7 @@
 
 The stream is fast but loses events (the engine drops a slow reader and keeps only 256), so every few
 seconds and after every reconnect the containers are inspected and compared with what the stream led us
-to expect; what was lost is told as an event of its own.
+to expect; each lost event is published as an event of its own.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ BACKOFF_MAX_S = 5.0
 CONFIRM_S = 0.2
 """A difference is looked at again after this: the event that explains it may be on its way."""
 BEHIND_S = 10.0
-"""A reader of the stream that is behind for longer hangs, or never comes to rest: nobody waits for it any more."""
+"""After this time a reader that is behind hangs or never catches up: `caught_up` no longer waits for it."""
 BEHIND_LOOK_S = 0.005
 AGAIN_S = 1.0
-"""The engine tells each disconnect twice, a few milliseconds apart (seen with 20.10)."""
+"""The engine reports each disconnect twice, a few milliseconds apart (seen with 20.10)."""
 KILL_S = 11.0
 """A container ends within this time after SIGKILL: the engine waits 10 s for it."""
 STOP_S = 121.0
@@ -78,7 +78,7 @@ class DockerEvent:
     action: one of CONTAINER_ACTIONS or NETWORK_ACTIONS, or ``replace``: Compose has made the one to take its place.
     detail: e.g. ``exit code 137``, ``unhealthy``, ``signal 15`` for kill (which `docker stop` sends first), or empty.
     container: for network events the key of the container concerned, when it is a configured one.
-    lost:   the stream did not tell; the comparison found it.
+    lost:   not in the stream; found by the comparison.
     id:     of the container, or of the one that the comparison found; empty: not known.
     end_s:  for a `kill` after which the container is to end: within how many seconds at most; else 0.
     """
@@ -110,7 +110,7 @@ class DockerEvent:
 
     @property
     def begins_life(self) -> bool:
-        """A container was started. The engine's own `restart` only follows its `start`; a lost one stands for both."""
+        """A container was started. The engine's own `restart` only follows its `start`; a lost one replaces both."""
         return self.kind == "container" and (self.action == "start" or (self.action == "restart" and self.lost))
 
     def __str__(self) -> str:
@@ -145,7 +145,7 @@ class ContainerWatcher:
         """The id of the container that has each key's name now, or was last started under its label."""
         self._left: dict[tuple[str, str], int] = {}
         self._touched: dict[str, int] = dict.fromkeys(self._containers, 0)
-        self._lock, self._telling = threading.Lock(), threading.Lock()
+        self._lock, self._publishing = threading.Lock(), threading.Lock()
         self._stopping, self._compare_now = threading.Event(), threading.Event()
         self._stream: EventStream | None = None
         self._connected, self._since = False, ""
@@ -208,7 +208,7 @@ class ContainerWatcher:
             except CannotTell as error:
                 silent = False
                 logger.debug("event stream: %s", error)
-            except Exception:  # a defect in reading must not end the watch for ever
+            except Exception:  # a defect in reading must not end the watch
                 silent = False
                 logger.exception("the event stream could not be read")
             if self._connected:
@@ -234,7 +234,7 @@ class ContainerWatcher:
             for raw in stream:
                 event = self._understand(raw)
                 if event is not None:
-                    self._tell(event)
+                    self._publish(event)
 
     def _since_opened(self, now: float) -> str:
         """From when on to replay events when none has come yet: since the stream was first open. Empty: it never was."""
@@ -246,7 +246,7 @@ class ContainerWatcher:
         return EventStreamFact(True, now, self.fact.complete_since if replayed else now)
 
     def _understand(self, raw: Mapping[str, Any]) -> DockerEvent | None:
-        """The event in our words, taken into what we expect; None when it concerns nobody."""
+        """The event as a `DockerEvent`, applied to the expected state; None when it concerns no configured container."""
         actor = raw.get("Actor")
         actor = actor if isinstance(actor, Mapping) else {}
         attributes = actor.get("Attributes")
@@ -301,11 +301,11 @@ class ContainerWatcher:
                 self._touched[key] += 1
             if key in self._expected:
                 self._expected[key] = after(self._expected[key], action, name, network_id)
-            if self._told_before(action, (container, network_id), at_ns):
+            if self._reported_before(action, (container, network_id), at_ns):
                 return None
         return DockerEvent("network", name, action, "", self._clock.stamp(), container=key)
 
-    def _told_before(self, action: str, ends: tuple[str, str], at_ns: int) -> bool:
+    def _reported_before(self, action: str, ends: tuple[str, str], at_ns: int) -> bool:
         """Whether this is the echo of a disconnect: the same ends, and they were not connected in between."""
         left_ns = self._left.pop(ends, 0)
         if action != "disconnect":
@@ -354,7 +354,7 @@ class ContainerWatcher:
             self._compare_now.clear()
             try:
                 complete = self._compare_all()
-            except Exception:  # a defect in comparing must not end the watch for ever
+            except Exception:  # a defect in comparing must not end the watch
                 complete = False
                 logger.exception("containers could not be compared")
             if complete:
@@ -368,7 +368,7 @@ class ContainerWatcher:
         return all(answered)
 
     def _compare_one(self, key: str) -> bool:
-        """Tell what the stream should have told about one container; False when the engine did not answer."""
+        """Publish what the stream missed about one container; False when the engine did not answer."""
         seen = self._look(key)
         if seen is None:
             return False
@@ -389,7 +389,7 @@ class ContainerWatcher:
                 self._current[key] = now.id
         for kind, action, detail in differences(expected, now) if expected is not None else ():
             subject, container, text = (detail, key, "") if kind == "network" else (key, "", detail)
-            self._tell(
+            self._publish(
                 DockerEvent(kind, subject, action, text, self._clock.stamp(), container, lost=True, id=now.id or "")
             )
         return True
@@ -416,14 +416,14 @@ class ContainerWatcher:
         except Exception:  # the listener's defect must not end the watch
             logger.exception("the listener of the event stream failed")
 
-    def _tell(self, event: DockerEvent) -> None:
-        with self._telling:
+    def _publish(self, event: DockerEvent) -> None:
+        with self._publishing:
             if self._stopping.is_set():
                 return
             try:
                 self._on_event(event)
             except Exception:  # the listener's defect must not cost the next event
-                logger.exception("an event could not be handed on: %s", event)
+                logger.exception("an event could not be delivered: %s", event)
 
 
 def _named(entry: ContainerSettings, attributes: Mapping[str, Any]) -> bool:

@@ -1,7 +1,7 @@
 """The processes of a container, from the engine's own process list.
 
 For each question the engine starts the host's `ps`: measured 13 ms, 7 ms of processor time for the engine and 1 ms
-for PHM. So nobody polls this quickly.
+for PHM. So it is not polled quickly.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Processes:
         self._best_from, self._wait_s = float("-inf"), AGAIN_S
 
     def look(self, container_id: str) -> tuple[ProcessFact, ...]:
-        """Raises CannotTell: the container does not run, or no answer came in time, or none that makes sense."""
+        """Raises CannotTell: the container does not run, or no answer came in time, or it cannot be parsed."""
         best, simple = FORMS
         if self._clock.mono() >= self._best_from:
             try:
@@ -53,9 +53,9 @@ def processes(answer: Mapping[str, Any]) -> tuple[ProcessFact, ...]:
     """The facts in an answer of the engine; the last column is the command, whatever it is called."""
     titles, listed = answer.get("Titles"), answer.get("Processes") or []
     if not isinstance(titles, list) or "PID" not in titles or not all(isinstance(title, str) for title in titles):
-        raise CannotTell("the Docker Engine listed processes without their numbers")
+        raise CannotTell("the Docker Engine listed processes without process ids")
     if not isinstance(listed, list):
-        raise CannotTell("the Docker Engine listed processes in no list")
+        raise CannotTell("the Docker Engine answered without a process list")
     rows = [row for row in listed if isinstance(row, list) and len(row) == len(titles)]
     found = (_process(dict(zip(titles[:-1], row, strict=False)), str(row[-1])) for row in rows[:MOST])
     return tuple(fact for fact in found if fact.pid and fact.state not in _ENDED)

@@ -1,4 +1,4 @@
-"""What a container should look like after the events that were told, and what differs: pure functions."""
+"""What a container should look like after the received events, and what differs: pure functions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _UNKNOWN = ExpectedState(None, None, None, None, None, None)
 
 
 def after(expected: ExpectedState, action: str, detail: str, subject: str) -> ExpectedState:
-    """What to expect once an event was told.
+    """The expected state after an event.
 
     detail:  the health for ``health_status``, the network's name for ``connect`` and ``disconnect``.
     subject: id of the container, or of the network.
@@ -45,7 +45,7 @@ def after(expected: ExpectedState, action: str, detail: str, subject: str) -> Ex
         others = frozenset(pair for pair in expected.networks if pair[0] != detail)
         return replace(expected, networks=others | {(detail, subject)} if action == "connect" else others)
     if action == "start":
-        # A container that ends at once is told by its own `die`; its networks get new ids only by `connect`.
+        # A container that ends immediately has a `die` event; its networks get new ids only by `connect`.
         return ExpectedState(subject, "running", None, None, None, expected.networks)
     if action == "die":
         # It may be restarting already by its policy.

@@ -49,7 +49,7 @@ def _reread(details: Mapping[str, Any], used: int | None, limit: int | None) -> 
 
 
 def _pids_limit(pids: Mapping[str, Any]) -> int | None:
-    """0 and the largest number stand for no limit."""
+    """0 and the largest number mean no limit."""
     limit = _number(pids.get("limit"))
     return limit if limit is not None and 0 < limit < 1 << 32 else None
 

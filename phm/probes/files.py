@@ -66,7 +66,7 @@ class Files:
             return self._without_engine(container, path, digest, error)
         if fact is None:
             self._last.pop(container, None)
-            raise CannotTell(f"there is no container {container} to look into")
+            raise CannotTell(f"the container {container} does not exist")
         self._last[container] = (fact, me)
         try:
             return self._through_volume(fact, me, path, digest)
@@ -150,13 +150,13 @@ class Files:
         found = self._follow(fact, path, budget)
         if found is None:
             return None
-        real, told = found
-        mode = _posix_mode(int(told.get("mode", 0)))
-        size = int(told.get("size", 0))
+        real, status = found
+        mode = _posix_mode(int(status.get("mode", 0)))
+        size = int(status.get("size", 0))
         wanted = digest and stat.S_ISREG(mode)
         if wanted and size > MAX_BYTES:
             raise _too_large(path, size)
-        sha256 = self._sum_by_engine(fact, real, (size, str(told.get("mtime", "")))) if wanted else ""
+        sha256 = self._sum_by_engine(fact, real, (size, str(status.get("mtime", "")))) if wanted else ""
         return _file_fact(path, mode, size, sha256, "engine")
 
     def _follow(self, fact: ContainerFact, path: str, budget: TimeBudget) -> tuple[str, dict[str, Any]] | None:
@@ -164,25 +164,25 @@ class Files:
         real = path
         for _ in range(MAX_LINKS):
             try:
-                told = self._engine.stat_path(fact.id, real, deadline_s=budget.left_s())
+                status = self._engine.stat_path(fact.id, real, deadline_s=budget.left_s())
             except EngineMissing:
                 self._must_be_visible(fact, real)
                 return None
-            if not int(told.get("mode", 0)) & _GO_LINK:
-                return real, told
-            target = str(told.get("linkTarget", ""))
+            if not int(status.get("mode", 0)) & _GO_LINK:
+                return real, status
+            target = str(status.get("linkTarget", ""))
             if not target:
                 return None
             real = join(os.path.dirname(real), target)
         return None
 
     def _must_be_visible(self, fact: ContainerFact, path: str) -> None:
-        """Raises CannotTell where the engine's `not there` proves nothing."""
+        """Raises CannotTell where the engine's `not found` proves nothing."""
         hidden = [mount.destination for mount in fact.mounts if mount.kind == "tmpfs"]
         for root in (*hidden, *_NOT_SEEN_BY_ENGINE):
             if path == root or path.startswith(root.rstrip("/") + "/"):
                 raise CannotTell(
-                    f"{path} is in memory ({root}), where the Docker Engine cannot look: move it to a volume"
+                    f"{path} is in memory ({root}), which the Docker Engine cannot read: move it to a volume"
                 )
         if self._docker_gone(fact):
             raise CannotTell(f"{fact.name} was removed while PHM looked for {path}")

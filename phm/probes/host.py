@@ -27,10 +27,10 @@ from phm.probes.kernel_file import head
 DISK_S = 1.0
 """Deadline of one look at one disk."""
 SLOW_S = 2.0
-"""How long a reading of the sensors is believed."""
+"""How long a reading of the sensors is cached."""
 MOST_FANS = 4
 
-# Names by which drivers tell the processor's sensor. Others do not count: a Jetson's PMIC-Die always says
+# Names by which drivers report the processor's sensor. Others do not count: a Jetson's PMIC-Die always says
 # 100 degrees, and acpitz is the mainboard.
 _PROCESSOR = re.compile(r"cpu|soc|x86_pkg|coretemp|k10temp|zenpower", re.IGNORECASE)
 
@@ -60,7 +60,7 @@ class _Timex(ctypes.Structure):
 
 
 def clock_synchronized() -> bool | None:
-    """Whether the kernel's clock is disciplined; None when it does not tell.
+    """Whether the kernel's clock is disciplined; None when unknown.
 
     Docker's default seccomp profile refuses adjtimex without CAP_SYS_TIME, hence the second source.
     """
@@ -137,7 +137,7 @@ class Host:
                 found[name] = int(rest.split()[0]) * 1024
         if len(found) == 2:
             return found["MemTotal"], found["MemAvailable"]
-        # Kernels before 3.14 and some containers tell no MemAvailable; psutil then estimates it.
+        # Kernels before 3.14 and some containers report no MemAvailable; psutil then estimates it.
         psutil = importlib.import_module("psutil")
         memory = psutil.virtual_memory()
         return int(memory.total), int(memory.available)
@@ -170,7 +170,7 @@ class Host:
         return hottest, sensor
 
     def _sensors(self) -> Iterator[tuple[str, float]]:
-        """Readings of the processor's sensors; both trees tell thousandths of a degree."""
+        """Readings of the processor's sensors; both trees have thousandths of a degree."""
         for tree, name_file, pattern in (
             ("class/thermal", "type", "temp"),
             ("class/hwmon", "name", "temp*_input"),
@@ -185,7 +185,7 @@ class Host:
                         yield name, int(text) / 1000
 
     def _fans(self) -> tuple[int, ...]:
-        """Revolutions a minute of each fan whose driver tells, at most MOST_FANS."""
+        """Revolutions a minute of each fan whose driver reports it, at most MOST_FANS."""
         files = sorted((self._sysfs / "class/hwmon").glob("*/fan*_input"))[:MOST_FANS]
         texts = (_line(file) for file in files)
         return tuple(int(text) for text in texts if text is not None and re.fullmatch(r"\d{1,6}", text))

@@ -1,4 +1,4 @@
-"""Tells when an entry of a directory changes, by the kernel's inotify: nothing is asked while nothing happens.
+"""Reports when an entry of a directory changes, with the kernel's inotify: no polling.
 
 It watches inodes, so what the host or another container does to a directory is seen through PHM's own, read-only mount
 of it. What it cannot tell (a network mount changed elsewhere, a write through a hard link in another directory, a
@@ -23,7 +23,7 @@ from phm.core.clock import Clock, SystemClock
 
 logger = logging.getLogger(__name__)
 
-Tell = Callable[[], None]
+Notify = Callable[[], None]
 Watch = Callable[[str, str], bool]
 """Watch the entry of this name in this directory. True when it was not watched before: what was seen until now may be old."""
 
@@ -33,8 +33,8 @@ MOST_NAMES = 256
 GATHER_S = 0.05
 """After each event others are gathered for so long, so that a directory in which much is written costs little."""
 PACE_S, PACE_MAX_S, CALM_S = 0.1, 5.0, 10.0
-"""Between two tellings to one listener at least PACE_S, twice as long each time up to PACE_MAX_S, until there was nothing to tell
-for CALM_S: a file that is written all the time does not keep its check busy. The last change is always told."""
+"""Between two notifications of one listener at least PACE_S, twice as long each time up to PACE_MAX_S, until nothing changed
+for CALM_S: a file that is written all the time does not keep its check busy. The last change is always reported."""
 
 _ATTRIB, _CLOSE_WRITE, _MOVED, _CREATE, _DELETE = 0x4, 0x8, 0x40 | 0x80, 0x100, 0x200
 _DELETE_SELF, _MOVE_SELF, _UNMOUNT, _OVERFLOW, _IGNORED = 0x400, 0x800, 0x2000, 0x4000, 0x8000
@@ -46,9 +46,9 @@ _READ_BYTES = 65536
 
 @dataclass(eq=False)
 class _Listener:
-    """Whom to tell, and how soon the next time."""
+    """What to call, and how soon the next time."""
 
-    tell: Tell
+    notify: Notify
     mask: int
     due: float | None = None
     pause: Backoff = field(default_factory=lambda: Backoff(PACE_S, PACE_MAX_S))
@@ -79,13 +79,13 @@ class FileWatcher:
         self._listeners: list[_Listener] = []
         self._closed = False
 
-    def on(self, tell: Tell, *, content: bool = False) -> Watch:
-        """A way to watch for one listener. `tell` is called from the thread of this object.
+    def on(self, notify: Notify, *, content: bool = False) -> Watch:
+        """A way to watch for one listener. `notify` is called from the thread of this object.
 
         content: a file that was written and closed counts as changed, too. Not for devices: to open and close one is
         no change.
         """
-        listener = _Listener(tell, _COMING_AND_GOING | (_CLOSE_WRITE if content else 0))
+        listener = _Listener(notify, _COMING_AND_GOING | (_CLOSE_WRITE if content else 0))
         self._listeners.append(listener)
         return lambda directory, name: self._watch(listener, directory, name)
 
@@ -157,9 +157,9 @@ class FileWatcher:
             try:
                 for listener in self._concerned():
                     self._happened(listener)
-                self._tell_due()
-            except Exception:  # a listener's defect must not end the watch for ever
-                logger.exception("a change of a directory could not be handed on")
+                self._notify_due()
+            except Exception:  # a listener's defect must not end the watch
+                logger.exception("a change of a directory could not be delivered")
             self._clock.wait(threading.Event(), GATHER_S)
         for number in (self._descriptor, *self._wakeup):
             os.close(number)
@@ -169,7 +169,7 @@ class FileWatcher:
         return max(0.0, (min(due) - self._clock.mono()) * 1000) if due else None
 
     def _concerned(self) -> list[_Listener]:
-        """The listeners of what the kernel has to tell now."""
+        """The listeners of the pending events."""
         try:
             data = os.read(self._descriptor, _READ_BYTES)
         except BlockingIOError:
@@ -192,7 +192,7 @@ class FileWatcher:
             return []
         everybody = [listener for some in directory.wanted.values() for listener in some]
         if mask & (_IGNORED | _MOVE_SELF | _UNMOUNT):
-            # What stands at its path now is another directory, or none: whoever looks next watches that.
+            # Its path now names another directory, or none: the next look watches that.
             self._forget(number, directory, gone=bool(mask & _IGNORED))
             return everybody
         return [listener for listener in directory.wanted.get(name, ()) if listener.mask & mask]
@@ -203,7 +203,7 @@ class FileWatcher:
         if not gone and self._libc is not None:
             self._libc.inotify_rm_watch(self._descriptor, number)
 
-    # ------------------------------------------------------------ who is told, and when
+    # ------------------------------------------------------------ notifications
 
     def _happened(self, listener: _Listener) -> None:
         now = self._clock.mono()
@@ -212,7 +212,7 @@ class FileWatcher:
         if listener.due is None:
             listener.due = max(now, listener.last + listener.pause.pause_s)
 
-    def _tell_due(self) -> None:
+    def _notify_due(self) -> None:
         now = self._clock.mono()
         for listener in self._listeners:
             if listener.due is None or listener.due > now:
@@ -220,4 +220,4 @@ class FileWatcher:
             if now - listener.last <= CALM_S:
                 listener.pause.next_s()
             listener.due, listener.last = None, now
-            listener.tell()
+            listener.notify()

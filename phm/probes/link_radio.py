@@ -84,7 +84,7 @@ class RadioState:
         return median(pauses) if len(pauses) >= ENOUGH else self._asked_s
 
     def _rates(self) -> tuple[float | None, float | None]:
-        """Of rxerrors and fixed. Counters that went back began anew: the radio was restarted."""
+        """Of rxerrors and fixed. Counters that went back restarted with the radio."""
         span_s = self._counts[-1][0] - self._counts[0][0]
         if span_s <= 0.0:
             return None, None
@@ -96,8 +96,8 @@ class RadioState:
 
 
 def _partnerless(message: Any) -> bool:
-    """A SiK radio forgets what the other one told of itself, and reports zeros, once it has heard nothing at all of it for
-    3.2 to 3.7 s (`link_update` of its firmware: more than five looks of 0.52 s). A radio that never tells is one, too."""
+    """A SiK radio forgets the values of the other one, and reports zeros, once it has received nothing from it for
+    3.2 to 3.7 s (`link_update` of its firmware: more than five looks of 0.52 s). A radio that never reports them counts, too."""
     return bool(message.remrssi == 0 and message.remnoise == 0)
 
 

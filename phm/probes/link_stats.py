@@ -18,7 +18,7 @@ STEP_S, LOSS_S = 5.0, 30.0
 SHORT_S = 5.0
 """Checks that judge a silence here do so after less."""
 MIN_FRAMES = 20
-"""Of so few frames nobody can tell how many are missing."""
+"""With fewer frames the number of missing ones is not known."""
 _Counts = dict[tuple[int, int], tuple[int, int]]
 
 

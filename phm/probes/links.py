@@ -1,4 +1,4 @@
-"""What is heard on the MAVLink endpoints: ground station, radios, our autopilot, the traffic, and whoever uses our identity."""
+"""What arrives on the MAVLink endpoints: ground station, radios, our autopilot, the traffic, and other users of our identity."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ DOUBLES = 2
 """So many heartbeats of another sender within DOUBLE_S make a duplicate: a late echo may come once."""
 DOUBLE_S = 30.0
 STALL_S = 1.2
-"""PHM reads each open endpoint twice a second. After such a break it was PHM that stood still, and not the sender."""
+"""PHM reads each open endpoint twice a second. After a longer break PHM was suspended, not the sender."""
 GONE, GONE_REFUSED = 4, 2
-"""So many vain attempts to open an endpoint anew, or refusals, and nothing will come by it soon: 1.5 s, 0.3 s."""
+"""After so many failed attempts to reopen an endpoint, or refusals, nothing will arrive by it soon: 1.5 s, 0.3 s."""
 USERS_S = 1.0
 """Deadline of a look at who has a port open."""
 STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
@@ -53,8 +53,8 @@ class Links:
         self._hub, self._clock, self._on_wake = hub, clock, on_wake
         self._system, self._settings = settings.agent.id, settings.mavlink
         self._gcs: tuple[float, int, int, str] | None = None
-        # A ground station may stand still while its operator loads a map, and all agents would tell: half of the timeout.
-        self._gcs_beats = AdaptiveTimeout(self._settings.gcs_timeout, max(UNEVEN_S, self._settings.gcs_timeout / 2))
+        # A ground station may freeze while its operator loads a map, and all agents would report it: half of the timeout.
+        self._gcs_cadence = AdaptiveTimeout(self._settings.gcs_timeout, max(UNEVEN_S, self._settings.gcs_timeout / 2))
         self._unreached = False
         """It was out of reach, and was not heard since: a radio at the edge of its range finds and loses the other one."""
         self._pilot = AutopilotState(self._settings.autopilot_timeout, clock.late_s)
@@ -85,14 +85,14 @@ class Links:
             gcs = self._gcs
             if gcs is None:
                 return None
-            read_at, due_s = self._hub.read_at(gcs[3]), self._gcs_beats.due_s()
-            overdue = self._gcs_beats.overdue(read_at, self._clock.late_s)
+            read_at, due_s = self._hub.read_at(gcs[3]), self._gcs_cadence.due_s()
+            overdue = self._gcs_cadence.overdue(read_at, self._clock.late_s)
             not_counted_s = self._not_counted_s(gcs[0], gcs[3], self._settings.gcs_timeout)
             return GcsFact(self._clock.mono() - gcs[0], *gcs[1:], due_s, overdue, not_counted_s)
 
     def deaf(self) -> bool:
         """Whether a ground station is surely out of reach of this agent, though `gcs_timeout` may not have passed: the radio
-        aboard has lost the other one, or all endpoints to the ground are gone. That the ground is silent is no such proof."""
+        on board has lost the other one, or all endpoints to the ground are gone. That the ground is silent is no such proof."""
         return self._deaf(self.gcs(), self.radios())
 
     def autopilot(self) -> AutopilotFact | None:
@@ -133,12 +133,12 @@ class Links:
             stray = self._strays.link(now, self._pilot.boot_s(now))
         if twins:
             found.append(
-                f"two autopilots send as system {self._system}, as their times since boot or their armed states differ: "
+                f"two autopilots send as system {self._system} (their times since boot or armed states differ): "
                 "give each vehicle its own system id"
             )
         if stray:
             found.append(
-                f"heartbeats of an autopilot with our system id {self._system} come by {stray}, which does not lead to ours, "
+                f"heartbeats of an autopilot with our system id {self._system} arrive by {stray}, which does not lead to it, "
                 "and are ignored: give each vehicle its own system id, or correct leads_to of the endpoint"
             )
         return tuple(found)
@@ -172,7 +172,7 @@ class Links:
             if before is not None and now - before > STALL_S:
                 self._pilot.stalled(now)
             if self._gcs is not None and self._gcs[3] in closed:
-                self._gcs_beats.broke(now)
+                self._gcs_cadence.broke(now)
             if self._pilot.link in closed:
                 self._pilot.broke(now)
             for name, traffic in self._hub.traffic().items():
@@ -214,11 +214,11 @@ class Links:
             if message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
                 self._hear_pilot(now, message, link, stalled=stalled)
         elif message.type == mavlink.MAV_TYPE_GCS and system != self._system:
-            # With our own system id it is a program aboard that calls itself a ground station.
+            # With our own system id it is a program on board that calls itself a ground station.
             with self._lock:
                 if stalled:
-                    self._gcs_beats.broke(now)
-                self._gcs_beats.beat(now, 0.0 if self._gcs is None else self._clock.late_s(self._gcs[0]))
+                    self._gcs_cadence.broke(now)
+                self._gcs_cadence.beat(now, 0.0 if self._gcs is None else self._clock.late_s(self._gcs[0]))
                 self._unreached = False
                 self._gcs = (now, system, component, link)
         self.look()
@@ -273,7 +273,7 @@ def _gone(link: LinkFact) -> bool:
 
 
 def _report(radio: RadioFact) -> tuple[object, ...]:
-    """What a radio says, as coarse as checks judge it: one that says the same again wakes nobody."""
+    """The state of a radio, as coarse as checks evaluate it: an unchanged one wakes no check."""
     margins = (None if margin is None else round(margin / 4) for margin in (radio.margin, radio.remmargin))
     errors_s = None if radio.rxerrors_s is None else round(radio.rxerrors_s)
     return radio.link, radio.alone, radio.txbuf // 10, errors_s, *margins

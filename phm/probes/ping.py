@@ -1,8 +1,8 @@
 """Whether an address answers from here, without privileges and within a second at most.
 
 An ICMP echo through a datagram socket needs no capability where `net.ipv4.ping_group_range` allows it,
-as Docker does for containers by default. Beside it a TCP connection to a port that nobody uses: its
-refusal proves as well that the address answers.
+as Docker does for containers by default. In parallel a TCP connection to an unused port: its
+refusal also proves that the address answers.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _COMPLETE = 0x2  # ATF_COM in /proc/net/arp: the address has answered with its h
 
 
 class Pinger:
-    """Remembers who has answered, and in which life: whoever did and no longer does is silent, whatever ARP remembers.
+    """Remembers which addresses answered, and of which container run: one that answered and no longer does is silent, whatever ARP says.
 
     The kernel remembers a neighbour that is gone for up to a minute, so ARP speaks only for an address that has never
     answered, behind a firewall. Thread-safe: each call writes one item at most.
@@ -78,7 +78,7 @@ class Pinger:
 
 
 def answers(address: str) -> bool:
-    """Raises CannotTell when `address` is no IP address or this machine cannot open sockets."""
+    """Raises CannotTell when `address` is not an IP address or this machine cannot open sockets."""
     return _ping(address) or _neighbour(address)
 
 
@@ -87,7 +87,7 @@ def _ping(address: str, limit_s: float = LIMIT_S) -> bool:
     try:
         version = ipaddress.ip_address(address).version
     except ValueError as error:
-        raise CannotTell(f"{address!r} is no IP address") from error
+        raise CannotTell(f"{address!r} is not an IP address") from error
     family = socket.AF_INET if version == 4 else socket.AF_INET6
     try:
         with socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as tcp:
@@ -98,7 +98,7 @@ def _ping(address: str, limit_s: float = LIMIT_S) -> bool:
                 if echo is not None:
                     echo.close()
     except OSError as error:
-        raise CannotTell(f"{address} cannot be tried from here: {error}") from error
+        raise CannotTell(f"{address} cannot be reached from here: {error}") from error
 
 
 def _echo(family: socket.AddressFamily, address: str) -> socket.socket | None:
@@ -120,7 +120,7 @@ def _echo(family: socket.AddressFamily, address: str) -> socket.socket | None:
 
 
 def _any_answers(tcp: socket.socket, echo: socket.socket | None, address: str, limit_s: float) -> bool:
-    """The first proof of life of either; False when both were told `no` or the time is over."""
+    """Whether either answers; False when both are refused or the time is over."""
     started = tcp.connect_ex((address, _DISCARD_PORT))
     if started in (0, errno.ECONNREFUSED):
         return True
@@ -135,7 +135,7 @@ def _any_answers(tcp: socket.socket, echo: socket.socket | None, address: str, l
     until = time.monotonic() + limit_s
     while open_ends:
         left = until - time.monotonic()
-        # Also after the time is over: on a busy machine it may be us who come late to an answer that is there.
+        # Also after the time is over: on a busy machine PHM may run too late to see an answer in time.
         for number, _ in poll.poll(max(0.0, left * 1000)):
             end = open_ends.pop(number)
             poll.unregister(number)
@@ -156,9 +156,9 @@ def _proof(end: socket.socket, is_echo: bool) -> bool:
 
 
 def _neighbour(address: str) -> bool:
-    """Whether the address answered ARP of late: it is there, although a firewall swallows what we send.
+    """Whether the address answered ARP of late: it is there, although a firewall drops what PHM sends.
 
-    The kernel asks a neighbour anew up to 45 s after its last answer, and forgets it eight seconds later.
+    The kernel asks a neighbour again up to 45 s after its last answer, and forgets it eight seconds later.
     """
     try:
         lines = Path(f"/proc/{os.getpid()}/net/arp").read_text(encoding="ascii", errors="replace").splitlines()[1:]

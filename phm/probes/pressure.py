@@ -42,7 +42,7 @@ class Pressure:
         if entry is None:
             raise CannotTell(f"no container {name} is configured")
         if not entry.lock.acquire(timeout=self._engine.timeout_s + 1):
-            raise CannotTell(f"the Docker Engine is still busy with an earlier question about {name}")
+            raise CannotTell(f"the Docker Engine is still answering an earlier request for {name}")
         try:
             return self._by_files(entry) or self._look_again(name, entry)
         finally:
@@ -64,7 +64,7 @@ class Pressure:
             entry.group = None
             return None
         except ValueError as error:
-            raise CannotTell(f"the files of its cgroup make no sense ({error})") from error
+            raise CannotTell(f"the files of its cgroup cannot be parsed ({error})") from error
 
     def _look_again(self, name: str, entry: _Entry) -> PressureFact | None:
         if self._clock.mono() - entry.asked_at < ENGINE_EVERY_S:

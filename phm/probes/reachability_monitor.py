@@ -1,7 +1,7 @@
-"""Feels the pulse of addresses that have answered: who falls silent or answers again is told at once.
+"""Pings addresses that have answered, and reports immediately when one falls silent or answers again.
 
-A look at a network takes three questions to the engine; a knock at an address takes two packets and no engine. So the
-check looks every few seconds, and this knocks in between. It judges nothing: one lost knock only makes the check look.
+Inspecting a network takes three requests to the engine; a ping takes two packets. So the check looks every few
+seconds, and this pings in between. It draws no conclusion: one lost ping only makes the check look.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ logger = logging.getLogger(__name__)
 
 PERIOD_S = 1.0
 GIVEN_UP_S = 30.0
-"""An address that is silent for longer is left to the check's own period: mostly its container is gone."""
+"""An address that is silent for longer is left to the check's own period: usually its container is gone."""
 MOST = 32
 
 
 class ReachabilityMonitor:
     """One thread. `turned` is called when an address has fallen silent, or answers again.
 
-    addresses: those that have answered. knock: whether one answers within what it is given; may raise CannotTell.
+    addresses: those that have answered. ping: whether one answers within its limit; may raise CannotTell.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class ReachabilityMonitor:
         self._clock, self._addresses, self._ping, self._turned = clock, addresses, ping, turned
         self._silent_since: dict[str, float] = {}
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="phm-pulse", daemon=True)
+        self._thread = threading.Thread(target=self._loop, name="phm-reachability", daemon=True)
 
     def start(self) -> None:
         threads.start(self._thread)
@@ -47,7 +47,7 @@ class ReachabilityMonitor:
         self._stopping.set()
 
     def poll(self) -> None:
-        """Knock once at each address."""
+        """Ping each address once."""
         addresses = list(self._addresses())[:MOST]
         self._silent_since = {known: since for known, since in self._silent_since.items() if known in addresses}
         for address in addresses:
@@ -68,6 +68,6 @@ class ReachabilityMonitor:
             try:
                 self.poll()
             except CannotTell as error:
-                logger.debug("no pulse can be felt: %s", error)
-            except Exception:  # a defect here must not end the watch for ever
-                logger.exception("the pulse of an address could not be felt")
+                logger.debug("addresses cannot be pinged: %s", error)
+            except Exception:  # a defect here must not end the watch
+                logger.exception("pinging an address failed")

@@ -66,7 +66,7 @@ class SwarmMonitor:
         hub.watch(self.wake_if_changed)
 
     def look(self) -> SwarmFact:
-        """Computed anew when a frame said something new, and when it is FRESH_S old or, in a small swarm, a tenth of a
+        """Computed again when a frame brought something new, and when it is FRESH_S old or, in a small swarm, a tenth of a
         heartbeat's period: a hundred views cost milliseconds. Wakes the check when it would judge differently."""
         at, fact = self._fresh
         if fact is None or self._clock.mono() - at >= self._fresh_s:
@@ -162,13 +162,13 @@ class SwarmMonitor:
         if message.payload_type != tunnel.PAYLOAD_TYPE or message.target_system not in (0, self._own):
             return None
         try:
-            told = tunnel.decode(bytes(message.payload[: message.payload_length]))
+            content = tunnel.decode(bytes(message.payload[: message.payload_length]))
         except tunnel.TunnelError:
             return None
-        if not isinstance(told, tunnel.PeerView):
+        if not isinstance(content, tunnel.PeerView):
             return None
         with self._lock:
-            return self._peers.add_view(agent, told, self._clock.mono())
+            return self._peers.add_view(agent, content, self._clock.mono())
 
     def _hears_ground(self) -> bool:
         age_s = self._gcs_age_s()

@@ -17,14 +17,14 @@ class UnexpectedSenders:
     """Not thread-safe. Of the link by which a heartbeat came last."""
 
     def __init__(self) -> None:
-        self._beats: deque[float] = deque(maxlen=ENOUGH)
+        self._heartbeats: deque[float] = deque(maxlen=ENOUGH)
         self._link = ""
         self._booted: dict[str, float] = {}
         """By link: when the sender was started, on our clock."""
 
     def heartbeat(self, now: float, link: str) -> None:
         self._link = link
-        self._beats.append(now)
+        self._heartbeats.append(now)
 
     def booted(self, now: float, boot_s: float, link: str) -> None:
         """It says that it has been running for so long."""
@@ -32,7 +32,7 @@ class UnexpectedSenders:
 
     def link(self, now: float, own_boot_s: float | None) -> str:
         """By which another autopilot is received; empty: by none. own_boot_s: for how long ours has been running."""
-        if len(self._beats) < ENOUGH or now - self._beats[0] > WINDOW_S:
+        if len(self._heartbeats) < ENOUGH or now - self._heartbeats[0] > WINDOW_S:
             return ""
         booted = self._booted.get(self._link)
         if booted is not None and own_boot_s is not None and abs(now - own_boot_s - booted) < SAME_BOOT_S:

@@ -1,6 +1,6 @@
 """Walks a path of a container through the mounts that PHM sees, and never leaves them.
 
-Whoever writes into the volume may be broken or hostile: each component is opened relative to the one
+A program that writes into the volume may be broken or hostile: each component is opened relative to the one
 before and without following links, so a link that is swapped in meanwhile leads nowhere. Links are
 followed by hand, in the container's own path space.
 """
@@ -33,7 +33,7 @@ def join(directory: str, path: str) -> str:
 
 
 Passing = Callable[[int, str], None]
-"""Told of each step: the directory's open descriptor, and the name that is looked up in it."""
+"""Called with each step: the directory's open descriptor, and the name that is looked up in it."""
 
 
 def resolve(path: str, roots: Mapping[str, str], passing: Passing | None = None) -> int | None:

@@ -117,7 +117,7 @@ def test_a_call_that_hangs_costs_one_thread_and_is_refused_until_it_is_back() ->
     with pytest.raises(CannotTell, match="did not answer"):
         worker.call(hang, 0.01)
     for _ in range(5):
-        with pytest.raises(CannotTell, match="not come back"):
+        with pytest.raises(CannotTell, match="not returned"):
             worker.call(lambda: 1, 0.01)
     assert sum(thread.name == "phm-test" for thread in threading.enumerate()) == 1
     let_go.set()

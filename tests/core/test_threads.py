@@ -137,7 +137,7 @@ def test_a_call_into_the_kernel_is_refused_and_works_again(limit: Full) -> None:
     worker = BlockingCallWorker("disk")
     limit.full = True
     for _ in range(2):
-        with pytest.raises(CannotTell, match="limit of processes"):
+        with pytest.raises(CannotTell, match="process limit"):
             worker.call(lambda: 1, 1.0)
     limit.full = False
     assert worker.call(lambda: 1, LIMIT_S) == 1

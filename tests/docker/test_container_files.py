@@ -248,7 +248,7 @@ def test_a_file_in_memory_cannot_be_told(fake: FakeEngine, ask: DockerEngine) ->
 def test_without_a_container_there_is_nothing_to_look_into(ask: DockerEngine) -> None:
     """A container that does not exist is its own check's fault, not a missing file."""
     files = Files(FakeDocker(), ask, settings(), FakeClock())
-    with pytest.raises(CannotTell, match="there is no container app"):
+    with pytest.raises(CannotTell, match="container app does not exist"):
         files.look("app", "/etc/hosts", digest=False)
 
 

@@ -313,5 +313,5 @@ def test_who_has_answered_and_no_longer_does_is_silent() -> None:
 
 def test_no_address_cannot_be_told(ask: DockerEngine) -> None:
     """A name is not looked up: that would need a deadline of its own."""
-    with pytest.raises(CannotTell, match="no IP address"):
+    with pytest.raises(CannotTell, match="not an IP address"):
         probe(ask).reachable("ros_app")

@@ -113,7 +113,7 @@ def test_a_container_that_does_not_run_has_no_list(fake: FakeEngine, ask: Docker
     """Stopped, or not there: cannot tell, which is no death of a node."""
     fake.containers["app"] = container("app", status="exited")
     for name in ("app", "other"):
-        with pytest.raises(CannotTell, match="does not run"):
+        with pytest.raises(CannotTell, match="is not running"):
             probe(ask, name).processes(name)
 
 

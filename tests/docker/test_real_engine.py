@@ -208,10 +208,10 @@ def test_an_echo_is_answered_where_the_kernel_allows_it(real: Any) -> None:
     address = peer.attrs["NetworkSettings"]["Networks"][network.name]["IPAddress"]
     source = Path(__file__).resolve().parents[2] / "phm"
     program = (
-        "from phm.probes import reach; import socket, sys; "
-        "echo = reach._echo(socket.AF_INET, sys.argv[1]); assert echo is not None; "
+        "from phm.probes import ping; import socket, sys; "
+        "echo = ping._echo(socket.AF_INET, sys.argv[1]); assert echo is not None; "
         "import select; assert select.select([echo], [], [], 5)[0] and echo.recv(256); "
-        "assert reach.answers(sys.argv[1]); print('answers')"
+        "assert ping.answers(sys.argv[1]); print('answers')"
     )
     mine = real.container(
         network=network.name,

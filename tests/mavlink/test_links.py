@@ -266,7 +266,7 @@ def test_only_links_that_lead_to_the_autopilot_count(link: str) -> None:
     assert fact is not None
     assert (fact.armed, fact.disarmed_s, fact.link, fact.reboots) == (True, None, "radio", 0)
     (problem,) = scene.links.problems()
-    assert f"autopilot with our system id 7 come by {link}, which does not lead to ours" in problem
+    assert f"autopilot with our system id 7 arrive by {link}, which does not lead to it" in problem
     assert scene.pass_time(31.0) >= 1
     assert scene.links.problems() == ()
 

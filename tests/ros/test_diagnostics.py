@@ -135,7 +135,7 @@ def test_an_array_that_is_too_long_is_not_read(bench: Bench) -> None:
     seen(probe, heard, "the short one")
     until(lambda: bench.notes, "the note")
     seen(probe, lambda fact: fact.up_s > 2.0, "a while")
-    assert bench.notes == ["an array of more than 200 kB on /diagnostics is not read"]
+    assert bench.notes == ["an array of more than 200 kB on /diagnostics is ignored"]
     assert set(probe.look().diagnostics) == {FREQUENCY}
 
 
@@ -184,7 +184,7 @@ def test_without_diagnostic_msgs_a_sentence_and_no_harm(bench: Bench) -> None:
     seen(probe, lambda fact: fact.nodes and probe.pid != first, "the node again")
     probe.publish(told(0, "x"))
     seen(probe, lambda fact: fact.up_s > 1.0, "a while")
-    assert [note for note in bench.notes if "renewed" not in note] == [
+    assert [note for note in bench.notes if "restarted" not in note] == [
         "diagnostic_msgs is not installed beside PHM: /diagnostics is neither read nor published; "
         "install it where rclpy comes from (ros-<distro>-diagnostic-msgs)"
     ]
@@ -208,8 +208,8 @@ def test_what_is_no_order_is_ignored() -> None:
     """A line that was cut, or is not JSON, does no harm to the next; a closed pipe is the end."""
     code = (
         "import time; from types import SimpleNamespace\n"
-        "from phm.probes.ros import child; from phm.probes.ros.line_splitter import Lines\n"
-        "orders, got = Lines(), []\n"
+        "from phm.probes.ros import child; from phm.probes.ros.line_splitter import LineSplitter\n"
+        "orders, got = LineSplitter(), []\n"
         "watch = SimpleNamespace(events=None, obey=got.append)\n"
         "while child._wait(time.monotonic() + 9, orders, watch) is not None: pass\n"
         "print([order.utc_s for order in got])"

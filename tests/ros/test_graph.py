@@ -142,7 +142,7 @@ def test_an_unknown_type_is_a_problem_and_not_a_crash(bench: Bench) -> None:
     bench.node("node_1", "--publish", "topic_1:10")
     hidden = (
         "import sys; sys.modules['std_msgs'] = None; from phm.probes.ros.child import main\n"
-        "from phm.probes.ros import anytype; anytype.KNOWN.clear(); raise SystemExit(main())"
+        "from phm.probes.ros import opaque_types; opaque_types.KNOWN.clear(); raise SystemExit(main())"
     )
     probe = bench.probe([{"name": TOPIC, "rate": 10}], command=(sys.executable, "-c", hidden))
     rate = seen(probe, lambda fact: fact.topics[TOPIC].publishers and fact.topics[TOPIC].rate, "the publisher")

@@ -39,7 +39,7 @@ def test_thousands_of_forged_names_hide_no_death(bench: Bench) -> None:
     bench.script("ros_discovery_forger.py", "5000")
     fact = seen(probe, lambda fact: len(fact.nodes) > MAX_STRANGERS and fact, "the forged names")
     assert NODE in fact.nodes and len(fact.nodes) <= MAX_STRANGERS + 1
-    until(lambda: any("more nodes than PHM keeps" in problem for problem in probe.problems()), "the report")
+    until(lambda: any("unconfigured nodes" in problem for problem in probe.problems()), "the report")
     node.send_signal(signal.SIGKILL)
     seen(probe, lambda fact: NODE not in fact.nodes and not fact.topics[TOPIC].publishers, "its absence", 60.0)
     assert OVERLONG not in probe.problems() and probe.restarts == 0

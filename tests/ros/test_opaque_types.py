@@ -28,7 +28,7 @@ PYTHONS = {"jazzy": ROOT / ".venv" / "bin" / "python", "kilted": ROOT / ".venv-k
 UNKNOWN_MIDDLEWARE = (
     sys.executable,
     "-c",
-    "from phm.probes.ros import anytype, child; anytype.KNOWN.clear(); raise SystemExit(child.main())",
+    "from phm.probes.ros import opaque_types, child; opaque_types.KNOWN.clear(); raise SystemExit(child.main())",
 )
 
 
@@ -121,8 +121,8 @@ def test_an_unknown_middleware_takes_the_mounted_install(bench: Bench, applicati
 def test_a_definition_that_differs_is_no_silence(bench: Bench, application: Application) -> None:
     """Jazzy matches by name alone; Kilted keeps ends apart whose definitions differ, which is told and is no rate of 0."""
     differing = (
-        "from phm.probes.ros import anytype, child\n"
-        "for library, (name, _) in anytype.KNOWN.items(): anytype.KNOWN[library] = (name, True)\n"
+        "from phm.probes.ros import opaque_types, child\n"
+        "for library, (name, _) in opaque_types.KNOWN.items(): opaque_types.KNOWN[library] = (name, True)\n"
         "raise SystemExit(child.main())"
     )
     application.start()

@@ -155,9 +155,9 @@ def test_where_no_second_participant_can_be_had_the_first_has_to_do() -> None:
 
 DEAF = (
     "import phm.probes.ros.graph as g; plain = g.GraphReader.look; first = []\n"
-    "def look(self, now_s, *, told=False):\n"
+    "def look(self, now_s, *, notified=False):\n"
     "    first.append(self) if not first else None\n"
-    "    changed = plain(self, now_s, told=told)\n"
+    "    changed = plain(self, now_s, notified=notified)\n"
     "    if self is first[0]:\n"
     "        self.nodes, self.publishers = {}, dict.fromkeys(self.publishers, ())\n"
     "    return changed\n"

@@ -187,8 +187,8 @@ def test_a_child_is_replaced_for_silence_only_if_it_could_run(
     probe = bench.probe(command=fake("mute"), limits=limits)
     until(lambda: probe.restarts >= 1, "a replacement")
     words = bench.notes[0]
-    assert "said nothing for 0.5 s" in words
-    assert ("did not get to run" in words) is not replaced
+    assert "was unresponsive for 0.5 s" in words
+    assert ("could not run" in words) is not replaced
 
 
 def held(monkeypatch: pytest.MonkeyPatch, share: float) -> None:
@@ -217,7 +217,7 @@ def test_what_was_heard_is_sent_before_the_picture(bench: Bench) -> None:
             self._beacons = self._diagnostics = part
             self._names = type("Names", (), {"look": lambda self, _: False})()
 
-        def _picture(self, *, told: bool, late_s: float) -> Picture | Tick:
+        def _picture(self, *, notified: bool, late_s: float) -> Picture | Tick:
             return Tick(1.0, late_s=late_s)
 
     order += [type(message).__name__ for message in Looked().look(late_s=0.5)]

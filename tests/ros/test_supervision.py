@@ -26,9 +26,9 @@ def fake(behaviour: str, folder: Path | str = "") -> tuple[str, ...]:
     ("behaviour", "words"),
     [
         ("exit", "exited with code 3 (it went wrong)"),
-        ("crash", "was ended by SIGSEGV"),
-        ("mute", "said nothing for 0.5 s and was killed"),
-        ("never", "said nothing for 2 s and was killed"),
+        ("crash", "was terminated by SIGSEGV"),
+        ("mute", "was unresponsive for 0.5 s and was killed"),
+        ("never", "was unresponsive for 2 s and was killed"),
     ],
 )
 def test_a_child_that_fails_is_replaced_with_a_sentence(bench: Bench, behaviour: str, words: str) -> None:
@@ -90,7 +90,7 @@ def test_a_ghost_in_the_graph_is_gone_with_the_child_that_saw_it(bench: Bench, t
     probe = bench.probe(command=fake("ghost", tmp_path), limits=limits, nodes=[{"name": "/a/n"}])
     seen(probe, lambda fact: fact.nodes == {"/a/n": 2}, "the ghost")
     seen(probe, lambda fact: fact.nodes == {"/a/n": 1}, "one node")
-    assert bench.notes == ["the ROS child is renewed: /a/n has been listed more than once for 0.3 s"]
+    assert bench.notes == ["the ROS child is restarted: /a/n has been listed more than once for 0.3 s"]
     assert probe.restarts == 0
 
 
@@ -121,7 +121,7 @@ def test_a_killed_child_is_replaced(bench: Bench) -> None:
     seen(probe, lambda fact: fact.nodes, "a picture")
     first = probe.pid
     os.kill(first, signal.SIGKILL)
-    until(lambda: bench.notes == ["the ROS child was ended by SIGKILL"], "the note")
+    until(lambda: bench.notes == ["the ROS child was terminated by SIGKILL"], "the note")
     seen(probe, lambda fact: probe.pid not in (0, first), "a picture of another child")
 
 
@@ -134,7 +134,7 @@ def test_renewing_replaces_it_without_counting_a_fault(bench: Bench) -> None:
     seen(probe, lambda fact: probe.pid not in (0, first), "a picture of another child")
     assert gone(first)
     assert probe.restarts == 0
-    assert bench.notes == ["the ROS child is renewed: PHM joined a network"]
+    assert bench.notes == ["the ROS child is restarted: PHM joined a network"]
 
 
 @pytest.mark.parametrize("behaviour", ["good", "stubborn", "never", "exit"])

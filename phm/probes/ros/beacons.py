@@ -129,4 +129,4 @@ def choose(taken: Sequence[Taken], own: Collection[bytes]) -> list[Taken]:
 
 
 def _never_called(_: object) -> None:
-    """rclpy wants a callback; without an executor nobody calls it."""
+    """rclpy requires a callback; without an executor it is never called."""

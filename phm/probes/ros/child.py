@@ -90,21 +90,21 @@ def _report(watch: Observer, out: int, tick_s: float) -> Observer:
     next_s = time.monotonic()
     second = SecondLook(watch.second, next_s)
     orders = LineSplitter()
-    told, late_s = False, 0.0
+    notified, late_s = False, 0.0
     while True:
-        _send(out, *watch.look(told=told, late_s=late_s))
+        _send(out, *watch.look(notified=notified, late_s=late_s))
         if missed := second.look(time.monotonic(), watch.known, lacking=watch.lacking):
             _send(out, Remark(MISSED.format(", ".join(missed)[:MAX_MISSED])))
             watch = watch.renewed()
             second.renewed(time.monotonic())
         leak.grow()
-        if not told:
+        if not notified:
             next_s = max(next_s + tick_s, time.monotonic())
         woken = _wait(next_s, orders, watch)
         if woken is None:
             second.close()
             return watch
-        told = woken
+        notified = woken
         late_s = max(0.0, time.monotonic() - next_s)
 
 
@@ -131,7 +131,7 @@ def _wait(until_s: float, orders: LineSplitter, watch: Observer) -> bool | None:
 
 
 def _first_line() -> bytes:
-    """One line from descriptor 0, unbuffered, so that `select` tells the truth afterwards."""
+    """One line from descriptor 0, unbuffered, so that `select` is right afterwards."""
     line = b""
     while not line.endswith(b"\n"):
         piece = os.read(0, 65536)

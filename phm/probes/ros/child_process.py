@@ -120,7 +120,7 @@ class ChildProcess:
             return 0
 
     def end(self, grace_s: float) -> None:
-        """Close its input, which tells it to go; after `grace_s` SIGKILL. Safe to call twice."""
+        """Close its input, so that it exits; after `grace_s` SIGKILL. Safe to call twice."""
         self._close(self._process.stdin)
         try:
             self._process.wait(grace_s)
@@ -134,8 +134,8 @@ class ChildProcess:
         """How it ended, in words, with its last line on standard error. Call after `end`."""
         code = self._process.poll()
         if code is None:
-            return f"cannot be ended: process {self.pid} hangs in the kernel"
-        text = f"was ended by {_signal_name(-code)}" if code < 0 else f"exited with code {code}"
+            return f"cannot be killed: process {self.pid} hangs in the kernel"
+        text = f"was terminated by {_signal_name(-code)}" if code < 0 else f"exited with code {code}"
         tail = [line.decode("utf-8", "replace").strip() for line in self._stderr if line.strip()]
         return f"{text} ({tail[-1][:200]})" if tail else text
 

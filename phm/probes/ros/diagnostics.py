@@ -123,13 +123,13 @@ class DiagnosticsListener:
                     return
                 data = taken[0]
                 if len(data) > MAX_BYTES:
-                    self._say(f"an array of more than {MAX_BYTES // 1000} kB on {topic} is not read")
+                    self._say(f"an array of more than {MAX_BYTES // 1000} kB on {topic} is ignored")
                 elif not _own(data):
                     left -= len(data)
                     try:
                         yield deserialize_message(data, reader.msg_type)
-                    except Exception as error:  # rclpy's own and pybind's kinds: whatever was sent is no array
-                        self._say(f"what is on {topic} cannot be decoded: {error}")
+                    except Exception as error:  # rclpy's own and pybind's kinds: what was sent is not an array
+                        self._say(f"a message on {topic} cannot be decoded: {error}")
 
     def _array(self, order: Publish) -> Any:
         array = self._kinds.DiagnosticArray()
@@ -183,4 +183,4 @@ def _own(data: bytes) -> bool:
 
 
 def _never_called(_: object) -> None:
-    """rclpy wants a callback; without an executor nobody calls it."""
+    """rclpy requires a callback; without an executor it is never called."""

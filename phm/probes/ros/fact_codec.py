@@ -1,8 +1,8 @@
 """Facts as flat lists of JSON for the pipe between daemon and child, and back with every type checked.
 
 A fact is written as the list of its fields in order, so a new field in `phm.facts.ros` needs no line here. Both
-sides are the same PHM: the layout is no contract with anyone else. What a type asks for is found out once and kept
-as functions: looked up anew for each value, it cost the child a third of its time in Python.
+sides are the same PHM: the layout is not a public contract. What a type asks for is found out once and kept
+as functions: looked up for each value, it cost the child a third of its time in Python.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _mapping(read: Read) -> Read:
 
 def _float(data: Any) -> float:
     if isinstance(data, bool) or not math.isfinite(data):
-        raise ValueError(f"{data!r} is no number of ours")
+        raise ValueError(f"{data!r} is not a valid number")
     return float(data)
 
 

@@ -1,7 +1,7 @@
 """What discovery knows: nodes by name, and the endpoints of the topics that are wanted.
 
 Runs in the child alone. Names and counts cost microseconds and are read each tick; the endpoints, with
-node names and QoS, cost 50 us a topic and are read when the middleware tells of a change, when names or counts
+node names and QoS, cost 50 us a topic and are read when the middleware reports a change, when names or counts
 changed, and once a second.
 """
 
@@ -26,7 +26,7 @@ MAX_CULPRITS = 8
 _ENDLESS_NS = 2**63 - 1
 """What the middleware says for `no deadline`; 0 is `not specified`, which has none either."""
 _HASH_SHOWN = 15
-"""`RIHS01_` and 8 digits: enough to tell two definitions of a type apart."""
+"""`RIHS01_` and 8 digits: enough to distinguish two definitions of a type."""
 _UNKNOWN = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
 
 
@@ -57,14 +57,14 @@ class GraphReader:
     def problems(self) -> tuple[str, ...]:
         return tuple({**self._of_names, **self._of_ends})[:MAX_PROBLEMS]
 
-    def look(self, now_s: float, *, told: bool = False) -> bool:
-        """Read what may have changed; True when something did. told: the middleware says that something has."""
+    def look(self, now_s: float, *, notified: bool = False) -> bool:
+        """Read what may have changed; True when something did. notified: the middleware reports a change."""
         before = self.problems
         nodes = self._read_nodes()
         counts = self._read_counts()
         changed = nodes != self.nodes
         self.nodes = nodes
-        if told or changed or counts != self._counts or self._unsettled or now_s >= self._next_full_s:
+        if notified or changed or counts != self._counts or self._unsettled or now_s >= self._next_full_s:
             self._next_full_s = now_s + self._full_s
             changed = self._read_endpoints() or changed
         self._counts = counts
@@ -76,13 +76,13 @@ class GraphReader:
             found = self._names()
         except Exception as error:  # whatever rclpy and rcl raise, rates and beacons go on
             self.names_known = False
-            self._of_names[f"the names of nodes cannot be read: {error}"[:MAX_TEXT]] = None
+            self._of_names[f"node names cannot be read: {error}"[:MAX_TEXT]] = None
             return {}
         self.names_known = True
         listed = Counter(printable(full_name(name, namespace)) for name, namespace in found if not name.startswith(OWN))
         nodes, left_out = kept_nodes(listed, self.configured)
         if left_out:
-            self._of_names[f"the ROS domain has more nodes than PHM keeps, {MAX_STRANGERS} that are not configured"] = (
+            self._of_names[f"the ROS domain has more than {MAX_STRANGERS} unconfigured nodes; PHM ignores the rest"] = (
                 None
             )
         return nodes
@@ -129,7 +129,9 @@ class GraphReader:
                 found[topic] = endpoints(by_topic(topic))
             except Exception as error:  # one bad name hides all ends of the topic; ask for the configured nodes instead
                 culprit = undecodable(error) if isinstance(error, UnicodeDecodeError) else ""
-                words = NOT_UTF8.format(culprit) if culprit else f"ends of {topic} cannot be read: {error}"[:MAX_TEXT]
+                words = (
+                    NOT_UTF8.format(culprit) if culprit else f"endpoints of {topic} cannot be read: {error}"[:MAX_TEXT]
+                )
                 self._of_ends[words] = None
                 found[topic] = self._by_node(topic, by_node, count(topic), culprit)
         return found
@@ -180,7 +182,7 @@ def _endpoint(info: Any) -> EndpointFact:
 def quality_matters() -> bool:
     """Whether this middleware refuses pairs by quality of service, as DDS does; Zenoh connects everything.
 
-    Where it does not, endpoints are told without it, so that nobody finds a mismatch.
+    Where it does not, endpoints are reported without it, so that no mismatch is found.
     """
     from rclpy.qos import QoSCompatibility, QoSProfile, QoSReliabilityPolicy, qos_check_compatible
 

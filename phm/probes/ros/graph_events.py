@@ -1,4 +1,4 @@
-"""Tells that the graph may have changed, as soon as the middleware knows, and costs nothing while nothing happens.
+"""Reports that the graph may have changed, as soon as the middleware knows, and costs nothing otherwise.
 
 rclpy has no way to wait for the graph; rcl has one since Foxy, a guard condition of each node. It is put by its C function into
 a wait set that rclpy made. Where anything of this is missing there are no events, and the looks of each tick see all the same.

@@ -14,9 +14,9 @@ from phm.probes.ros.self_reports import SelfReports
 
 BREAK_S, AGAIN_S = 1.0, 30.0
 """A child that was so late may have lost others whose leases ended meanwhile, and finds them again. After such a break another
-one counts only so much later: a child that is starved for good must not hide for ever what is missing."""
+one counts only so much later: a permanently starved child must not hide what is missing."""
 FRESH_S = 4.0
-"""A silence is told by then, or what is said of its node will not decide it."""
+"""A silence is reported by then, or the report about its node will not decide it."""
 _with_rate = changer(TopicFact, "rate")
 _with_silence = changer(RateFact, "silent_s")
 _with_age = changer(RateFact, "age_s")
@@ -34,7 +34,7 @@ class GraphSnapshot:
 
     picture: Picture | None = None
     seen_s: float = 0.0
-    hearsay: SelfReports = field(default_factory=SelfReports)
+    self_reports: SelfReports = field(default_factory=SelfReports)
     others: Mapping[str, NameFact] = field(default_factory=dict)
     silent_s: Mapping[str, float | None] = field(default_factory=dict)
     """Of topics with a rate, as of `seen_s`, where that is newer than the picture."""
@@ -44,19 +44,19 @@ class GraphSnapshot:
     """So much later another break counts: see `again_s`."""
 
     def with_message(self, message: Message, now_s: float) -> GraphSnapshot:
-        picture, hearsay, others, silent_s = self.picture, self.hearsay, self.others, self.silent_s
+        picture, self_reports, others, silent_s = self.picture, self.self_reports, self.others, self.silent_s
         seen_s, break_s = self.seen_s, self.break_s
         if isinstance(message, (Picture, Tick)) and message.late_s >= BREAK_S and now_s - break_s >= self.again_s:
             break_s = now_s
         if isinstance(message, Heard):
-            hearsay = hearsay.with_news(message, now_s)
+            self_reports = self_reports.with_news(message, now_s)
         elif isinstance(message, Others):
             others = message.names
         elif isinstance(message, Picture):
             picture, silent_s, seen_s = message, {}, now_s
         elif isinstance(message, Tick) and picture is not None and message.picture == picture.number:
             picture, silent_s, seen_s = replace(picture, up_s=message.up_s), message.silent_s, now_s
-        return GraphSnapshot(picture, seen_s, hearsay, others, silent_s, break_s, self.again_s)
+        return GraphSnapshot(picture, seen_s, self_reports, others, silent_s, break_s, self.again_s)
 
     def without_picture(self) -> GraphSnapshot:
         """A message was lost, which may have been a picture."""
@@ -65,7 +65,7 @@ class GraphSnapshot:
     def changed_by(self, message: Message) -> bool:
         """Whether checks are to look at once: nodes, endpoints, whether topics flow, beacons, a level in the diagnostics."""
         if isinstance(message, Heard):
-            return self.hearsay.differs(message)
+            return self.self_reports.differs(message)
         return isinstance(message, Picture) and (self.picture is None or _shape(self.picture) != _shape(message))
 
     def fact(self, picture: Picture, now_s: float, late_s: Late = never_late) -> RosFact:
@@ -78,7 +78,7 @@ class GraphSnapshot:
             return min(passed_s, late_s(now_s - passed_s, (passed_s - longest_s) / 2)) if longest_s else 0.0
 
         topics = {name: self._aged(name, topic, age_s, late) for name, topic in picture.topics.items()}
-        hearsay = self.hearsay.since(now_s, late)
+        self_reports = self.self_reports.since(now_s, late)
         listened_s = picture.up_s + age_s
         up_s = min(listened_s, now_s - self.break_s)
         return RosFact(
@@ -86,11 +86,11 @@ class GraphSnapshot:
             up_s,
             picture.nodes,
             topics,
-            *hearsay,
+            *self_reports,
             self.others,
-            self.hearsay.refused,
+            self.self_reports.refused,
             picture.names_known,
-            None if self.hearsay.lost_at is None else now_s - self.hearsay.lost_at,
+            None if self.self_reports.lost_at is None else now_s - self.self_reports.lost_at,
             listened_s,
         )
 
@@ -106,10 +106,10 @@ class GraphSnapshot:
         if not_counted_s := late(silent_s):
             aged = _with_late(aged, not_counted_s)
         if rate.hz == 0.0 and rate.age_s is not None and rate.silent_s is not None:
-            # Nothing has come since the picture was made: then it told how long before the look the last one was published.
+            # Nothing has come since the picture was made: then it said how long before the look the last one was published.
             aged = _with_age(aged, rate.age_s + max(0.0, silent_s - rate.silent_s))
-        told: TopicFact = _with_rate(topic, aged)
-        return told
+        fact: TopicFact = _with_rate(topic, aged)
+        return fact
 
 
 def flow(rate: RateFact) -> tuple[float | None, bool, str]:

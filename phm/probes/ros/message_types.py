@@ -35,7 +35,7 @@ def load_type(name: str, publishers: Iterable[Any] = ()) -> Any:
     """
     match = _NAME.fullmatch(name)
     if match is None:
-        raise UnknownType(f"type unknown: {name!r} is no name of a ROS type")
+        raise UnknownType(f"type unknown: {name!r} is not the name of a ROS type")
     package, kind, short = match.groups()
     mounted = MountedPackages(os.environ.get(INSTALLS, "").split(os.pathsep))
     try:
@@ -68,9 +68,9 @@ def _installed(package: str, kind: str, short: str, mounted: MountedPackages) ->
 
 
 def _announced(name: str, publishers: Iterable[Any]) -> bytes:
-    """The type hash that a publisher of this type tells, or nothing: before Jazzy there is none."""
+    """The type hash that a publisher of this type reports, or nothing: before Jazzy there is none."""
     for publisher in publishers:
-        told = getattr(publisher, "topic_type_hash", None)
-        if told is not None and told.version == 1 and publisher.topic_type == name:
-            return bytes(told.value)
+        reported = getattr(publisher, "topic_type_hash", None)
+        if reported is not None and reported.version == 1 and publisher.topic_type == name:
+            return bytes(reported.value)
     return b""

@@ -56,14 +56,14 @@ class Observer:
         """A descriptor that is readable when the graph may have changed; None where there is none."""
         return self._events.fd
 
-    def look(self, *, told: bool = False, late_s: float = 0.0) -> list[Message]:
-        """Called once a tick, and told when `events` was readable: what there is to tell the daemon. late_s: how much too late.
+    def look(self, *, notified: bool = False, late_s: float = 0.0) -> list[Message]:
+        """Called once a tick, notified: `events` was readable. Returns the messages for the daemon. late_s: how much too late.
 
-        The picture comes last: whoever judges a silence by its time has received what was heard until then.
+        The picture comes last: by then everything that it needs to be evaluated has been sent.
         """
-        if told:
+        if notified:
             self._events.take()
-        picture = self._picture(told=told, late_s=round(late_s, 3))
+        picture = self._picture(notified=notified, late_s=round(late_s, 3))
         heard = [*self._beacons.look(), *self._diagnostics.look()]
         others: list[Message] = [Others(self._names.names)] if self._names.look(time.monotonic()) else []
         return [*heard, *others, picture]
@@ -80,7 +80,7 @@ class Observer:
         return _Second(self._wanted)
 
     def renewed(self) -> Observer:
-        """Closes this one. Returns one that has a participant of its own, and begins anew."""
+        """Closes this one. Returns one that has a participant of its own and starts empty."""
         self.close()
         return Observer(self._wanted, self._number)
 
@@ -88,10 +88,10 @@ class Observer:
         """Called as soon as the daemon has said so."""
         self._diagnostics.publish(order)
 
-    def _picture(self, *, told: bool, late_s: float) -> Picture | Tick:
+    def _picture(self, *, notified: bool, late_s: float) -> Picture | Tick:
         """The whole picture when something changed or it is time, else only that nothing did."""
         now_s = time.monotonic()
-        changed = self._graph.look(now_s, told=told)
+        changed = self._graph.look(now_s, notified=notified)
         if changed:
             self.known = _known(self._graph)
         rates: dict[str, RateFact] = {}
@@ -152,7 +152,7 @@ def _participant(wanted: Wanted, name: str) -> tuple[Any, Any]:
 
 
 def _known(graph: GraphReader) -> Known:
-    """Of strangers only what they have to do with a configured topic: nobody else is to keep PHM busy."""
+    """Of strangers only what they have to do with a configured topic: others must not keep PHM busy."""
     nodes = {(name,) for name in graph.nodes if name in graph.configured}
     sides = {"publisher": graph.publishers, "subscriber": graph.subscribers}
     return frozenset(nodes) | {

@@ -21,7 +21,7 @@ from typing import Any
 
 MIDDLEWARE = "rmw_fastrtps_cpp"
 KNOWN: dict[tuple[str, str], tuple[str, bool]] = {
-    # Fast DDS 2 builds a description of the type from it, and refuses to go on without; it is sent to nobody.
+    # Fast DDS 2 builds a description of the type from it, and refuses to go on without; it is never sent.
     ("fastrtps", "2.14"): ("jazzy", True),
     # Fast DDS 3 sends that description, and a writer of another one is then no match. Without it the name alone counts.
     ("fastdds", "3.2"): ("kilted", False),
@@ -62,7 +62,7 @@ class OpaqueTypes:
         self._kept: list[Any] = []
 
     def make(self, package: str, kind: str, short: str, type_hash: bytes = b"") -> Any:
-        """The class of `package/kind/short`, for raw readers. type_hash: 32 bytes that its publisher tells, or empty."""
+        """The class of `package/kind/short`, for raw readers. type_hash: 32 bytes that its publisher reports, or empty."""
         name = f"{package}/{kind}/{short}"
         if name not in self._made:
             if len(self._made) >= MAX_TYPES:
@@ -81,10 +81,10 @@ class OpaqueTypes:
         fields = list(base.handle)
         fields[1], fields[2] = ctypes.addressof(callbacks), _address(ask)
         if len(type_hash) == _HASH_VALUE_SIZE:
-            told = ctypes.create_string_buffer(b"\1" + type_hash, 1 + _HASH_VALUE_SIZE)
-            get_hash = _GetHash(_constant(ctypes.addressof(told)))
+            hash_value = ctypes.create_string_buffer(b"\1" + type_hash, 1 + _HASH_VALUE_SIZE)
+            get_hash = _GetHash(_constant(ctypes.addressof(hash_value)))
             fields[3] = _address(get_hash)
-            self._kept += [told, get_hash]
+            self._kept += [hash_value, get_hash]
         handle.raw = _HANDLE.pack(*fields)
         self._kept += [*texts, callbacks, handle, ask]
         return _message_class(ctypes.addressof(handle))
@@ -102,11 +102,14 @@ class _Base:
     def found(cls) -> _Base:
         """Raises NotHere when anything is not as it is known."""
         needs_introspection = _known_middleware()
-        _demand(sys.byteorder == "little" and ctypes.sizeof(ctypes.c_void_p) == 8, "this is no 64-bit little endian")
+        _demand(
+            sys.byteorder == "little" and ctypes.sizeof(ctypes.c_void_p) == 8,
+            "this is not a 64-bit little-endian machine",
+        )
         try:
             ask = ctypes.CDLL("librosidl_runtime_c.so").get_message_typesupport_handle
         except (OSError, AttributeError) as error:
-            raise TypeUnavailable(f"the middleware is not as known ({error})") from error
+            raise TypeUnavailable(f"the middleware differs from the supported one ({error})") from error
         ask.restype, ask.argtypes = ctypes.c_void_p, (ctypes.c_void_p, ctypes.c_char_p)
         original = _base_pointer()
         _demand(
@@ -118,12 +121,12 @@ class _Base:
         _demand(_text(handle[0]) == _FASTRTPS, "its handle differs")
         callbacks = _CALLBACKS.unpack(_peek(handle[1], _CALLBACKS.size))
         names = (_text(callbacks[0]), _text(callbacks[1]))
-        _demand(names == (f"{_BASE[0]}::{_BASE[1]}".encode(), _BASE[2].encode()), "its names are not where they were")
+        _demand(names == (f"{_BASE[0]}::{_BASE[1]}".encode(), _BASE[2].encode()), "its names are elsewhere")
         _demand(callbacks[6] == 0, "it has a key")
         code = _code()
         _demand(
             all(any(start <= at < end for start, end in code) for at in (*handle[2:], *callbacks[2:6])),
-            "its functions are not where they were",
+            "its functions are elsewhere",
         )
         introspection = ask(original, _C_INTROSPECTION) if needs_introspection else None
         _demand(not needs_introspection or introspection is not None, "it has no introspection")
@@ -159,7 +162,7 @@ def _base_pointer() -> int:
 
 
 def _message_class(handle: int) -> Any:
-    """A class as rclpy wants it. Nothing of it but the type support may be used, so the rest is no capsule."""
+    """A class as rclpy wants it. Nothing of it but the type support may be used, so the rest is not a capsule."""
     functions = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
     members = {**dict.fromkeys(functions, "raw readers only"), "_TYPE_SUPPORT": _new_capsule(handle, None, None)}
     return type("AnyTypeMeta", (type,), members)("AnyType", (), {})
@@ -180,7 +183,7 @@ def _address(function: Any) -> int:
 
 def _demand(holds: bool, otherwise: str) -> None:
     if not holds:
-        raise TypeUnavailable(f"the middleware's memory is not laid out as known: {otherwise}")
+        raise TypeUnavailable(f"the middleware's memory has an unknown layout: {otherwise}")
 
 
 def _peek(address: int, size: int) -> bytes:
@@ -189,7 +192,7 @@ def _peek(address: int, size: int) -> bytes:
         with open("/proc/self/mem", "rb", buffering=0) as memory:
             data = os.pread(memory.fileno(), size, address)
     except (OSError, OverflowError) as error:
-        raise TypeUnavailable(f"the middleware's memory is not laid out as known: {error}") from error
+        raise TypeUnavailable(f"the middleware's memory has an unknown layout: {error}") from error
     _demand(len(data) == size, "it ends")
     return data
 

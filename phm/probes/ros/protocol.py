@@ -2,7 +2,7 @@
 
 The daemon writes one line, what it wants to know (`Wanted`), then `Publish` as often as it likes, and in the end closes
 the pipe. The child writes `Picture` when something changed and at least once a second, `Tick` in between, `Heard` when
-beacons or diagnostics came, `Others` when topics that nobody configured came or went, `Remark` for the log, and
+beacons or diagnostics came, `Others` when unconfigured topics came or went, `Remark` for the log, and
 `Missing` once when there is no ROS to look at, and first of all `Sandbox`. This module is imported by the child: standard library and facts only.
 """
 
@@ -27,7 +27,7 @@ EXIT_MISSING = 69
 
 
 class ProtocolError(ValueError):
-    """A line that is no message: library output that strayed, or a line cut by a crash."""
+    """A line that is not a message: library output that strayed, or a line cut by a crash."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What the application said of itself since the last message of this kind; whoever said nothing is left out.
+    """What the application reported of itself since the last message of this kind; silent nodes are left out.
 
     ages: of beacons about which there is nothing else that is new. refused: see RosFact, so far. lost: more beacons came
     than are read.
@@ -208,4 +208,4 @@ def _parsed(line: bytes | str) -> Any:
 
 
 def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is no number of ours")
+    raise ValueError(f"{constant} is not a valid number")

@@ -56,7 +56,7 @@ class Reader:
 
     @property
     def matched(self) -> int | None:
-        """How many publishers the middleware has connected; None where it does not tell."""
+        """How many publishers the middleware has connected; None where it is not known."""
         return None if self._count is None else self._count()
 
     def close(self) -> None:
@@ -76,7 +76,7 @@ def _profile(quality: Quality) -> Any:
 
 
 def _never_called(_: object) -> None:
-    """rclpy wants a callback; without an executor nobody calls it."""
+    """rclpy requires a callback; without an executor it is never called."""
 
 
 def _sample(taken: tuple[bytes, Any], now_s: float) -> Sample:

@@ -1,7 +1,7 @@
 """Whether the child's participant has missed something for good, which a second one sees. Pure; the caller brings time.
 
 When the lease of a node runs out for PHM alone while the two exchange their endpoints, as on a companion that is overloaded at its
-start, Fast DDS forgets what it had and asks for it again, and the node takes for received what it was told was received: it sends
+start, Fast DDS forgets what it had and asks for it again, and the node treats as received what was acknowledged: it sends
 nothing. PHM then misses the node, or some of its ends, for as long as the node lives (measured with Jazzy and Kilted).
 """
 

@@ -46,7 +46,7 @@ def _pattern(words: str) -> re.Pattern[str]:
 
 @dataclass(frozen=True, slots=True)
 class SelfReports:
-    """Immutable, so that it can be read without a lock. Values are (monotonic seconds when it was told, fact)."""
+    """Immutable, so that it can be read without a lock. Values are (monotonic seconds of the report, fact)."""
 
     beacons: Mapping[str, tuple[float, BeaconFact]] = field(default_factory=dict)
     diagnostics: Mapping[str, tuple[float, DiagnosticFact]] = field(default_factory=dict)

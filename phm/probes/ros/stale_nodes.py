@@ -1,8 +1,8 @@
 """Nodes that PHM's own graph alone still lists. Pure; the caller brings time.
 
 A participant learns of a node's end only when nothing of it is on its way any more. Where a network was cut under a node, its last
-announcement may come after its end was noted: it is then listed for ever, by this one participant and nobody else (seen once, with
-Jazzy's rmw_fastrtps, for four minutes). A participant that is made anew does not know it.
+announcement may come after its end was noted: this one participant then lists it permanently (seen once, with
+Jazzy's rmw_fastrtps, for four minutes). A new participant does not know it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 DOUBT_S = 22.0
-"""Listed twice for longer than any lease (Fast DDS: 20 s by default): either two nodes of one name live, or one is a ghost."""
+"""Listed twice for longer than any lease (Fast DDS: 20 s by default): either two nodes of one name are alive, or one is stale."""
 
 
 class StaleNodes:

@@ -1,6 +1,6 @@
 """The daemon's side of the ROS probe: keeps a child process that looks at ROS, and answers from its reports.
 
-Whatever happens to the child, `look` answers at once: with its newest picture, or with `CannotTell` and a
+Whatever happens to the child, `look` returns immediately: its newest snapshot, or `CannotTell` with a
 sentence. A child that exits, falls silent or grows too large is replaced, at longer and longer intervals.
 """
 
@@ -52,11 +52,9 @@ NOT_INSTALLED = (
     "on x86-64 install phm-sidecar[ros], elsewhere use an image FROM a ROS base"
 )
 COMMAND = (sys.executable, "-m", "phm.probes.ros.child")
-OVERLONG = (
-    f"a message of the ROS child was longer than {LINE_LIMIT // 1000} kB and was dropped: what it saw is not known"
-)
+OVERLONG = f"a message of the ROS child was longer than {LINE_LIMIT // 1000} kB and was dropped: its content is unknown"
 CROWDED = "more messages come on /phm/beacon than PHM reads: beacons may be lost; see which nodes publish there"
-TOLD_S = 30.0
+REPORTED_S = 30.0
 """How long a loss is reported."""
 _REMARKS = 20
 """Different remarks of the child that are written to the log; each is written once."""
@@ -109,7 +107,7 @@ class SupervisorLimits:
     backoff_s: float = 0.5
     backoff_max_s: float = 30.0
     steady_s: float = 60.0
-    """A child that lived this long starts the back-off anew."""
+    """A child that lived this long resets the back-off."""
     missing_s: float = 60.0
     """Between attempts where there is no rclpy."""
     goodbye_s: float = 0.2
@@ -145,12 +143,12 @@ class RosSupervisor:
         self._first_line = encode_wanted(looked_for)
         self._nodes = frozenset(looked_for.nodes)
         self._blank = GraphSnapshot(
-            hearsay=SelfReports(own=Own(self._nodes, looked_for.watch)), again_s=again_s(settings.ros.grace)
+            self_reports=SelfReports(own=Own(self._nodes, looked_for.watch)), again_s=again_s(settings.ros.grace)
         )
         self._max_memory = settings.ros.max_memory
         self._command = tuple(command)
         self._limits = limits
-        self._ghosts = StaleNodes(limits.doubt_s)
+        self._stale_nodes = StaleNodes(limits.doubt_s)
         self._unnamed = UnnamedParticipants(limits.unnamed_s)
         self._lock = threading.Lock()
         self._view = self._blank
@@ -197,7 +195,7 @@ class RosSupervisor:
             raise CannotTell(why)
         fact = view.fact(view.picture, self._clock.mono(), self._late_s)
         if fact.age_s > self._limits.silent_s:
-            raise CannotTell(f"the ROS child has sent no picture of the ROS graph for {fact.age_s:.1f} s")
+            raise CannotTell(f"the ROS child has not reported the ROS graph for {fact.age_s:.1f} s")
         return fact
 
     def _late_s(self, since: float, most_s: float | None = None) -> float:
@@ -207,10 +205,10 @@ class RosSupervisor:
     def problems(self) -> tuple[str, ...]:
         """What keeps PHM from seeing all of the graph, in sentences."""
         with self._lock:
-            view, times = self._view, {OVERLONG: self._dropped_s, CROWDED: self._view.hearsay.lost_at}
+            view, times = self._view, {OVERLONG: self._dropped_s, CROWDED: self._view.self_reports.lost_at}
         found = view.picture.problems if view.picture is not None else ()
         now_s = self._clock.mono()
-        return (*found, *(words for words, at in times.items() if at is not None and now_s - at < TOLD_S))
+        return (*found, *(words for words, at in times.items() if at is not None and now_s - at < REPORTED_S))
 
     def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
         """Have the child publish these on /diagnostics, by name; never blocks. Nothing while there is no child that answers.
@@ -275,7 +273,7 @@ class RosSupervisor:
         try:
             life = ChildProcess(self._command, self._environ, self._first_line)
         except OSError as error:
-            return self._told(f"the ROS child cannot be started: {error}"), None
+            return self._report(f"the ROS child cannot be started: {error}"), None
         self._pid = life.pid
         missing: list[Missing] = []
         try:
@@ -287,10 +285,10 @@ class RosSupervisor:
         if self._closing:
             return "the ROS probe is closed", 0.0
         if self._renew:
-            return self._told(f"the ROS child is renewed: {self._renew}"), 0.0
+            return self._report(f"the ROS child is restarted: {self._renew}"), 0.0
         if life.exit_code == EXIT_MISSING and missing:
-            return self._told(_missing_sentence(missing[-1])), self._limits.missing_s
-        return self._told(f"the ROS child {reason or life.exit_reason()}"), None
+            return self._report(_missing_sentence(missing[-1])), self._limits.missing_s
+        return self._report(f"the ROS child {reason or life.exit_reason()}"), None
 
     def _attend(self, life: ChildProcess, missing: list[Missing]) -> str:
         """Read until it must be replaced; returns why, or nothing when it ended by itself or on request."""
@@ -312,7 +310,7 @@ class RosSupervisor:
                 try:
                     message = decode(line)
                 except ProtocolError:
-                    continue  # garbage is no sign of life either
+                    continue  # garbage is not a sign of life either
                 heard_s = now_s
                 if isinstance(message, Missing):
                     missing.append(message)
@@ -322,8 +320,8 @@ class RosSupervisor:
                     limit_s = self._limits.silent_s
                     self._take(message, now_s)
             if now_s - heard_s - held_s > limit_s or now_s - heard_s > limit_s + self._limits.starved_s:
-                held = f", beside {held_s:.0f} s in which it did not get to run," if held_s >= 1.0 else ""
-                return f"said nothing for {limit_s:g} s{held} and was killed"
+                held = f" (besides {held_s:.0f} s in which it could not run)" if held_s >= 1.0 else ""
+                return f"was unresponsive for {limit_s:g} s{held} and was killed"
             if now_s - weighed_s >= self._limits.weigh_s:
                 weighed_s = now_s
                 self._doubt(now_s)
@@ -344,15 +342,17 @@ class RosSupervisor:
         if picture is None:
             return
         # Strangers cannot have the child replaced.
-        ghosts = self._ghosts.look({name: picture.nodes.get(name, 0) for name in self._nodes}, now_s)
+        stale = self._stale_nodes.look({name: picture.nodes.get(name, 0) for name in self._nodes}, now_s)
         fact = self._view.fact(picture, now_s, self._late_s)
         beating = {name for name in self._nodes if name in fact.beacons and fact.beacons[name].missed < SILENT_MISSES}
         unnamed = self._unnamed.look(fact.topics, now_s, beating - fact.nodes.keys())
-        if ghosts:
-            self.renew(f"{', '.join(ghosts)} has been listed more than once for {self._limits.doubt_s:g} s")
+        if stale:
+            self.renew(f"{', '.join(stale)} has been listed more than once for {self._limits.doubt_s:g} s")
         elif unnamed:
             names = ", ".join(unnamed[:3])
-            self.renew(f"{names} is in use, and the graph has not named all its nodes for {self._limits.unnamed_s:g} s")
+            self.renew(
+                f"{names} is in use, but the graph has not listed all its nodes for {self._limits.unnamed_s:g} s"
+            )
 
     def _say_goodbye(self, life: ChildProcess) -> None:
         """What waits to be published may be the last word of PHM: the child reads it before the end of its input."""
@@ -385,7 +385,7 @@ class RosSupervisor:
         with self._lock:
             had_one = self._view.picture is not None
             self._view, self._why, self._dropped_s = self._view.without_picture(), OVERLONG, now_s
-        self._told(OVERLONG)
+        self._report(OVERLONG)
         if had_one:
             self._on_change()
 
@@ -405,7 +405,7 @@ class RosSupervisor:
                 self._drain()
         self._drain()
 
-    def _told(self, sentence: str) -> str:
+    def _report(self, sentence: str) -> str:
         """Write the sentence to the log, but a repeated one only once: a broken child must not fill the log."""
         if sentence != self._last_note:
             self._last_note = sentence

@@ -74,5 +74,5 @@ def _runs(command: str, container: str, context: ActionContext) -> bool:
     """Whether some process of the container has this command line; an interpreter may stand before it."""
     rows = context.engine.top(container).get("Processes") or []
     if not isinstance(rows, list):
-        raise CannotTell("the Docker Engine listed processes in no list")
+        raise CannotTell("the Docker Engine answered without a process list")
     return any(f" {command}" in f" {row[-1]}" for row in rows if isinstance(row, list) and row)

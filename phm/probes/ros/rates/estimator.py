@@ -28,7 +28,7 @@ UNEVEN = 0.1
 COUNTED = 20
 """Samples of several publishers that a rate is counted from, at least: they come in no even beat."""
 LATE_S, STALL_S = 0.5, 1.0
-"""Looks further apart than LATE_S, two ticks, tell that PHM itself did not run: of that time half counts as silence of the
+"""Looks further apart than LATE_S, two ticks, mean that PHM itself did not run: of that time half counts as silence of the
 publisher, so that a starved PHM still finds it, and of the longest pause nothing that is beyond STALL_S."""
 _SHARE = 0.2
 FADE_S, FADE_WINDOWS = 60.0, 20
@@ -94,7 +94,7 @@ class RateUncertainty:
 
 
 class RateEstimator:
-    """Judges nothing: turns the samples of one topic into a `RateFact`.
+    """Turns the samples of one topic into a `RateFact`.
 
     expected_hz and silence_s only set for how long samples are kept and from when on the topic
     counts as silent, max(3 periods, silence_s) at most (see `SilenceTimeout`); then the rate is 0.0. expected_hz 0 is a
@@ -150,13 +150,13 @@ class RateEstimator:
         self._held = held
 
     def forget(self) -> None:
-        """Measure anew."""
+        """Restart the measurement."""
         self._held = None
         self._spread.forget()
         for track in self._tracks.values():
             track.forget()
 
-    # ---- taking in
+    # ---- input
 
     def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
         """Count the time in which there was no sample though one would have been heard."""
@@ -214,7 +214,7 @@ class RateEstimator:
         self._restarts.hear(sample, last)
         continues = track.add(sample)
         if track.turned:
-            self._spread.forget()  # that it was another rate before is no unevenness
+            self._spread.forget()  # that it was another rate before is not unevenness
         if track.fell and last is not None:
             self._restarts.fell(last, hz)
         return continues and not new
@@ -231,7 +231,7 @@ class RateEstimator:
             if sure:
                 self._restarts.gone(writer, track, list(self._tracks.values()))
 
-    # ---- telling
+    # ---- report
 
     def _fact(self, now_s: float, listening: Listening, silent: bool) -> RateFact:
         problem = listening.problem or ("" if silent else self._ambiguous(now_s, listening.publishers))
@@ -296,7 +296,7 @@ def _listened_s(passed_s: float) -> float:
 
 
 def _cut_s(longest_s: float) -> float:
-    """Of what counts of the longest time between two looks, what does not all the same: PHM stood still."""
+    """Of what counts of the longest time between two looks, what does not: PHM was suspended."""
     return max(0.0, (longest_s - STALL_S) / 2)
 
 

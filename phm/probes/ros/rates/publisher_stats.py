@@ -11,7 +11,7 @@ from phm.probes.ros.rates.silence import WindowedMax
 SHORTEST_S = 1.0
 """Below this span of publication time the jitter of two stamps is too large a share of it."""
 JUMP_S = 1.0
-"""Stamps that disagree with the time between two looks by more than this tell a clock that was set."""
+"""Stamps that disagree with the time between two looks by more than this mean that a clock was set."""
 FALLS, FALLS_S = 3, 10.0
 """A number that falls is a restarted publisher; this many falls within this time are two publishers."""
 QUICKEST_S = 60.0
@@ -31,7 +31,7 @@ class Sample:
     source_ns: int
     at_s: float
     writer: bytes | None = None
-    """Identity of the publisher, where the middleware tells it (from Kilted on)."""
+    """Identity of the publisher, where the middleware reports it (from Kilted on)."""
     size: int = 0
     """Bytes of the serialized message."""
     delay_s: float = 0.0
@@ -44,7 +44,7 @@ class PublisherStats:
     """One publisher.
 
     Invariant: of what is kept, sequence numbers rise and source times do not fall; whatever breaks that
-    (restart, a clock that was set) starts the window anew.
+    (restart, a clock that was set) restarts the window.
     """
 
     def __init__(self, window_s: float) -> None:
@@ -120,7 +120,7 @@ class PublisherStats:
         self._jitter = Jitter()
 
     def forget(self) -> None:
-        """Begin anew: what comes after a silence must not be averaged with it."""
+        """Restart: what comes after a silence must not be averaged with it."""
         self._kept.clear()
         self._rate_change.forget()
         self._changed_from = None
@@ -184,7 +184,7 @@ class Jitter:
     Between two looks `count` samples are published in `seconds`. `jitter_s` is the standard deviation of
     `seconds - count * period`. Where each period is seen by itself (topics slower than the looks, 4 Hz) that is the
     standard deviation of the period. Of faster ones it is that of publication times against an even beat, which is
-    the same for a timer; where each period is drawn anew it is larger by the square root of `count`.
+    the same for a timer; where each period is independent it is larger by the square root of `count`.
     """
 
     FADE = 0.98
@@ -253,5 +253,5 @@ class RateChange:
         return True
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Restart."""
         self._looks, self._seconds, self._sign = 0, 0.0, 0

@@ -23,7 +23,7 @@ _BASE_S = 2.0
 """A slope is measured over this much publication time."""
 _AGAIN_S = 20.0
 _BIRTHS_S = 10.0
-"""In so long one new line is a publisher that was restarted; more tell that samples were taken for others'."""
+"""In so long one new line is a publisher that was restarted; more mean that samples were mistaken for others'."""
 GONE_S = 1.0
 """A publisher is gone when another was heard this much later, or GONE_PERIODS of its own where that is longer."""
 GONE_PERIODS = 6
@@ -107,7 +107,7 @@ class PublisherDemux:
         return publishers > MOST or at_work > publishers or born > 1 + (publishers if young else 0)
 
     def _try_again(self, publishers: int, now_s: float) -> None:
-        """What was taken for one another once stays so: begin anew after a while."""
+        """Mistaken samples stay so: restart after a while."""
         if self._began_s is not None and now_s - self._began_s > _AGAIN_S and self.puzzled(publishers, now_s):
             self._began_s = None
             self._lines.clear()
@@ -180,7 +180,7 @@ class PublisherRestarts:
                 self._ends.remove(end)
 
     def settle(self, now_s: float, closed_s: float, *, mixed: bool) -> None:
-        """Called once a look. closed_s: how long nobody listens. mixed: the numbers are those of several publishers."""
+        """Called once a look. closed_s: how long there is no subscription. mixed: the numbers are those of several publishers."""
         if mixed:
             self._ends.clear()
         for end in list(self._ends):
@@ -189,7 +189,7 @@ class PublisherRestarts:
                 self.count += 1
 
     def gone(self, writer: bytes | None, track: PublisherStats, others: list[PublisherStats]) -> None:
-        """A publisher that can be told from the others fell silent: did one of them take its place?"""
+        """A distinguishable publisher fell silent: did one of them take its place?"""
         most = 1 + NEW_S * max(track.hz or 0.0, self._expected_hz)
         heir = next((other for other in others if other.takes_place(track, most)), None)
         if heir is None:

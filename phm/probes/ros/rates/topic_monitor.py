@@ -21,7 +21,7 @@ PAUSE_S = 2.0
 """Between two windows. A window ends with the first look that finds a sample."""
 MATCH_S = 3.0
 """A subscription that is not connected to a listed publisher for this long never will be; it takes 0.1 s."""
-GHOST_S = 25.0
+STALE_S = 25.0
 """Two publishers of one node are one that was restarted, until the lease of the older (20 s by default) is over."""
 MIXED_S = 60.0
 """How long numbers that were found mixed are sorted, whatever discovery says; then it is tried again."""
@@ -48,7 +48,7 @@ class TopicMonitor:
         self._counted = False
         self._large = False
         self._complete = False
-        """Whether no sample was missed since the last one, as far as the queue can tell."""
+        """Whether no sample was missed since the last one, as far as the queue shows."""
         self._open_at_s = -math.inf
         self._lonely_since_s: float | None = None
         self._twins_since_s: float | None = None
@@ -96,7 +96,7 @@ class TopicMonitor:
             self._twins_since_s = now_s
         if self._estimator.mixed(now_s):
             self._mixed_at_s = now_s
-        twins = self._twins_since_s is not None and now_s - self._twins_since_s > GHOST_S
+        twins = self._twins_since_s is not None and now_s - self._twins_since_s > STALE_S
         mixed = now_s - self._mixed_at_s < MIXED_S
         # An endpoint is listed a moment before its node's name: no name is not another name.
         return twins or mixed or len({publisher.node for publisher in publishers if publisher.node}) > 1
@@ -150,7 +150,7 @@ class TopicMonitor:
         self._open_at_s = now_s + PAUSE_S
 
     def _problem(self, now_s: float, publishers: Sequence[EndpointFact], matched: int | None) -> str:
-        """Why no rate can be told, whatever the samples say."""
+        """Why there can be no rate, whatever the samples say."""
         types = sorted({publisher.type for publisher in publishers if publisher.type})
         if len(types) > 1:
             more = f" and {len(types) - TYPES} more" if len(types) > TYPES else ""
