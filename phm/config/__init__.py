@@ -1,4 +1,4 @@
-"""Reads `phm.yaml` into `phm.core.settings.Settings`, and says everything that is wrong with it at once."""
+"""Reads `phm.yaml` into `phm.core.settings.Settings`, and reports all of its problems."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`${NAME}` and `${NAME:-default}` in scalars, so that one file serves a whole swarm of identical agents."""
+"""Expands `${NAME}` and `${NAME:-default}` in scalars, so that one file serves all agents of a swarm."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Mapping
 
 _PART = re.compile(r"(?P<escape>\$\$\{)|(?P<whole>\$\{(?P<body>[^}]*)(?P<end>\}?))")
 _BODY = re.compile(r"(?P<name>[A-Za-z_][A-Za-z0-9_]*)(?::-(?P<default>.*))?", re.DOTALL)
-# Bounds what a small file can grow to when it repeats a long variable.
+# Limits the growth of a small file that repeats a long variable.
 LONGEST = 1 << 20
 
 
 class ExpandError(ValueError):
-    """A variable that cannot be expanded; the text is the sentence for the user."""
+    """A variable that cannot be expanded; the text is the message for the user."""
 
 
 class Expander:
     """Expands from one environment; as in a shell, an empty variable takes the default too.
 
-    Values are not looked at again: a `${` in a variable's value stays. All expanded text together is
+    Values are not expanded again: a `${` in a variable's value remains. All expanded text together is
     at most `LONGEST` characters.
     """
 
@@ -44,10 +44,10 @@ class Expander:
             raise ExpandError("'${' is never closed: write ${NAME} or ${NAME:-default} ($${ for a literal ${)")
         if body is None:
             allowed = "allowed are ${NAME} and ${NAME:-default} ($${ for a literal ${)"
-            raise ExpandError(f"{match['whole'][:60]!r} is no variable, {allowed}")
+            raise ExpandError(f"{match['whole'][:60]!r} is not a variable, {allowed}")
         name, default = body["name"], body["default"]
         if default is not None and "${" in default:
-            raise ExpandError(f"the default of ${{{name}}} holds another variable, allowed is plain text")
+            raise ExpandError(f"the default of ${{{name}}} contains another variable, only plain text is allowed")
         value = self._environ.get(name)
         if value or (value is not None and default is None):
             self._spend(len(value))
@@ -59,4 +59,6 @@ class Expander:
     def _spend(self, characters: int) -> None:
         self._left -= characters
         if self._left < 0:
-            raise ExpandError(f"the file grows over {LONGEST} characters by its variables: use shorter values")
+            raise ExpandError(
+                f"the file exceeds {LONGEST} characters after expansion of its variables: use shorter values"
+            )

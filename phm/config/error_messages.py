@@ -1,4 +1,4 @@
-"""pydantic's errors as sentences for someone who edits a YAML file and has never heard of pydantic."""
+"""pydantic's errors as sentences for the user of a YAML file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from phm.config.problems import Path, listed, shown, unknown
 from phm.config.schema_lookup import field_at, model_at, range_of, unit_of
 
-# By pattern as in `phm.core.settings`; a test finds every pattern that has no words here.
+# By pattern of `phm.core.settings`; a test finds patterns without a description.
 PATTERNS = {
     r"^[A-Za-z0-9][A-Za-z0-9_.-]*$": "letters, digits, '_', '.' and '-', the first a letter or a digit",
     r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$": "a ROS name such as /agent_1/node_1: "
@@ -31,7 +31,7 @@ _WANTED = {
     "string_type": "text",
     "list_type": "a list",
     "dict_type": "a mapping",
-    "model_type": "a section with keys of its own",
+    "model_type": "a section with keys",
     "string_unicode": "text that is valid Unicode",
     "int_from_float": "a whole number",
     "int_parsing_size": "a smaller number",
@@ -46,14 +46,14 @@ def sentence(error: Mapping[str, Any]) -> str:
     if kind == "extra_forbidden":
         return _unknown_key(path)
     if kind == "missing":
-        return f"is missing, it must be given{_description(path)}"
+        return f"is missing{_description(path)}"
     if kind == "value_error":
         return str(context.get("error", error["msg"]))
     if kind in _WANTED:
         return _wrong_type(kind, path, value)
     if kind in _RANGES:
         field = field_at(path)
-        return f"is {shown(value)}, {(range_of(field) if field else '') or 'a finite number is wanted'}"
+        return f"is {shown(value)}, {(range_of(field) if field else '') or 'expected a finite number'}"
     if kind == "string_pattern_mismatch":
         pattern = str(context.get("pattern"))
         return f"is {shown(value)}, allowed is {PATTERNS.get(pattern, f'text that matches {pattern}')}"
@@ -63,7 +63,7 @@ def sentence(error: Mapping[str, Any]) -> str:
     if kind == "string_too_long":
         return f"is {shown(value)}, allowed are at most {context.get('max_length')} characters"
     if kind == "string_too_short":
-        return "is empty text, at least one character is wanted"
+        return "is empty, expected at least one character"
     return f"is {shown(value)}: {error['msg']}"
 
 
@@ -87,7 +87,7 @@ def _wrong_type(kind: str, path: Path, value: object) -> str:
         hint = f" (write {'true' if str(value).lower() in ('yes', 'on') else 'false'})"
     elif kind == "list_type" and not isinstance(value, dict):
         hint = " (put '- ' before each entry)"
-    return f"is {_what(value)}, {wanted} is wanted{hint}"
+    return f"is {_what(value)}, expected {wanted}{hint}"
 
 
 def _what(value: object) -> str:

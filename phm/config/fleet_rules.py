@@ -10,7 +10,7 @@ _ENCRYPTED = ("tls/", "quic/")
 
 
 def fleet_has_endpoints(root: ConfigNode) -> None:
-    """Where it is on: what it needs is installed, and it leads somewhere."""
+    """When enabled: its package is installed, and it has an endpoint."""
     fleet = root.get("fleet")
     enabled = fleet.get("enabled")
     if enabled.value is not True:
@@ -28,23 +28,23 @@ def fleet_has_endpoints(root: ConfigNode) -> None:
 def fleet_modes_match(root: ConfigNode) -> None:
     fleet = root.get("fleet")
     if fleet.get("listen").texts and fleet.get("mode").text in ("", "client"):
-        fleet.get("listen").add_problem("a client takes no connections: set 'mode: peer', or leave it out")
+        fleet.get("listen").add_problem("a client does not accept connections: set 'mode: peer', or remove this key")
     for key in ("connect", "listen"):
         for endpoint in fleet.get(key).texts:
             port = endpoint.text.rpartition(":")[2]
             if port.isdecimal() and not 1 <= int(port) <= 65535:
-                endpoint.add_problem(f"{endpoint.text!r} has no port of 1 to 65535")
+                endpoint.add_problem(f"{endpoint.text!r} needs a port from 1 to 65535")
 
 
 def fleet_certificates_are_used(root: ConfigNode) -> None:
-    """Half a pair, or certificates for connections in clear, would look like a protection that is not there."""
+    """Half a pair, or certificates for unencrypted connections, would suggest a protection that does not exist."""
     fleet = root.get("fleet")
     tls = fleet.get("tls")
     pair = (tls.get("certificate"), tls.get("key"))
     for one, other in (pair, pair[::-1]):
         if one.given and not other.given:
-            one.add_problem(f"needs {other.path[-1]!r} beside it")
+            one.add_problem(f"requires {other.path[-1]!r}, too")
     endpoints = [endpoint.text for key in ("connect", "listen") for endpoint in fleet.get(key).texts]
     files = [tls.get(key) for key in ("ca", "certificate", "key") if tls.get(key).given]
     if files and endpoints and not any(endpoint.startswith(_ENCRYPTED) for endpoint in endpoints):
-        files[0].add_problem("is given, but every endpoint is in clear: write tls/HOST:PORT, or leave the files out")
+        files[0].add_problem("is given, but no endpoint is encrypted: write tls/HOST:PORT, or remove the files")

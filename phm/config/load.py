@@ -1,7 +1,4 @@
-"""`load`: from a file and an environment to `Settings`, or to everything that is wrong with them.
-
-Nothing but the file itself is opened: a bad configuration has no effect on the world.
-"""
+"""Reads a file and the environment into `Settings`, or raises every problem in them. Opens nothing but the file."""
 
 from __future__ import annotations
 
@@ -36,7 +33,7 @@ def find(path: str | os.PathLike[str] | None = None) -> FilePath:
     except (FileNotFoundError, NotADirectoryError):
         return IN_REPOSITORY
     except OSError:
-        pass  # there but not readable: say so instead of silently using another file
+        pass  # exists but is not readable: report that instead of silently using another file
     return INSTALLED
 
 
@@ -50,12 +47,12 @@ def load(
     known_units: Collection[str] | None = None,
     builtin_needs: Mapping[str, Collection[str]] | None = None,
 ) -> Settings:
-    """Read and judge one file. Raises `ConfigError` with all problems at once.
+    """Read and validate one file. Raises `ConfigError` with all problems.
 
     environ:          for `${VAR}` and PHM_INTERVAL; default: that of the process.
-    known_checks:     names of the installed checks; None: names of checks are not judged. Likewise the actions and
+    known_checks:     names of the installed checks; None: names of checks are not validated. Likewise the actions and
                       conditions of `recovery.ladders`, and the ids of units in `needs`.
-    builtin_needs:    check name -> names of checks that it needs by itself, for finding circles.
+    builtin_needs:    check name -> names of the checks that it needs by itself, for finding cycles.
     """
     file = find(path)
     return loads(
@@ -102,7 +99,7 @@ def loads(
 
 
 def _validate(tree: Tree, file: str) -> tuple[Settings | None, list[Problem]]:
-    """Strict: `yes` is no boolean and `"3"` no number, so that nobody wonders what a value became."""
+    """Strict: `yes` is not a boolean and `"3"` not a number, so that no value is converted silently."""
     try:
         return Settings.model_validate(tree.data, strict=True), []
     except ValidationError as error:
@@ -111,7 +108,7 @@ def _validate(tree: Tree, file: str) -> tuple[Settings | None, list[Problem]]:
     for entry in found:
         path = tuple(entry["loc"])
         if any(path[:end] in tree.bad for end in range(1, len(path) + 1)):
-            continue  # its cause is already told
+            continue  # its cause is already reported
         problems.append(Problem(file, tree.line(path), dotted(path), sentence(entry)))
     return None, problems
 
@@ -129,7 +126,7 @@ def _interval(environ: Mapping[str, str]) -> tuple[float | None, list[Problem]]:
 
 
 def _read(path: FilePath) -> str:
-    """The file's text. Raises `ConfigError` with one sentence; never waits, whatever kind of file it is."""
+    """The file's text. Raises `ConfigError`; never blocks, whatever kind of file it is."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except (OSError, ValueError) as error:
@@ -139,7 +136,7 @@ def _read(path: FilePath) -> str:
         if stat.S_ISDIR(mode):
             raise _refused(path, "is a directory: name the file in it")
         if not stat.S_ISREG(mode):
-            raise _refused(path, "is no regular file: name a file")
+            raise _refused(path, "is not a regular file: name a file")
         with os.fdopen(handle, "rb", closefd=False) as stream:
             raw = stream.read(MAX_BYTES + 1)
     except OSError as error:
@@ -154,15 +151,15 @@ def _read(path: FilePath) -> str:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
-        raise ConfigError([Problem(str(path), line, "", "is not UTF-8: save the file in that encoding")]) from error
+        raise ConfigError([Problem(str(path), line, "", "is not UTF-8: save it as UTF-8")]) from error
 
 
 def _why(error: OSError | ValueError) -> str:
     number = error.errno if isinstance(error, OSError) else None
     if number in (errno.ENOENT, errno.ENOTDIR):
-        return "there is no such file: name one with --config (default: /etc/phm/phm.yaml, else config/phm.yaml)"
+        return "file not found: name one with --config (default: /etc/phm/phm.yaml, else config/phm.yaml)"
     if number in (errno.EACCES, errno.EPERM):
-        return f"may not be read by user {os.getuid()}: change its permissions"
+        return f"permission denied for user {os.getuid()}: change its permissions"
     reason = os.strerror(number) if number is not None else str(error)
     return f"cannot be read: {reason}"
 

@@ -1,6 +1,6 @@
-"""A forgiving look at a tree that may be wrong anywhere: what is of the wrong type is as if it were not there.
+"""Access to a tree that may be invalid anywhere: a value of the wrong type counts as absent.
 
-With it the cross checks find their problems beside those of pydantic, so that the user sees all at once.
+So the rules between keys find their problems in addition to pydantic's, and the user sees all of them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from phm.config.yaml_tree import Tree
 
 @dataclass(frozen=True, slots=True)
 class ConfigNode:
-    """One place of the tree. `problems` is shared by all views of a tree."""
+    """One place in the tree. `problems` is shared by all nodes of a tree."""
 
     tree: Tree
     file: str
@@ -26,7 +26,7 @@ class ConfigNode:
     value: Any = None
 
     def get(self, *keys: str) -> ConfigNode:
-        """The place under `keys`, whether or not anything is there."""
+        """The place under `keys`, whether or not it exists."""
         value: Any = self.value
         for key in keys:
             value = value.get(key) if isinstance(value, dict) else None
@@ -48,7 +48,7 @@ class ConfigNode:
 
     @property
     def text(self) -> str:
-        """The text here, stripped as the models do; empty when there is none."""
+        """The text, stripped as the models do; empty when there is none."""
         return self.value.strip() if isinstance(self.value, str) else ""
 
     @property

@@ -1,4 +1,4 @@
-"""What is wrong with a configuration: one `Problem` per fault in the file, all of them in one `ConfigError`."""
+"""Problems of a configuration: one `Problem` per mistake, all of them in one `ConfigError`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 Path = tuple[str | int, ...]
-"""Where a value stands in the tree: keys of mappings and indexes of lists, from the top."""
+"""Position of a value in the tree: keys of mappings and indexes of lists, from the top."""
 
 _SHOWN = 60
 _LISTED = 20
@@ -16,11 +16,11 @@ _COMPARED = 500
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One fault in the configuration.
+    """One mistake in the configuration.
 
-    file:    the file as it was named, or `environment NAME` when a variable is at fault.
-    line:    counted from 1, or 0 when the fault is not at any line.
-    key:     e.g. `containers[0].files[1].path`; empty when the fault is not at any key.
+    file:    the file as it was named, or `environment NAME` for a variable.
+    line:    counted from 1; 0 when it concerns no line.
+    key:     e.g. `containers[0].files[1].path`; empty when it concerns no key.
     message: what is wrong, what is allowed, and what to do.
     """
 
@@ -36,7 +36,7 @@ class Problem:
 
 
 class ConfigError(Exception):
-    """The configuration cannot be used. `problems` holds everything that was found, in order of lines."""
+    """The configuration is invalid. `problems` contains all of them, in order of lines."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(sorted(dict.fromkeys(problems), key=lambda problem: (problem.line, problem.key)))
@@ -44,7 +44,7 @@ class ConfigError(Exception):
 
 
 def dotted(path: Path) -> str:
-    """A path as people write it: `ros.topics[2].rate`."""
+    """A path in dotted notation: `ros.topics[2].rate`."""
     text = ""
     for part in path:
         if isinstance(part, int):

@@ -1,7 +1,7 @@
 """The JSON schema of `phm.yaml` for editors, generated from the models: `python -m phm.config.schema [--check]`.
 
-Draft 2020-12. Wherever the models want a number, a truth or a pattern, a text with `${VAR}` is allowed too,
-since variables are replaced before the models see the value.
+Draft 2020-12. Where the models expect a number, a boolean or a pattern, a text with `${VAR}` is allowed, too,
+because variables are replaced before validation.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ _PLAIN = ("integer", "number", "boolean")
 
 
 def schema() -> dict[str, Any]:
-    """The whole schema as JSON-able values."""
+    """The schema as JSON-able values."""
     made = Settings.model_json_schema(mode="validation")
     definitions = {name: _section(section) for name, section in made.pop("$defs").items()}
     definitions["Variable"] = {
-        "description": "A text with variables, replaced before the value is judged: ${NAME} or ${NAME:-default}.",
+        "description": "A text with variables, which are replaced before validation: ${NAME} or ${NAME:-default}.",
         "type": "string",
         "pattern": r"\$\{[A-Za-z_][A-Za-z0-9_]*(:-[^}]*)?\}",
     }
@@ -62,9 +62,9 @@ def _wants_more_than_text(value: dict[str, Any]) -> bool:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write the schema file, or with `--check` say whether it is fresh; 0 when it is."""
+    """Write the schema file, or with `--check` compare it; 0 when it is up to date."""
     parser = argparse.ArgumentParser(prog="python -m phm.config.schema", description="Generate the schema of phm.yaml.")
-    parser.add_argument("--check", action="store_true", help="change nothing; exit 1 when the file is not fresh")
+    parser.add_argument("--check", action="store_true", help="change nothing; exit 1 when the file is not up to date")
     parser.add_argument("file", nargs="?", type=Path, default=TARGET, help="default: config/phm.schema.json")
     options = parser.parse_args(arguments)
     target: Path = options.file

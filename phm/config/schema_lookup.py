@@ -1,4 +1,4 @@
-"""Looks up what the models say about a place in the tree: which keys, which range, which unit."""
+"""Looks up a place of the tree in the models: its allowed keys, range and unit."""
 
 from __future__ import annotations
 

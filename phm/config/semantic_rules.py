@@ -1,6 +1,6 @@
-"""Rules between keys: names that must exist, names that must not stand twice, pairs in order.
+"""Rules between keys: names that must exist, names that must be unique, pairs in order.
 
-One function per rule; each looks at the raw tree through `ConfigNode`, so it works beside other mistakes.
+One function per rule; each reads the raw tree through `ConfigNode`, so it works although other parts are invalid.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def check_all(root: ConfigNode) -> None:
 
 
 def bare(name: str) -> str:
-    """A ROS name without its first slash: both forms mean the same node."""
+    """A ROS name without its first slash: both forms name the same node."""
     return name.lstrip("/")
 
 
@@ -42,17 +42,17 @@ def same_path(path: str) -> str:
 
 
 def container_key(container: ConfigNode) -> str:
-    """As `ContainerSettings.key`, of an entry that may be wrong elsewhere."""
+    """As `ContainerSettings.key`, of an entry that may be invalid elsewhere."""
     name, label, alias = (container.get(part).text or None for part in ("name", "label", "alias"))
     return ContainerSettings.model_construct(name=name, label=label, alias=alias).key
 
 
 def report_duplicates(what: str, places: Iterable[tuple[str, ConfigNode]]) -> None:
-    """Complain about each name that stood before, with the line of the first."""
+    """Add a problem for each name that is defined twice, with the line of the first."""
     first: dict[str, ConfigNode] = {}
     for name, place in places:
         if name in first:
-            place.add_problem(f"{what} {shown(name)} stands twice, first in line {first[name].line}: keep one")
+            place.add_problem(f"{what} {shown(name)} is defined twice, first in line {first[name].line}: keep one")
         elif name:
             first[name] = place
 
@@ -61,9 +61,9 @@ def containers_have_one_identity(root: ConfigNode) -> None:
     for container in root.get("containers").records():
         name, label = container.get("name"), container.get("label")
         if name.given and label.given:
-            label.add_problem("stands beside 'name': give one of both, not both")
+            label.add_problem("conflicts with 'name': give only one of them")
         elif not name.given and not label.given and not {name.path, label.path} & root.tree.bad:
-            container.add_problem("has neither 'name' nor 'label', one of both is needed to find the container")
+            container.add_problem("has neither 'name' nor 'label': give one of them")
         elif label.text and not container_key(container):
             label.add_problem("has an empty value: add 'alias', the name to use for this container")
 
@@ -71,7 +71,7 @@ def containers_have_one_identity(root: ConfigNode) -> None:
 def containers_are_unique(root: ConfigNode) -> None:
     containers = list(root.get("containers").records())
     report_duplicates("container", ((container_key(container), container) for container in containers))
-    # What remains to be told: one container under two aliases.
+    # What remains: one container with two aliases.
     by_key = {container_key(container): container for container in reversed(containers)}
     names = (container.get("name") for container in reversed(by_key.values()))
     report_duplicates("container", ((place.text, place) for place in names))
@@ -86,7 +86,7 @@ def container_parts_are_unique(root: ConfigNode) -> None:
 
 
 def containers_start_in_order(root: ConfigNode) -> None:
-    """`after` names other configured containers, and does not run in a circle."""
+    """`after` names other configured containers, without a cycle."""
     containers = [entry for entry in root.get("containers").records() if container_key(entry)]
     known = {container_key(entry): entry for entry in containers}
     graph: dict[str, set[str]] = {}
@@ -99,7 +99,7 @@ def containers_start_in_order(root: ConfigNode) -> None:
                 way = _way(graph, place.text, key)
                 if way is not None:
                     circle = " after ".join([key, *way])
-                    place.add_problem(f"containers wait for each other in a circle: {circle} (remove one of these)")
+                    place.add_problem(f"'after' has a cycle: {circle} (remove one of these)")
                 else:
                     graph.setdefault(key, set()).add(place.text)
 
@@ -109,23 +109,23 @@ def absent_files_have_no_copy(root: ConfigNode) -> None:
         for file in container.get("files").records():
             if file.get("present").value is False and file.get("restore").given:
                 file.get("restore").add_problem(
-                    "stands beside 'present: false': a file that must not be there is never restored"
+                    "conflicts with 'present: false': a file that must not exist is never restored"
                 )
 
 
 def relaunch_has_a_container(root: ConfigNode) -> None:
-    """Where the command is to run, or the process to be looked for, must be known: the node's container, or the only one."""
+    """The container in which to run the command or to search for the process must be known."""
     if len(list(root.get("containers").entries())) == 1:
         return
     for node in root.get("ros", "nodes").records():
         if node.get("relaunch").value and not node.get("container").given:
             node.get("relaunch").add_problem("has no container to run in: add 'container' to this node")
         if node.get("process").value and not node.get("container").given:
-            node.get("process").add_problem("has no container to be looked for in: add 'container' to this node")
+            node.get("process").add_problem("has no container to search: add 'container' to this node")
 
 
 def recovery_keys_need_opt_in(root: ConfigNode) -> None:
-    """What only recovery uses is refused where recovery may do nothing: it would never be used, without a word."""
+    """Keys that only recovery uses are refused for containers that have not opted in: they would be ignored silently."""
     containers = {container_key(container): container for container in root.get("containers").records()}
     closed = {key for key, container in containers.items() if container.get("recover").value in (None, False)}
     advice = "is never used, because container {} has not opted in: add 'recover: true' to it or remove this"
@@ -140,7 +140,7 @@ def recovery_keys_need_opt_in(root: ConfigNode) -> None:
 
 
 def _configured(place: ConfigNode, known: Mapping[str, ConfigNode]) -> bool:
-    """Whether the text is the key of a container in `known`; complains when not."""
+    """Whether the text is the key of a container in `known`; adds a problem when not."""
     real = {entry.get("name").text: key for key, entry in known.items()}
     if place.text in known:
         return True
@@ -154,8 +154,8 @@ def _configured(place: ConfigNode, known: Mapping[str, ConfigNode]) -> bool:
 
 
 def flight_critical_needs_autopilot(root: ConfigNode) -> None:
-    """Without a link to the autopilot nothing ever says that the vehicle is disarmed, and PHM would never act; and of several
-    links those that lead elsewhere must say so, since a disarmed heartbeat counts on the others."""
+    """Without a link to the autopilot the vehicle is never known to be disarmed, so PHM would never act. With several links, each
+    needs `leads_to`, because a disarmed HEARTBEAT is accepted from those that lead to the autopilot."""
     places = (container.get("flight_critical") for container in root.get("containers").records())
     critical = [place for place in places if place.value is True]
     endpoints = list(root.get("mavlink", "endpoints").records())
@@ -196,7 +196,7 @@ def named_containers_exist(root: ConfigNode) -> None:
     report_duplicates("container", ((place.text, place) for place in root.get("recovery", "relieve").texts))
     for place in root.get("recovery", "relieve").texts:
         if _configured(place, known) and known[place.text].get("flight_critical").value is True:
-            place.add_problem("is flight-critical (its `flight_critical` is true): only other containers may give way")
+            place.add_problem("is flight-critical: only other containers can be relieved")
 
 
 def topic_nodes_exist(root: ConfigNode) -> None:
@@ -211,7 +211,7 @@ def topic_nodes_exist(root: ConfigNode) -> None:
 
 
 def diagnostics_are_known(root: ConfigNode) -> None:
-    """Each watched pattern stands once, its container and node are configured, and something is listened to."""
+    """Each watched pattern is unique, its container and node are configured, and a topic is read."""
     known = {container_key(container): container for container in root.get("containers").records()}
     known.pop("", None)
     nodes = {bare(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
@@ -219,7 +219,7 @@ def diagnostics_are_known(root: ConfigNode) -> None:
     report_duplicates("status", ((entry.get("name").text, entry.get("name")) for entry in watched))
     listen = root.get("ros", "diagnostics", "listen")
     if watched and listen.given and not listen.value:
-        listen.add_problem("is empty, but 'watch' needs something to hear: leave it out, or name a topic")
+        listen.add_problem("is empty, but 'watch' needs a topic: remove this key, or name a topic")
     for entry in watched:
         container, node = entry.get("container"), entry.get("node")
         if container.text:
@@ -229,7 +229,7 @@ def diagnostics_are_known(root: ConfigNode) -> None:
 
 
 def own_topics_have_no_rate(root: ConfigNode) -> None:
-    """PHM's own array once a second would be counted with the application's. With any topic configured it is published."""
+    """PHM publishes on /diagnostics itself once a second, which would be counted with the application's messages."""
     if root.get("ros", "diagnostics", "publish").value is False:
         return
     for topic in root.get("ros", "topics").records():
@@ -237,7 +237,7 @@ def own_topics_have_no_rate(root: ConfigNode) -> None:
         if bare(topic.get("name").text) == "diagnostics" and rate.given and rate.value is not None:
             rate.add_problem(
                 "cannot be measured while PHM publishes on /diagnostics itself: leave it out, or set ros.diagnostics.publish to "
-                "false; what the application says there is judged by ros.diagnostics.watch"
+                "false; monitor the application's statuses with ros.diagnostics.watch"
             )
 
 
@@ -251,16 +251,16 @@ def endpoints_are_unique(root: ConfigNode) -> None:
             _configured(entry.get("container"), known)
     autopilot = root.get("mavlink", "autopilot")
     if autopilot.value is True and not root.get("mavlink", "endpoints").value:
-        autopilot.add_problem("is true, but there are no endpoints to hear it on: add one to 'mavlink.endpoints'")
+        autopilot.add_problem("is true, but there are no endpoints to receive it on: add one to 'mavlink.endpoints'")
     elif autopilot.value is True and all(entry.get("leads_to").value in ("ground", "peers") for entry in endpoints):
         autopilot.add_problem("is true, but no endpoint leads to it: correct 'leads_to' of one of them")
 
 
 def link_ids_are_unique(root: ConfigNode) -> None:
-    """Two links that sign with one id share a stream at the receiver, which then refuses the later of the two."""
+    """Two links that sign with one id share a stream at the receiver, which then refuses the second."""
     taken: dict[int, ConfigNode] = {}
     endpoints = list(root.get("mavlink", "endpoints").records())
-    # What is not given is the place in the list, so those stand before any that is.
+    # The default is the position in the list, so entries with a default come first.
     for number, entry in sorted(enumerate(endpoints), key=lambda pair: pair[1].get("link_id").given):
         place = entry.get("link_id")
         link_id = place.value if place.given else number
@@ -268,7 +268,7 @@ def link_ids_are_unique(root: ConfigNode) -> None:
             continue
         if link_id in taken:
             place.add_problem(
-                f"{link_id} is that of the endpoint in line {taken[link_id].line}, too: give each its own"
+                f"{link_id} is also used by the endpoint in line {taken[link_id].line}: give each its own"
             )
         taken.setdefault(link_id, entry)
 
@@ -297,7 +297,7 @@ def limits_are_in_order(root: ConfigNode) -> None:
 
 
 def in_order(low: ConfigNode, high: ConfigNode, kind: object, defaults: tuple[float, float]) -> None:
-    """Complain at the key that is in the file when `low` is above `high`."""
+    """Add a problem at the key that is in the file when `low` is above `high`."""
     small, big = low.quantity(kind, defaults[0]), high.quantity(kind, defaults[1])
     if small is None or big is None or small <= big:
         return
@@ -339,9 +339,9 @@ def names_of_recovery(root: ConfigNode, actions: Iterable[str] | None, condition
 
 
 def needs_have_no_loop(root: ConfigNode, builtin: dict[str, set[str]]) -> None:
-    """The needs written in the file, together with those built in, must not run in a circle.
+    """The needs in the file, together with the built-in ones, must not form a cycle.
 
-    Told at the need in the file that closes the circle; each circle once.
+    Each cycle is reported once, at the need in the file that closes it.
     """
     graph = {name: set(needs) for name, needs in builtin.items()}
     written: list[tuple[str, str, ConfigNode]] = []
@@ -359,11 +359,11 @@ def needs_have_no_loop(root: ConfigNode, builtin: dict[str, set[str]]) -> None:
         way = _way(graph, need, name)
         if way is not None and frozenset(way) not in told:
             told.add(frozenset(way))
-            place.add_problem(f"needs run in a circle: {' -> '.join([name, *way])} (remove one of these needs)")
+            place.add_problem(f"dependency cycle: {' -> '.join([name, *way])} (remove one of these needs)")
 
 
 def _way(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:
-    """The shortest way from `start` to `end`, both included, or None."""
+    """The shortest path from `start` to `end`, both included, or None."""
     ways = {start: [start]}
     queue = [start]
     for name in queue:

@@ -23,7 +23,7 @@ _INT = re.compile(r"[-+]?[0-9]+")
 _PREFIXED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-# A longer run of digits is no quantity but an identifier (and Python refuses to convert 4300 of them).
+# A longer sequence of digits is an identifier, not a number (and Python refuses to convert 4300 of them).
 _LONGEST = 40
 
 

@@ -1,7 +1,7 @@
-"""YAML as plain values plus the line and column of everything, with all that is wrong instead of the first thing.
+"""YAML as plain values with the line and column of each, and all problems instead of the first.
 
-`yaml.compose` gives nodes with their places; nothing is constructed, so no tag can do anything. Sizes are
-capped before and while composing: characters, depth, and the number of values after aliases are followed.
+`yaml.compose` gives nodes with their positions; no object is constructed, so tags have no effect. Sizes are
+limited before and while composing: characters, depth, and the number of values after following aliases.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MAX_VALUES = 20_000
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A place in the file, both counted from 1."""
+    """A position in the file, both counted from 1."""
 
     line: int
     column: int
@@ -31,10 +31,10 @@ class Mark:
 
 @dataclass(slots=True)
 class Tree:
-    """A document: plain `data`, and where keys and values stand.
+    """A document: plain `data`, and the positions of its keys and values.
 
-    `problems` may be there beside usable data: `broken` says that the data is not worth judging at all, `bad`
-    holds the places whose value is missing because of a problem already told.
+    There may be `problems` although data is usable. broken: the data cannot be validated at all. bad: the places whose value is
+    missing because of a problem already reported.
     """
 
     data: Any = None
@@ -45,7 +45,7 @@ class Tree:
     problems: list[Problem] = field(default_factory=list)
 
     def line(self, path: Path) -> int:
-        """Line of a key or of a list's entry; for a path that is not in the file, of the nearest thing around it."""
+        """Line of a key or of a list's entry; for a path that is not in the file, of its closest parent."""
         while path:
             mark = self.keys.get(path) or self.values.get(path)
             if mark:
@@ -55,11 +55,11 @@ class Tree:
 
 
 class _TooMuch(yaml.MarkedYAMLError):
-    """A cap was passed, or something was used that is not supported."""
+    """A limit was exceeded, or an unsupported feature was used."""
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes with caps. Plain scalars keep no resolved type: `phm.config.yaml_scalars` decides, after expansion."""
+    """Composes with limits. Plain scalars get no type: `phm.config.yaml_scalars` decides it, after expansion."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -80,7 +80,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def parse(text: str, file: str, expander: Expander) -> Tree:
-    """Read one document. Never raises for anything in `text`: what is wrong is in `problems`, each with its line."""
+    """Read one document. Never raises for anything in `text`: its problems are in `problems`, each with its line."""
     tree = Tree()
     node = None
     try:
@@ -100,7 +100,7 @@ def parse(text: str, file: str, expander: Expander) -> Tree:
         elif isinstance(node, yaml.MappingNode):
             tree.data = _Builder(tree, file, expander).build(node, ())
         else:
-            message = "the top level is no mapping: write keys such as 'agent:' and 'containers:'"
+            message = "the top level is not a mapping: write keys such as 'agent:' and 'containers:'"
             tree.problems.append(Problem(file, node.start_mark.line + 1, "", message))
     tree.broken = tree.broken or not isinstance(node, yaml.MappingNode)
     return tree
@@ -111,7 +111,7 @@ def _compose(text: str) -> yaml.Node | None:
     try:
         return loader.get_single_node()
     except (ValueError, OverflowError) as error:  # an escape such as "\UFFFFFFFF", which PyYAML does not check
-        raise _TooMuch(problem=f"an escape is no character ({error})", problem_mark=loader.get_mark()) from error
+        raise _TooMuch(problem=f"invalid escape sequence ({error})", problem_mark=loader.get_mark()) from error
     except RecursionError as error:
         raise _TooMuch(problem="is nested too deeply", problem_mark=loader.get_mark()) from error
     finally:
@@ -124,18 +124,16 @@ def _line(text: str, number: int) -> str:
 
 
 def _sentence(error: yaml.MarkedYAMLError) -> str:
-    """PyYAML's words, made plain for the mistakes that people make."""
+    """PyYAML's message, in plain words for common mistakes."""
     problem = str(error.problem or error.context or "syntax error")
     if isinstance(error, _TooMuch):
         return problem
     if "'\\t'" in problem:
-        return "a tab stands where spaces are wanted: indent with spaces"
+        return "tab used for indentation: use spaces"
     if "expected a single document" in str(error.context):
         return "a second document starts here: keep one, without '---' between"
     if "mapping values are not allowed" in problem:
-        return (
-            "a ':' stands where no key can be: check the indentation and the line before, put text with ': ' in quotes"
-        )
+        return "unexpected ':': check the indentation and the line before, put text with ': ' in quotes"
     if "could not find expected ':'" in problem:
         return "a ':' is missing after a key, or a line is indented wrongly"
     if "found undefined alias" in problem:
@@ -143,7 +141,7 @@ def _sentence(error: yaml.MarkedYAMLError) -> str:
     if "cannot start any token" in problem:
         return f"{problem}: put the text in quotes"
     context = f" {error.context}" if error.context and error.problem else ""
-    return f"is no YAML{context}: {problem}"
+    return f"is not valid YAML{context}: {problem}"
 
 
 class _Builder:
@@ -161,12 +159,14 @@ class _Builder:
         self._left -= 1
         if self._left == 0:
             self._tree.broken = True
-            self._add_problem(node, (), f"holds more than {MAX_VALUES} values, counting aliases (split or shorten it)")
+            self._add_problem(
+                node, (), f"contains more than {MAX_VALUES} values, counting aliases (split or shorten it)"
+            )
             return None
         if isinstance(node, yaml.ScalarNode):
             return self._scalar(node, path)
         if any(node is parent for parent in self._open):
-            self._add_problem(node, path, "an alias stands inside its own anchor: write the value out")
+            self._add_problem(node, path, "an alias is inside its own anchor: write the value out")
             return None
         if len(self._open) >= MAX_DEPTH:
             self._add_problem(node, path, f"is nested deeper than {MAX_DEPTH} levels, counting aliases")
@@ -184,12 +184,12 @@ class _Builder:
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
-                self._add_problem(key_node, path, "a key is a list or a mapping, allowed is a word")
+                self._add_problem(key_node, path, "a key is a list or a mapping, expected text")
                 continue
             key = key_node.value
             here = (*path, key)
             if key in seen:
-                self._add_problem(key_node, here, f"stands twice, first in line {seen[key]}: keep one")
+                self._add_problem(key_node, here, f"is defined twice, first in line {seen[key]}: keep one")
                 continue
             if key == "<<":
                 self._add_problem(key_node, here, "merge keys are not supported: write the keys out")
@@ -207,7 +207,7 @@ class _Builder:
         return resolve(text) if node.style is None else text
 
     def _add_problem(self, node: yaml.Node, path: Path, message: str) -> None:
-        if path not in self._tree.keys or not message.startswith("stands twice"):
+        if path not in self._tree.keys or not message.startswith("is defined twice"):
             self._tree.bad.add(path)
         self._tree.problems.append(Problem(self._file, node.start_mark.line + 1, dotted(path), message))
 

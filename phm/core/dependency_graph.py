@@ -10,7 +10,7 @@ class DependencyCycle(Exception):
     """Units that need each other; `loop` lists them in order, the first again at the end."""
 
     def __init__(self, loop: list[str]) -> None:
-        super().__init__(f"needs run in a circle: {' -> '.join(loop)}")
+        super().__init__(f"dependency cycle: {' -> '.join(loop)}")
         self.loop = loop
 
 

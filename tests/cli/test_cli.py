@@ -464,7 +464,7 @@ def test_needs_in_a_circle_end_like_a_bad_configuration(verb: str, monkeypatch: 
     with_daemon(monkeypatch, run_once=loop)
     monkeypatch.setattr("phm.runtime.service.run", loop)
     result = invoke(verb)
-    assert (result.exit_code, result.stderr) == (78, "checks: needs run in a circle: a -> b -> a\n")
+    assert (result.exit_code, result.stderr) == (78, "checks: dependency cycle: a -> b -> a\n")
 
 
 # ---------------------------------------------------------------- the page about it

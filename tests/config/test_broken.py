@@ -68,7 +68,7 @@ BROKEN = [
     ),
     Broken(
         "after in a circle", ONE + "    after: [two]\n  - {name: two, after: [three]}\n  - {name: three, after: [app]}\n",
-        5, "containers[2].after[0]", ("circle", "three after app after two after three"),
+        5, "containers[2].after[0]", ("cycle", "three after app after two after three"),
     ),
     Broken(
         "copy of an absent file", ONE + "    recover: true\n    files: [{path: /a, present: false, restore: image}]\n",
@@ -84,7 +84,7 @@ BROKEN = [
     ),
     Broken(
         "process nowhere", ONE + "  - name: two\nros: {nodes: [{name: /a, process: [run]}]}\n",
-        4, "ros.nodes[0].process", ("no container to be looked for in", "'container'"),
+        4, "ros.nodes[0].process", ("no container to search", "'container'"),
     ),
     Broken(
         "process without words", ONE + "ros: {nodes: [{name: /a, process: ['']}]}\n", 3, "ros.nodes[0].process[0]", (),
@@ -105,11 +105,11 @@ BROKEN = [
     # the file as YAML
     Broken("empty", "", 0, "", ("is empty",)),
     Broken("only comments", "# nothing\n", 0, "", ("is empty",)),
-    Broken("list at the top", "- agent\n", 1, "", ("top level is no mapping", "'agent:'")),
-    Broken("text at the top", "\nhello\n", 2, "", ("top level is no mapping",)),
-    Broken("tab", "agent:\n\tname: a\n", 2, "", ("a tab", "spaces")),
-    Broken("unclosed list", "containers: [\n", 2, "", ("no YAML",)),
-    Broken("unclosed quote", 'agent:\n  name: "abc\n', 3, "", ("no YAML",)),
+    Broken("list at the top", "- agent\n", 1, "", ("top level is not a mapping", "'agent:'")),
+    Broken("text at the top", "\nhello\n", 2, "", ("top level is not a mapping",)),
+    Broken("tab", "agent:\n\tname: a\n", 2, "", ("tab used", "spaces")),
+    Broken("unclosed list", "containers: [\n", 2, "", ("not valid YAML",)),
+    Broken("unclosed quote", 'agent:\n  name: "abc\n', 3, "", ("not valid YAML",)),
     Broken("two colons", "agent: name: a\n", 1, "", ("':'", "indentation")),
     Broken("missing colon", "agent:\n  name\n  id: 3\n", 3, "", ("':'", "line before")),
     Broken("two documents", "interval: 5\n---\ninterval: 6\n", 2, "", ("second document", "keep one")),
@@ -117,15 +117,15 @@ BROKEN = [
     Broken("local tag", "interval: !secret x\n", 1, "", ("tag '!secret'",)),
     Broken("undefined alias", "agent:\n  name: *nobody\n", 2, "", ("undefined alias 'nobody'", "quotes")),
     Broken("control character", "agent:\n  name: a\x01b\n", 2, "", ("'\\x01'", "not allowed")),
-    Broken("impossible escape", 'agent:\n  name: "\\UFFFFFFFF"\n', 2, "", ("escape is no character",)),
+    Broken("impossible escape", 'agent:\n  name: "\\UFFFFFFFF"\n', 2, "", ("invalid escape sequence",)),
     Broken("half a character", 'agent:\n  name: "\\uD800"\n', 2, "agent.name", ("text that is valid Unicode",)),
     Broken("deep", "checks: " + "[" * 60 + "]" * 60, 1, "", ("deeper than 24 levels",)),
     Broken("list as key", "? [a, b]\n: 1\n", 1, "", ("a key is a list or a mapping",)),
     Broken("merge key", "agent: &a {id: 2}\nlog:\n  <<: *a\n", 3, "log.<<", ("merge keys are not supported",)),
     Broken("cycle", "checks:\n  host:\n    options: &o\n      again: *o\n", 3, "checks.host.options.again", ("own anchor",)),
     # keys
-    Broken("repeated key", "interval: 5\nagent: {}\ninterval: 6\n", 3, "interval", ("stands twice", "line 1")),
-    Broken("repeated key inside", "agent:\n  id: 2\n  id: 3\n", 3, "agent.id", ("stands twice", "line 2")),
+    Broken("repeated key", "interval: 5\nagent: {}\ninterval: 6\n", 3, "interval", ("is defined twice", "line 1")),
+    Broken("repeated key inside", "agent:\n  id: 2\n  id: 3\n", 3, "agent.id", ("is defined twice", "line 2")),
     Broken("unknown key", "intervall: 5\n", 1, "intervall",
            ("unknown key 'intervall', did you mean 'interval'? allowed: agent, interval, containers",)),
     Broken("unknown key inside", "log:\n  sink: a\n", 2, "log.sink", ("unknown key 'sink'", "directory, max_size")),
@@ -135,24 +135,24 @@ BROKEN = [
     Broken("missing path", ONE + "    files:\n      - present: true\n", 4, "containers[0].files[0].path", ("is missing",)),
     Broken("missing limit", "host:\n  cpu: {warn: 50}\n", 2, "host.cpu.error", ("is missing", "ERROR from here")),
     # types
-    Broken("text for a number", "agent:\n  id: one\n", 2, "agent.id", ("is text 'one', a whole number is wanted",)),
-    Broken("quoted number", "agent:\n  id: '7'\n", 2, "agent.id", ("is text '7', a whole number is wanted",)),
-    Broken("fraction", "agent:\n  id: 1.5\n", 2, "agent.id", ("is the number 1.5, a whole number is wanted",)),
-    Broken("number for a name", "agent:\n  name: 7\n", 2, "agent.name", ("whole number 7, text is wanted", "quotes")),
+    Broken("text for a number", "agent:\n  id: one\n", 2, "agent.id", ("is text 'one', expected a whole number",)),
+    Broken("quoted number", "agent:\n  id: '7'\n", 2, "agent.id", ("is text '7', expected a whole number",)),
+    Broken("fraction", "agent:\n  id: 1.5\n", 2, "agent.id", ("is the number 1.5, expected a whole number",)),
+    Broken("number for a name", "agent:\n  name: 7\n", 2, "agent.name", ("whole number 7, expected text", "quotes")),
     Broken("yes", ONE + "    recover: yes\n", 3, "containers[0].recover", ("true or false", "write true")),
     Broken("off", "log:\n  sync: off\n", 2, "log.sync", ("is text 'off'", "write false")),
-    Broken("one for true", "log:\n  sync: 1\n", 2, "log.sync", ("whole number 1, true or false is wanted",)),
-    Broken("nothing for a list", "containers:\n", 1, "containers", ("is empty, a list is wanted", "remove the key")),
-    Broken("mapping for a list", "containers:\n  name: app\n", 1, "containers", ("is a mapping, a list is wanted",)),
-    Broken("text for a list", ONE + "    networks: net\n", 3, "containers[0].networks", ("a list is wanted", "'- '")),
-    Broken("list for a section", "agent: [1]\n", 1, "agent", ("is a list, a section",)),
-    Broken("nothing for a section", "ros:\n", 1, "ros", ("is empty, a section",)),
-    Broken("list for a duration", "interval: [5]\n", 1, "interval", ("is a list, a number of seconds is wanted",)),
+    Broken("one for true", "log:\n  sync: 1\n", 2, "log.sync", ("whole number 1, expected true or false",)),
+    Broken("nothing for a list", "containers:\n", 1, "containers", ("is empty, expected a list", "remove the key")),
+    Broken("mapping for a list", "containers:\n  name: app\n", 1, "containers", ("is a mapping, expected a list",)),
+    Broken("text for a list", ONE + "    networks: net\n", 3, "containers[0].networks", ("expected a list", "'- '")),
+    Broken("list for a section", "agent: [1]\n", 1, "agent", ("is a list, expected a section",)),
+    Broken("nothing for a section", "ros:\n", 1, "ros", ("is empty, expected a section",)),
+    Broken("list for a duration", "interval: [5]\n", 1, "interval", ("is a list, expected a number of seconds",)),
     # quantities
     Broken("wrong unit", "interval: 20 Hz\n", 1, "interval", ("wrong unit 'Hz'", "ms, s, min, h")),
-    Broken("time of day", "interval: 12:30:45\n", 1, "interval", ("'12:30:45' is no duration",)),
+    Broken("time of day", "interval: 12:30:45\n", 1, "interval", ("'12:30:45' is not a duration",)),
     Broken("wrong unit of size", "log:\n  max_size: 5s\n", 2, "log.max_size", ("wrong unit 's'", "kB, KB, MB")),
-    Broken("true for a duration", "interval: true\n", 1, "interval", ("is no duration", "number")),
+    Broken("true for a duration", "interval: true\n", 1, "interval", ("is not a duration", "number")),
     Broken("too short", "interval: 10ms\n", 1, "interval", ("is '10ms', allowed is 1 to 3600 seconds",)),
     Broken("infinite", "interval: .inf\n", 1, "interval", ("is inf, allowed is 1 to 3600 seconds",)),
     Broken("not a number", "docker:\n  timeout: .nan\n", 2, "docker.timeout", ("above 0, at most 60 seconds",)),
@@ -173,22 +173,22 @@ BROKEN = [
     Broken("unset variable", "agent:\n  name: ${NOBODY}\n", 2, "agent.name", ("${NOBODY} is not set", ":-default")),
     Broken("unclosed variable", "agent:\n  name: ${WORD\n", 2, "agent.name", ("never closed",)),
     Broken("variable in braces", "agent: {id: ${NUMBER}}\n", 1, "", ("inside [] and {}", "quotes")),
-    Broken("odd variable", "agent:\n  name: ${WORD:?no}\n", 2, "agent.name", ("'${WORD:?no}' is no variable",)),
+    Broken("odd variable", "agent:\n  name: ${WORD:?no}\n", 2, "agent.name", ("'${WORD:?no}' is not a variable",)),
     Broken("variable in a default", "agent:\n  name: ${A:-${WORD}}\n", 2, "agent.name", ("default of ${A}",)),
     Broken("variable out of range", "agent:\n  id: ${NUMBER}\n", 2, "agent.id", ("is 300, allowed is 1 to 250",)),
     Broken("variable of wrong type", "agent:\n  id: ${WORD}\n", 2, "agent.id", ("is text 'abc'",)),
-    Broken("empty variable", "agent:\n  name: ${EMPTY}\n", 2, "agent.name", ("is empty, text is wanted",)),
+    Broken("empty variable", "agent:\n  name: ${EMPTY}\n", 2, "agent.name", ("is empty, expected text",)),
     # containers
     Broken("no identity", "containers:\n  - recover: true\n", 2, "containers[0]", ("neither 'name' nor 'label'",)),
-    Broken("two identities", ONE + "    label: a=b\n", 3, "containers[0].label", ("one of both",)),
-    Broken("same container", ONE + "  - name: app\n", 3, "containers[1]", ("container 'app' stands twice", "line 2")),
-    Broken("same alias", ONE + "  - {name: b, alias: app}\n", 3, "containers[1]", ("'app' stands twice",)),
-    Broken("two aliases", ONE + "  - {name: app, alias: b}\n", 3, "containers[1].name", ("'app' stands twice",)),
+    Broken("two identities", ONE + "    label: a=b\n", 3, "containers[0].label", ("only one of them",)),
+    Broken("same container", ONE + "  - name: app\n", 3, "containers[1]", ("container 'app' is defined twice", "line 2")),
+    Broken("same alias", ONE + "  - {name: b, alias: app}\n", 3, "containers[1]", ("'app' is defined twice",)),
+    Broken("two aliases", ONE + "  - {name: app, alias: b}\n", 3, "containers[1].name", ("'app' is defined twice",)),
     Broken("label without value", "containers:\n  - label: a=\n", 2, "containers[0].label", ("empty value", "alias")),
     Broken("same file", ONE + "    files:\n      - path: /a\n      - path: //a/.\n", 5, "containers[0].files[1].path",
-           ("file '/a' stands twice", "line 4")),
+           ("file '/a' is defined twice", "line 4")),
     Broken("same device", ONE + "    devices:\n      - path: /dev/a\n      - path: /dev/a\n", 5,
-           "containers[0].devices[1].path", ("device '/dev/a' stands twice",)),
+           "containers[0].devices[1].path", ("device '/dev/a' is defined twice",)),
     Broken("same network", ONE + "    networks: [a, b, a]\n", 3, "containers[0].networks[2]", ("network 'a'",)),
     # ros
     Broken("same node", "ros:\n  nodes:\n    - name: /a/one\n    - name: a/one\n", 4, "ros.nodes[1].name", ("line 3",)),
@@ -205,13 +205,13 @@ BROKEN = [
            "        - a/one\n        - /zzz\n", 7, "ros.topics[0].subscribers[1]", ("unknown node '/zzz', allowed: /a/one",)),
     # mavlink
     Broken("same endpoint", "mavlink:\n  endpoints:\n    - url: tcp:h:1\n    - url: tcp:h:1\n", 4,
-           "mavlink.endpoints[1].url", ("endpoint 'tcp:h:1' stands twice",)),
+           "mavlink.endpoints[1].url", ("endpoint 'tcp:h:1' is defined twice",)),
     Broken("same endpoint name", "mavlink:\n  endpoints:\n    - {url: tcp:h:1, name: g}\n    - {url: tcp:h:2, name: g}\n",
            4, "mavlink.endpoints[1].name", ("endpoint name 'g'",)),
     Broken("same link id", "mavlink:\n  endpoints:\n    - {url: tcp:h:1, link_id: 3}\n    - {url: tcp:h:2, link_id: 3}\n",
-           4, "mavlink.endpoints[1].link_id", ("3 is that of the endpoint in line 3", "its own")),
+           4, "mavlink.endpoints[1].link_id", ("3 is also used by the endpoint in line 3", "its own")),
     Broken("link id of a place", "mavlink:\n  endpoints:\n    - {url: tcp:h:1, link_id: 1}\n    - {url: tcp:h:2}\n",
-           3, "mavlink.endpoints[0].link_id", ("1 is that of the endpoint in line 4",)),
+           3, "mavlink.endpoints[0].link_id", ("1 is also used by the endpoint in line 4",)),
     Broken("nothing to hear on", "mavlink:\n  autopilot: true\n", 2, "mavlink.autopilot", ("no endpoints",)),
     Broken(
         "heard on no endpoint", "mavlink:\n  endpoints: [{url: 'tcp:a:1', leads_to: ground}]\n  autopilot: true\n", 3,
@@ -257,7 +257,7 @@ BROKEN = [
            ("'sun 2-4'", "HH:MM-HH:MM")),
     Broken("window of no container", ONE + "recovery:\n  maintenance:\n  - {when: '02:00-04:00', container: ap}\n", 5,
            "recovery.maintenance[0].container", ("ap",)),
-    Broken("same disk", "host:\n  disks: [/, /data, /data/]\n", 2, "host.disks[2]", ("disk '/data' stands twice",)),
+    Broken("same disk", "host:\n  disks: [/, /data, /data/]\n", 2, "host.disks[2]", ("disk '/data' is defined twice",)),
     Broken("room", "host:\n  free_disk:\n  - {path: /bags, files: [run/*.mcap]}\n", 3, "host.free_disk[0].files[0]",
            ("is 'run/*.mcap'", "without '/'")),
     Broken("all may go at once", "host:\n  free_disk:\n  - {path: /bags, files: ['*'], older_than: 1s}\n", 3,
@@ -270,12 +270,12 @@ BROKEN = [
     Broken("need of a unit", "checks:\n  host:\n    needs: [nodes/a/on]\n", 3, "checks.host.needs[0]",
            ("unknown unit 'nodes/a/on', did you mean 'nodes/a/one'?",)),
     Broken("circle of two", "checks:\n  host: {needs: [rates]}\n  rates: {needs: [host]}\n", 2, "checks.host.needs[0]",
-           ("circle: host -> rates -> host",)),
+           ("cycle: host -> rates -> host",)),
     Broken("circle through built-in needs", "checks:\n  container:\n    needs:\n      - topics\n", 4,
-           "checks.container.needs[0]", ("circle: container -> topics -> nodes -> container",)),
+           "checks.container.needs[0]", ("cycle: container -> topics -> nodes -> container",)),
     Broken("circle through a unit", "checks:\n  container: {needs: [nodes/a/one]}\n", 2, "checks.container.needs[0]",
-           ("circle: container -> nodes -> container",)),
-    Broken("need of itself", "checks:\n  host: {needs: [host]}\n", 2, "checks.host.needs[0]", ("circle: host -> host",)),
+           ("cycle: container -> nodes -> container",)),
+    Broken("need of itself", "checks:\n  host: {needs: [host]}\n", 2, "checks.host.needs[0]", ("cycle: host -> host",)),
     Broken("action", "recovery:\n  ladders:\n    exited: [start, reboot]\n", 3, "recovery.ladders.exited[1]",
            ("unknown action 'reboot'", "reconnect, restart, start, unpause")),
     Broken("condition", "recovery:\n  ladders:\n    exitd: [start]\n", 3, "recovery.ladders.exitd",
@@ -321,13 +321,13 @@ def test_a_problem_is_printed_as_file_line_key_and_sentence() -> None:
         loads("log:\n  files: 0\n  sync: 1\n", "config/phm.yaml", environ={})
     assert str(caught.value).splitlines() == [
         "config/phm.yaml:2: log.files: is 0, allowed is 1 to 100",
-        "config/phm.yaml:3: log.sync: is the whole number 1, true or false is wanted",
+        "config/phm.yaml:3: log.sync: is the whole number 1, expected true or false",
     ]
 
 
 @pytest.mark.parametrize(
     ("value", "words"),
-    [("soon", "'soon' is no duration"), ("0.1", "allowed is 1 to 3600 seconds"), ("5 Hz", "wrong unit 'Hz'")],
+    [("soon", "'soon' is not a duration"), ("0.1", "allowed is 1 to 3600 seconds"), ("5 Hz", "wrong unit 'Hz'")],
 )
 def test_a_wrong_interval_in_the_environment_is_named_as_such(value: str, words: str) -> None:
     """PHM_INTERVAL is judged like the key, and the problem says that the environment is at fault."""
@@ -348,7 +348,7 @@ def test_a_file_that_grows_by_its_variables_is_refused() -> None:
     """A long variable, repeated, cannot fill the memory."""
     text = "checks:\n  host:\n    options:\n" + "".join(f"      k{n}: ${{LONG}}\n" for n in range(3000))
     problems = refused(text, LONG="x" * 4096)
-    assert all("by its variables" in problem.message for problem in problems)
+    assert all("after expansion of its variables" in problem.message for problem in problems)
 
 
 def test_a_message_stays_on_one_line_and_short() -> None:

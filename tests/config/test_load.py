@@ -141,9 +141,9 @@ def unreadable(folder: Path, kind: str) -> Path:
 @pytest.mark.parametrize(
     ("kind", "line", "words"),
     [
-        ("missing", 0, "there is no such file"), ("directory", 0, "is a directory"), ("empty", 0, "is empty"),
-        ("latin-1", 3, "is not UTF-8"), ("huge", 0, "is larger than 256 KiB"), ("fifo", 0, "is no regular file"),
-        ("loop", 0, "cannot be read"), ("below a file", 0, "there is no such file"),
+        ("missing", 0, "file not found"), ("directory", 0, "is a directory"), ("empty", 0, "is empty"),
+        ("latin-1", 3, "is not UTF-8"), ("huge", 0, "is larger than 256 KiB"), ("fifo", 0, "is not a regular file"),
+        ("loop", 0, "cannot be read"), ("below a file", 0, "file not found"),
     ],
 )  # fmt: skip
 def test_a_file_that_cannot_be_read_is_one_sentence(tmp_path: Path, kind: str, line: int, words: str) -> None:
@@ -163,7 +163,7 @@ def test_a_forbidden_file_says_who_may_not_read_it(monkeypatch: pytest.MonkeyPat
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(ConfigError, match=r"secret\.yaml: may not be read by user \d+: change its permissions"):
+    with pytest.raises(ConfigError, match=r"secret\.yaml: permission denied for user \d+: change its permissions"):
         load("secret.yaml", environ={})
 
 

@@ -75,9 +75,7 @@ def test_units_are_counted_and_needs_may_name_them(file: Path) -> None:
 def test_a_circle_through_the_needs_of_installed_checks_is_refused(file: Path) -> None:
     """A node needs its container; a container that needs nodes closes the circle."""
     file.write_text(GOOD + "checks:\n  container:\n    needs: [nodes]\n")
-    with pytest.raises(
-        ConfigError, match=r"phm\.yaml:5: checks\.container\.needs\[0\]: needs run in a circle: container"
-    ):
+    with pytest.raises(ConfigError, match=r"phm\.yaml:5: checks\.container\.needs\[0\]: dependency cycle: container"):
         read(str(file), {})
 
 

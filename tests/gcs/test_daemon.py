@@ -527,7 +527,7 @@ def test_a_taken_port_is_one_sentence(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("udp:127.0.0.1:1",), "is no MAVLink endpoint: allowed are udpout:HOST:PORT"),
+        (("udp:127.0.0.1:1",), "is not a MAVLink endpoint: allowed are udpout:HOST:PORT"),
         (("udpin:127.0.0.1",), "needs a host and a port"),
         (("tcp:a:1", "tcp:a:1"), "given twice"),
         (("--id", "255"), "not in the range 251<=x<=254"),
