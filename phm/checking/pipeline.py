@@ -1,7 +1,7 @@
-"""Joins engine, tracker and bus: results in, events out, wake-ups back. Also counts the passes.
+"""Connect check scheduler, tracker and event bus: results in, events out, reruns back. Also runs the report passes.
 
-One lock guards the tracker. Everything done under it is pure computation and queueing, so whoever
-brings a result (a check's own thread) never waits for the outside world here.
+One lock protects the tracker. Only computation and queueing happen under it, so a check's thread that delivers a result never
+waits for input or output here.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ RECENT_FAULTS = 20
 
 
 class Pipeline:
-    """The one owner of the tracker. `pass_limit_s` ends a pass whose slowest check does not come back."""
+    """The only owner of the tracker. `pass_limit_s` ends a pass whose slowest check does not return."""
 
     def __init__(self, tracker: Tracker, bus: Bus, clock: Clock, pass_limit_s: float = 15.0) -> None:
         self._tracker, self._bus, self._clock, self._pass_limit_s = tracker, bus, clock, pass_limit_s
@@ -29,26 +29,26 @@ class Pipeline:
         self._pass_started: Stamp | None = None
         self._outstanding: set[str] = set()
         self._overdue: set[str] = set()
-        """Units whose check is past its deadline and has not come back since: no pass waits for them."""
+        """Units whose check has exceeded its deadline and not returned since: no pass waits for them."""
         self._recent: list[Fault] = []
         self.last_result_at = clock.mono()
-        """When a check last came back by itself (monotonic seconds): the engine's sign of life."""
+        """When a check last returned (monotonic seconds): shows that the scheduler works."""
         self.complete = False
-        """Whether a first report is done."""
+        """Whether the first report is complete."""
         self.waiting = True
-        """Whether `tick` has something to do before the next result: a unit settles, an action is at work."""
-        self._stir: Callable[[], None] = lambda: None
+        """Whether `tick` may have something to do before the next result, e.g. while a unit settles or an action is in progress."""
+        self._wake_loop: Callable[[], None] = lambda: None
 
-    def attach(self, wake_units: WakeUnits, stir: Callable[[], None] = lambda: None) -> None:
-        """Tell the pipeline how to have units run again, and whom to tell that `waiting` became true."""
-        self._wake_units, self._stir = wake_units, stir
+    def attach(self, wake_units: WakeUnits, wake_loop: Callable[[], None] = lambda: None) -> None:
+        """Set how to run units again, and what to call when `waiting` becomes true."""
+        self._wake_units, self._wake_loop = wake_units, wake_loop
 
     def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault]) -> tuple[Event, ...]:
-        """Before anything runs: see `Tracker.restore`. The events are for the caller to publish, once somebody hears."""
+        """Before anything runs: see `Tracker.restore`. The caller publishes the events once subscribers exist."""
         with self._lock:
             return tuple(self._tracker.restore(faults, given_up, self._clock.stamp()).events)
 
-    # ------------------------------------------------------------ from the engine
+    # ------------------------------------------------------------ from the scheduler
 
     def observe(self, results: dict[str, Result], started: float, duration_s: float, *, overdue: bool = False) -> None:
         """Take the results of one run; `started` in monotonic seconds."""
@@ -62,9 +62,9 @@ class Pipeline:
                 self._overdue.difference_update(results)
             changed = False
             for unit, result in results.items():
-                step = self._tracker.observe(unit, result, started, now, duration_s)
-                rerun |= self._publish(step)
-                changed = changed or step.waiting or bool(step.events or step.rerun)
+                effects = self._tracker.observe(unit, result, started, now, duration_s)
+                rerun |= self._publish(effects)
+                changed = changed or effects.waiting or bool(effects.events or effects.rerun)
             if not overdue and self._pass_started is not None and started >= self._pass_started.mono:
                 self._outstanding.difference_update(results)
             self._finish_pass(now)
@@ -73,19 +73,19 @@ class Pipeline:
             self._wait()
 
     def tick(self) -> None:
-        """Let time pass; called a few times a second."""
+        """Apply the passing of time; called a few times a second."""
         now = self._clock.stamp()
         with self._lock:
-            step = self._tracker.tick(now)
-            rerun, self.waiting = self._publish(step), step.waiting
+            effects = self._tracker.tick(now)
+            rerun, self.waiting = self._publish(effects), effects.waiting
             if self._pass_started is not None and now.mono - self._pass_started.mono >= self._pass_limit_s:
                 self._end_pass(now, self._pass_started)
         self._wake(rerun)
 
     def begin_pass(self) -> None:
-        """A new report: it ends when every unit has been run since now, except those whose check hangs.
+        """Begin a report: it ends when every check has run since now, except checks that hang.
 
-        A pass that is still open is published first with what is known.
+        A pass that is still open is published first, with the current state.
         """
         with self._lock:
             now = self._clock.stamp()
@@ -111,7 +111,7 @@ class Pipeline:
         self._apply(lambda now: self._tracker.clear_action_credit(unit))
 
     def action_on(self, target: str) -> str:
-        """The action of recovery that is at work on the target; empty: none."""
+        """The recovery action in progress on the target; empty: none."""
         with self._lock:
             return self._tracker.action_on(target)
 
@@ -123,27 +123,27 @@ class Pipeline:
         self._apply(lambda now: self._tracker.end_hold(target, now))
 
     def expect_stop(self, target: str, at_most_s: float) -> None:
-        """The container has got a signal to end (`docker stop`): see `Tracker.expect_stop`."""
+        """The container received a stop signal (`docker stop`): see `Tracker.expect_stop`."""
         self._apply(lambda now: self._tracker.expect_stop(target, now, at_most_s))
 
     def container_ended(self, target: str) -> None:
-        """An event says that the container has ended: see `Tracker.container_ended`."""
+        """An event reports that the container has exited: see `Tracker.container_ended`."""
         self._apply(lambda now: self._tracker.container_ended(target, now))
 
     def is_stopping(self, target: str) -> bool:
-        """Whether the container has got a signal to end, is given time for it, and has not ended yet."""
+        """Whether the container received a stop signal and has not exited yet."""
         with self._lock:
             return self._tracker.is_stopping(target, self._clock.mono())
 
     def container_started(self, target: str) -> None:
-        """An event says that the container has been started: see `Tracker.container_started`."""
+        """An event reports a start of the container: see `Tracker.container_started`."""
         self._apply(lambda now: self._tracker.container_started(target, now))
 
     def escalate(self, fault_id: str) -> None:
         self._apply(lambda now: self._tracker.escalate(fault_id, now))
 
     def clear_given_up(self, *units: str) -> None:
-        """Recovery has a reason to try again on what it had given up: see `Tracker.judge_afresh`."""
+        """Recovery has a reason to try again: see `Tracker.clear_given_up`."""
         self._apply(lambda now: self._tracker.clear_given_up(units, now))
 
     def recheck(self, *units: str) -> None:
@@ -156,22 +156,22 @@ class Pipeline:
             return self._tracker.found_ok(unit, mono)
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
-        """Units that need `unit` and have not been found free of ERROR since `mono`: see `Tracker.suffering`."""
+        """Dependents of `unit` that have not been found free of ERROR since `mono`: see `Tracker.failing_dependents`."""
         with self._lock:
             return self._tracker.failing_dependents(unit, mono)
 
     def bad_since(self, unit: str, mono: float) -> bool:
-        """Whether the unit is still in ERROR by a run that began after `mono`: see `Tracker.found_bad`."""
+        """Whether the unit is still in ERROR by a run that began after `mono`: see `Tracker.confirmed_bad`."""
         with self._lock:
             return self._tracker.confirmed_bad(unit, mono)
 
     def starved_by(self, unit: str) -> str:
-        """The pressure unit that explains what is wrong with this one; empty: none does. See `Tracker.starved_by`."""
+        """The pressure unit that explains this unit's problem; empty: none. See `Tracker.starved_by`."""
         with self._lock:
             return self._tracker.starved_by(unit, self._clock.stamp())
 
     def active_pressure(self, unit: str) -> str:
-        """The pressure unit by which this one is starved now: see `Tracker.active_pressure`."""
+        """The pressure unit of this one that is in ERROR now: see `Tracker.active_pressure`."""
         with self._lock:
             return self._tracker.active_pressure(unit)
 
@@ -198,7 +198,7 @@ class Pipeline:
             return self._tracker.open_faults()
 
     def given_up(self) -> tuple[Fault, ...]:
-        """Escalated faults of units that have not been well since."""
+        """Escalated faults of units that have not been OK since."""
         with self._lock:
             return self._tracker.given_up()
 
@@ -207,7 +207,7 @@ class Pipeline:
         with self._lock:
             return tuple(self._recent)
 
-    # ------------------------------------------------------------ inside
+    # ------------------------------------------------------------ internal
 
     def _apply(self, change: Callable[[Stamp], Effects]) -> None:
         with self._lock:
@@ -215,17 +215,17 @@ class Pipeline:
         self._wake(rerun)
         self._wait()
 
-    def _publish(self, step: Effects) -> set[str]:
-        for event in step.events:
+    def _publish(self, effects: Effects) -> set[str]:
+        for event in effects.events:
             if isinstance(event, FaultClosed):
                 self._recent = [*self._recent, event.fault][-RECENT_FAULTS:]
             self._bus.publish(event)
-        return step.rerun
+        return effects.rerun
 
     def _wait(self) -> None:
         if not self.waiting:
             self.waiting = True
-            self._stir()
+            self._wake_loop()
 
     def _wake(self, units: set[str]) -> None:
         if units:

@@ -1,4 +1,4 @@
-"""From configuration and installed checks to what runs: scheduled checks and tracked units."""
+"""Build the checks and the units to track from the configuration and the installed checks."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ HOST_PRESSURE = ("host/cpu", "host/io", "host/memory")
 
 @dataclass(frozen=True, slots=True)
 class CheckPlan:
-    """`scheduled` runs in threads of its own, `tracked` is what the tracker publishes, in the same order."""
+    """The scheduled checks, the tracked units in the same order, and their dependency graph."""
 
     scheduled: tuple[ScheduledCheck, ...]
     tracked: tuple[TrackedUnit, ...]
     graph: DependencyGraph
 
     def below(self, unit: str) -> Mapping[str, frozenset[str]]:
-        """Units that need `unit` and belong to other containers, by container."""
+        """Dependents of `unit` in other containers, by container."""
         targets = {entry.unit.id: entry.unit.target for entry in self.tracked}
         found: dict[str, set[str]] = {}
         for name in self.graph.downstream(unit) if unit in targets else ():
@@ -34,7 +34,7 @@ class CheckPlan:
 
     @property
     def pass_limit_s(self) -> float:
-        """A report waits this long at most: the longest deadline of any check, and a second more."""
+        """Maximum duration of a report pass in seconds: the longest deadline of any check plus one second."""
         return max((entry.deadline_s for entry in self.scheduled), default=0.0) + 1.0
 
 
@@ -57,10 +57,9 @@ def build_plan(settings: Settings, checks: Mapping[str, type[Check]]) -> CheckPl
 def _with_starved_by(
     tracked: Sequence[TrackedUnit], graph: DependencyGraph, settings: Settings
 ) -> tuple[TrackedUnit, ...]:
-    """Each unit with the pressure units that can explain its symptoms: its own container's, those of what it needs, the host's.
+    """Add to each unit the pressure units that can explain its symptoms: of its container, of its dependencies, of the host.
 
-    The pressure of a container may follow from the host's, the host's from nothing. One that recovery can relieve has a
-    fault of its own, whatever the host does: that is what the action is for.
+    The pressure of a container may follow from that of the host. A container that recovery can relieve always has its own fault.
     """
     targets = {entry.unit.id: entry.unit.target for entry in tracked}
     critical = {entry.key for entry in settings.containers if entry.flight_critical}
@@ -77,7 +76,7 @@ def _with_starved_by(
 
 
 def _schedule(check: Check, override: CheckSettings, settings: Settings) -> ScheduledCheck:
-    """A check without a period runs at each pass; twice the interval is its own safety net."""
+    """A check without a period runs at each pass, and after twice the report interval at the latest."""
     period_s = override.period or check.period_s or 2.0 * settings.interval
     return ScheduledCheck(check, period_s, override.deadline or check.deadline_s)
 

@@ -1,7 +1,6 @@
-"""Finds what is installed: checks, reporters and actions, ours and anyone's, by entry point.
+"""Find installed checks, reporters and actions by entry point, including those of other packages.
 
-Nothing is scanned or registered by import: a package that declares an entry point is found, and one
-that cannot be loaded is reported with its cause and does not keep the others from running.
+A plug-in that cannot be loaded is reported with the cause and does not prevent the others from running.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ CHECKS, REPORTERS, ACTIONS = "phm.checks", "phm.reporters", "phm.actions"
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
-    """One entry point: its name, who provides it, and the class or the reason why there is none."""
+    """One entry point: its name, its distribution, and the loaded class or the reason why it could not be loaded."""
 
     name: str
     source: str
@@ -29,16 +28,16 @@ class Plugin:
 
 @lru_cache(maxsize=8)
 def find(group: str, base: type) -> tuple[Plugin, ...]:
-    """Everything declared in `group`, by name; each is loaded and must be a subclass of `base`.
+    """All entry points of `group`, sorted by name; each must load as a subclass of `base`.
 
-    Looked for once in a process: it reads the metadata of every installed package, and PHM asks eight times while it starts.
+    Cached, because it reads the metadata of every installed package.
     """
     found = [_load(point, base) for point in entry_points(group=group)]
-    return tuple(sorted(_without_twins(found), key=lambda entry: entry.name))
+    return tuple(sorted(_without_duplicates(found), key=lambda entry: entry.name))
 
 
 def checks() -> dict[str, type[Check]]:
-    """The usable checks by name. What could not be loaded is left out: see `find` for the reasons."""
+    """The usable checks by name. Checks that could not be loaded are left out: see `find` for the reasons."""
     return usable(find(CHECKS, Check))
 
 
@@ -47,7 +46,7 @@ def usable(found: Iterable[Plugin]) -> dict[str, type]:
 
 
 def _load(point: EntryPoint, base: type) -> Plugin:
-    """Three ways to fail, three sentences (after uvicorn's importer)."""
+    """Load one entry point; each kind of failure has its own message."""
     source = _source(point.dist) if point.dist else "unknown distribution"
 
     def failed(reason: str) -> Plugin:
@@ -59,10 +58,10 @@ def _load(point: EntryPoint, base: type) -> Plugin:
         return failed(f"module {point.module!r} cannot be imported: {error}; is its package fully installed?")
     except AttributeError:
         return failed(f"module {point.module!r} has no {point.attr!r}: correct the entry point")
-    except Exception as error:  # the plug-in's own code runs here; whatever it raises is about the plug-in
+    except Exception as error:  # the plug-in's own code runs here; any exception is a problem of the plug-in
         return failed(f"importing {point.value!r} failed: {type(error).__name__}: {error}")
     if not (isinstance(loaded, type) and issubclass(loaded, base)):
-        return failed(f"{point.value!r} is no subclass of {base.__module__}.{base.__name__}")
+        return failed(f"{point.value!r} is not a subclass of {base.__module__}.{base.__name__}")
     if getattr(loaded, "name", None) != point.name:
         return failed(f"{point.value!r} is named {getattr(loaded, 'name', None)!r}, its entry point {point.name!r}")
     return Plugin(point.name, source, loaded)
@@ -70,12 +69,12 @@ def _load(point: EntryPoint, base: type) -> Plugin:
 
 @lru_cache(maxsize=64)
 def _source(package: Distribution) -> str:
-    """Name and version; each time they are asked for, the whole of its metadata is parsed."""
+    """Name and version, cached because each access parses all metadata."""
     return f"{package.name} {package.version}"
 
 
-def _without_twins(found: list[Plugin]) -> list[Plugin]:
-    """Two packages with one name: neither can be trusted to be the one that is meant, so none is used."""
+def _without_duplicates(found: list[Plugin]) -> list[Plugin]:
+    """Of several packages that provide the same name, use none: which one is intended is unclear."""
     names: dict[str, list[Plugin]] = {}
     for entry in found:
         names.setdefault(entry.name, []).append(entry)

@@ -1,7 +1,7 @@
-"""Runs checks: one worker thread each, now and then whenever its period ends or somebody wakes it.
+"""Run checks, each in its own thread: immediately, after each period, and when woken.
 
-The shape is kubelet's prober. A check that raises or hangs makes only its own units STALE: the result
-is a statement about PHM, never a fault of the vehicle. The engine neither judges nor remembers levels.
+Modelled on kubelet's prober. A check that raises or hangs makes only its own units STALE: that is a statement about PHM, never
+a fault of the vehicle. The scheduler does not evaluate levels.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from phm.core.model import Result
 logger = logging.getLogger(__name__)
 
 MIN_GAP_S = 0.05
-"""A check that is woken all the time still leaves the processor alone this long between runs."""
+"""Minimum pause between two runs of a check, however often it is woken."""
 WATCH_S = 0.1
-"""How often settling is judged while something settles; part of the time to detect a dead node."""
+"""How often `tick` runs while a unit settles; part of the time to detect a dead node."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScheduledCheck:
-    """One check instance with what the configuration says about its running."""
+    """One check instance with its period and deadline."""
 
     check: Check
     period_s: float
@@ -39,7 +39,7 @@ class ScheduledCheck:
 
 @dataclass(frozen=True, slots=True)
 class CheckRun:
-    """What one run gave: a result for every unit of the check. `started` is monotonic seconds."""
+    """One run of a check: a result for each of its units. `started` is in monotonic seconds."""
 
     units: Mapping[str, Result]
     started: float
@@ -52,7 +52,7 @@ Sink = Callable[[CheckRun], None]
 
 
 class CheckThread:
-    """The thread of one check. `running_since` is None between runs; the watchdog reads it."""
+    """The thread of one check. `running_since` is None between runs."""
 
     def __init__(self, scheduled: ScheduledCheck, world: World, clock: Clock, sink: Sink) -> None:
         self.scheduled = scheduled
@@ -80,7 +80,7 @@ class CheckThread:
         threads.join(self._thread, timeout_s)
 
     def left_s(self, now: float) -> float | None:
-        """Until the deadline of the run under way, in which time does not count while PHM does not run; None: nothing runs."""
+        """Seconds to the deadline of the current run, without time in which PHM itself was suspended; None: not running."""
         since, limit_s = self.running_since, self.scheduled.deadline_s
         if since is None:
             return None
@@ -98,7 +98,7 @@ class CheckThread:
             self._run(reason)
             ended = self._clock.mono()
             self._clock.wait(self._wake, max(MIN_GAP_S, self.scheduled.period_s))
-            # Only after an early wake: a wait is what an idle check costs, so the usual run has one.
+            # Only after an early wake-up, so that an idle check costs one wait per run.
             if (left_s := ended + MIN_GAP_S - self._clock.mono()) > 0:
                 self._clock.wait(threading.Event(), left_s)
 
@@ -107,29 +107,29 @@ class CheckThread:
         self.overdue_reported = False
         self.running_since = started
         try:
-            results = self._judge()
+            results = self._evaluate()
         finally:
             self.running_since = None
         if not self._stopping:
             self._deliver(CheckRun(results, started, self._clock.mono() - started, reason))
 
-    def _deliver(self, batch: CheckRun) -> None:
+    def _deliver(self, run: CheckRun) -> None:
         try:
-            self._sink(batch)
-        except Exception:  # a defect behind the sink: without this thread its units would never be looked at again
-            logger.exception("the results of %s were lost", self.units[0])
+            self._sink(run)
+        except Exception:  # a defect in the sink must not end this thread: its units would never be checked again
+            logger.exception("results of check %s were lost", self.units[0])
 
-    def _judge(self) -> dict[str, Result]:
+    def _evaluate(self) -> dict[str, Result]:
         try:
             answer = self.scheduled.check.run(self._world)
         except CannotTell as error:
             return self._all(stale(str(error)))
         except BaseException as error:  # a plug-in may raise anything, SystemExit included: PHM goes on
             logger.exception("check %s crashed", self.units[0])
-            return self._all(stale(f"the check itself crashed: {type(error).__name__}: {error}"))
+            return self._all(stale(f"the check crashed: {type(error).__name__}: {error}"))
         if isinstance(answer, Result):
             return self._all(answer)
-        missing = stale("the check said nothing about this unit")
+        missing = stale("the check returned no result for this unit")
         return {unit: answer.get(unit, missing) for unit in self.units}
 
     def _all(self, result: Result) -> dict[str, Result]:
@@ -137,63 +137,63 @@ class CheckThread:
 
 
 class CheckScheduler:
-    """All workers and the watchdog over them. `sink` is called from worker threads and must be quick."""
+    """All check threads and their deadlines. `sink` is called from check threads and must be fast."""
 
     def __init__(self, scheduled: Sequence[ScheduledCheck], world: World, clock: Clock, sink: Sink) -> None:
         self._clock, self._sink = clock, sink
-        self.workers = [CheckThread(entry, world, clock, sink) for entry in scheduled]
-        self._by_unit = {unit: worker for worker in self.workers for unit in worker.units}
+        self.threads = [CheckThread(entry, world, clock, sink) for entry in scheduled]
+        self._by_unit = {unit: thread for thread in self.threads for unit in thread.units}
         self._by_subject: dict[str, list[CheckThread]] = {}
-        for worker in self.workers:
-            for subject in worker.scheduled.check.wakes:
-                self._by_subject.setdefault(subject, []).append(worker)
+        for thread in self.threads:
+            for subject in thread.scheduled.check.wakes:
+                self._by_subject.setdefault(subject, []).append(thread)
 
     def start(self) -> None:
-        for worker in self.workers:
-            worker.start()
+        for thread in self.threads:
+            thread.start()
 
     def wake_subject(self, subject: str, reason: str = "") -> None:
         """Wake every check that named `subject` in its `wakes`."""
-        for worker in self._by_subject.get(subject, ()):
-            worker.wake(reason or subject)
+        for thread in self._by_subject.get(subject, ()):
+            thread.wake(reason or subject)
 
     def wake_units(self, units: Iterable[str], reason: str) -> None:
-        for worker in {id(worker): worker for unit in units if (worker := self._by_unit.get(unit))}.values():
-            worker.wake(reason)
+        for thread in {id(thread): thread for unit in units if (thread := self._by_unit.get(unit))}.values():
+            thread.wake(reason)
 
     def wake_all(self, reason: str) -> None:
-        for worker in self.workers:
-            worker.wake(reason)
+        for thread in self.threads:
+            thread.wake(reason)
 
-    def look_for_overdue(self) -> float:
-        """Report runs that have passed their deadline, once each, as STALE. Returns how long none of those that run now will be."""
-        now, calm_s = self._clock.mono(), float("inf")
-        for worker in self.workers:
-            since = worker.running_since
-            if since is None or worker.overdue_reported:
+    def report_overdue(self) -> float:
+        """Report runs past their deadline as STALE, once each. Return the seconds until the next current run is overdue."""
+        now, next_s = self._clock.mono(), float("inf")
+        for thread in self.threads:
+            since = thread.running_since
+            if since is None or thread.overdue_reported:
                 continue
-            left_s, limit = worker.left_s(now), worker.scheduled.deadline_s
+            left_s, limit = thread.left_s(now), thread.scheduled.deadline_s
             if left_s is None or left_s >= 0:
-                calm_s = min(calm_s, calm_s if left_s is None else left_s)
+                next_s = min(next_s, next_s if left_s is None else left_s)
                 continue
-            worker.overdue_reported = True
-            result = stale(f"the check has not come back within its deadline of {limit:g} s; it is left running")
-            self._sink(CheckRun(dict.fromkeys(worker.units, result), now, now - since, "overdue", overdue=True))
-        return calm_s
+            thread.overdue_reported = True
+            result = stale(f"the check exceeded its deadline of {limit:g} s; it is still running")
+            self._sink(CheckRun(dict.fromkeys(thread.units, result), now, now - since, "overdue", overdue=True))
+        return next_s
 
     def overdue(self) -> tuple[str, ...]:
         """First unit of each check that is past its deadline now."""
         now = self._clock.mono()
-        return tuple(worker.units[0] for worker in self.workers if worker.overdue(now))
+        return tuple(thread.units[0] for thread in self.threads if thread.overdue(now))
 
     def end(self) -> None:
-        """Have all threads end; what a run gives from now on is not delivered. Waits for nothing."""
-        for worker in self.workers:
-            worker.stop()
+        """Ask all threads to end, without waiting. Results of current runs are discarded."""
+        for thread in self.threads:
+            thread.stop()
 
     def stop(self, timeout_s: float = 2.0) -> None:
-        """`end`, and wait for all together; one that hangs is left to the process's end (they are daemon threads)."""
+        """`end`, and wait for all threads. A thread that hangs ends with the process (they are daemon threads)."""
         self.end()
         until = self._clock.mono() + timeout_s
-        for worker in self.workers:
-            worker.join(max(0.01, until - self._clock.mono()))
+        for thread in self.threads:
+            thread.join(max(0.01, until - self._clock.mono()))

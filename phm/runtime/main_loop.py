@@ -77,7 +77,7 @@ class MainLoop:
                 if now >= next_pass:
                     self._pipeline.begin_pass()
                     next_pass = max(next_pass + self._interval_s, now)
-                idle_s = min(IDLE_S, self._scheduler.look_for_overdue(), next_pass - now)
+                idle_s = min(IDLE_S, self._scheduler.report_overdue(), next_pass - now)
                 if self._caught_up():
                     self._pipeline.tick()
             except Exception:  # passes and deadlines depend on this thread, so a defect must not end it

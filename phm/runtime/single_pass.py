@@ -25,7 +25,7 @@ def run_once(settings: Settings, clock: Clock | None = None) -> tuple[UnitState,
         tick = threading.Event()
         while clock.mono() < end:
             threads.retry()
-            scheduler.look_for_overdue()
+            scheduler.report_overdue()
             pipeline.tick()
             if not pipeline.undecided():
                 break

@@ -1,7 +1,8 @@
-"""From results to transitions and faults: thresholds, warm-up, root cause. Pure; the caller brings time.
+"""Turn check results into transitions and faults: thresholds, grace, root cause. Pure; the caller passes the time.
 
-`rules` judges one unit's newest result and changes nothing; `tracker` keeps what follows from it; `episodes` opens
-and closes faults; `units` holds the records that they share.
+`rules` decides about one unit's latest result and changes nothing; `tracker` applies the decisions; `faults` opens and
+closes faults; `units` has the shared records; `starvation` decides which symptoms a resource shortage explains; `start_dedup`
+counts each container start once.
 """
 
 from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S

@@ -1,4 +1,4 @@
-"""Faults as episodes: each is opened once, numbered, and closed once with its outcome."""
+"""Open, number and close faults."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from phm.tracker.start_dedup import StartDedup
 from phm.tracker.units import NEVER, Effects, TrackerView, UnitRecord
 
 CONFIGURATION = "configuration"
-"""What ended a fault whose unit is no longer configured."""
+"""`Fault.by` of a fault whose unit is no longer configured."""
 RESTORED = "restored after a restart of PHM"
 
 
 class FaultRecords:
-    """Opens and closes the faults of all units. Invariant: a unit has at most one open fault."""
+    """The faults of all units. Invariant: a unit has at most one open fault."""
 
     def __init__(self, view: TrackerView, prefix: str, starts: StartDedup) -> None:
         self._view, self._prefix, self._starts = view, prefix, starts
@@ -22,7 +22,7 @@ class FaultRecords:
         self._taken: frozenset[str] = frozenset()
 
     def restore(self, faults: tuple[Fault, ...], given_up: tuple[Fault, ...], now: Stamp) -> Effects:
-        """See `Tracker.restore`. Ids that an earlier run of PHM gave are not given again."""
+        """See `Tracker.restore`. Fault ids of an earlier run of PHM are not reused."""
         effects = Effects()
         self._taken = frozenset(fault.id for fault in (*faults, *given_up))
         for fault in faults:
@@ -43,8 +43,8 @@ class FaultRecords:
         return effects
 
     def open(self, record: UnitRecord, result: Result, now: Stamp, effects: Effects) -> None:
-        """An alarm, unless recovery has given up on this unit and it has not been well since; what is wrong in another way than
-        before is a new one all the same, once for each condition."""
+        """Open a fault, unless recovery has given up on this unit and it has not been OK since. A new condition opens a new fault
+        all the same, once for each condition."""
         if record.fault is not None or (record.escalated and result.condition in record.conditions):
             return
         record.escalated, record.given_up = False, None
@@ -81,12 +81,12 @@ class FaultRecords:
         return f"{self._prefix}{self._count}"
 
     def _consequences(self, record: UnitRecord) -> tuple[str, ...]:
-        """Names of the checks that cannot be well while the unit is not, in slot order."""
+        """Names of the checks that cannot be OK while this unit is not, in slot order."""
         below = sorted((other.spec for other in self._view.downstream(record.id)), key=lambda spec: spec.slot)
         return tuple(dict.fromkeys(spec.check for spec in below))
 
     def _suspects(self, record: UnitRecord) -> tuple[str, ...]:
-        """Units told as ERROR that can be behind anything (`Unit.suspect`), such as a full disk."""
+        """Units in ERROR that can cause any fault (`Unit.suspect`), such as a full disk."""
         return tuple(
             other.id
             for other in self._view.units.values()

@@ -1,9 +1,7 @@
-"""The rules by which a unit's newest result becomes what is told: pure judgement, nothing is changed here.
+"""The rules that decide what is published about a unit's latest result. Pure: they change nothing.
 
-`decide` applies them in the order in which they stand; the first that has a verdict decides.
-
-So one cause raises one alarm, whatever order the evidence arrives in and whichever wake-up is lost, as long as
-the evidence of the cause can be seen within the dependent's `settle_s`.
+`decide` applies them in order; the first that returns a decision wins. As a result, one cause raises one alarm, whatever the
+order of the evidence and even if a wake-up is lost, as long as the cause can be observed within the dependent's `settle_s`.
 """
 
 from __future__ import annotations
@@ -16,20 +14,20 @@ from phm.tracker import starvation
 from phm.tracker.units import Pending, TrackerView, UnitRecord
 
 UNKNOWN_NEED_S = 10.0
-"""How long a bad result waits for a need that is STALE at the moment."""
+"""How long a bad result waits for a dependency that is STALE."""
 GRACE_ENDS_AFTER_OK_S = 2.5
-"""Grace ends early once a unit has been OK for this long: shorter could be the memory of what was there before (a killed
-node stays listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
+"""Grace ends early once a unit has been OK for this long. Shorter could be a remnant of the previous run (a killed node stays
+listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What follows for one unit.
+    """What to do about one unit.
 
-    tell:       the result to publish; None: what is published stays.
-    blocked_by: the unit whose fault `tell` follows from. An open fault of its own is then reattributed.
-    pending:    what waits to be told; None: nothing does.
-    ask:        units whose checks are to run again, now.
+    publish:    the result to publish; None: the published state stays.
+    blocked_by: the unit that causes `publish`. An open fault of the unit itself is then reattributed.
+    pending:    the result that waits for confirmation; None: none.
+    rerun:      units whose checks run again now.
     """
 
     publish: Result | None = None
@@ -40,7 +38,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class RuleContext:
-    """One unit's newest result at one moment (monotonic seconds), with all that the rules may look at."""
+    """One unit's latest result at one moment (monotonic seconds), with everything that the rules may read."""
 
     record: UnitRecord
     result: Result
@@ -52,7 +50,7 @@ NO_CHANGE = Decision()
 
 
 def decide(record: UnitRecord, view: TrackerView, now: float) -> Decision | None:
-    """The verdict on the unit's newest result; None when there has been none."""
+    """The decision about the unit's latest result; None if there is no result."""
     if record.latest is None:
         return None
     context = RuleContext(record, record.latest, view, now)
@@ -61,20 +59,20 @@ def decide(record: UnitRecord, view: TrackerView, now: float) -> Decision | None
 
 
 def recovered(context: RuleContext) -> Decision | None:
-    """1. OK is told at once, and closes the unit's fault.
+    """1. OK is published immediately and closes the unit's fault.
 
-    Except while its own fault is under repair: it counts when the repair is proven, dependents included. Where it was not,
-    when these are back all the same, or `UnitRecord.unproven_until` is over.
+    Except while recovery works on its own fault: then it counts once the recovery is verified, dependents included; if that
+    failed, once the dependents are back or `UnitRecord.unverified_until` has passed.
     """
     if context.result.level is not Level.OK:
         return None
-    return NO_CHANGE if _unproven(context.record, context) else Decision(context.result)
+    return NO_CHANGE if _unverified(context.record, context) else Decision(context.result)
 
 
 def action_in_progress(context: RuleContext) -> Decision | None:
-    """2. A bad result while an action is at work on the unit's target follows from that action.
+    """2. A bad result during a recovery action on the unit's target follows from that action.
 
-    The unit is STALE `blocked_by` the fault under repair; a unit whose own fault is open stays as it is.
+    The unit is STALE `blocked_by` the fault being recovered; a unit with an open fault stays unchanged.
     """
     action = context.view.actions.get(context.record.target)
     if action is None or not context.result.level.bad:
@@ -85,7 +83,7 @@ def action_in_progress(context: RuleContext) -> Decision | None:
 
 
 def on_hold(context: RuleContext) -> Decision | None:
-    """3. A bad result of a target on hold is STALE, with until when, by whom and why. An open fault stays open meanwhile."""
+    """3. A bad result of a target on hold is STALE, with end, owner and reason of the hold. An open fault stays open."""
     hold = context.view.holds.get(context.record.target)
     if hold is None or not context.result.level.bad:
         return None
@@ -97,10 +95,10 @@ def on_hold(context: RuleContext) -> Decision | None:
 
 
 def blocked(context: RuleContext) -> Decision | None:
-    """4. A result that is not OK while something the unit needs is bad is a consequence: STALE `blocked_by` the first cause.
+    """4. A result that is not OK while a dependency is bad is a consequence: STALE `blocked_by` the first cause.
 
-    If it had been told as a fault of its own, that fault is closed as reattributed; to a unit that is not published yet, since
-    it has grace or may follow from starvation, only when that is decided. What is bad by starvation alone is no cause here (5).
+    An open fault of the unit is closed as reattributed. If the cause is not published yet, because it is in grace or may follow
+    from starvation, only once that is decided. Dependencies that are bad by starvation alone are handled by rule 5.
     """
     cause = _cause(context)
     if not cause:
@@ -113,9 +111,9 @@ def blocked(context: RuleContext) -> Decision | None:
 def starved(context: RuleContext) -> Decision | None:
     """5. A symptom that starvation explains (`phm.tracker.starvation`) is STALE `blocked_by` the pressure unit while that is ERROR.
 
-    When it is over, symptoms get time to go; what is still there then is a fault of its own. A fault that was open before
-    goes on; one that was published just before is reattributed. What is not explained is blocked by a need that is bad by
-    starvation alone, unless it is conclusive: that is judged as ever.
+    Afterwards symptoms get time to disappear; those that remain are separate faults. A fault that was open before stays open;
+    one published just before is reattributed. A result that starvation does not explain is blocked by a dependency that is bad
+    by starvation alone, unless its evidence is conclusive.
     """
     record, cause = context.record, starvation.cause(context.record, context.view)
     if cause is not None and starvation.outlasted(record, context.now):
@@ -133,14 +131,14 @@ def starved(context: RuleContext) -> Decision | None:
 
 
 def unknown(context: RuleContext) -> Decision | None:
-    """6. STALE is published immediately and closes nothing: unknown does not mean recovered."""
+    """6. STALE is published immediately and closes no fault: unknown does not mean recovered."""
     return Decision(context.result) if context.result.level is Level.STALE else None
 
 
 def being_stopped(context: RuleContext) -> Decision | None:
-    """7. What breaks in a container that was given a signal to end and time for it goes with it, and is not a fault.
+    """7. What fails in a container that received a stop signal is part of the stop and not a fault.
 
-    Until the container has ended, or its time for it is over. A fault that is open already goes on.
+    Until the container has exited or its stop timeout is over. An open fault stays open.
     """
     record = context.record
     if not context.view.stopping(record.target, context.now) or not context.view.is_part(record.id):
@@ -152,13 +150,12 @@ def being_stopped(context: RuleContext) -> Decision | None:
 
 
 def grace(context: RuleContext) -> Decision | None:
-    """8. A bad result during grace is `not known yet`, unless its check is certain of it.
+    """8. A bad result during grace is `not known yet`, unless its evidence is certain.
 
-    Grace ends early when the unit has been OK for SURE_S, or its `memory_s` where that is longer.
-    What was seen before the grace began never counts again: the unit is run anew. It begins with PHM itself; after a
-    repair, for the target and all that needs it; after an ERROR, told or not, for all that need the unit: what looked
-    bad meanwhile may follow from it; and once for each new life of a
-    container (`phm.tracker.start_dedup`), for all that need it. A container that never comes well is told by its own check.
+    Grace begins when PHM starts; after a recovery action, for the target and its dependents; after an ERROR, published or not,
+    for the dependents; and once per container start (`phm.tracker.start_dedup`), for the dependents. Results from before never
+    count. Grace ends early when the unit has been OK for GRACE_ENDS_AFTER_OK_S, or for its `memory_s` if longer. A container
+    that never becomes healthy is reported by its own check.
     """
     if not in_grace(context.record, context.now):
         return None
@@ -166,12 +163,12 @@ def grace(context: RuleContext) -> Decision | None:
 
 
 def confirmed(context: RuleContext) -> Decision:
-    """9. Otherwise everything that the unit needs is run again, and the pressure units that could explain a symptom.
+    """9. Otherwise all dependencies run again, and the pressure units that could explain a symptom.
 
-    A bad result is told only when it was bad `failures` times in a row, has lasted `settle_s` (the result's own, or else
-    its unit's), and each need, and with `settle_s` the unit too, has answered in a run that began after that. Needs that
-    are STALE may be the cause: they get UNKNOWN_S to be known, not for ever. So do pressure units to answer; one that cannot
-    tell explains nothing. What was seen before a need changed says nothing about now.
+    A bad result is published once it was bad `failures` times in a row, has lasted `settle_s` (of the result, else of the unit),
+    and every dependency (with `settle_s` also the unit) has a result of a run that began after that. Dependencies that are
+    STALE may be the cause, so they are waited for, for UNKNOWN_NEED_S at most; pressure units, too, but one that is STALE explains
+    nothing. Results from before a dependency changed do not count.
     """
     record, unit = context.record, context.record.spec.unit
     if record.published.level is context.result.level and not record.published.blocked_by and not record.new_condition:
@@ -211,18 +208,18 @@ RULES: tuple[Callable[[RuleContext], Decision | None], ...] = (
 
 
 def as_unknown(result: Result) -> Result:
-    """A bad result that may be incomplete."""
+    """The bad result as STALE, because its evidence may be incomplete."""
     return replace(result, level=Level.STALE, summary=f"not known yet: {result.summary}", brief="", condition="")
 
 
 def in_grace(record: UnitRecord, now: float) -> bool:
-    """Whether the unit has grace. An open or given-up fault goes on meanwhile."""
+    """Whether the unit is in grace. An open or given-up fault is not affected."""
     known = record.fault is not None or (record.published_given_up and not record.new_condition)
     certain = record.latest is not None and record.latest.evidence.certain
     return not known and ((now < record.grace_until and not certain) or record.started < record.valid_from)
 
 
-def _unproven(record: UnitRecord, context: RuleContext) -> bool:
+def _unverified(record: UnitRecord, context: RuleContext) -> bool:
     """Whether the unit's fault, open or given up, is still being proven to be healed, or was not: its OK is kept back."""
     if record.fault is None and not record.escalated:
         return False
@@ -232,7 +229,7 @@ def _unproven(record: UnitRecord, context: RuleContext) -> bool:
 
 
 def _all_back(record: UnitRecord, view: TrackerView) -> bool:
-    """Whether all of its target that needs the unit has been found OK since its repair was not proven: late, but back."""
+    """Whether all dependents in its target have been found OK since the verification of its recovery failed."""
     below = (other for other in view.downstream(record.id) if other.target == record.target and not _known(other))
     return all(
         other.latest is not None and other.latest.level is Level.OK and other.started >= record.unverified_from
@@ -241,7 +238,7 @@ def _all_back(record: UnitRecord, view: TrackerView) -> bool:
 
 
 def _unasked(context: RuleContext, lasted: float) -> frozenset[str]:
-    """Pressure units that could explain the result, and have not answered since."""
+    """Pressure units that could explain the result and have no newer result."""
     if context.now >= lasted + UNKNOWN_NEED_S:
         return frozenset()
     return frozenset(
@@ -250,18 +247,17 @@ def _unasked(context: RuleContext, lasted: float) -> frozenset[str]:
 
 
 def _known(record: UnitRecord) -> bool:
-    """Published as a fault: open, or given up."""
+    """Whether it is published as a fault: open, or given up."""
     return record.fault is not None or record.published_given_up
 
 
 def _cause(context: RuleContext, *, by_starvation: bool = False) -> str:
-    """The first unit upstream that is failing, by starvation alone or not, or whose OK is kept back: grace for what needs it
-    begins when that is told.
+    """The first dependency that is failing (by starvation alone or not) or whose OK is held back.
 
-    If that one is under repair, the fault being repaired.
+    If recovery works on that one, the unit whose fault is being recovered.
     """
     for other in context.view.upstream(context.record.id):
-        if (other.failing or _unproven(other, context)) and _merely_starved(other, context) is by_starvation:
+        if (other.failing or _unverified(other, context)) and _merely_starved(other, context) is by_starvation:
             action = context.view.actions.get(other.target)
             return action.owner if action is not None and other.fault is None else other.id
     return ""

@@ -1,7 +1,7 @@
-"""The lives of containers: a new one is told once, whoever notices it first, the engine's event or a check.
+"""Count each container start once, whether Docker's event or a check notices it first.
 
-Events are quick and get lost; a check says in each result which life it saw, and is asked before anything that needs
-the container is told, so that it cannot miss the life in which that happens.
+Events are fast but can be lost. A check reports in each result which run (generation) of the container it saw, and it runs again
+before a fault of a dependent is published, so it cannot miss the generation in which that happens.
 """
 
 from __future__ import annotations
@@ -11,58 +11,58 @@ from enum import Enum
 
 
 class StartSeen(Enum):
-    """What a run has seen: the life that was known, one that an event had announced, or one that no event has reported."""
+    """What a check has seen: the known generation, one that an event had announced, or one without an event."""
 
     KNOWN = "known"
     ANNOUNCED = "announced"
-    NEWS = "news"
+    NEW = "new"
 
 
 @dataclass(slots=True)
-class _Life:
-    """`seen` is the life that a check saw last. At most one of the last two is set: who alone told of the newest life."""
+class _Starts:
+    """Of one target. `seen` is the generation that a check saw last. At most one of the last two fields is set."""
 
-    teller: str = ""
-    """The unit that tells the lives of this container: two that name them differently would tell of new ones for ever."""
+    reporter: str = ""
+    """The one unit whose reports count: two that name generations differently would report new starts endlessly."""
     seen: str = ""
-    heard_at: float | None = None
-    """An event told of it then (monotonic seconds); no run that began since has come back."""
-    unheard: bool = False
-    """A check saw it; its event has not come, or never will."""
+    event_at: float | None = None
+    """When an event announced a start (monotonic seconds) that no check has confirmed yet."""
+    awaits_event: bool = False
+    """A check saw the start before its event, which may never arrive."""
 
 
 class StartDedup:
-    """By target. An event that never came swallows at most the next one, whose life the check then tells."""
+    """By target. A lost event hides at most the next one, whose start the check then reports."""
 
     def __init__(self) -> None:
-        self._of: dict[str, _Life] = {}
+        self._of: dict[str, _Starts] = {}
 
     def newest(self, target: str) -> str:
-        """The life of the container that a check saw last; empty: none."""
-        life = self._of.get(target)
-        return life.seen if life is not None else ""
+        """The generation of the container that a check saw last; empty: none."""
+        known = self._of.get(target)
+        return known.seen if known is not None else ""
 
-    def heard(self, target: str, now: float) -> bool:
-        """An event says that the container has been started; whether that is news."""
-        life = self._of.setdefault(target, _Life())
-        if life.unheard:
-            life.unheard = False
+    def on_event(self, target: str, now: float) -> bool:
+        """An event reports a start of the container. Return whether it is new."""
+        known = self._of.setdefault(target, _Starts())
+        if known.awaits_event:
+            known.awaits_event = False
             return False
-        life.heard_at = now
+        known.event_at = now
         return True
 
-    def saw(self, target: str, unit: str, seen: str, started: float) -> StartSeen:
-        """A run that began at `started` saw this life. The first one ever seen is no news."""
-        life = self._of.setdefault(target, _Life())
-        life.teller = life.teller or unit
-        if unit != life.teller:
+    def on_result(self, target: str, unit: str, seen: str, started: float) -> StartSeen:
+        """A run that began at `started` saw this generation. The first one ever seen is not a start."""
+        known = self._of.setdefault(target, _Starts())
+        known.reporter = known.reporter or unit
+        if unit != known.reporter:
             return StartSeen.KNOWN
-        changed, heard = life.seen not in ("", seen), life.heard_at is not None
-        life.seen = seen
-        if life.heard_at is not None and (changed or started >= life.heard_at):
-            life.heard_at = None
-        if changed and not heard:
-            life.unheard = True
+        changed, announced = known.seen not in ("", seen), known.event_at is not None
+        known.seen = seen
+        if known.event_at is not None and (changed or started >= known.event_at):
+            known.event_at = None
+        if changed and not announced:
+            known.awaits_event = True
         if not changed:
             return StartSeen.KNOWN
-        return StartSeen.ANNOUNCED if heard else StartSeen.NEWS
+        return StartSeen.ANNOUNCED if announced else StartSeen.NEW

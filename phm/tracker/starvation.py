@@ -1,8 +1,7 @@
-"""Starvation as a cause: which symptoms too little processor, memory or input and output explains, and where it is seen.
+"""Resource starvation as a cause: which symptoms a shortage of CPU, memory or I/O explains, and which unit reports it. Pure.
 
-A container that waits for its resources, or a machine on which everything waits, does late what it does. What is concluded from
-lateness or silence then says nothing about the part that is late: it follows from the starvation. What was seen itself (a
-process is gone, a network is detached) does not, and is judged as ever. Pure.
+A container or machine that waits for resources is late in everything. Conclusions from delay or silence then follow from the
+starvation and not from a defect. Direct observations (a process is gone, a network is detached) do not, and count as usual.
 """
 
 from __future__ import annotations
@@ -14,22 +13,25 @@ from phm.core.model import Level, Result
 from phm.tracker.units import Starvation, TrackerView, UnitRecord
 
 WAITING = frozenset({"cpu_throttled", "cpu_starved", "cpu_high", "memory_pressure", "io_pressure"})
-"""Conditions of pressure units that mean: tasks stand still. A memory that is used up and not waited for (`memory_high`) is none."""
+"""Conditions of pressure units that mean that tasks are stalled. `memory_high` alone does not: memory is used up, but nothing waits."""
 OF_HOST = frozenset({"cpu_high", "memory_pressure", "io_pressure"})
 UNKNOWN_PRESSURE_S = 10.0
-"""A pressure unit that cannot tell any more (STALE) explains what it explained for so long: an overloaded engine gives no figures."""
+"""A pressure unit that becomes STALE keeps its last state for this long: an overloaded Docker Engine returns no statistics."""
 BEFORE_PRESSURE_S = 5.0
-"""A symptom may be published so long before the figures show the starvation that it follows from. What is older goes on."""
+"""A symptom may be published this long before the statistics show its starvation. Older faults stay open."""
 WARN_WAIT_S = 3.0
-"""While a pressure unit is WARN, what it may soon explain waits for so long. WARN explains nothing: it raises no alarm."""
+"""While a pressure unit is WARN, symptoms that it may soon explain wait this long. WARN itself explains nothing."""
 RECOVERY_S = 5.0
-"""After starvation symptoms get this long to go, or the `grace_s` of their unit where that is longer."""
+"""After starvation symptoms have this long to disappear, or the `grace_s` of their unit if longer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """evidence: why starvation can produce the symptom. by: the conditions of pressure units that do. settle_s: how long it must
-    last at least, where its cause shows later than it does. most_s: what lasts for longer is not explained; None: no limit."""
+    """Why starvation can cause a symptom.
+
+    evidence: the reason. by: conditions of pressure units that explain it. settle_s: minimum duration of the symptom if its cause
+    shows later. most_s: a symptom that lasts longer is not explained; None: no limit.
+    """
 
     evidence: str
     by: frozenset[str] = WAITING
@@ -38,8 +40,8 @@ class Explanation:
 
 
 UNREAD_S = 15.0
-"""PHM knows how much of a silence it was late itself and leaves that out, so that little more than this can be late frames of a
-router on this machine. A link, an autopilot or a peer that is silent for longer is lost, however busy the machine is."""
+"""PHM excludes its own delay from a silence, so at most about this much can be due to a delayed router on this machine. A link,
+autopilot or peer that is silent for longer is lost, however busy the machine is."""
 _SLOW = Explanation("its publisher is not scheduled at each period")
 _LEASE = Explanation(
     "participants that do not announce themselves in time are dropped from the graph, with all their endpoints"
@@ -90,25 +92,25 @@ EXPLAINED: Mapping[str, Explanation] = {
         "all containers wait for the same disk", frozenset({"io_pressure"}), settle_s=WARN_WAIT_S
     ),
 }
-"""What starvation explains, by condition; nothing else. docs/reference/recovery.md has it as a table, and a test compares them."""
+"""What starvation explains, by condition. docs/reference/recovery.md has it as a table; a test compares them."""
 
 
 def explanation(result: Result) -> Explanation | None:
-    """What can explain this bad result; None: starvation cannot."""
+    """How starvation can explain this bad result; None: it cannot."""
     if not result.level.bad or result.evidence.certain or result.evidence.conclusive:
         return None
     return EXPLAINED.get(result.condition)
 
 
 def pressure_units(record: UnitRecord, view: TrackerView) -> list[UnitRecord]:
-    """The pressure units whose figures decide whether the unit's newest result is a fault of its own."""
+    """The pressure units whose results decide whether the unit's latest result is a separate fault."""
     if record.latest is None or explanation(record.latest) is None:
         return []
     return [view.units[name] for name in record.spec.starved_by]
 
 
 def cause(record: UnitRecord, view: TrackerView) -> UnitRecord | None:
-    """The pressure unit that starves this one and so explains its newest result; the host's, where it starves that one too."""
+    """The pressure unit that explains the unit's latest result; the host's, if that explains the former, too."""
     symptom = explanation(record.latest) if record.latest is not None else None
     if symptom is None:
         return None
@@ -119,18 +121,18 @@ def cause(record: UnitRecord, view: TrackerView) -> UnitRecord | None:
 
 
 def undecided(record: UnitRecord) -> bool:
-    """Whether the unit's newest result is a symptom that waits to be published."""
+    """Whether the unit's latest result is a symptom that waits to be published."""
     waits = record.pending is not None and record.published.level is not Level.ERROR
     return waits and record.latest is not None and explanation(record.latest) is not None
 
 
 def may_become_explained(record: UnitRecord, view: TrackerView) -> bool:
-    """Whether a pressure unit is at WARN, and may be on its way to ERROR."""
+    """Whether a pressure unit is WARN and may become ERROR soon."""
     return any(other.latest is not None and other.latest.level is Level.WARN for other in pressure_units(record, view))
 
 
 def predates(record: UnitRecord, pressure_unit: UnitRecord) -> bool:
-    """Whether the unit's fault is another one: older than the starvation, or opened for what that does not explain."""
+    """Whether the unit's fault is older than the starvation, or has a cause that starvation does not explain."""
     if record.fault is None:
         return record.published_given_up
     since, symptom = (
@@ -143,7 +145,7 @@ def predates(record: UnitRecord, pressure_unit: UnitRecord) -> bool:
 
 
 def outlasted(record: UnitRecord, now: float) -> bool:
-    """Whether the unit's newest result is a symptom that lasts for longer than starvation can explain."""
+    """Whether the unit's latest result is a symptom that lasts longer than starvation can explain."""
     symptom = explanation(record.latest) if record.latest is not None else None
     if symptom is None or symptom.most_s is None:
         return False
@@ -155,7 +157,7 @@ def outlasted(record: UnitRecord, now: float) -> bool:
 
 
 def observe(record: UnitRecord, now: float) -> bool:
-    """Take note of the newest result of a pressure unit; whether it has begun to starve others, or ceased to."""
+    """Record the latest result of a pressure unit. Return whether starvation began or ended."""
     was, latest = record.starving, record.latest
     assert latest is not None
     if latest.level is Level.ERROR and latest.condition in WAITING | {"pids_limit"}:
@@ -166,14 +168,14 @@ def observe(record: UnitRecord, now: float) -> bool:
 
 
 def ended(record: UnitRecord, pressure_unit: str, now: float) -> None:
-    """This pressure unit no longer starves the other: symptoms seen before prove nothing, and need time to go."""
+    """The starvation is over: earlier symptoms do not count, and new ones have time to disappear."""
     record.pressure_unit, record.symptoms_count_from = pressure_unit, now
     record.symptom_grace_until = now + max(record.spec.unit.grace_s, RECOVERY_S)
     record.pending = record.ok_since = None
 
 
 def recovering(record: UnitRecord, now: float) -> bool:
-    """Whether the unit's newest result is a symptom that may still follow from a starvation that is over."""
+    """Whether the unit's latest result is a symptom that may still follow from a past starvation."""
     if record.latest is None or explanation(record.latest) is None:
         return False
     return now < record.symptom_grace_until or record.started - record.latest.age_s < record.symptoms_count_from

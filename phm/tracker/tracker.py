@@ -1,4 +1,4 @@
-"""Keeps what is known about every unit, and lets follow what the rules (`phm.tracker.rules`) say about it."""
+"""Keep the state of every unit and apply the decisions of the rules (`phm.tracker.rules`)."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from phm.tracker.units import NEVER, ActionInProgress, Effects, TargetHold, Trac
 
 ITSELF = "itself"
 ASK_AGAIN_S = 1.0
-"""While a bad result waits to be confirmed, it and its needs are run again this often."""
-LOOK_AGAIN_S = 0.15
-"""A unit that settles, even this often: evidence may end the waiting early (`Result.settle_s`)."""
-UNPROVEN_S = 30.0
-"""How long a unit that is OK again stays ERROR because what needs it has not come back: time for the next action."""
+"""While a bad result waits for confirmation, its check and those of its dependencies run again this often."""
+SETTLING_RERUN_S = 0.15
+"""A unit with `settle_s` runs again this often: new evidence may end the wait early (`Result.settle_s`)."""
+UNVERIFIED_S = 30.0
+"""How long a unit that is OK again stays ERROR because its dependents have not come back: time for the next action."""
 PRESSURE = "pressure/"
-"""Units that say whether a container is starved: this and its key."""
+"""Prefix of the units that report the resource pressure of a container."""
 
 
 class Tracker:
     """See the package. Not thread-safe: the pipeline calls it under one lock.
 
     Invariants: a unit has at most one open fault; a fault is opened by ERROR only and closed exactly once;
-    `told.level` is ERROR whenever a fault is open, except while the unit cannot be judged (STALE).
+    the published level is ERROR whenever a fault is open, except while the unit is STALE.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Tracker:
             published = UnitState(record.unit.id, record.check, record.slot, record.layer, Level.STALE, nothing, now)
             self._units[record.unit.id] = UnitRecord(record, published, grace_until=now.mono + record.unit.grace_s)
 
-    # ------------------------------------------------------------ what is
+    # ------------------------------------------------------------ queries
 
     def states(self) -> tuple[UnitState, ...]:
         return tuple(record.published for record in self._units.values())
@@ -60,7 +60,7 @@ class Tracker:
         return self._units[unit].started
 
     def found_ok(self, unit: str, mono: float) -> bool:
-        """Whether a run that began after `mono` found the unit OK, told or kept back."""
+        """Whether a run that began after `mono` found the unit OK, published or not."""
         record = self._units[unit]
         return record.latest is not None and record.latest.level is Level.OK and record.started >= mono
 
@@ -70,8 +70,8 @@ class Tracker:
         return record.latest if record.started >= mono else None
 
     def confirmed_bad(self, unit: str, mono: float) -> bool:
-        """Whether the unit is ERROR and a run that began after `mono` has confirmed that: a run of its own check, or, while
-        its OK is kept back, one that found something in ERROR which needs it. What it found must be what is published."""
+        """Whether the unit is ERROR and a run that began after `mono` confirmed it: a run of its own check with the published
+        condition, or, while its OK is held back, one that found a dependent in ERROR."""
         record = self._units[unit]
         if record.published.level is not Level.ERROR or record.started < mono:
             return False
@@ -84,7 +84,7 @@ class Tracker:
         return any(self._units[name].failing and self._units[name].started >= mono for name in self._below(record))
 
     def _below(self, record: UnitRecord) -> list[str]:
-        """Units of the same target that need this one and have no fault of their own. Not its pressure: a repair cannot end that."""
+        """Dependents of the same target without a fault of their own. Not its pressure unit: a recovery cannot end that."""
         return [
             other.id
             for other in self._view.downstream(record.id)
@@ -93,17 +93,17 @@ class Tracker:
         ]
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
-        """Units of the same target that need `unit` and have not been found free of ERROR in a run since `mono`.
+        """Dependents of `unit` in the same target that no run since `mono` has found free of ERROR.
 
-        Those with a fault of their own are not counted: it is not this repair that they wait for.
+        Those with a fault of their own are not counted: they do not wait for this recovery.
         """
         below = (self._units[name] for name in self._below(self._units[unit]))
         return tuple(record.id for record in below if record.failing or record.started < mono)
 
     def starved_by(self, unit: str, now: Stamp) -> str:
-        """The pressure unit that explains what is wrong with this one, now or until a moment ago; empty: none does.
+        """The pressure unit that explains this unit's problem, now or until a moment ago; empty: none.
 
-        Recovery leaves a fault alone meanwhile that was open before: a restart needs what there is too little of.
+        Recovery postpones faults that were open before: a restart needs the resources that are short.
         """
         record = self._units[unit]
         pressure_unit = starvation.cause(record, self._view)
@@ -112,7 +112,7 @@ class Tracker:
         return record.pressure_unit if starvation.recovering(record, now.mono) else ""
 
     def active_pressure(self, unit: str) -> str:
-        """The pressure unit that is published in ERROR and starves the unit now, whatever it explains; empty: none."""
+        """A pressure unit of this unit that is published as ERROR now, whatever it explains; empty: none."""
         found = (self._units[name] for name in self._units[unit].spec.starved_by)
         return next(
             (other.id for other in found if other.starving is not None and other.published.level is Level.ERROR), ""
@@ -122,13 +122,13 @@ class Tracker:
         return tuple(record.fault for record in self._units.values() if record.fault is not None)
 
     def given_up(self) -> tuple[Fault, ...]:
-        """The escalated faults of units that have not been well since."""
+        """Escalated faults of units that have not been OK since."""
         return tuple(
             record.given_up for record in self._units.values() if record.escalated and record.given_up is not None
         )
 
     def undecided(self, now: Stamp) -> tuple[str, ...]:
-        """Units that need more time or more results before they can be told."""
+        """Units that need more time or more results before their level can be published."""
         return tuple(
             record.id
             for record in self._units.values()
@@ -137,24 +137,24 @@ class Tracker:
             or (in_grace(record, now.mono) and record.latest.level is not Level.OK and not record.published.blocked_by)
         )
 
-    # ------------------------------------------------------------ what was, before PHM was started again
+    # ------------------------------------------------------------ restore after a restart of PHM
 
     def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault], now: Stamp) -> Effects:
-        """Put back what an earlier run of PHM left open or had given up, before the first result.
+        """Restore the faults that an earlier run of PHM left open or had given up, before the first result.
 
-        No FaultOpened is sent: it was told once. Faults of units that the configuration no longer names are
-        closed in the returned step, as resolved by ``configuration``.
+        Sends no FaultOpened: it was published before. Faults of units that are no longer configured are closed in the
+        returned effects, as resolved by ``configuration``.
         """
         return self._faults.restore(tuple(faults), tuple(given_up), now)
 
-    # ------------------------------------------------------------ what happens
+    # ------------------------------------------------------------ results and time
 
     def observe(self, unit: str, result: Result, started: float, now: Stamp, duration_s: float = 0.0) -> Effects:
         """Take one result of a run that began at `started` (monotonic seconds)."""
         effects = Effects()
         record = self._units[unit]
         if started < record.started:
-            return effects  # an overdue run came back after a newer one: it knows less
+            return effects  # an overdue run that finished after a newer one
         record.latest, record.started = result, started
         record.had_error = record.had_error or record.failing
         record.bad_in_a_row = record.bad_in_a_row + 1 if result.level.bad else 0
@@ -169,7 +169,7 @@ class Tracker:
         return effects
 
     def tick(self, now: Stamp) -> Effects:
-        """Let time pass: ends holds that outlived their action, grace and settling."""
+        """Apply the passing of time: expired actions, grace and settling."""
         effects = Effects()
         for target in [target for target, action in self._actions.items() if now.mono >= action.until]:
             self._release(target, now, effects)
@@ -186,17 +186,17 @@ class Tracker:
             if record.pending is not None:
                 waiting = (record, *self._view.upstream(record.id), *starvation.pressure_units(record, self._view))
                 effects.rerun.update(other.id for other in waiting if now.mono - other.started >= ASK_AGAIN_S)
-                if record.spec.unit.settle_s > 0 and now.mono - record.started >= LOOK_AGAIN_S:
+                if record.spec.unit.settle_s > 0 and now.mono - record.started >= SETTLING_RERUN_S:
                     effects.rerun.add(record.id)
         return effects
 
-    # ------------------------------------------------------------ what recovery and the world do
+    # ------------------------------------------------------------ recovery actions, holds and container events
 
     def begin_action(
         self, target: str, owner: str, action: str, now: Stamp, at_most_s: float, *, proving: bool = False
     ) -> Effects:
-        """An action begins on `target`, for the fault of unit `owner`. With `proving`, `release` says whether the owner
-        may be believed to be well."""
+        """An action begins on `target`, for the fault of unit `owner`. With `proving`, the owner's OK is held back until
+        `end_action`."""
         self._actions[target] = ActionInProgress(owner, action, now.mono + at_most_s, proving)
         for record in self._units.values():
             if record.fault is not None and (record.id == owner or record.target == target):
@@ -204,16 +204,16 @@ class Tracker:
         return Effects()
 
     def end_action(self, target: str, now: Stamp, *, worked: bool) -> Effects:
-        """The action on `target` is over; `worked` False takes back its credit for what heals later."""
+        """The action on `target` is over. If `worked` is false, later recoveries are not credited to it."""
         effects = Effects()
         action = self._actions.get(target)
         self._release(target, now, effects)
         if action is None:
             return effects
         if action.proving:
-            # What the owner said meanwhile counts now, or not yet.
+            # The owner's results from the meantime count now, or not yet.
             owner = self._units[action.owner]
-            owner.unverified_from, owner.unverified_until = now.mono, NEVER if worked else now.mono + UNPROVEN_S
+            owner.unverified_from, owner.unverified_until = now.mono, NEVER if worked else now.mono + UNVERIFIED_S
             if worked:
                 self._evaluate(owner, now, effects)
         if not worked:
@@ -223,19 +223,19 @@ class Tracker:
         return effects
 
     def clear_action_credit(self, unit: str) -> Effects:
-        """The action for the unit's fault has not helped: what heals later is not its doing."""
+        """The action for the unit's fault did not help: later recoveries are not credited to it."""
         record = self._units[unit]
         if record.fault is not None:
             record.fault = replace(record.fault, by="")
         return Effects()
 
     def action_on(self, target: str) -> str:
-        """The action of recovery that is at work on the target; empty: none."""
+        """The recovery action in progress on the target; empty: none."""
         action = self._actions.get(target)
         return action.action if action is not None else ""
 
     def put_on_hold(self, target: str, words: str, conditions: frozenset[str], now: Stamp) -> Effects:
-        """The target is on hold until `resume`: see `TargetHold`. A new pause takes the place of an old one."""
+        """The target is on hold until `end_hold`: see `TargetHold`. A new hold replaces an old one."""
         effects = Effects()
         self._holds[target] = TargetHold(words, conditions)
         for record in self._units.values():
@@ -244,28 +244,27 @@ class Tracker:
         return effects
 
     def end_hold(self, target: str, now: Stamp) -> Effects:
-        """The hold is over: what is still bad is a fault as soon as a fresh run says so, after its grace."""
+        """The hold is over: what is still bad after its grace becomes a fault as soon as a new run confirms it."""
         effects = Effects()
         if self._holds.pop(target, None) is not None:
-            self._fresh_start(target, now, effects)
+            self._invalidate_target(target, now, effects)
         return effects
 
     def expect_stop(self, target: str, now: Stamp, at_most_s: float) -> Effects:
-        """The container has got a signal to end, and has so long to do it: its parts go first, and are no faults of their own.
+        """The container received a stop signal and has this long to exit: its parts disappear first, which is not a fault.
 
-        These are units of the target that need another unit of it; the container's own unit is judged as ever.
+        Parts are units of the target that depend on another unit of it; the container's own unit is evaluated as usual.
         """
         self._stops[target] = now.mono + at_most_s
         for record in self._units.values():
             if record.target == target and self._view.is_part(record.id):
-                record.grant(
-                    now.mono, now.mono
-                )  # what looked bad a moment before may have been the beginning of the end
+                record.grant(now.mono, now.mono)  # earlier symptoms may already be due to the stop
         return Effects()
 
     def container_ended(self, target: str, now: Stamp) -> Effects:
-        """The container has ended, an event says: what was seen of its parts until now may follow from that, and what was seen
-        of the container itself is over. Both are run again before anything is published about a part; no grace is given.
+        """An event reports that the container has exited: earlier results of its parts may follow from that.
+
+        The container and its parts run again before anything is published about a part. No grace is given.
         """
         effects = Effects()
         self._stops.pop(target, None)
@@ -276,15 +275,15 @@ class Tracker:
         return self._view.stopping(target, now)
 
     def container_started(self, target: str, now: Stamp) -> Effects:
-        """The container has been started, says an event: what needs it starts fresh, with grace, once for each life."""
+        """An event reports a start of the container: its dependents get grace, once per generation."""
         effects = Effects()
         self._stops.pop(target, None)
-        if self._starts.heard(target, now.mono):
+        if self._starts.on_event(target, now.mono):
             self._restarted(target, now, effects)
         return effects
 
     def escalate(self, fault_id: str, now: Stamp) -> Effects:
-        """Recovery has given up on this fault: close it as escalated. The unit stays ERROR until it is well."""
+        """Recovery has given up on this fault: close it as escalated. The unit stays ERROR until it is OK."""
         effects = Effects()
         for record in self._units.values():
             if record.fault is not None and record.fault.id == fault_id:
@@ -293,18 +292,18 @@ class Tracker:
         return effects
 
     def clear_given_up(self, units: Iterable[str], now: Stamp) -> Effects:
-        """What recovery had given up on may be a fault again, after its grace: there is a reason to try anew."""
+        """There is a reason to try again: after grace, units that were given up may open faults again."""
         effects = Effects()
         given_up = [self._units[name] for name in units if name in self._units and self._units[name].escalated]
         for record in given_up:
             record.clear_given_up()
         self._give_grace([record.id for record in given_up], now, effects)
         for record in given_up:
-            if record.published.level is Level.ERROR:  # without a fault until it is known again
+            if record.published.level is Level.ERROR:  # no fault until a new result confirms it
                 self._publish(record, as_unknown(record.published.result), now, effects)
         return effects
 
-    # ------------------------------------------------------------ what follows
+    # ------------------------------------------------------------ internal
 
     def _evaluate(self, record: UnitRecord, now: Stamp, effects: Effects) -> None:
         decision = decide(record, self._view, now.mono)
@@ -329,7 +328,7 @@ class Tracker:
                 self._evaluate(other, now, effects)
 
     def _note_starvation(self, record: UnitRecord, now: Stamp, effects: Effects) -> None:
-        """A pressure unit has been looked at: symptoms that wait for that are judged, and all when it began or ended."""
+        """A pressure unit has a new result: evaluate symptoms that wait for it, and all symptoms if starvation began or ended."""
         changed = starvation.observe(record, now.mono)
         for other in self._view.starved[record.id]:
             if changed and record.starving is None:
@@ -353,7 +352,7 @@ class Tracker:
         if record.fault is not None:
             self._faults.close(record, Outcome.RESOLVED, record.fault.by or ITSELF, now, effects)
         if recovered:
-            # What looked bad below it meanwhile, told or not, may follow from it.
+            # Problems of its dependents meanwhile, published or not, may follow from it.
             self._give_grace(self.graph.downstream(record.id), now, effects)
 
     def _attribute(self, record: UnitRecord, result: Result, cause: str, now: Stamp, effects: Effects) -> None:
@@ -365,10 +364,10 @@ class Tracker:
 
     def _release(self, target: str, now: Stamp, effects: Effects) -> None:
         if self._actions.pop(target, None) is not None:
-            self._fresh_start(target, now, effects)
+            self._invalidate_target(target, now, effects)
 
-    def _fresh_start(self, target: str, now: Stamp, effects: Effects) -> None:
-        """What was seen of the target, and of all that need it, no longer counts."""
+    def _invalidate_target(self, target: str, now: Stamp, effects: Effects) -> None:
+        """Earlier results of the target and of its dependents no longer count."""
         touched = [record.id for record in self._units.values() if record.target == target]
         below = {name for unit in touched for name in self.graph.downstream(unit)}
         self._give_grace([*touched, *sorted(below.difference(touched))], now, effects)
@@ -376,23 +375,23 @@ class Tracker:
     def _see_generation(
         self, target: str, unit: str, generation: str, started: float, now: Stamp, effects: Effects
     ) -> None:
-        """A run has seen the container in this life; results from before a life that is new to it prove nothing."""
-        saw = self._starts.saw(target, unit, generation, started)
-        if saw is StartSeen.NEWS:
+        """A check saw the container in this generation; results from before a new generation do not count."""
+        saw = self._starts.on_result(target, unit, generation, started)
+        if saw is StartSeen.NEW:
             self._restarted(target, now, effects)
         elif saw is StartSeen.ANNOUNCED:
             self._outdate(target, now, effects)
 
     def _outdate(self, target: str, now: Stamp, effects: Effects) -> None:
-        """What was seen until now of all that need the target proves nothing bad any more."""
-        for name in self._needing(target):
+        """Earlier bad results of the target's dependents no longer count."""
+        for name in self._dependents_of(target):
             record = self._units[name]
             record.grant(now.mono, now.mono)
             if record.latest is not None and record.latest.level is not Level.OK:
                 effects.rerun.add(name)
 
-    def _needing(self, target: str) -> Iterable[str]:
-        """All units that need one of the target's."""
+    def _dependents_of(self, target: str) -> Iterable[str]:
+        """All units that depend on a unit of the target."""
         own = [record.id for record in self._units.values() if record.target == target]
         return dict.fromkeys(name for unit in own for name in self.graph.downstream(unit))
 
@@ -401,10 +400,10 @@ class Tracker:
         for record in self._units.values():
             if record.target == target:
                 record.record_start(now.mono)
-        self._give_grace(self._needing(target), now, effects)
+        self._give_grace(self._dependents_of(target), now, effects)
 
     def _give_grace(self, units: Iterable[str], now: Stamp, effects: Effects) -> None:
-        """What was seen before no longer counts: look again, and give it time to come back."""
+        """Earlier results no longer count: run the checks again and allow time to recover."""
         for name in units:
             record = self._units[name]
             record.grant(now.mono, now.mono + record.spec.unit.grace_s)

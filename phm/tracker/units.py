@@ -1,4 +1,4 @@
-"""What is kept about each unit, and what one call to the tracker yields."""
+"""Records of the tracker: one per unit, and what one call to the tracker returns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NEVER = float("-inf")
 
 @dataclass(frozen=True, slots=True)
 class TrackedUnit:
-    """A unit with what its check says about it."""
+    """A unit with the attributes of its check."""
 
     unit: Unit
     check: str
@@ -23,37 +23,38 @@ class TrackedUnit:
     layer: Layer
     failures: int = 1
     needs: tuple[str, ...] = ()
-    """All needs: the unit's own and those that the configuration adds."""
+    """All dependencies: the unit's own and those that the configuration adds."""
     starved_by: tuple[str, ...] = ()
-    """Pressure units that can explain its symptoms: its container's, those of the containers that it needs, the host's."""
+    """Pressure units that can explain its symptoms: of its container, of the containers it depends on, of the host."""
 
 
 @dataclass(slots=True)
 class Effects:
-    """What follows from one call: events for the bus, in order, and units whose checks must run again."""
+    """Result of one call: events for the bus, in order, and units whose checks must run again."""
 
     events: list[Event] = field(default_factory=list)
     rerun: set[str] = field(default_factory=set)
     waiting: bool = True
-    """Whether time alone may change something: from `observe` about the unit and what needs it, from `tick` about all."""
+    """Whether time alone can change something: after `observe` for the unit and its dependents, after `tick` for all units."""
 
 
 @dataclass(slots=True)
 class ActionInProgress:
-    """An action is at work on a target; `until` ends the hold even if its owner has died."""
+    """A recovery action on a target. `until` (monotonic seconds) ends it even if its thread has died."""
 
     owner: str
     action: str
     until: float
     proving: bool = False
-    """The owner's OK is kept back until the action is proven to have helped all that need it."""
+    """The owner's OK is not published until the action is verified for its dependents, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class TargetHold:
-    """A target is on hold: what is bad there is STALE with these words, and opens no fault.
+    """A target is on hold: bad results are published as STALE with `words` and open no fault.
 
-    conditions: only these are, and only where no fault is open: an end that may be part of a restart. Empty: all are.
+    conditions: limits this to these conditions and to units without an open fault (a container exit that may be part of a
+    restart). Empty: all conditions.
     """
 
     words: str
@@ -62,16 +63,16 @@ class TargetHold:
 
 @dataclass(frozen=True, slots=True)
 class Pending:
-    """A bad result that waits to be told, since a moment (monotonic seconds)."""
+    """A bad result that waits for confirmation, since a moment (monotonic seconds)."""
 
     since: float
     requested: bool = False
-    """Its witnesses have been called for the last time before it is told."""
+    """The final runs of its dependencies have been requested."""
 
 
 @dataclass(frozen=True, slots=True)
 class Starvation:
-    """A pressure unit finds that tasks stand still: since when, as of when (monotonic seconds), and in which way."""
+    """A resource shortage at a pressure unit: since when, last confirmed when (monotonic seconds), and its condition."""
 
     since: float
     seen: float
@@ -80,7 +81,7 @@ class Starvation:
 
 @dataclass(slots=True)
 class UnitRecord:
-    """Everything known about one unit. `raw` is its newest result, `told` what is published."""
+    """Everything known about one unit. `latest` is its newest result; `started` is when that run began."""
 
     spec: TrackedUnit
     published: UnitState
@@ -89,33 +90,33 @@ class UnitRecord:
     bad_in_a_row: int = 0
     pending: Pending | None = None
     had_error: bool = False
-    """It has been ERROR, told or not, since it was last OK: what needs it may have suffered."""
+    """It has been ERROR, published or not, since it was last OK: its dependents may have been affected."""
     valid_from: float = NEVER
-    """Runs that began earlier prove nothing bad any more."""
+    """Bad results of runs that began earlier do not count."""
     grace_until: float = 0.0
-    """Grace: until then a bad result is `not known yet`."""
+    """End of grace: until then a bad result is published as `not known yet`."""
     ok_since: float | None = None
     container_started: float = NEVER
-    """When the container of its target was last seen to be started; nothing is known before."""
+    """When its container was last observed to start."""
     ok_before_s: float = 0.0
-    """Told as OK for so long in this life of it, but for the present spell."""
+    """Total time published as OK since that start, without the current period."""
     unverified_from: float = NEVER
     unverified_until: float = NEVER
-    """Its repair did not bring back what needs it; until then it is not believed to be well."""
+    """Its recovery did not bring back its dependents; until then its OK is not published."""
     fault: Fault | None = None
     escalated: bool = False
     given_up: Fault | None = None
     """The fault that recovery gave up on, while `escalated`."""
     starving: Starvation | None = None
-    """Of a pressure unit: it explains the symptoms of those that it starves."""
+    """Of a pressure unit: the shortage that explains symptoms of other units."""
     pressure_unit: str = ""
-    """The pressure unit that starved it last."""
+    """The pressure unit that last affected it."""
     symptoms_count_from: float = NEVER
-    """When starvation last ended: symptoms of which the evidence is older prove nothing."""
+    """When starvation last ended: symptoms with older evidence do not count."""
     symptom_grace_until: float = NEVER
-    """Until then symptoms may still follow from it."""
+    """Until then symptoms may still follow from the starvation."""
     conditions: set[str] = field(default_factory=set)
-    """Those that its faults have had since it was last OK: giving up on one of them must not hide another."""
+    """Conditions of its faults since it was last OK: giving up on one must not hide another."""
 
     @property
     def id(self) -> str:
@@ -126,13 +127,13 @@ class UnitRecord:
         return self.spec.unit.target
 
     def grant(self, now: float, until: float) -> None:
-        """Grace until then; what was seen before `now` no longer counts."""
+        """Start grace until then; bad results from before `now` no longer count."""
         self.pending = self.ok_since = None
         self.bad_in_a_row, self.valid_from = 0, now
         self.grace_until = max(self.grace_until, until)
 
     def update_condition(self, result: Result) -> None:
-        """What is wrong has changed: the fault that is open, or was given up, now says so."""
+        """The problem has changed: update the fault that is open or was given up."""
         self.conditions.add(result.condition)
         if self.fault is not None:
             self.fault = replace(self.fault, result=result)
@@ -140,16 +141,16 @@ class UnitRecord:
             self.given_up = replace(self.given_up, result=result)
 
     def clear_given_up(self) -> None:
-        """It is OK, or there is a reason to try again: nothing is given up any more."""
+        """It is OK, or there is a reason to try again."""
         self.escalated, self.given_up = False, None
         self.conditions.clear()
 
     def record_start(self, now: float) -> None:
-        """Its container has been started: what was well before says nothing about this life."""
+        """Its container has been started: OK times from before no longer count."""
         self.container_started, self.ok_before_s = now, 0.0
 
     def ok_since_start_s(self, now: float) -> float:
-        """Told as OK for so long, in all, in this life of its container."""
+        """Total time published as OK since its container was started."""
         spell_s = (
             now - max(self.published.since.mono, self.container_started) if self.published.level is Level.OK else 0.0
         )
@@ -157,24 +158,24 @@ class UnitRecord:
 
     @property
     def published_given_up(self) -> bool:
-        """Known as a fault that PHM has given up on: grace after a restart of PHM does not make it unknown again."""
+        """Published as ERROR without a fault because recovery gave up: grace after a restart of PHM does not hide it."""
         return self.escalated and self.published.level is Level.ERROR
 
     @property
     def new_condition(self) -> bool:
-        """It was given up, and is now in ERROR for another reason: that is confirmed like any other ERROR."""
+        """It was given up and is now in ERROR for another reason, which must be confirmed like any ERROR."""
         return (
             self.escalated and self.failing and self.latest is not None and self.latest.condition not in self.conditions
         )
 
     @property
     def failing(self) -> bool:
-        """Its newest result is an ERROR, whether told or not: enough to be somebody else's cause."""
+        """Its latest result is ERROR, published or not: enough to be the cause of other problems."""
         return self.latest is not None and self.latest.level is Level.ERROR
 
     @property
     def unpublished(self) -> bool:
-        """It is bad and not told so yet, or well while its fault is still open: time may end that."""
+        """It is bad and not published as such, or OK while its fault is open: time may change that."""
         if self.latest is None:
             return False
         if self.latest.level is Level.OK:
@@ -183,7 +184,7 @@ class UnitRecord:
 
     @property
     def waiting(self) -> bool:
-        """Whether time alone may change what is told, or how soon it is looked at again."""
+        """Whether time alone can change what is published, or when its check runs again."""
         return self.pending is not None or self.unpublished
 
     @property
@@ -193,8 +194,7 @@ class UnitRecord:
 
 @dataclass(frozen=True)
 class TrackerView:
-    """All units, who needs whom, by target the actions at work, until when it is given time to end (monotonic seconds), and
-    the pauses. The tracker fills it, the rules only look."""
+    """Read-only state for the rules. By target: actions in progress, the end of its stop timeout (monotonic seconds), holds."""
 
     units: Mapping[str, UnitRecord]
     needs: DependencyGraph
@@ -206,13 +206,13 @@ class TrackerView:
         return now < self.stops.get(target, NEVER)
 
     def is_part(self, unit: str) -> bool:
-        """Whether the unit needs another one of its own target, as a node needs its container."""
+        """Whether the unit depends on another one of its own target, as a node depends on its container."""
         record = self.units[unit]
         return bool(record.target) and any(other.target == record.target for other in self.upstream(unit))
 
     @cached_property
     def starved(self) -> Mapping[str, tuple[UnitRecord, ...]]:
-        """By pressure unit, those whose symptoms it can explain."""
+        """By pressure unit: the units whose symptoms it can explain."""
         found: dict[str, list[UnitRecord]] = {}
         for record in self.units.values():
             for name in record.spec.starved_by:
@@ -220,7 +220,7 @@ class TrackerView:
         return {name: tuple(entries) for name, entries in found.items()}
 
     def upstream(self, unit: str) -> list[UnitRecord]:
-        """What the unit depends on, causes first."""
+        """All dependencies of the unit, causes first."""
         return [self.units[name] for name in self.needs.upstream(unit)]
 
     def downstream(self, unit: str) -> list[UnitRecord]:
@@ -233,7 +233,7 @@ def graph_of(tracked: Iterable[TrackedUnit]) -> DependencyGraph:
 
 
 def all_needs(unit: Unit, added: Iterable[str], units_by_check: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """A unit's own needs and the configuration's, where the name of a check stands for all its units."""
+    """A unit's own dependencies and those of the configuration, where the name of a check stands for all its units."""
     wanted = list(unit.needs)
     for name in added:
         wanted.extend(units_by_check.get(name, (name,)))

@@ -149,8 +149,8 @@ def test_a_hung_check_makes_only_itself_stale(rig: Rig) -> None:
     engine = rig.start(Scripted(hang, "hung"), Scripted(lambda: api.ok("b"), "other"))
     until(lambda: len(rig.summaries("other")) == 1, "the first result of other")
     rig.clock.advance(6.0)
-    engine.look_for_overdue()
-    engine.look_for_overdue()
+    engine.report_overdue()
+    engine.report_overdue()
     assert [("deadline of 5 s" in text) for text in rig.summaries("hung")] == [True]
     assert engine.overdue() == ("hung",)
     until(lambda: len(rig.summaries("other")) >= 1, "a result of other")

@@ -15,7 +15,7 @@ from phm.checking import registry
     [
         ("no_such_module_anywhere:X", "cannot be imported"),
         ("phm.core.model:NoSuchName", "has no 'NoSuchName'"),
-        ("phm.core.model:Level", "is no subclass of phm.api.Check"),
+        ("phm.core.model:Level", "is not a subclass of phm.api.Check"),
         ("phm.api:Check", "is named None"),
     ],
 )
@@ -29,6 +29,6 @@ def test_each_way_to_fail_has_its_own_sentence(value: str, words: str) -> None:
 def test_two_packages_with_one_name_are_both_refused() -> None:
     """Neither can be trusted to be the one that is meant."""
     twins = [registry.Plugin("x", "one 1.0", Check), registry.Plugin("x", "two 1.0", Check)]
-    (merged,) = registry._without_twins(twins)
+    (merged,) = registry._without_duplicates(twins)
     assert merged.loaded is None
     assert "one 1.0, two 1.0" in merged.source

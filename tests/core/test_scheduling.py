@@ -123,14 +123,14 @@ def test_a_check_is_overdue_only_by_time_in_which_phm_ran() -> None:
             raise AssertionError
 
     engine = CheckScheduler([ScheduledCheck(Hangs(), 5.0, 2.0)], world(), clock, found.append)
-    engine.workers[0].running_since = clock.mono()
+    engine.threads[0].running_since = clock.mono()
     clock.be_late(5.0)
-    engine.look_for_overdue()
+    engine.report_overdue()
     assert (found, engine.overdue()) == ([], ())
     clock.advance(1.9)
-    assert engine.look_for_overdue() == pytest.approx(0.1)
+    assert engine.report_overdue() == pytest.approx(0.1)
     clock.advance(0.2)
-    engine.look_for_overdue()
+    engine.report_overdue()
     assert [batch.overdue for batch in found] == [True]
 
 
