@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from typing import Any
 
 from phm.core.model import Level, Slot
@@ -9,6 +10,7 @@ from phm.gcs.events import GcsEvent
 from phm.gcs.fleet_state import FleetState
 from phm.gcs.frames import Frame, Heartbeat, StatusText, TunnelPayload
 from phm.testing import FakeClock
+from phm.transport.dialect import mavlink
 from phm.wire import status_word, tunnel
 from phm.wire.tunnel import TunnelMessage
 
@@ -76,3 +78,22 @@ class Ground:
 def events(news: list[GcsEvent], event: str) -> list[dict[str, Any]]:
     """Bodies of the news of one kind."""
     return [dict(one.body) for one in news if one.event == event]
+
+
+class Wire:
+    """A socket of another program that sends to the station and hears what it says."""
+
+    def __init__(self, port: int) -> None:
+        self.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.sock.settimeout(0.2)
+        self._to = ("127.0.0.1", port)
+        self._decoder = mavlink.MAVLink(None)
+
+    def send(self, data: bytes) -> None:
+        self.sock.sendto(data, self._to)
+
+    def hear(self) -> list[Any]:
+        try:
+            return self._decoder.parse_buffer(self.sock.recv(65535)) or []
+        except TimeoutError:
+            return []

@@ -68,7 +68,7 @@ def test_only_faults_that_need_a_configuration_are_played_apart() -> None:
     assert needing == [name for name, fault in faults.all_faults().items() if "configuration" in fault.needs]
 
 
-LINKS = "played with real sockets by tests/mavlink/test_reopen.py: no container is touched"
+LINKS = "played with real sockets by tests/transport/test_reopen.py: no container is touched"
 ENDS = "played by the campaign, docs/development/sitl_faults.md has the figures"
 UNPROVEN = {
     "disk_full": ENDS,

@@ -22,7 +22,7 @@ from phm.wire import status_word
 from tests.fakes.mavlink import Sender, free_port, heartbeat
 from tests.fakes.until import until
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TIMEOUT_S, STOPPED_S = 4.0, 9.0
 """Stopped for more than twice the timeouts: the bound for a PHM that is starved for good must not apply."""
 UNITS = ("autopilot", "gcs", "peers/A02")

@@ -165,7 +165,7 @@ def test_a_short_loss_is_no_problem_and_a_long_one_is() -> None:
     bench.link.state = replace(CONNECTED, connected=False, since_s=9.0, error="no connection to tcp/r:7447")
     assert not bench.fleet.problem()
     bench.link.state = replace(bench.link.state, since_s=10.0)
-    assert bench.fleet.problem() == "the fleet north is not reached by Zenoh: no connection to tcp/r:7447"
+    assert bench.fleet.problem() == "Zenoh does not reach the fleet north: no connection to tcp/r:7447"
     bench.link.state = replace(CONNECTED, namesakes=("phm/north/agent_3/alive/x",))
     assert "another PHM is present as phm/north/agent_3/status" in bench.fleet.problem()
 
