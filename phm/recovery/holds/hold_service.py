@@ -17,11 +17,11 @@ from phm.core.clock import Clock
 from phm.core.model import Event, HoldChanged, Stamp
 from phm.core.settings import Settings
 from phm.facts import COMPLETE, CannotTell, ContainerFact, EventStreamFact
-from phm.recovery.containers.dependents import dependents
+from phm.recovery.holds.flight_rules import FlightRules
 from phm.recovery.holds.hold_registry import ALL, MAX_TEXT, OPERATOR, STOP, WINDOW, Hold, HoldRegistry
 from phm.recovery.holds.maintenance_windows import MaintenanceWindows
 from phm.recovery.holds.manual_stop import ManualStopDetector, StopVerdict
-from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
+from phm.recovery.safety.armed_state import ArmedStatus
 from phm.wire.report import iso
 from phm.wire.text import one_line
 
@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 ENDINGS = frozenset({"exited", "missing", "created"})
 """Conditions of a container that may be part of a restart or a recreation."""
 WAITING = "being stopped by an operator: not judged yet, it may be started or recreated"
-FLYING_S = 1.0
+ARMED_S = 1.0
 """While there is a hold or a window, the armed state is checked this often."""
 WINDOWS_S, LABELS_S = 5.0, 30.0
 """Maintenance windows, and the labels that define some, are checked this often."""
@@ -83,11 +83,12 @@ class HoldService:
         self._stops = ManualStopDetector()
         self._windows = MaintenanceWindows(self._rules.maintenance, holds, lambda text: pipeline.note("HOLD", text))
         holds.explained_until = self._explained_until
-        self._flew: bool | None = None
+        self._was_armed: bool | None = None
         self._windows_at = self._labels_at = float("-inf")
         self._labels: dict[str, str] = {}
         self._facts: dict[str, ContainerFact] = {}
         """The newest of each container, also of one that was removed: containers in its namespaces depend on it."""
+        self._flight = FlightRules(settings.containers, world.armed, self._facts)
         self._seen: set[str] = set()
         self._lock = threading.RLock()
         self._wake, self._stopping = threading.Event(), False
@@ -112,8 +113,11 @@ class HoldService:
         length_s = self._rules.hold if for_s is None else for_s
         if not 1.0 <= length_s <= self._rules.hold_max:
             raise HoldRefused(f"a hold lasts 1 s to {self._rules.hold_max:g} s (recovery.hold_max), not {length_s:g} s")
-        self._refuse_in_flight(container)
-        unsure = self._unsure(container)
+        keys = [key for key in self._keys if container in (ALL, key)]
+        refusal = self._flight.refusal(keys)
+        if refusal:
+            raise HoldRefused(f"{container or 'a container'} {refusal}")
+        unsure = self._flight.warning(keys)
         now = self._clock.stamp()
         hold = Hold(container, OPERATOR, now.mono + length_s, by, one_line(reason)[:MAX_TEXT])
         with self._lock:
@@ -170,7 +174,7 @@ class HoldService:
             dues = [hold.until - now for hold in self._holds.all()]
             stop_due = self._stops.next_due()
             dues += [stop_due - now] if stop_due is not None else []
-            dues += [FLYING_S] if self._holds.all() else []
+            dues += [ARMED_S] if self._holds.all() else []
             dues += [WINDOWS_S] if windows else []
         return max(0.0, min(dues)) if dues else None
 
@@ -257,7 +261,7 @@ class HoldService:
 
     def _apply_stop_rule(self, key: str, done: str) -> None:
         rule = self._rules.on_manual_stop.air if self._world.armed().restricts else self._rules.on_manual_stop.ground
-        if rule == "respect" and not (self._flying() and self._critical([key])):
+        if rule == "respect" and not (self._flight.armed and self._flight.critical([key])):
             until = self._clock.mono() + self._rules.hold
             self._begin(Hold(key, STOP, until, "an operator", f"{done} by hand"))
             return
@@ -266,19 +270,17 @@ class HoldService:
         what = "PHM only recommends what would help" if advise else "PHM treats it as a failure"
         self._pipeline.note("HOLD", f"{key} was {done} manually; {what} (recovery.on_manual_stop)")
 
-    def _flying(self) -> bool:
-        """Whether the vehicle is armed for certain."""
-        return self._world.armed().state is ArmedState.ARMED
-
     def _end_on_arming(self) -> None:
         """End what was put on hold on the ground when the vehicle is armed, but for an operator's hold of what is not flight-critical."""
-        flying = self._flying()
-        if self._flew is None:
-            self._flew = self._holds.armed_before
-        if flying and not self._flew:
-            ending = [hold for hold in self._holds.all() if hold.source != OPERATOR or self._critical(self._of(hold))]
+        armed = self._flight.armed
+        if self._was_armed is None:
+            self._was_armed = self._holds.armed_before
+        if armed and not self._was_armed:
+            ending = [
+                hold for hold in self._holds.all() if hold.source != OPERATOR or self._flight.critical(self._of(hold))
+            ]
             self._end(ending, "the autopilot is armed")
-        self._flew = flying
+        self._was_armed = armed
 
     def _check_labels(self) -> None:
         """Without the lock: an engine that hangs must not block others."""
@@ -303,13 +305,13 @@ class HoldService:
 
     def _check_windows(self, now: Stamp) -> bool:
         """Begin and end the holds of maintenance windows; whether there may be any windows."""
-        if now.mono - self._windows_at >= WINDOWS_S and not self._flew:
+        if now.mono - self._windows_at >= WINDOWS_S and not self._was_armed:
             self._windows_at = now.mono
             removed = self._windows.removed()
             if removed:
                 self._end(removed, "the configuration no longer has it")
             for hold in self._windows.due(now, self._labels):
-                if not (self._world.armed().restricts and self._critical(self._of(hold))):
+                if not (self._world.armed().restricts and self._flight.critical(self._of(hold))):
                     self._begin(hold)
         return bool(self._rules.maintenance or self._keys)
 
@@ -324,31 +326,6 @@ class HoldService:
             raise HoldRefused(
                 f"there is no container {container!r} in the configuration: {', '.join(self._keys) or 'it has none'}"
             )
-
-    def _critical(self, keys: Iterable[str]) -> bool:
-        """Whether one of these is flight-critical, or something that it would take down is (`phm.recovery.containers.dependents`)."""
-        entries = self._settings.containers
-        critical = {entry.key for entry in entries if entry.flight_critical}
-        facts = dict(self._facts)
-        return bool(critical) and any(critical & {key, *dependents(key, facts, entries)} for key in keys)
-
-    def _refuse_in_flight(self, container: str) -> None:
-        keys = [key for key in self._keys if container in (ALL, key)]
-        if self._flying() and self._critical(keys):
-            raise HoldRefused(
-                f"{container or 'a container'} is flight-critical, or another one that depends on it, and the autopilot is "
-                "armed: its failures stay visible"
-            )
-
-    def _unsure(self, container: str) -> str:
-        """What an operator must know who puts something flight-critical on hold while the armed state is unknown.
-
-        This is not refused: a hold changes nothing, and a bench has no autopilot. A silence after armed counts as armed.
-        """
-        armed, keys = self._world.armed(), [key for key in self._keys if container in (ALL, key)]
-        if armed.state is not ArmedState.UNKNOWN or not self._critical(keys):
-            return ""
-        return f"; the vehicle is not known to be disarmed ({armed.why}): the hold ends when the autopilot is armed"
 
     def _json(self, hold: Hold) -> dict[str, Any]:
         now = self._clock.stamp()

@@ -1,0 +1,49 @@
+"""Which holds the armed state of the vehicle forbids."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from phm.core.settings import ContainerSettings
+from phm.facts import ContainerFact
+from phm.recovery.containers.dependents import dependents
+from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
+
+
+class FlightRules:
+    """facts: the newest of each container, by which dependents are known; the caller updates it."""
+
+    def __init__(
+        self,
+        containers: Sequence[ContainerSettings],
+        status: Callable[[], ArmedStatus],
+        facts: Mapping[str, ContainerFact],
+    ) -> None:
+        self._containers, self._status, self._facts = containers, status, facts
+
+    @property
+    def armed(self) -> bool:
+        """Whether the vehicle is armed for certain."""
+        return self._status().state is ArmedState.ARMED
+
+    def critical(self, keys: Iterable[str]) -> bool:
+        """Whether one of these containers is flight-critical, or takes a flight-critical one down."""
+        critical = {entry.key for entry in self._containers if entry.flight_critical}
+        facts = dict(self._facts)
+        return bool(critical) and any(critical & {key, *dependents(key, facts, self._containers)} for key in keys)
+
+    def refusal(self, keys: Sequence[str]) -> str:
+        """Why these must not be put on hold now, as part of a sentence; empty: they may be."""
+        if not (self.armed and self.critical(keys)):
+            return ""
+        return "is flight-critical, or another one that depends on it, and the autopilot is armed: its failures stay visible"
+
+    def warning(self, keys: Sequence[str]) -> str:
+        """What an operator must know who puts something flight-critical on hold while the armed state is unknown.
+
+        This is not refused: a hold changes nothing, and a bench has no autopilot. A silence after armed counts as armed.
+        """
+        status = self._status()
+        if status.state is not ArmedState.UNKNOWN or not self.critical(keys):
+            return ""
+        return f"; the vehicle is not known to be disarmed ({status.why}): the hold ends when the autopilot is armed"
