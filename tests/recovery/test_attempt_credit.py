@@ -51,7 +51,7 @@ def test_an_action_that_found_nothing_to_do_is_not_named(agent: Agent) -> None:
 
     def nothing(key: str, context: ActionContext, fault: Fault) -> NotNeeded:
         agent.bad.clear()
-        return NotNeeded("app runs already")
+        return NotNeeded("app is already running")
 
     by, said = resolved(agent, nothing)
     assert by == "itself"
@@ -65,7 +65,7 @@ def test_an_action_may_know_what_else_has_helped(agent: Agent) -> None:
     assert said.endswith("but not because of restart: the moon has moved")
 
 
-def test_a_proven_repair_stands_when_no_thread_can_be_started_to_ask(
+def test_a_recovery_is_credited_when_no_thread_can_be_started_to_ask(
     agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At a limit of processes nothing speaks against the action."""
@@ -149,7 +149,7 @@ PILOT = AutopilotFact(10.0, False, link="fc", boot_s=500.0)
 
 
 def test_what_answers_as_soon_as_it_is_opened_was_behind_a_dead_connection() -> None:
-    """Nobody knows its time since boot, or that goes on as ever: it ran all the time, and only PHM's end was stuck."""
+    """Nobody knows its time since boot, or that goes on as usual: it ran all the time, and only PHM's end was stuck."""
     assert Cable().act() == ("reopened the MAVLink endpoint fc", "")
     assert Cable(pilot=PILOT).act()[1] == ""
     assert Cable(pilot=replace(PILOT, boot_s=None)).act()[1] == ""
@@ -157,8 +157,8 @@ def test_what_answers_as_soon_as_it_is_opened_was_behind_a_dead_connection() -> 
 
 def test_what_answers_late_has_come_back_by_itself() -> None:
     """It hung for longer than the opening took."""
-    assert "come back by itself" in Cable(speaks_after_s=PROMPT_S + 1.0).act()[1]
-    assert "come back by itself" in Cable(speaks_after_s=PROMPT_S + 1.0).act("radio_silent")[1]
+    assert "recovered by itself" in Cable(speaks_after_s=PROMPT_S + 1.0).act()[1]
+    assert "recovered by itself" in Cable(speaks_after_s=PROMPT_S + 1.0).act("radio_silent")[1]
 
 
 def test_an_autopilot_that_has_rebooted_was_not_helped() -> None:
@@ -191,5 +191,5 @@ def test_a_link_by_which_something_comes_again_is_not_opened_again() -> None:
     """What it carries would be cut, and it needs no help."""
     made = Cable(silent_s=0.2)
     said, _ = made.act()
-    assert (said, made.opened) == ("data come by fc again", None)
+    assert (said, made.opened) == ("data arrives by fc again", None)
     assert isinstance(said, NotNeeded)

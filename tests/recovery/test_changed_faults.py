@@ -15,7 +15,7 @@ from tests.recovery.simulated_agent import Agent, Containers, Of
 
 UNITS = {"container/app": Of("app"), "network/app": Of("app", ("container/app",)), "nodes/one": Of("app")}
 HUNG = error("hung", brief="hung", condition="node_hung", target="app")
-UNHEARD = error("unheard", brief="unheard", condition="node_unreachable")
+UNREACHABLE = error("unreachable", brief="unreachable", condition="node_unreachable")
 APART = error("PHM is not on the network", brief="apart", condition="sidecar_disconnected", target="app")
 OFF = error("app is not on the network", brief="off", condition="disconnected", target="app")
 Start = Callable[..., Agent]
@@ -48,7 +48,7 @@ def test_a_hung_node_that_turns_out_to_be_unreachable_is_not_restarted_after_lan
     agent.armed = True
     agent.found["nodes/one"] = HUNG
     agent.until(lambda: agent.acted(Phase.ADVISED) == ["restart"], "the advice")
-    agent.found["nodes/one"] = UNHEARD
+    agent.found["nodes/one"] = UNREACHABLE
     agent.rest(5.0)
     agent.armed = False
     agent.rest(30.0)
@@ -60,7 +60,7 @@ def test_a_hung_node_that_turns_out_to_be_unreachable_is_not_restarted_after_lan
 def test_an_unreachable_node_that_turns_out_to_be_hung_is_restarted(start: Start) -> None:
     """The other way round: a fault that had no target gets one."""
     agent = start()
-    agent.found["nodes/one"] = UNHEARD
+    agent.found["nodes/one"] = UNREACHABLE
     agent.until(lambda: agent.opened() == ["nodes/one"], "the alarm")
     agent.rest(5.0)
     agent.found["nodes/one"] = HUNG
@@ -134,7 +134,7 @@ def test_after_one_fault_was_healed_the_others_are_looked_at_before_anything_is_
     assert agent.acted() == ["restart"]
 
 
-def test_an_action_that_waits_for_something_is_no_attempt(start: Start) -> None:
+def test_an_action_that_waits_for_something_does_not_count_as_an_attempt(start: Start) -> None:
     """The network is missing: said once, and done when it is there, with all its attempts left."""
     agent = start()
     agent.behave = lambda *_: agent.found.clear()

@@ -25,13 +25,13 @@ from tests.fakes.until import until
 
 
 class World:
-    """One container that is unhealthy until `mend` is called; the executor on a fake clock around it."""
+    """One container that is unhealthy until `fix` is called; the executor on a fake clock around it."""
 
     def __init__(self, *, armed: bool = False, container: ContainerSettings | None = None, **recovery: Any) -> None:
         self.clock = testing.FakeClock()
         self.events: list[Event] = []
         self.runs: list[str] = []
-        self.behave: Callable[[str], None] = lambda name: self.mend()
+        self.behave: Callable[[str], None] = lambda name: self.fix()
         self.well, self.condition = False, "unhealthy"
         app = container or ContainerSettings(name="app", recover=True)
         self.settings = Settings.model_validate({"containers": [app], "recovery": recovery})
@@ -77,7 +77,7 @@ class World:
     def publish(self, event: Event) -> None:
         self.bus.publish(event)
 
-    def mend(self) -> None:
+    def fix(self) -> None:
         self.well = True
 
     def look(self) -> None:
@@ -139,7 +139,7 @@ def test_a_fault_is_acted_on_and_the_result_is_proven(worlds: list[World]) -> No
 
 
 def test_an_action_that_does_not_help_is_repeated_and_then_given_up(worlds: list[World]) -> None:
-    """Three times the same failure: told once, with the next step, and no more restarts."""
+    """Three times the same failure: reported once, with the next step, and no more restarts."""
     world = make(worlds)
     world.behave = lambda name: None
     world.fail()
@@ -181,7 +181,7 @@ def test_a_container_given_up_while_down_is_started_again_without_a_new_alarm(wo
     world.until(lambda: world.pipeline.states()[0].level is Level.OK)
 
 
-def test_not_permitted_is_told_once_and_never_tried_again(worlds: list[World]) -> None:
+def test_a_refusal_is_reported_once_and_not_tried_again(worlds: list[World]) -> None:
     """403 from the engine: recovery is not permitted, report only."""
     world = make(worlds)
 
@@ -200,14 +200,14 @@ def test_not_permitted_is_told_once_and_never_tried_again(worlds: list[World]) -
 
 @pytest.mark.parametrize("trouble", [ActionFailed("no such network"), ValueError("boom"), SystemExit(1)])
 def test_an_action_that_raises_is_a_failed_attempt(worlds: list[World], trouble: BaseException) -> None:
-    """A plug-in's crash is told and counted; the thread lives on and tries again."""
+    """A plug-in's crash is reported and counted; the thread lives on and tries again."""
     world = make(worlds)
     troubles = [trouble]
 
     def raise_once(name: str) -> None:
         if troubles:
             raise troubles.pop()
-        world.mend()
+        world.fix()
 
     world.behave = raise_once
     world.fail()
@@ -216,7 +216,7 @@ def test_an_action_that_raises_is_a_failed_attempt(worlds: list[World], trouble:
 
 
 def test_an_action_that_hangs_costs_its_deadline(worlds: list[World]) -> None:
-    """The hung attempt is abandoned, told, and another is made."""
+    """The hung attempt is abandoned, reported, and another is made."""
     world = make(worlds)
     stuck, first = threading.Event(), [True]
 
@@ -225,7 +225,7 @@ def test_an_action_that_hangs_costs_its_deadline(worlds: list[World]) -> None:
             first.pop()
             stuck.wait(30)
         else:
-            world.mend()
+            world.fix()
 
     world.behave = hang_once
     world.fail()
@@ -248,7 +248,7 @@ def test_advise_and_off_change_nothing_in_the_world(worlds: list[World], recover
 
 
 def test_flight_critical_is_left_alone_while_armed(worlds: list[World]) -> None:
-    """Advice only, told once, however long it lasts."""
+    """Advice only, reported once, however long it lasts."""
     critical = ContainerSettings(name="app", recover=True, flight_critical=True)
     world = make(worlds, armed=True, container=critical)
     world.fail()
@@ -269,7 +269,7 @@ def test_what_heals_by_itself_is_not_acted_on_again(worlds: list[World]) -> None
     world.behave = refuse
     world.fail()
     world.until(lambda: Phase.FAILED in world.phases())
-    world.mend()
+    world.fix()
     world.until(lambda: bool(world.closed()))
     for _ in range(100):
         world.clock.advance(1.0)
@@ -278,7 +278,7 @@ def test_what_heals_by_itself_is_not_acted_on_again(worlds: list[World]) -> None
     assert world.closed()[0].fault.by == "itself"
 
 
-def test_a_rung_that_does_not_apply_is_no_failed_attempt(worlds: list[World]) -> None:
+def test_a_step_that_does_not_apply_is_not_a_failed_attempt(worlds: list[World]) -> None:
     """What the configuration has nothing for is passed over: the first attempt is the first rung that can help."""
     world = make(worlds, ladders={"unhealthy": ["start", "restart"]})
     cast(Any, world.actions["start"]).applies = classmethod(lambda cls, target, fault, settings: False)
@@ -293,11 +293,11 @@ def test_a_repair_that_leaves_its_dependents_down_is_followed_by_the_next_rung(w
     world = make(worlds, ladders={"unhealthy": ["start", "restart"]})
     world.nodes_well = False
 
-    def mend_in_part(name: str) -> None:
-        world.mend()
+    def fix_in_part(name: str) -> None:
+        world.fix()
         world.nodes_well = name == "restart"
 
-    world.behave = mend_in_part
+    world.behave = fix_in_part
     world.fail()
     world.until(lambda: Phase.VERIFIED in world.phases())
     assert world.runs == ["start", "restart"]
@@ -307,7 +307,7 @@ def test_a_repair_that_leaves_its_dependents_down_is_followed_by_the_next_rung(w
 
 
 def test_on_the_last_rung_what_does_not_come_back_is_a_fault_of_its_own(worlds: list[World]) -> None:
-    """Nothing more can be done for this fault, which is healed; the rest is told as what it is."""
+    """Nothing more can be done for this fault, which is healed; the rest is reported as separate faults."""
     world = make(worlds)
     world.nodes_well = False
     world.fail()

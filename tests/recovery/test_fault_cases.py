@@ -15,7 +15,7 @@ def fault(name: str, condition: str = "broken", target: str = "app") -> Fault:
     return Fault(name, f"health/{name}", Slot.CONTAINER, Layer.DOCKER, found, Stamp(0.0, 0.0))
 
 
-def test_what_is_over_is_forgotten() -> None:
+def test_closed_faults_are_forgotten() -> None:
     """Only what the tracker still has open is left."""
     cases = FaultCases("app")
     cases.opened(fault("a"))
@@ -24,7 +24,7 @@ def test_what_is_over_is_forgotten() -> None:
     assert cases.find("a") is None
 
 
-def test_a_case_is_as_its_fault_is_now() -> None:
+def test_a_case_follows_the_condition_of_its_fault() -> None:
     """What is wrong may have changed, and its event may be on its way; what was refused was the action for another fault."""
     cases = FaultCases("app")
     cases.opened(fault("a"))

@@ -48,7 +48,7 @@ def test_mode_off_does_nothing_and_advise_only_says() -> None:
 
 
 def test_a_condition_without_a_ladder_is_left_alone() -> None:
-    """A missing device is not mended by a restart, nor is a blocked transport; the engine's crash loop is its own."""
+    """A missing device is not fixed by a restart, nor is a blocked transport; the engine's crash loop is its own."""
     for condition in ("device_missing", "not_received", "restarting"):
         assert isinstance(say(fault=fault(condition)), Skip)
 
@@ -103,7 +103,7 @@ def test_a_container_that_ran_before_phm_has_come_up_already(seconds: float, exp
 
 
 @pytest.mark.parametrize(("never", "seconds", "expected"), [(True, 60.0, Skip), (False, 0.0, Act)])
-def test_a_check_knows_better_than_what_was_told(never: bool, seconds: float, expected: type) -> None:
+def test_evidence_of_a_check_overrides_what_was_published(never: bool, seconds: float, expected: type) -> None:
     """A network is well before anybody has listened for data on it."""
     known = was_well("transport_blocked", seconds)
     known = replace(known, result=replace(known.result, evidence=Evidence(never_ok=never)))
@@ -179,8 +179,8 @@ def test_help_that_does_not_last_counts_as_failure() -> None:
     assert isinstance(say(history, fault=fault(opened=999.0), now=1010.0), GiveUp)
 
 
-def test_given_up_and_mended_for_good_it_is_tried_again() -> None:
-    """An operator mended what PHM gave up on: when it breaks minutes later, earlier attempts say nothing about it."""
+def test_a_fault_that_an_operator_fixed_is_tried_again() -> None:
+    """An operator fixed what PHM gave up on: when it breaks minutes later, earlier attempts say nothing about it."""
     history = attempts(900.0, 910.0, 920.0)
     assert say(history, fault=fault(ok_s=RULES.verify + 1)) == Act("restart", 1)
     assert isinstance(say(history, fault=fault(ok_s=RULES.verify - 1)), GiveUp), "it was well for a moment only"
@@ -198,26 +198,26 @@ def marked(history: History, *, backoff_reset: bool = False, not_counted: bool =
     )
 
 
-def test_excused_attempts_are_no_failures_and_cost_no_rung() -> None:
-    """Made while a dependency was down or on an earlier life: the ladder begins anew, back-off does not."""
+def test_uncounted_attempts_are_not_failures_and_use_no_step() -> None:
+    """Made while a dependency was down or on an earlier life: the ladder starts again, back-off does not."""
     history = marked(attempts(900.0, 910.0, 998.0, condition="disconnected"), not_counted=True)
     assert say(history, fault=fault("disconnected")) == Wait(1002.0, "backing off")
     assert say(history, fault=fault("disconnected"), now=1002.0) == Act("reconnect", 1)
 
 
-def test_eased_attempts_are_not_waited_for_and_count_as_failures() -> None:
+def test_attempts_with_reset_backoff_count_as_failures() -> None:
     """What the target needs has come back: the next attempt may come at once."""
     assert say(marked(attempts(990.0, 999.5), backoff_reset=True)) == Act("restart", 3)
     assert isinstance(say(marked(attempts(900.0, 910.0, 920.0), backoff_reset=True)), GiveUp)
 
 
 def test_the_budget_counts_what_nothing_else_does() -> None:
-    """However much is excused, a container is not restarted more often than that."""
+    """However much is not counted, a container is not restarted more often than that."""
     history = marked(attempts(900.0, 910.0, 920.0, 930.0, 940.0), backoff_reset=True, not_counted=True)
     assert say(history) == Wait(1510.0, KEPT_BACK, report=True)
 
 
-def test_help_that_lasted_ends_the_count_even_when_excused() -> None:
+def test_a_lasting_recovery_ends_the_count_even_when_not_counted() -> None:
     """What is older than help that lasted stays forgotten."""
     helped = AttemptRecord(900.0, "health/app", "unhealthy", "restart", worked=True, not_counted=True)
     history = History([*attempts(700.0, 710.0, 720.0).attempts, helped])
@@ -225,7 +225,7 @@ def test_help_that_lasted_ends_the_count_even_when_excused() -> None:
 
 
 def test_easing_marks_the_units_and_excusing_the_time_of_the_outage() -> None:
-    """All attempts on what needs the dependency are eased; only those from the outage are excused."""
+    """All attempts on what needs the dependency are with reset back-off; only those from the outage are not counted."""
     history = History(
         [AttemptRecord(at, unit, "x", "restart", worked=False) for at in (10.0, 20.0) for unit in ("a", "b")]
     )
@@ -241,7 +241,7 @@ def test_easing_marks_the_units_and_excusing_the_time_of_the_outage() -> None:
 
 
 def test_a_new_life_excuses_what_was_before_it() -> None:
-    """Once: to begin anew a second time says nothing new."""
+    """Once: to reset a second time says nothing new."""
     history = attempts(10.0, 20.0)
     assert history.discount_before(15.0)
     assert [(each.backoff_reset, each.not_counted) for each in history.attempts] == [(True, True), (False, False)]

@@ -1,4 +1,4 @@
-"""PHM as a whole on the real engine, within this process: whose doing a container's life is, and who restarts a dependant."""
+"""PHM as a whole on the real engine, within this process: whose doing a container's life is, and who restarts a dependent."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Phm:
         return [event.fault.unit for event in self.events if isinstance(event, FaultOpened)]
 
     def passes(self, number: int) -> None:
-        """PHM looks at everything anew so many times."""
+        """PHM looks at everything again so many times."""
         seen = self.daemon.pipeline._pass_number
         self.until(lambda: self.daemon.pipeline._pass_number >= seen + number, f"{number} passes")
 
@@ -140,7 +140,7 @@ def test_restarted_by_hand_it_is_acted_on_again_when_it_has_stayed(real: Any, ph
     assert any("started again outside PHM" in event.text for event in daemon.events if isinstance(event, Note))
 
 
-def test_dockers_own_restart_policy_does_not_make_phm_begin_anew(real: Any, phm: Start) -> None:
+def test_dockers_restart_policy_does_not_reset_attempts(real: Any, phm: Start) -> None:
     """The process ends again and again, each time after `verify`; the engine restarts it and PHM, which gave up, watches."""
     made, daemon = given_up(real, phm, restart_policy={"Name": "always"})
     for _ in range(2):

@@ -70,7 +70,7 @@ def test_the_next_attempt_follows_when_the_check_has_decided(start: Start) -> No
     assert agent.steps()[:4] == [Phase.STARTED, Phase.DONE, Phase.FAILED, Phase.STARTED]
 
 
-def test_without_a_fresh_error_there_is_no_further_attempt(start: Start) -> None:
+def test_no_attempt_follows_without_a_new_error(start: Start) -> None:
     """Docker says `starting` for longer than it may: nothing is known, so nothing is done and nothing is given up."""
     agent = restarted(start())
     agent.rest(DECIDES_S + 120.0)

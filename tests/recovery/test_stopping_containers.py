@@ -36,7 +36,7 @@ def test_a_fault_of_a_container_that_is_being_stopped_waits(agent: Agent) -> Non
     agent.until(lambda: agent.runs == [("app", "health/app")], "the action")
 
 
-def test_a_stop_that_does_not_come_about_holds_nothing_for_ever(agent: Agent) -> None:
+def test_a_stop_that_does_not_happen_blocks_recovery_for_a_limited_time(agent: Agent) -> None:
     """The signal was caught, or the stop's SIGKILL was lost with the event stream."""
     agent.pipeline.expect_stop("app", 60.0)
     agent.bad["health/app"] = "broken"

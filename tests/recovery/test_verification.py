@@ -98,7 +98,7 @@ class Starved(Silent):
 @pytest.mark.parametrize("until", [1.0, 100.0])
 @pytest.mark.parametrize("well", [True, False])
 def test_what_starts_while_it_is_starved_gets_more_time_and_is_not_to_blame(well: bool, until: float) -> None:
-    """As long again as `recovery.verify`, also when the starvation has ended meanwhile; then the attempt has failed, excused."""
+    """As long again as `recovery.verify`, also when the starvation has ended meanwhile; then the attempt has failed, not counted."""
     starved = Starved(1000.0 if well else 36.0, well=well, until=until)
     proving = Verification("container/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S)
     ends = GRACE_S + 4.0 + 30.0 if well else GRACE_S + 2.0 + 30.0

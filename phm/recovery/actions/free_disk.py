@@ -163,7 +163,7 @@ def _entries(folder: int, home: int, path: str = "", depth: int = DEPTH) -> Iter
 
 
 def _unlink(folder: int, path: str) -> None:
-    """Remove one file below an open folder, following no link on the way. One that is gone already is no problem."""
+    """Remove one file below an open folder, following no link on the way. A file that does not exist is ignored."""
     *parents, name = PurePosixPath(path).parts
     handle = os.dup(folder)
     try:

@@ -1,4 +1,4 @@
-"""Join a network oneself."""
+"""Connect PHM itself to the networks of a container."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def join_networks(container: ContainerSettings, context: ActionContext) -> str:
         try:
             context.engine.connect(network, me.name, aliases=(), address="")
         except NotPermitted:
-            # The engine's answer, 403, also stands for `is on it already`: somebody was quicker, perhaps PHM itself.
+            # The engine answers 403 also when the container is on the network already, e.g. because PHM was quicker.
             if me.id not in context.engine.inspect_network(network).get("Containers", {}):
                 raise
             continue

@@ -1,4 +1,4 @@
-"""Put a container back on its networks."""
+"""Reconnect a container to its networks."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Reconnect(Action):
         if gone and not done:
             raise NotYet(not_there(gone))
         if not done:
-            return NotNeeded(f"{target.key} is connected already")
+            return NotNeeded(f"{target.key} is already connected")
         waits = f"; {not_there(gone)}" if gone else ""
         return f"reconnected {target.key} to {', '.join(done)}{waits}"
 

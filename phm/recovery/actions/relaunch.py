@@ -15,7 +15,7 @@ class Relaunch(Action):
     """Run `nodes[].relaunch` through the engine's exec: word by word, detached, as the container's own user.
 
     It never makes a second copy of a node: one that is still listed, or whose command still runs, is left
-    to the next rung of the ladder, which restarts the container and so ends the hung copy too.
+    to the next step of the ladder, which restarts the container and so ends the hung copy too.
     """
 
     name = "relaunch"
@@ -45,7 +45,7 @@ class Relaunch(Action):
 
     @staticmethod
     def _listed(name: str, fault: Fault, context: ActionContext) -> bool:
-        """Where nobody can tell, a node that was reported missing counts as missing, and any other as there.
+        """Without a graph, a node that was reported missing counts as missing, and any other as present.
 
         A node can be reported missing while it is listed: its name stays until its lease ends.
         """
@@ -71,7 +71,7 @@ def _node(target: Target, fault: Fault, settings: Settings) -> NodeSettings | No
 
 
 def _runs(command: str, container: str, context: ActionContext) -> bool:
-    """Whether some process of the container has this command line; an interpreter may stand before it."""
+    """Whether some process of the container has this command line; an interpreter may precede it."""
     rows = context.engine.top(container).get("Processes") or []
     if not isinstance(rows, list):
         raise CannotTell("the Docker Engine answered without a process list")

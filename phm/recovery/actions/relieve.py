@@ -1,4 +1,4 @@
-"""Lower the CPU weight of containers that may give way to a starved one."""
+"""Lower the CPU weight of other containers to relieve a starved one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from phm.recovery.target import Target
 
 
 class Relieve(Action):
-    """For a flight-critical container that waits for a core because of others. `recovery.relieve` names who may give way."""
+    """For a flight-critical container that waits for a core because of others; `recovery.relieve` lists containers to lower."""
 
     name = "relieve"
     impact = Impact.OTHERS
@@ -35,5 +35,5 @@ class Relieve(Action):
             if context.relief.lower(key, fact, fault.unit, context.engine):
                 lowered.append(key)
         if not lowered:
-            return NotNeeded("no container is left that may give way: see recovery.relieve")
+            return NotNeeded("no container in recovery.relieve can be lowered")
         return f"lowered the CPU weight of {', '.join(lowered)} to {LOW_SHARES}"

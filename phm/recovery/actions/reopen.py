@@ -47,19 +47,17 @@ class Reopen(Action):
             )
         link = target.key
         if _flows(link, context, FLOWS_S):
-            return NotNeeded(f"data come by {link} again")
+            return NotNeeded(f"data arrives by {link} again")
         self._began, self._pilot = context.clock.mono(), context.autopilot()
         if not context.reopen(link, OPEN_S):
-            raise ActionFailed(
-                f"the MAVLink endpoint {link} did not open again within {OPEN_S:g} s; PHM goes on trying"
-            )
+            raise ActionFailed(f"the MAVLink endpoint {link} did not open again within {OPEN_S:g} s; PHM keeps trying")
         self._prompt = self._answers(link, _prompt_s(fault, context), context)
         return f"reopened the MAVLink endpoint {link}"
 
     def other_cause(self, target: Target, fault: Fault, context: ActionContext) -> str:
         """A reboot, or a stall, of the autopilot explains its silence, and so does an answer that came late."""
         if not self._prompt:
-            return "nothing came soon after it was opened, and the other side has come back by itself"
+            return "no data arrived soon after it was opened, so the other side has recovered by itself"
         before = self._pilot
         if before is None or before.boot_s is None or before.link != target.key:
             return ""

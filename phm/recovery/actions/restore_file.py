@@ -62,19 +62,19 @@ class RestoreFile(Action):
         if problems:
             raise ActionFailed("; ".join([*problems, *(f"restored {words}" for words in done)]))
         if not done:
-            return NotNeeded(f"the files of {target.key} are as they must be")
+            return NotNeeded(f"the files of {target.key} are as configured")
         return f"restored in {target.key}: {', '.join(done)}"
 
 
 def put_back(file: FileSettings, fact: ContainerFact, engine: DockerEngine) -> bool:
     """Restore one file; False when it is as it must be. Raises ActionFailed and the engine's errors."""
     place = _place(engine, fact.id, file.path)
-    if _well(engine, fact.id, place, file):
+    if _as_configured(engine, fact.id, place, file):
         return False
     copy = _from_image(engine, fact, file.path) if file.restore == "image" else _golden(file.restore or "")
     if file.sha256 and hashlib.sha256(copy.data).hexdigest() != file.sha256.lower():
         raise ActionFailed(
-            f"the copy of {file.path} from {file.restore} has not the configured SHA-256: it is not used"
+            f"the copy of {file.path} from {file.restore} does not have the configured SHA-256 and is not used"
         )
     mode = copy.mode | 0o111 if file.executable else copy.mode
     engine.put_file(fact.id, place, copy.data, mode, copy.uid, copy.gid, base=_base(engine, fact.id, place))
@@ -91,14 +91,14 @@ def _place(engine: DockerEngine, container: str, path: str) -> str:
     return posixpath.normpath(str(seen["linkTarget"])) if int(seen["mode"]) & _GO_LINK else path
 
 
-def _well(engine: DockerEngine, container: str, path: str, file: FileSettings) -> bool:
-    """Whether nothing needs to be done. Raises ActionFailed when something else than a file stands there."""
+def _as_configured(engine: DockerEngine, container: str, path: str, file: FileSettings) -> bool:
+    """Whether nothing needs to be done. Raises ActionFailed when it is not a regular file."""
     try:
         seen = engine.stat_path(container, path)
     except EngineMissing:
         return False
     if int(seen["mode"]) & _GO_NOT_REGULAR:
-        raise ActionFailed(f"{path} is no regular file now, and is not replaced: remove what stands there")
+        raise ActionFailed(f"{path} is not a regular file now and is not replaced: remove it")
     if file.executable and not int(seen["mode"]) & 0o111:
         return False
     if file.sha256 is None:
@@ -117,7 +117,7 @@ def _base(engine: DockerEngine, container: str, path: str) -> str:
         try:
             if int(engine.stat_path(container, folder)["mode"]) & (_GO_DIRECTORY | _GO_LINK):
                 return folder
-            raise ActionFailed(f"{folder} is no folder, so {path} cannot be put there")
+            raise ActionFailed(f"{folder} is not a folder, so {path} cannot be restored")
         except EngineMissing:
             folder = posixpath.dirname(folder)
     return folder
@@ -147,7 +147,7 @@ def _golden(path: str) -> FileCopy:
         try:
             seen = os.fstat(place)
             if not stat.S_ISREG(seen.st_mode):
-                raise ActionFailed(f"the golden copy {path} is no regular file")
+                raise ActionFailed(f"the golden copy {path} is not a regular file")
             with open(f"/proc/self/fd/{place}", "rb") as file:
                 data = file.read(LIMIT + 1)
         finally:

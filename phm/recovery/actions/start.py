@@ -12,7 +12,7 @@ from phm.recovery.target import Target
 
 
 class Start(Action):
-    """Start the container, then restart whoever depends on it."""
+    """Start the container, then restart the containers that depend on it."""
 
     name = "start"
     impact = Impact.NOTHING
@@ -30,12 +30,10 @@ class Start(Action):
         if fact.status == "paused":
             raise ActionFailed(f"{target.key} is paused, not stopped: unpause it")
         if fact.running:
-            return NotNeeded(f"{target.key} runs already")
+            return NotNeeded(f"{target.key} is already running")
         reconnect_stopped(container_settings(target), fact, context)
         if not context.engine.start(fact.id):
             return NotNeeded(f"{target.key} was started outside PHM meanwhile")
-        if (
-            fault.outcome is Outcome.ESCALATED
-        ):  # it has ended again and again: who depends on it is not restarted each time
+        if fault.outcome is Outcome.ESCALATED:  # it has exited repeatedly: its dependents are not restarted each time
             return f"started {target.key}"
         return f"started {target.key}{restart_dependents(target, fault, context)}"

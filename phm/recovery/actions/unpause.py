@@ -1,4 +1,4 @@
-"""Let a paused container go on."""
+"""Unpause a container."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from phm.recovery.target import Target
 
 
 class Unpause(Action):
-    """Let a paused container go on."""
+    """Unpause a container."""
 
     name = "unpause"
     starts = False

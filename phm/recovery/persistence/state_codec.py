@@ -67,7 +67,7 @@ def encode(state: PersistedState, boot: str, now: Stamp) -> dict[str, Any]:
 
 
 def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedState:
-    """The state of `document` with its times on the clocks of now. Raises Unbelievable.
+    """The state of `document` with its times on the clocks of now. Raises InvalidState.
 
     window_s: attempts are never taken to be older than this (their budget and back-off are over by then).
     """

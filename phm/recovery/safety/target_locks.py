@@ -26,7 +26,7 @@ class TargetBusy(CannotTell):
 
 
 class TargetLocks:
-    """Shared by all workers. An owner is the object that stands for one attempt, compared by identity.
+    """Shared by all workers. An owner is the object of one attempt, compared by identity.
 
     Invariant: `_owners` has at most one owner for a target, `_waiting_for` at most one target for an owner.
     """

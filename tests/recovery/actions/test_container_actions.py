@@ -52,7 +52,7 @@ def stack(fake: FakeEngine, ask: DockerEngine, **more: Any) -> Bench:
 
 
 def test_dependants_are_restarted_after_it_in_order(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Whoever shares its network namespace, then whoever names one of them in `after`; nobody else."""
+    """Containers in its network namespace, then containers that name one of them in `after`; no others."""
     made = stack(fake, ask)
     words = made.run(Restart, "app", EXITED)
     assert acted(fake, "restart") == ["app", "side", "late"]
@@ -69,10 +69,10 @@ def test_a_namespace_shared_by_name_counts_too(fake: FakeEngine, ask: DockerEngi
     assert acted(fake, "start", "restart") == ["app", "side", "late"]
 
 
-def test_a_start_that_was_not_needed_moves_nobody(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Started twice: the second time nothing happens to dependants."""
+def test_a_start_that_was_not_needed_restarts_no_dependent(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Started twice: the second time nothing happens to dependents."""
     made = stack(fake, ask)
-    assert made.run(Start, "app", EXITED) == "app runs already"
+    assert made.run(Start, "app", EXITED) == "app is already running"
     assert acted(fake, "start", "restart") == []
 
 
@@ -102,8 +102,8 @@ def test_a_flight_critical_dependant_is_left_alone_while_armed(fake: FakeEngine,
     assert "side depends on it: restart of side was not done: it would take down late" in words
 
 
-def test_a_dependant_that_cannot_be_restarted_is_told(fake: FakeEngine, ask: DockerEngine) -> None:
-    """The target is mended all the same, and the others follow."""
+def test_a_dependent_that_cannot_be_restarted_is_reported(fake: FakeEngine, ask: DockerEngine) -> None:
+    """The target is fixed all the same, and the others follow."""
     made = stack(fake, ask)
     fake.fault = Status(500, "no", route=f"{fake.containers['side']['Id']}/restart")
     words = made.run(Restart, "app", EXITED)
@@ -226,8 +226,8 @@ def test_a_relaunch_done_twice_starts_one_copy(fake: FakeEngine, ask: DockerEngi
     assert len(fake.programs) == 1
 
 
-def test_the_name_of_a_dead_node_that_is_still_listed_is_no_return(fake: FakeEngine, ask: DockerEngine) -> None:
-    """It was told as dead while listed, since its lease runs on: only a name that came once more is the node."""
+def test_a_dead_node_that_is_still_listed_has_not_returned(fake: FakeEngine, ask: DockerEngine) -> None:
+    """It was reported as dead while listed, since its lease runs on: only a name that came once more is the node."""
     made = ros(fake, ask)
     made.nodes = {"/a/one": 1}
     dead = fault("nodes/a/one", "node_missing", Evidence(listed=1))
@@ -291,7 +291,7 @@ def test_a_file_is_put_back(
     assert list(fake.containers) == ["app"]
     calls = len([call for call in fake.calls if call.startswith(("PUT", "POST"))])
     again = made.run(RestoreFile, "app", fault("files/app", "file_missing"))
-    assert "as they must be" in again and isinstance(again, NotNeeded)
+    assert "as configured" in again and isinstance(again, NotNeeded)
     assert len([call for call in fake.calls if call.startswith(("PUT", "POST"))]) == calls
 
 
@@ -304,7 +304,7 @@ def test_a_copy_that_is_not_good_itself_is_refused(
     golden.write_bytes(b"worse")
     made = files(fake, ask, b"bad", sha256=SUM, restore="image" if source == "image" else str(golden))
     fake.images["image-of-app"] = {PATH: b"worse"}
-    with pytest.raises(ActionFailed, match="not the configured SHA-256"):
+    with pytest.raises(ActionFailed, match="not have the configured SHA-256"):
         made.run(RestoreFile, "app", fault("files/app", "file_altered", Evidence(file=PATH)))
     assert fake.containers["app"]["_files"][PATH] == b"bad"
     assert list(fake.containers) == ["app"]
@@ -314,7 +314,7 @@ def test_a_copy_that_is_not_good_itself_is_refused(
 def test_a_golden_copy_must_be_a_regular_file_of_fair_size(
     fake: FakeEngine, ask: DockerEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: str
 ) -> None:
-    """What cannot be read is told with its path."""
+    """What cannot be read is reported with its path."""
     golden = tmp_path / "golden"
     if bad == "folder":
         golden.mkdir()
@@ -344,7 +344,7 @@ def test_a_golden_copy_behind_a_link_is_refused(
         golden.parent.mkdir(parents=True)
         golden.symlink_to(secret)
     assert golden.read_bytes() == b"the signing key"
-    with pytest.raises(ActionFailed, match=r"no regular file|behind a link"):
+    with pytest.raises(ActionFailed, match=r"not a regular file|behind a link"):
         files(fake, ask, None, restore=str(golden)).run(RestoreFile, "app", fault("files/app", "file_missing"))
     assert PATH not in fake.containers["app"]["_files"]
 
@@ -353,12 +353,12 @@ def test_a_folder_in_place_of_the_file_is_not_replaced(fake: FakeEngine, ask: Do
     """PHM deletes nothing that it does not know."""
     made = files(fake, ask, None)
     fake.containers["app"]["_files"][f"{PATH}/inside"] = b""
-    with pytest.raises(ActionFailed, match="no regular file"):
+    with pytest.raises(ActionFailed, match="not a regular file"):
         made.run(RestoreFile, "app", fault("files/app", "file_missing"))
 
 
 def test_what_an_interrupted_restore_left_is_removed(fake: FakeEngine, ask: DockerEngine) -> None:
-    """The throw-away container of a PHM that was killed does not stand in the way of the next one."""
+    """The throw-away container of a PHM that was killed does not block the next one."""
     made = files(fake, ask, None)
     left = f"phm-restore-{fake.containers['app']['Id'][:12]}"
     fake.containers[left] = container(left, status="created")

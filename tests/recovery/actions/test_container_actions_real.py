@@ -1,4 +1,4 @@
-"""The actions on the real engine: files come back, programs start, dependants follow, and twice is harmless."""
+"""The actions on the real engine: files come back, programs start, dependents follow, and twice is harmless."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_a_damaged_program_runs_again(
     assert "restored in app" in bench_.run(RestoreFile, "app", MISSING)
     assert inside(made, f"stat -L -c '%a %u %g' {PROGRAM}; sha256sum < {PROGRAM}") == before
     assert inside(made, f"{PROGRAM} PATH")
-    assert "as they must be" in bench_.run(RestoreFile, "app", MISSING)
+    assert "as configured" in bench_.run(RestoreFile, "app", MISSING)
     assert left_over(real, made) == []
 
 
@@ -101,7 +101,7 @@ def test_a_file_comes_back_into_a_volume_of_a_stopped_container(
     assert inside(other, "cat /seen/deep/er/file") == "good"
 
 
-def test_a_file_that_the_image_lacks_is_told(real: Any, engine: DockerEngine) -> None:
+def test_a_file_that_the_image_lacks_is_reported(real: Any, engine: DockerEngine) -> None:
     """And nothing is left over."""
     made = real.container()
     bench_ = only(engine, made, files=[{"path": "/nowhere/file", "restore": "image"}])
@@ -168,7 +168,7 @@ def test_dependants_follow_in_order_and_share_the_new_namespace(real: Any, engin
         assert before["app"] < after["app"] < after["side"] < after["late"]
         assert before["apart"] == after["apart"]
     assert inside(side, "readlink /proc/1/ns/net") == inside(app, "readlink /proc/1/ns/net")
-    assert made.run(Start, "app", EXITED) == "app runs already"
+    assert made.run(Start, "app", EXITED) == "app is already running"
     assert started() == after
 
 

@@ -224,13 +224,13 @@ def test_a_folder_put_in_place_of_another_meanwhile_is_not_entered(
     assert elsewhere.exists()
 
 
-def test_a_folder_that_is_not_there_is_told(disk: Path) -> None:
+def test_a_missing_folder_is_reported(disk: Path) -> None:
     put(disk / "log.txt", 98_000)
     with pytest.raises(ActionFailed, match=r"bags: No such file or directory"):
         run(disk, {"files": ["*"]})
 
 
-def test_a_folder_on_another_disk_is_told_and_left(disk: Path) -> None:
+def test_a_folder_on_another_disk_is_reported_and_not_emptied(disk: Path) -> None:
     """To empty it would not help the disk that is full."""
     put(disk / "log.txt", 98_000)
     with pytest.raises(ActionFailed, match=r"removed 0 old files.*/dev/shm is on another disk"):
@@ -243,7 +243,7 @@ def test_nothing_goes_while_there_is_room(disk: Path) -> None:
     assert kept.exists()
 
 
-def test_it_applies_to_disks_alone_and_only_where_something_may_go() -> None:
+def test_free_disk_applies_to_disks_with_configured_files() -> None:
     without = Settings.model_validate({"agent": {"name": "a", "id": 1}})
     room = FreeDiskSettings(path="/data", files=["*.log"])
     allowed = without.model_copy(update={"host": without.host.model_copy(update={"free_disk": [room]})})

@@ -28,12 +28,12 @@ def context(attached: list[str]) -> ActionContext:
     return ActionContext(engine, Settings(), lambda key: None, lambda: me, lambda key, name: None)
 
 
-def test_a_network_that_was_joined_meanwhile_is_no_refusal() -> None:
-    """The engine says 403 both for `not allowed` and for `is on it already`; the network itself tells which."""
+def test_a_network_that_was_joined_meanwhile_is_not_a_refusal() -> None:
+    """The engine says 403 both for `not allowed` and for `is on it already`; the network itself shows which."""
     assert join_networks(APP, context([testing.container("phm").id])) == ""
 
 
-def test_a_real_refusal_is_told() -> None:
+def test_a_refusal_by_the_engine_is_reported() -> None:
     """A socket proxy that allows reading alone: healing not permitted."""
     with pytest.raises(NotPermitted):
         join_networks(APP, context([]))

@@ -132,7 +132,7 @@ def test_a_connection_without_an_address_is_made_again(fake: FakeEngine, ask: Do
     fake.containers["app"]["NetworkSettings"]["Networks"]["swarm"]["IPAddress"] = ""
     assert made.run(Reconnect, "app", OFF) == "reconnected app to swarm"
     assert changes(fake) == ["disconnect", "connect"]
-    assert made.run(Reconnect, "app", OFF) == "app is connected already"
+    assert made.run(Reconnect, "app", OFF) == "app is already connected"
 
 
 def test_phm_joins_what_is_there(fake: FakeEngine, ask: DockerEngine) -> None:

@@ -128,7 +128,7 @@ def test_a_stopped_container_is_started_on_the_new_network(real: Any, engine: Do
 def test_phm_and_the_application_lose_the_network_together(real: Any, phm: StartPhm) -> None:
     """PHM sees itself first and joins; then it is the application that is off the network, and is connected.
 
-    PHM runs on the host here, so another container stands for its own.
+    PHM runs on the host here, so another container represents its own.
     """
     network = real.network()
     app, own = real.container(RUN, network=network.name), real.container(RUN, network=network.name)

@@ -38,20 +38,20 @@ def run(target: Target, opened: bool = True) -> tuple[str, list[str]]:
     return Reopen().run(target, fault(), context), asked
 
 
-def test_it_opens_the_link_that_is_meant() -> None:
+def test_reopen_opens_the_link_of_the_target() -> None:
     """By its name, whatever characters a url has."""
     assert run(GROUND) == ("reopened the MAVLink endpoint ground", ["ground"])
     assert run(Target.parse("link:tcp:10.0.0.1:5760", settings()))[1] == ["tcp:10.0.0.1:5760"]
 
 
-def test_what_does_not_open_again_has_failed() -> None:
+def test_a_link_that_does_not_open_again_is_a_failure() -> None:
     """With a sentence for the log."""
     with pytest.raises(ActionFailed, match="ground did not open again"):
         run(GROUND, opened=False)
 
 
-def test_a_container_is_no_link() -> None:
-    """A ladder that names it for a container is told to be wrong."""
+def test_reopen_refuses_a_container() -> None:
+    """A ladder that names it for a container is reported as wrong."""
     with pytest.raises(ActionFailed, match=r"ros_app is a container: correct recovery\.ladders"):
         run(APP)
 
@@ -66,7 +66,7 @@ def test_a_link_is_distinguished_from_a_container() -> None:
 
 @pytest.mark.parametrize("condition", ["link_silent", "radio_silent", "autopilot_silent"])
 @pytest.mark.parametrize("mode", ["act", "advise", "off"])
-def test_it_is_decided_in_any_mode_and_while_armed(condition: str, mode: str) -> None:
+def test_reopen_is_decided_in_any_mode_and_while_armed(condition: str, mode: str) -> None:
     """It touches PHM's own endpoint alone, so that neither opt-in nor arming binds it; budget and back-off do."""
     chosen = settings(recovery={"mode": mode}).recovery
     decision = decide(

@@ -1,4 +1,4 @@
-"""Which life of a container is at hand, who began it, and whether attempts count anew."""
+"""The current generation of a container, who started it, and whether attempts are reset."""
 
 from __future__ import annotations
 
@@ -47,87 +47,87 @@ class Watch:
         life = self.lives.current("app")
         return life.by if life is not None else ""
 
-    def anew(self, after_s: float = 0.0) -> bool:
+    def resets(self, after_s: float = 0.0) -> bool:
         self.clock.advance(after_s)
         return self.lives.external_start("app") is not None
 
 
-def test_the_life_at_the_first_look_is_nobodys_doing() -> None:
+def test_the_first_generation_is_attributed_to_no_one() -> None:
     """However long it lasts, nothing has happened."""
     watch = Watch()
     assert watch.by == FOUND
-    assert not watch.anew(after_s=1000)
+    assert not watch.resets(after_s=1000)
 
 
 def test_a_new_container_counts_at_once_and_once() -> None:
     """`docker compose up` after a change: what was tried on the old one says nothing about the new one."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     watch.clock.advance(5)
     watch.change(id="two", started_at="t2")
     now = watch.clock.mono()
     assert watch.lives.external_start("app") == now
-    assert not watch.anew()
-    assert not watch.anew(after_s=LASTING_S)
+    assert not watch.resets()
+    assert not watch.resets(after_s=LASTING_S)
     assert watch.by == COUNTED
 
 
-def test_a_container_that_is_made_anew_again_and_again_is_a_loop() -> None:
+def test_a_container_that_is_recreated_repeatedly_is_a_crash_loop() -> None:
     """A supervisor that runs a fresh container after each crash counts once, until one stays."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     counted = []
     for number in range(20):
         watch.change(id=f"id{number}", started_at=f"s{number}")
-        counted += [watch.anew(after_s=1.0) for _ in range(10)]
+        counted += [watch.resets(after_s=1.0) for _ in range(10)]
     assert sum(counted) == 1
-    assert sum(watch.anew(after_s=1.0) for _ in range(60)) == 1
+    assert sum(watch.resets(after_s=1.0) for _ in range(60)) == 1
 
 
 def test_started_again_by_hand_counts_when_it_lasts() -> None:
-    """The same container: nothing need have been mended, so it must have shown that it runs."""
+    """The same container: nothing need have been fixed, so it must have shown that it runs."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     watch.change(started_at="t2")
     begun = watch.clock.mono()
-    assert not watch.anew()
-    assert not watch.anew(after_s=LASTING_S - 1)
+    assert not watch.resets()
+    assert not watch.resets(after_s=LASTING_S - 1)
     watch.clock.advance(1)
     assert watch.lives.external_start("app") == begun
-    assert not watch.anew(after_s=LASTING_S)
+    assert not watch.resets(after_s=LASTING_S)
 
 
 def test_a_short_life_never_counts_however_long_ago_it_began() -> None:
     """A container that has ended keeps the stamp of its last start."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     watch.change(started_at="t2")
-    watch.anew()
+    watch.resets()
     watch.change(status="exited")
-    assert not watch.anew(after_s=10 * LASTING_S)
+    assert not watch.resets(after_s=10 * LASTING_S)
 
 
 def test_the_engines_restart_policy_never_counts() -> None:
-    """A crash loop with lives of a minute must not make PHM restart it for ever."""
+    """A crash loop with lives of a minute must not make PHM restart it permanently."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     for number in range(1, 20):
         watch.change(started_at=f"p{number}", restart_count=number)
         assert watch.by == ENGINE
-        assert not watch.anew(after_s=60.0)
+        assert not watch.resets(after_s=60.0)
     watch.change(started_at="by hand", restart_count=0)
     assert watch.by == OTHERS
-    assert watch.anew(after_s=LASTING_S)
+    assert watch.resets(after_s=LASTING_S)
 
 
 def test_phms_own_doing_never_counts() -> None:
     """Seen while it acts or after; a later life is again somebody else's."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     with watch.lives.acting("app", "app"):
         watch.change(started_at="t2")
     assert watch.by == by_phm("app")
-    assert not watch.anew(after_s=LASTING_S)
+    assert not watch.resets(after_s=LASTING_S)
     watch.change(started_at="t3")
     assert watch.by == OTHERS
 
@@ -135,7 +135,7 @@ def test_phms_own_doing_never_counts() -> None:
 def test_what_the_probe_remembers_is_not_taken_for_the_outcome() -> None:
     """Right after the action the old life is still shown for a moment: the new one is PHM's all the same."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     with watch.lives.acting("app", "owner"):
         pass
     assert watch.by == FOUND
@@ -149,7 +149,7 @@ def test_what_the_probe_remembers_is_not_taken_for_the_outcome() -> None:
 def test_what_happened_before_phm_acted_is_not_phms_doing() -> None:
     """Started by an operator a moment before: seen at the latest when PHM begins."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     watch.change(started_at="t2")
     with watch.lives.acting("app", "app"):
         assert watch.by == OTHERS
@@ -158,7 +158,7 @@ def test_what_happened_before_phm_acted_is_not_phms_doing() -> None:
 def test_phm_makes_no_containers() -> None:
     """A new id is somebody else's also while PHM acts."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     with watch.lives.acting("app", "app"):
         watch.change(id="two", started_at="t2")
         assert watch.by == RECREATED
@@ -167,7 +167,7 @@ def test_phm_makes_no_containers() -> None:
 def test_an_action_that_phms_end_cut_short_may_still_be_finished_by_the_engine() -> None:
     """A restart goes on without PHM: what comes of it in time is PHM's, what comes later is not."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     watch.lives.add_unfinished("app", "app")
     watch.clock.advance(60.0)
     watch.change(started_at="t2")
@@ -185,9 +185,9 @@ def late(watch: Watch) -> None:
 
 
 def test_what_the_engine_does_after_the_deadline_is_phms_doing() -> None:
-    """Each call without an answer stands for one start, however late; the next one is somebody else's."""
+    """Each call without an answer may cause one start, however late; the next one is somebody else's."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     for _ in range(2):
         late(watch)
         watch.clock.advance(5.0)
@@ -196,15 +196,15 @@ def test_what_the_engine_does_after_the_deadline_is_phms_doing() -> None:
         watch.clock.advance(60.0)
         watch.change(started_at=f"t{number}")
         assert watch.by == by_phm("app")
-        assert not watch.anew(after_s=LASTING_S)
+        assert not watch.resets(after_s=LASTING_S)
     watch.change(started_at="t4")
     assert watch.by == OTHERS
 
 
-def test_a_call_without_an_answer_is_not_waited_for_for_ever() -> None:
+def test_a_call_without_an_answer_is_waited_for_ten_minutes() -> None:
     """Who starts it when attempts no longer count is somebody else."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     late(watch)
     assert watch.by == FOUND
     watch.clock.advance(UNFINISHED_S)
@@ -225,28 +225,28 @@ def test_what_is_unfinished_is_known_to_the_next_phm() -> None:
 
 
 @pytest.mark.parametrize("what", ["silent", "missing"])
-def test_nobody_can_tell_and_what_was_known_stands(what: str) -> None:
+def test_without_an_answer_the_known_generation_remains(what: str) -> None:
     """An engine that does not answer, a container that is not there: no new life."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     known = watch.lives.current("app")
     watch.silent, watch.fact = what == "silent", None if what == "missing" else watch.fact
     assert watch.lives.current("app") == known
-    assert not watch.anew(after_s=LASTING_S)
+    assert not watch.resets(after_s=LASTING_S)
 
 
 def test_over_a_restart_of_phm_a_life_goes_on() -> None:
-    """What was seen before counts; a container made anew meanwhile is noticed at the first look."""
+    """What was seen before counts; a container recreated meanwhile is noticed at the first look."""
     first = Watch()
-    first.anew()
+    first.resets()
     first.change(started_at="t2")
-    first.anew()
+    first.resets()
     second = Watch(first.fact)
     second.lives.restore(first.lives.snapshot())
-    assert second.anew(after_s=LASTING_S)
+    assert second.resets(after_s=LASTING_S)
     third = Watch(replace(FIRST, id="two"))
     third.lives.restore(second.lives.snapshot())
-    assert third.anew()
+    assert third.resets()
 
 
 def test_the_record_does_not_change_while_the_life_goes_on() -> None:
@@ -259,8 +259,8 @@ def test_the_record_does_not_change_while_the_life_goes_on() -> None:
 def test_what_happened_while_nothing_counted_is_not_made_up_for() -> None:
     """An operator restarted it hours ago, and nobody looked: the first attempt since then is made on this life."""
     watch = Watch()
-    watch.anew()
+    watch.resets()
     watch.lives.forget("app")
     watch.change(started_at="t2")
     assert watch.by == FOUND
-    assert not watch.anew(after_s=LASTING_S)
+    assert not watch.resets(after_s=LASTING_S)

@@ -24,7 +24,7 @@ UNIT = "pressure/app"
 
 
 class Published:
-    """Stands in for the pipeline: one unit, as the test sets it."""
+    """Replaces the pipeline: one unit, as the test sets it."""
 
     def __init__(self) -> None:
         self.level, self.since = Level.ERROR, 0.0
@@ -114,7 +114,7 @@ def test_a_container_that_was_made_again_keeps_its_own_weight(real: Any, engine:
     assert scene.relief.kept() == () and scene.published.notes == []
 
 
-def test_it_applies_to_a_flight_critical_container_where_others_are_named() -> None:
+def test_relieve_applies_to_a_flight_critical_container_with_configured_others() -> None:
     """Opt-in twice: nothing gives way that is not named, and only for what flies the vehicle."""
     named = settings(containers=[{"name": "app"}, {"name": "other"}], recovery={"relieve": ["other"]})
     app = named.containers[0]
@@ -137,8 +137,8 @@ def test_weights_that_must_be_lowered_again_and_again_stay_low_for_longer(real: 
 
 
 @pytest.mark.parametrize(("kind", "held"), [(Relieve, "relieve:app"), (Unpause, "app")])
-def test_giving_way_holds_nothing_of_the_starved_container(kind: type[Action], held: str) -> None:
-    """What breaks there meanwhile does not follow from it, and is a fault as ever."""
+def test_relieve_does_not_hold_the_starved_container(kind: type[Action], held: str) -> None:
+    """What breaks there meanwhile does not follow from it, and is a fault as usual."""
     holds: list[str] = []
     locks = SimpleNamespace(
         acquire=lambda target, owner: True,

@@ -115,7 +115,7 @@ def test_a_dependency_that_flaps_costs_no_more_than_the_budget(agents: list[Agen
 
 
 def test_what_was_given_up_during_the_outage_is_tried_again(agents: list[Agent]) -> None:
-    """The cause is told after PHM has given up on the consequence: all three attempts were made in vain."""
+    """The cause is reported after PHM has given up on the consequence: all three attempts were made in vain."""
     agent = make(agents, backoff=0.1)
     failing(agent, attempts=3)
     agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
@@ -127,7 +127,7 @@ def test_what_was_given_up_during_the_outage_is_tried_again(agents: list[Agent])
 
 
 def test_what_was_given_up_and_is_well_again_eases_others_too(agents: list[Agent]) -> None:
-    """An operator has mended `base`. Its fault was closed long ago: that it is OK again is what counts."""
+    """An operator has fixed `base`. Its fault was closed long ago: that it is OK again is what counts."""
     agent = make(agents)
     failing(agent)
     agent.bad["net/base"] = "broken"

@@ -1,4 +1,4 @@
-"""Somebody else has started or recreated the container: counts begin anew, holds end, the budget remains."""
+"""Somebody else has started or recreated the container: counts are reset, holds end, the budget remains."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Yard:
         return agent
 
     def given_up(self, **recovery: Any) -> Agent:
-        """PHM has tried `same_failure` times and told that it stops."""
+        """PHM has tried `same_failure` times and reported that it stops."""
         agent = self.phm(**recovery)
         agent.rest(3.0)
         agent.bad["health/app"] = "broken"
@@ -52,7 +52,7 @@ def yard(tmp_path: Path) -> Iterator[Yard]:
 
 
 def test_what_was_given_up_is_acted_on_again_when_the_container_was_recreated(yard: Yard) -> None:
-    """Told once for each container: the operator who makes a new one wants to know whether that helped."""
+    """Reported once for each container: the operator who makes a new one wants to know whether that helped."""
     agent = yard.given_up()
     agent.rest(20.0)
     assert (len(agent.runs), agent.opened()) == (2, ["health/app"])
@@ -64,7 +64,7 @@ def test_what_was_given_up_is_acted_on_again_when_the_container_was_recreated(ya
     assert any("started again outside PHM" in note for note in agent.notes())
 
 
-def test_what_is_judged_afresh_gets_its_grace(yard: Yard) -> None:
+def test_a_unit_whose_fault_is_cleared_gets_its_grace(yard: Yard) -> None:
     """The new container has just been started: what it lacks yet is not known to be a fault."""
     agent = yard.given_up(units={"health/app": Of("app", grace_s=6.0)})
     yard.containers.recreate("app")
@@ -102,7 +102,7 @@ def with_a_new_container(containers: Containers) -> None:
     ("loop", "life_s", "more"),
     [(by_policy, 1.0, 0), (by_policy, 8.0, 0), (by_a_supervisor, 1.0, 0), (with_a_new_container, 1.0, 2)],
 )
-def test_a_crash_loop_does_not_begin_anew_for_ever(yard: Yard, loop: Loop, life_s: float, more: int) -> None:
+def test_a_crash_loop_does_not_reset_attempts_each_time(yard: Yard, loop: Loop, life_s: float, more: int) -> None:
     """Docker's restart policy never counts, a supervisor's loop does not while lives are short; a new id counts once."""
     agent = yard.given_up()
     before = len(agent.runs)
@@ -127,7 +127,7 @@ def test_the_budget_counts_what_was_tried_on_earlier_lives(yard: Yard) -> None:
 
 
 def test_back_off_ends_with_the_life_that_it_was_for(yard: Yard) -> None:
-    """An open fault waits a minute for its next attempt; on a new container it is looked at afresh, after its grace."""
+    """An open fault waits a minute for its next attempt; on a new container it is looked at again, after its grace."""
     agent = yard.phm(backoff=60.0, backoff_max=60.0)
     agent.rest(3.0)
     agent.bad["health/app"] = "broken"
@@ -171,8 +171,8 @@ def test_docker_restarting_it_does_not_end_the_proof(yard: Yard) -> None:
     assert Phase.FAILED not in agent.steps()
 
 
-def test_phms_own_restart_is_no_new_life(yard: Yard) -> None:
-    """Else every attempt would excuse the one before."""
+def test_a_restart_by_phm_does_not_reset_attempts(yard: Yard) -> None:
+    """Else every attempt would discount the one before."""
     agent = yard.given_up(verify=1.0)
     agent.rest(60.0)
     assert len(agent.runs) == 2
@@ -313,7 +313,7 @@ def test_a_restart_that_phms_end_interrupted_excuses_no_attempt(yard: Yard, whil
 
 
 def test_a_dependants_restart_that_phms_end_interrupted_is_phms_own(yard: Yard) -> None:
-    """What PHM has tried on the dependant itself still counts."""
+    """What PHM has tried on the dependent itself still counts."""
     yard.containers.facts["side"] = testing.container("side")
     units = {**UNITS, "health/side": Of("side", grace_s=2.0)}
     first = yard.phm(units=units, opted_in=("app", "side"))

@@ -15,8 +15,8 @@ from phm.recovery.safety.armed_state import ArmedState as ArmedState
 from tests.recovery.holds.scene import BY, PATIENT, Scene, stopped
 
 
-def test_what_is_bad_on_hold_is_stale_and_no_alarm(scene: Scene) -> None:
-    """With until when, by whom and why; nothing is done about it, and what follows from it is quiet, too."""
+def test_a_bad_unit_on_hold_is_stale_without_an_alarm(scene: Scene) -> None:
+    """With until when, who and why; nothing is done about it, and what follows from it is quiet, too."""
     scene.hold()
     scene.agent.bad = {"container/app": "broken", "nodes/app": "broken"}
     scene.agent.rest(5)
@@ -43,7 +43,7 @@ def test_a_hold_without_a_container_is_on_all(scene: Scene) -> None:
     assert scene.service.snapshot() == []
 
 
-def test_what_is_well_on_hold_is_well(scene: Scene) -> None:
+def test_an_ok_unit_on_hold_is_ok(scene: Scene) -> None:
     """A hold hides nothing that is OK."""
     scene.hold()
     scene.agent.rest(1)
@@ -93,7 +93,7 @@ def test_a_fault_that_ends_on_hold_is_resolved(scenes: Any) -> None:
 
 
 def test_after_a_hold_nothing_is_done_on_an_old_finding(scenes: Any) -> None:
-    """The operator has mended it in the last moment: no action follows."""
+    """The operator has fixed it in the last moment: no action follows."""
     scene = scenes(**PATIENT)
     scene.agent.behave = lambda key, context, fault: None
     scene.agent.bad = {"container/app": "broken"}
@@ -121,7 +121,7 @@ def test_an_action_under_way_is_finished_first(scene: Scene) -> None:
 
 
 def test_on_hold_nothing_is_approved_and_nothing_restarted_for_the_ground(scene: Scene) -> None:
-    """Whoever asks is told until when it is on hold."""
+    """The answer says until when it is on hold."""
     scene.agent.behave = lambda key, context, fault: None
     scene.agent.bad = {"container/app": "broken"}
     scene.agent.until(lambda: scene.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
@@ -239,7 +239,7 @@ def test_on_the_ground_a_hold_is_granted_without_a_warning(scene: Scene) -> None
     assert "not known" not in scene.hold("app")
 
 
-def test_take_off_ends_what_must_not_be_missed(scene: Scene) -> None:
+def test_arming_ends_holds_of_flight_critical_containers(scene: Scene) -> None:
     """Holds of flight-critical containers, with a message; an operator's hold of another one stays."""
     scene.hold("app", 600.0)
     scene.hold("cam", 600.0)

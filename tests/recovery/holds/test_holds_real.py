@@ -173,7 +173,7 @@ def test_a_stop_by_hand_is_only_advised_about(phm: Any, project: Project) -> Non
 
 
 @pytest.mark.parametrize("words", [("kill", "{}"), ("exec", "{}", "kill", "-TERM", "1")])
-def test_a_crash_is_no_stop(phm: Any, project: Project, words: tuple[str, ...]) -> None:
+def test_a_crash_is_not_a_stop(phm: Any, project: Project, words: tuple[str, ...]) -> None:
     """What ends without a stop by the engine is healed, also where stops are respected."""
     agent = phm(**RESPECT)
     project.docker(*(word.format(project.container) for word in words))
@@ -226,7 +226,7 @@ def test_an_end_whose_kill_was_missed_is_acted_on_when_no_stop_follows(
         assert agent.holds(began=True) == []
 
 
-def test_a_restart_of_phm_itself_is_no_stop_by_hand(phm: Any, project: Project) -> None:
+def test_a_restart_of_phm_is_not_a_manual_stop(phm: Any, project: Project) -> None:
     """PHM's own restart stops the container, too, and puts nothing on hold."""
     agent = phm(**RESPECT, ladders={"exited": ["restart"]})
     project.docker("kill", project.container)

@@ -1,4 +1,4 @@
-"""A stop by hand is told from a crash by the engine's events, as recorded from Docker 20.10 and Compose 2.26."""
+"""A stop by hand is distinguished from a crash by the engine's events, as recorded from Docker 20.10 and Compose 2.26."""
 
 from __future__ import annotations
 

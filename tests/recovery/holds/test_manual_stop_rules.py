@@ -59,7 +59,7 @@ def test_a_copy_that_was_never_started_is_a_fault_when_the_old_one_is_removed(sc
     assert scene.changes() == []
 
 
-def test_a_hold_ends_with_a_start_that_no_event_has_told(scene: Scene) -> None:
+def test_a_hold_ends_with_a_start_whose_event_was_lost(scene: Scene) -> None:
     """The containers are looked at every half minute."""
     stopped(scene)
     scene.agent.rest(10)
@@ -78,7 +78,7 @@ def test_in_the_air_a_stop_is_a_failure(scene: Scene, armed: ArmedState) -> None
     assert scene.agent.opened() == ["container/cam"] and scene.service.snapshot() == []
 
 
-def test_one_word_is_the_rule_for_both(scenes: Any) -> None:
+def test_one_rule_applies_on_the_ground_and_in_the_air(scenes: Any) -> None:
     """`on_manual_stop: respect`, e.g. for a bench without an autopilot."""
     scene = scenes(on_manual_stop="respect")
     scene.armed = ArmedState.UNKNOWN
@@ -185,7 +185,7 @@ def test_a_stream_that_stays_closed_keeps_nothing_from_being_healed(scenes: Any,
     assert scene.agent.runs[0] == ("app", "container/app")
 
 
-def test_a_dependant_that_was_stopped_by_hand_is_not_started(scenes: Any) -> None:
+def test_a_dependent_that_an_operator_stopped_is_not_started(scenes: Any) -> None:
     """Neither before that is decided nor afterwards, until somebody starts it."""
     scene = scenes(on_manual_stop="advise")
     holds = scene.holds
@@ -229,7 +229,7 @@ def test_while_a_recreation_may_be_under_way_nothing_is_raised(scenes: Any) -> N
     assert scene.agent.opened() == ["container/app"]
 
 
-def test_what_else_is_wrong_meanwhile_is_raised(scenes: Any) -> None:
+def test_other_faults_are_raised_meanwhile(scenes: Any) -> None:
     """Only an end of the container may be part of a restart."""
     scene = scenes(on_manual_stop="heal")
     scene.happen(("kill", "signal 1"))

@@ -145,7 +145,7 @@ def test_after_a_reboot_what_was_left_counts(utc: float) -> None:
 
 
 def test_what_is_left_is_written_every_half_minute() -> None:
-    """So that reboots cannot extend a hold for ever, and a disk is not written to at each look."""
+    """So that reboots cannot extend a hold permanently, and a disk is not written to at each look."""
     holds = HoldRegistry()
     holds.put(Hold("app", "operator", 600.0, BY))
     assert holds.kept(0.0) == holds.kept(29.0) != holds.kept(31.0)
@@ -170,7 +170,7 @@ def test_a_damaged_hold_extends_nothing(body: dict[str, Any]) -> None:
         assert all(entry.hold.until <= 500.0 + 86400.0 for entry in kept)
 
 
-def test_a_signal_that_ends_nothing_is_no_stop(tmp_path: Path) -> None:
+def test_a_signal_that_does_not_end_the_container_is_not_a_stop(tmp_path: Path) -> None:
     """`docker kill -s HUP` has it read its configuration; SIGTERM may be the beginning of a stop."""
     made = settings(containers=[{"name": "app"}], state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"))
     daemon = Daemon(made)

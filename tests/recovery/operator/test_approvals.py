@@ -113,7 +113,7 @@ def test_another_generation_of_the_container_voids_it(agents: list[Agent]) -> No
     assert "started or recreated since" in expired(made)[0]
 
 
-def test_a_used_up_budget_is_no_reason_to_keep_it(agents: list[Agent]) -> None:
+def test_an_approval_expires_while_the_budget_is_used_up(agents: list[Agent]) -> None:
     """What cannot be done within its lifetime is refused at once, with the reason; nothing is executed minutes later."""
     made, fault = advised(agents, budget=1, same_failure=5)
     made.executor.approve(fault)

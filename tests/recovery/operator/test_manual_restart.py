@@ -33,7 +33,7 @@ def phases(made: Agent) -> list[Phase]:
     return [event.phase for event in made.of(ActionEvent)]
 
 
-def test_it_is_restarted_and_proven_and_no_fault_is_opened(agents: list[Agent]) -> None:
+def test_a_requested_restart_is_verified_and_opens_no_fault(agents: list[Agent]) -> None:
     """The whole way: started, done, verified; it counts in the budget."""
     made = agent(agents)
     assert made.executor.restart("app", "255/190") == "restart app, requested by 255/190"
@@ -106,7 +106,7 @@ def test_a_container_that_is_not_configured_cannot_be_named(agents: list[Agent])
 
 
 def test_a_restart_that_does_not_help_becomes_a_fault_of_the_container(agents: list[Agent]) -> None:
-    """It ends and stays so: told as failed, and then healed by its own ladder."""
+    """It ends and stays so: reported as failed, and then healed by its own ladder."""
     made = agent(agents)
 
     def behave(key: str, context: object, fault: object) -> None:

@@ -127,7 +127,7 @@ def advised(life: Life) -> Fault:
 
 
 def test_an_open_fault_is_taken_up_without_a_second_alarm(lives: Callable[..., Life]) -> None:
-    """Same id, ERROR at once and said to be restored; nothing is opened, told or advised again; it closes once."""
+    """Same id, ERROR at once and said to be restored; nothing is opened, reported or advised again; it closes once."""
     fault = advised(lives(mode="advise"))
     second = lives(mode="advise")
     state = second.pipeline.states()[0]
@@ -150,7 +150,7 @@ def test_new_faults_get_ids_of_their_own(lives: Callable[..., Life]) -> None:
 
 
 def test_attempts_count_over_a_restart_and_what_was_given_up_stays_so(lives: Callable[..., Life]) -> None:
-    """One attempt in each life makes two; a third life neither acts nor tells until the unit has been well."""
+    """One attempt in each life makes two; a third life neither acts nor reports until the unit has been well."""
     first = lives(backoff=20)
     first.until(lambda: Phase.FAILED in first.phases())
     first.die()
@@ -198,7 +198,7 @@ def test_what_healed_meanwhile_is_not_acted_on(lives: Callable[..., Life]) -> No
 
 
 def test_a_unit_that_is_no_longer_configured_drops_its_fault(lives: Callable[..., Life]) -> None:
-    """Told once, as resolved by the configuration."""
+    """Reported once, as resolved by the configuration."""
     fault = advised(lives(mode="advise"))
     second = lives(mode="advise", units=("health/other",))
     second.until(lambda: bool(second.of(FaultClosed)))
@@ -220,7 +220,7 @@ def test_a_folder_that_cannot_be_written_is_a_problem_and_nothing_else(tmp_path:
 # ---------------------------------------------------------------- the operator's yes
 
 
-def test_a_yes_holds_for_one_action(lives: Callable[..., Life]) -> None:
+def test_an_approval_holds_for_one_action(lives: Callable[..., Life]) -> None:
     """Approved, done once although recovery only advises, and advised again when it did not help."""
     life = lives(mode="advise", same_failure=5)
     life.until(lambda: Phase.ADVISED in life.phases())

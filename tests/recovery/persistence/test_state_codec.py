@@ -137,8 +137,8 @@ def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
         lambda document: {key: value for key, value in document.items() if key != "boot"},
     ],
 )
-def test_a_document_that_is_not_ours_is_not_believed(change: Callable[[dict[str, Any]], Any]) -> None:
-    """A wrong version or a wrong part anywhere makes the whole unbelievable; nothing else is raised."""
+def test_an_invalid_document_is_refused(change: Callable[[dict[str, Any]], Any]) -> None:
+    """A wrong version or a wrong part anywhere makes the document invalid; nothing else is raised."""
     document = through_json(FULL, Stamp(1010.0, 100.0))
     with pytest.raises(InvalidState):
         decode(change(document), BOOT, Stamp(1010.0, 100.0), WINDOW_S)
@@ -162,7 +162,7 @@ def test_it_is_written_whole_for_phm_alone_and_read_back(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("data", [b"", b"\x00" * 512, b'{"v": 1, "fau', b"[" * 100_000, b" " * (MAX_BYTES + 1), b"{}"])
 def test_a_broken_file_is_set_aside_with_a_warning(tmp_path: Path, data: bytes) -> None:
-    """PHM starts with nothing, says so, and keeps the file for whoever wants to look."""
+    """PHM starts with nothing, says so, and keeps the file for inspection."""
     file = StateFile(str(tmp_path), testing.FakeClock(), BOOT)
     file.path.write_bytes(data)
     state, warning = file.load(WINDOW_S)
@@ -200,7 +200,7 @@ def test_an_operators_copy_of_a_broken_file_is_kept(tmp_path: Path) -> None:
 
 
 def test_an_unreadable_state_is_a_sentence(tmp_path: Path) -> None:
-    """A folder in the file's place: told, and PHM starts with nothing."""
+    """A folder in the file's place: reported, and PHM starts with an empty state."""
     file = StateFile(str(tmp_path), testing.FakeClock(), BOOT)
     file.path.mkdir()
     state, warning = file.load(WINDOW_S)

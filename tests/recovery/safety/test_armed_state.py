@@ -65,7 +65,7 @@ def fact(armed_s: float | None, disarmed_s: float | None, **more: object) -> Aut
         (fact(None, 0.5, boot_s=12.0, boot_age_s=0.5), LastArmedState(False, 0.0), ArmedState.DISARMED, "disarmed"),
     ],
 )
-def test_only_a_fresh_disarmed_opens_the_gate(
+def test_only_a_recent_disarmed_lifts_the_restriction(
     given: AutopilotFact | None, last: LastArmedState | None, state: ArmedState, words: str
 ) -> None:
     """Never received, silent, contradictory, read late, or fresh from a reboot in the air: shut, with the reason."""
@@ -141,7 +141,7 @@ def test_what_would_cut_a_flight_critical_network_is_only_advised(agents: list[A
     made.until(lambda: made.runs == [("app", "container/app")], "the restart after landing")
 
 
-def test_armed_during_an_action_is_no_failure_of_the_container(agents: list[Agent]) -> None:
+def test_arming_during_an_action_is_not_a_failure_of_the_container(agents: list[Agent]) -> None:
     """It is refused and advised, and not counted among the failures after which PHM gives up."""
     made = Agent({"container/app": Of("app")}, Containers("app"), FakeClock(), critical=("app",))
     agents.append(made)

@@ -178,7 +178,7 @@ def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehi
 
 
 def test_what_an_operator_approves_in_the_air_is_done_whole(vehicle: Vehicle) -> None:
-    """By the control socket, as `phm approve` does it: also the flight-critical dependant that the advice names follows."""
+    """By the control socket, as `phm approve` does it: also the flight-critical dependent that the advice names follows."""
     before = vehicle.started()
     vehicle.beats["fc"].says = True
     vehicle.start()

@@ -55,7 +55,7 @@ class Scene:
 
 
 class Calls:
-    """Stands for the engine and notes what reached it; `after` runs behind each call."""
+    """Replaces the engine and notes what reached it; `after` runs behind each call."""
 
     def __init__(self, scene: Scene) -> None:
         self.made: list[str] = []

@@ -43,7 +43,7 @@ class Owners(Agent):
 
     def _work_on_side(self, who: str) -> None:
         self.within.append(who)
-        assert len(self.within) == 1, f"side is in the hands of {self.within}"
+        assert len(self.within) == 1, f"side is locked by {self.within}"
         self.seen.append(who)
         self.bad["health/side"] = "broken"  # as it is while it is restarted
         self.pause(lambda: self.open)
@@ -98,9 +98,9 @@ def test_a_container_whose_own_repair_is_at_work_is_waited_for(agents: list[Owne
 
 
 def test_its_own_repair_waits_while_another_restarts_it(agents: list[Owners]) -> None:
-    """And is decided afresh then: what the other's restart has healed needs no attempt."""
+    """And is decided again then: what the other's restart has healed needs no attempt."""
     agent = make(agents)
-    agent.bad["health/side"] = "odd"  # no ladder: told, and left alone
+    agent.bad["health/side"] = "odd"  # no ladder: only reported
     agent.until(lambda: agent.opened() == ["health/side"], "the fault of side")
     agent.bad["health/a"] = "broken"
     agent.until(lambda: agent.within == ["a"], "the restart of side")
@@ -113,7 +113,7 @@ def test_its_own_repair_waits_while_another_restarts_it(agents: list[Owners]) ->
     assert agent.pipeline.open_faults() == ()
 
 
-def test_what_was_found_while_another_restarted_it_is_no_reason_to_act(agents: list[Owners]) -> None:
+def test_a_result_from_a_dependent_restart_causes_no_action(agents: list[Owners]) -> None:
     """`side` needs a second to come up after `a` has restarted it; the fault that it had before waits for its grace."""
     agent = make(agents)
     agent.open = True
@@ -136,7 +136,7 @@ def test_what_was_found_while_another_restarted_it_is_no_reason_to_act(agents: l
     assert agent.runs == [("a", "health/a")]
 
 
-def test_what_is_in_other_hands_is_not_acted_on(agents: list[Owners]) -> None:
+def test_a_locked_target_is_not_acted_on(agents: list[Owners]) -> None:
     """Whoever has it; nothing is counted as an attempt meanwhile."""
     agent = make(agents)
     agent.open = True
@@ -150,7 +150,7 @@ def test_what_is_in_other_hands_is_not_acted_on(agents: list[Owners]) -> None:
     assert len(agent.runs) == 1
 
 
-def test_a_proof_that_another_repair_overtakes_is_no_failure_of_the_target(agents: list[Owners]) -> None:
+def test_a_superseded_verification_is_not_a_failure_of_the_target(agents: list[Owners]) -> None:
     """`side` waits for its proof when `a` has to restart it: that attempt says nothing about `side`."""
     agent = make(agents, same_failure=1)
 
@@ -177,7 +177,7 @@ def test_a_proof_that_another_repair_overtakes_is_no_failure_of_the_target(agent
 
 
 def test_an_action_that_was_given_up_begins_nothing_more(agents: list[Owners]) -> None:
-    """It comes back after its deadline: dependants are not restarted behind the next attempt's back."""
+    """It comes back after its deadline: dependents are not restarted behind the next attempt's back."""
     agent = make(agents, same_failure=1)
     late: list[str] = []
 

@@ -1,4 +1,4 @@
-"""Never two repairs on one container, whoever waits for whom."""
+"""One attempt at a time on each target, and no deadlock."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from tests.fakes.until import until
 LIMIT_S = 10.0
 
 
-class Told:
-    """What the tracker is told, in order."""
+class TrackerCalls:
+    """The calls to the tracker, in order."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, ...]] = []
@@ -37,16 +37,16 @@ def clock() -> Iterator[testing.FakeClock]:
 
 
 @pytest.fixture
-def told() -> Told:
-    return Told()
+def calls() -> TrackerCalls:
+    return TrackerCalls()
 
 
 @pytest.fixture
-def locks(told: Told, clock: testing.FakeClock) -> TargetLocks:
-    return TargetLocks(cast(Any, told), clock)
+def locks(calls: TrackerCalls, clock: testing.FakeClock) -> TargetLocks:
+    return TargetLocks(cast(Any, calls), clock)
 
 
-class Repair:
+class Waiter:
     """A thread that wants one more container and, when it has it, keeps it until `go`."""
 
     def __init__(self, locks: TargetLocks, wanted: str, owner: object) -> None:
@@ -69,8 +69,8 @@ def pass_time(clock: testing.FakeClock) -> None:
     time.sleep(0.001)
 
 
-def test_a_container_is_in_one_hand_at_a_time(locks: TargetLocks) -> None:
-    """Only who has it lets it go."""
+def test_a_target_has_one_owner_at_a_time(locks: TargetLocks) -> None:
+    """Only the owner releases it."""
     one, two = object(), object()
     assert locks.acquire("a", one)
     assert not locks.acquire("a", two)
@@ -80,11 +80,11 @@ def test_a_container_is_in_one_hand_at_a_time(locks: TargetLocks) -> None:
     assert locks.acquire("a", two)
 
 
-def test_whoever_needs_a_dependant_waits_for_it(locks: TargetLocks, clock: testing.FakeClock) -> None:
-    """Two repairs, one dependant: one after the other."""
-    first = Repair(locks, "side", object())
+def test_an_attempt_waits_for_a_locked_dependent(locks: TargetLocks, clock: testing.FakeClock) -> None:
+    """Two repairs, one dependent: one after the other."""
+    first = Waiter(locks, "side", object())
     assert first.inside.wait(LIMIT_S)
-    second = Repair(locks, "side", object())
+    second = Waiter(locks, "side", object())
     clock.wait_for_sleepers(1)
     clock.advance(1.0)
     clock.wait_for_sleepers(1)
@@ -96,23 +96,23 @@ def test_whoever_needs_a_dependant_waits_for_it(locks: TargetLocks, clock: testi
     assert (first.outcome, second.outcome) == ("done", "done")
 
 
-def test_a_wait_has_an_end(locks: TargetLocks, clock: testing.FakeClock) -> None:
-    """A repair that hangs with the dependant in hand costs others their time and no more."""
+def test_a_wait_for_a_lock_is_limited(locks: TargetLocks, clock: testing.FakeClock) -> None:
+    """A repair that hangs with the dependent in hand costs others their time and no more."""
     assert locks.acquire("side", object())
-    repair = Repair(locks, "side", object())
+    repair = Waiter(locks, "side", object())
     until(lambda: repair.outcome, "the outcome of the repair", step=lambda: pass_time(clock))
     assert repair.outcome == "another recovery was acting on side for 10 s"
 
 
 @pytest.mark.parametrize("links", [2, 3])
-def test_repairs_that_wait_for_each_other_do_not_wait_for_ever(
+def test_attempts_that_wait_for_each_other_do_not_deadlock(
     locks: TargetLocks, clock: testing.FakeClock, links: int
 ) -> None:
-    """Whoever closes the circle is refused at once; when it lets go, the others go on."""
+    """The request that would deadlock is refused; when its owner releases, the others continue."""
     owners = [object() for _ in range(links)]
     for number, owner in enumerate(owners):
         assert locks.acquire(f"c{number}", owner)
-    waiting = [Repair(locks, f"c{number + 1}", owner) for number, owner in enumerate(owners[:-1])]
+    waiting = [Waiter(locks, f"c{number + 1}", owner) for number, owner in enumerate(owners[:-1])]
     clock.wait_for_sleepers(links - 1)
     with pytest.raises(TargetBusy, match="waits for this one"), locks.locked_dependent("c0", owners[-1], LIMIT_S):
         pytest.fail("somebody has what is in another's hand")
@@ -124,13 +124,13 @@ def test_repairs_that_wait_for_each_other_do_not_wait_for_ever(
     assert [repair.outcome for repair in waiting] == ["done"] * (links - 1)
 
 
-def test_a_hold_is_ended_by_who_began_it_last(locks: TargetLocks, told: Told) -> None:
+def test_an_action_hold_is_ended_by_its_last_owner(locks: TargetLocks, calls: TrackerCalls) -> None:
     """A repair that proves itself while its container is restarted for another's sake does not end the other's hold."""
     own, other = object(), object()
     locks.start_hold("side", own, "health/side", "restart", 60.0, proving=True)
     locks.start_hold("side", other, "container/app", "restart", 60.0)
     locks.end_hold("side", own, worked=True)
-    assert told.calls == [("begin_action", "side", "health/side"), ("begin_action", "side", "container/app")]
+    assert calls.calls == [("begin_action", "side", "health/side"), ("begin_action", "side", "container/app")]
     locks.end_hold("side", other, worked=True)
     locks.end_hold("side", other, worked=True)
-    assert told.calls[2:] == [("end_action", "side")]
+    assert calls.calls[2:] == [("end_action", "side")]
