@@ -1,4 +1,4 @@
-"""Every fault class for real: one alarm at its cause, healed and verified; `off` and `advise` touch nothing.
+"""Every fault class for real: one alarm at its cause, recovered and verified; `off` and `advise` change nothing.
 
 ``scripts/proof`` starts one agent with the shipped images and injects the faults one after the other. Exit 0 only
 when every row holds. ``--markdown`` writes the table of docs/reference/recovery.md.
@@ -34,7 +34,7 @@ AFTER_S = 12.0
 STILL_S = 10.0
 """How long nothing may happen in the modes `off` and `advise`."""
 LASTING_S = 31.0
-"""Longer than `recovery.verify`, 30 s: what was mended by hand for so long counts as well for good."""
+"""Longer than `recovery.verify`, 30 s: a manual fix that lasts so long counts as permanent."""
 
 
 class Proof:
@@ -80,7 +80,7 @@ class Proof:
         self._fill(well, self.record.events[mark:])
         for row in (starting, well):
             if row.alarms or row.actions:
-                row.problems.append(f"told or done: {', '.join([*row.alarms, *row.actions])}")
+                row.problems.append(f"reported or done: {', '.join([*row.alarms, *row.actions])}")
         return [starting, well]
 
     def heal(self, fault: Fault, title: str = "") -> Row:
@@ -108,11 +108,11 @@ class Proof:
             self._given_up.add(row.unit)
         later = [event["action"] for event in self.record.events[cleared:] if phase("verified", row.unit, event)]
         if later:
-            row.outcome += f"; {', '.join(later)} once it was mended"
+            row.outcome += f"; {', '.join(later)} once it was fixed"
         return row
 
     def leave_alone(self, fault: Fault) -> Row:
-        """In `off` and `advise` the fault is told and the application container stays as the fault left it."""
+        """In `off` and `advise` the fault is reported and the application container stays unchanged."""
         row = self._row(fault)
         self._wait_lasting(row)
         mark = self.monitor.mark()
@@ -129,7 +129,7 @@ class Proof:
             row.problems.append("something was done")
         if bool(row.advised) != (self.mode == "advise"):
             row.problems.append(f"advised: {row.advised or 'nothing'}")
-        row.outcome = "told, container unchanged" if not row.problems else "changed"
+        row.outcome = "reported, container unchanged" if not row.problems else "changed"
         fault.clear(self.agent)
         self._well_again(row, mark)
         if sorted(row.alarms) != sorted(row.expected):
@@ -147,12 +147,12 @@ class Proof:
         if row.unit not in self._given_up:
             return
         mark = self.monitor.mark()
-        told = (
+        reported = (
             event["mono"]
             for event in self.record.events
             if event["event"] == "transition" and event["unit"] == row.unit
         )
-        until = max(told, default=0.0) + LASTING_S
+        until = max(reported, default=0.0) + LASTING_S
         self.record.wait(lambda event: event["mono"] > until, 2 * LASTING_S, since=mark)
 
     def _watch(self, seconds: float, mark: int) -> None:
@@ -170,11 +170,11 @@ class Proof:
     def _fill(self, row: Row, events: list[Event], moment: float = 0.0) -> None:
         """Read off the record what happened; alarms at other units count as well. Of several units, the last one counts."""
         seen: dict[str, float] = {}
-        mended: dict[str, float] = {}
+        verified: dict[str, float] = {}
         for event in events:
             unit, after = event.get("unit", ""), event["mono"] - moment
             if unit in row.expected and phase("verified", unit, event):
-                mended.setdefault(unit, after)
+                verified.setdefault(unit, after)
             if event["event"] == "fault_opened":
                 row.alarm(unit)
                 seen.setdefault(unit, after)
@@ -187,7 +187,7 @@ class Proof:
                 elif phase("escalated", row.unit, event):
                     row.given_up_s = after
         row.detected_s = max(seen[unit] for unit in row.expected) if seen.keys() >= set(row.expected) else None
-        row.healed_s = max(mended.values()) if mended.keys() == set(row.expected) else None
+        row.healed_s = max(verified.values()) if verified.keys() == set(row.expected) else None
 
     def _judge_condition(self, row: Row, fault: Fault, mark: int) -> None:
         """The alarm was for this fault and no other at the same unit. It may have been another thing for a moment first."""
@@ -212,7 +212,7 @@ class Proof:
 def run(stack: Stack, console: Console, config: Path, programme: Iterable[Play]) -> list[Row]:
     """All rows of the programme, on a stack that is up with the configuration of the mode `act`."""
     proof, faults = Proof(stack, console, config), all_faults()
-    rows = [_told(row, console) for row in proof.nominal()]
+    rows = [_print_row(row, console) for row in proof.nominal()]
     for play in programme:
         if not play.first:
             alone = faults[play.faults[0]] if play.apart else None
@@ -220,11 +220,11 @@ def run(stack: Stack, console: Console, config: Path, programme: Iterable[Play])
         for name in play.faults:
             title = f"{faults[name].title}, `relaunch` configured" if play.relaunch else ""
             row = proof.heal(faults[name], title) if play.mode == "act" else proof.leave_alone(faults[name])
-            rows.append(_told(row, console))
+            rows.append(_print_row(row, console))
     return rows
 
 
-def _told(row: Row, console: Console) -> Row:
+def _print_row(row: Row, console: Console) -> Row:
     colour, words = ("green", "holds") if row.good else ("red", "; ".join(row.problems))
     console.print(f"  [{colour}]{words}[/]  {row.outcome}, {', '.join(row.actions) or 'no action'}", highlight=False)
     return row

@@ -24,7 +24,7 @@ CAMPAIGN = (
     "network_blocked", "node_duplicate", "node_never_started", "peer_lost", "peer_split", "phm_killed", "phm_stopped",
     "qos_mismatch", "radio_lossy", "radio_saturated", "router_killed", "subscriber_lost", "transport_blocked",
 )  # fmt: skip
-"""Not played here: what they show is told, not healed, or needs a swarm. `sitl.campaign` plays them; docs/development/sitl_faults.md."""
+"""Not played here: they are reported but not recovered, or need a swarm. `sitl.campaign` plays them; docs/development/sitl_faults.md."""
 STARVING = (
     "cpu_limited", "memory_tight", "disk_slow", "pids_exhausted", "host_overload", "overload_node_killed",
     "overload_container_killed", "overload_ends",

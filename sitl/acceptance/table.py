@@ -80,9 +80,9 @@ def judged_words(row: Row, *, healable: bool) -> None:
         row.problems.append("is said to be healed, but nothing can have healed it")
         row.outcome = "healed"
     elif row.given_up_s is not None:
-        row.outcome = f"given up and told after {row.given_up_s:.0f} s"
+        row.outcome = f"given up and reported after {row.given_up_s:.0f} s"
     else:
-        row.outcome = "told, left to the operator"
+        row.outcome = "reported, left to the operator"
         if row.actions:
             row.problems.append("was acted upon and neither healed nor given up")
 
@@ -121,7 +121,7 @@ def markdown(rows: list[Row], where: str, day: str) -> str:
 
 
 def between_marks(page: str, text: str) -> str:
-    """`page` with what stands between the two marks replaced. Raises ValueError when it has no marks."""
+    """`page` with the text between the two marks replaced. Raises ValueError when it has no marks."""
     head, begin, rest = page.partition(BEGIN)
     _, end, tail = rest.partition(END)
     if not begin or not end:

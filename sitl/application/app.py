@@ -99,14 +99,14 @@ def node_argv(agent: str, plan: NodePlan) -> list[str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run until told to stop. Returns the exit code."""
+    """Run until SIGTERM or SIGINT. Returns the exit code."""
     options = _options(argv)
     # Blocked and waited for: the first process of a container has no default signal handling at all.
     signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     if options.broken.exists() and options.broken.stat().st_size:
         _say(f"{options.broken} says that this start fails")
         return 1
-    options.marker.unlink(missing_ok=True)  # a restart is the cure for what this marker stands for
+    options.marker.unlink(missing_ok=True)  # a restart fixes what this marker simulates
     options.pids.mkdir(parents=True, exist_ok=True)
     app = App(options.pids)
     left_out = options.left_out.read_text("ascii").split() if options.left_out.exists() else []

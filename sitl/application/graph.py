@@ -69,7 +69,9 @@ def _read_node(number: int, entry: Any) -> NodePlan:
         raise ValueError(f"{where}: {name!r} has a '/'; all nodes are in the agent's own namespace")
     for word in (name, *publish, *subscribe):
         if not isinstance(word, str) or not _NAME.match(word):
-            raise ValueError(f"{where}: {word!r} is no name: letters, digits and '_', the first a letter, '/' between")
+            raise ValueError(
+                f"{where}: {word!r} is not a name: letters, digits and '_', the first a letter, '/' between"
+            )
     if not publish:
         raise ValueError(f"{where}: {name} publishes nothing; PHM could not tell a hung node from a well one")
     for topic, rate_hz in publish.items():

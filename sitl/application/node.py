@@ -35,11 +35,11 @@ DEPTH = 10
 SIGNALS = {
     signal.SIGUSR1: "silent",
     signal.SIGUSR2: "halved",
-    signal.SIGHUP: "deaf",
+    signal.SIGHUP: "unsubscribed",
     signal.SIGRTMIN + 1: "careless",
 }
 LOOK_S = 0.5
-"""How often an idle node looks whether it has been told to end."""
+"""How often an idle node checks for a request to end."""
 
 
 @dataclass
@@ -48,7 +48,7 @@ class Mood:
 
     silent: bool = False
     halved: bool = False
-    deaf: bool = False
+    unsubscribed: bool = False
     careless: bool = False
 
     def listen(self) -> None:
@@ -64,12 +64,12 @@ class Mood:
 
 
 class Ends:
-    """The node's publishers and subscriptions, made anew when its mood says so."""
+    """The node's publishers and subscriptions, recreated when its mood changes."""
 
     def __init__(self, node: Node, publish: Sequence[tuple[str, float]], subscribe: Sequence[str], mood: Mood) -> None:
         self._node, self._mood = node, mood
         self._publish, self._subscribe = tuple(publish), tuple(subscribe)
-        self._deaf = self._careless = False
+        self._unsubscribed = self._careless = False
         self._subscriptions: list[Any] = []
         self._publishers: dict[str, Any] = {}
         self._listen()
@@ -79,8 +79,8 @@ class Ends:
 
     def follow(self) -> None:
         """Not in the signal's handler, which may come in the middle of the executor's work."""
-        if self._deaf != self._mood.deaf:
-            self._deaf = self._mood.deaf
+        if self._unsubscribed != self._mood.unsubscribed:
+            self._unsubscribed = self._mood.unsubscribed
             self._listen()
         if self._careless != self._mood.careless:
             self._careless = self._mood.careless
@@ -89,7 +89,7 @@ class Ends:
     def _listen(self) -> None:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        wanted = () if self._deaf else self._subscribe
+        wanted = () if self._unsubscribed else self._subscribe
         self._subscriptions = [self._node.create_subscription(String, topic, _ignore, DEPTH) for topic in wanted]
 
     def _offer(self) -> None:

@@ -16,7 +16,7 @@ from phm.probes.ros.protocol import Publish
 
 
 class _Node:
-    """Stands in for the node: its publisher weighs."""
+    """Replaces the node: its publisher measures."""
 
     def create_publisher(self, *_: object) -> _Node:
         return self

@@ -1,8 +1,8 @@
 """What PHM's reports cost on the link to the ground: as PHM sends them, and the same reports as JSON and as DiagnosticArray.
 
 ``scripts/bench mavlink`` runs whole swarms, each agent with the real reporters, budget and codec, on a clock of their own, so
-the figures are the same on every machine. Whenever an agent tells its state (the refresh, or a change), the same report is
-weighed in the other forms, too: whole, as whoever sends JSON or diagnostics does. Not weighed with these are the heartbeats,
+the figures are the same on every machine. Whenever an agent reports its state (the refresh, or a change), the same report is
+measured in the other forms, too: complete, as JSON or diagnostics are sent. Not measured with these are the heartbeats,
 which carry the status word every few seconds, and what JSON or DDS put around a message.
 """
 
@@ -41,7 +41,7 @@ class Row:
     """Bytes a second of all agents together on one link. `failing` of the `agents` have a fault.
 
     heartbeats, texts, tunnels: what of `mavlink` is what. json, deflated, diagnostics: the same reports in these forms;
-    diagnostics is None where ROS is not installed. reports: told a second, by which these are weighed.
+    diagnostics is None where ROS is not installed. reports: per second, by which these are weighted.
     """
 
     agents: int
@@ -77,12 +77,12 @@ class Swarm:
 
     def measure(self, seconds: float) -> Row:
         """Of the next `seconds` of the fleet's clock."""
-        out, told = self._out(), self._told()
+        out, reported = self._out(), self._reported()
         self.fleet.run(seconds)
         left = {kind: count / seconds for kind, count in (self._out() - out).items()}
         weight: Counter[str] = Counter()
         count = 0
-        for number, reports in (self._told() - told).items():
+        for number, reports in (self._reported() - reported).items():
             size = self._weights["bad" if number in self.failing else "well"]
             count += reports
             for form in FORMS:
@@ -106,11 +106,13 @@ class Swarm:
     def _out(self) -> Counter[str]:
         return sum((agent.port.bytes_by for agent in self.fleet.agents.values()), Counter())
 
-    def _told(self) -> Counter[int]:
-        """How often each agent told its own state: refreshes, and changes of its units."""
+    def _reported(self) -> Counter[int]:
+        """How often each agent reported its own state: refreshes, and changes of its units."""
         return Counter(
             {
-                number: sum(times for key, times in agent.port.told.items() if key == "refresh" or key in agent.units)
+                number: sum(
+                    times for key, times in agent.port.sent_keys.items() if key == "refresh" or key in agent.units
+                )
                 for number, agent in self.fleet.agents.items()
             }
         )
@@ -135,13 +137,13 @@ def run(
 def table(rows: Sequence[Row]) -> Table:
     made = Table(
         title="Bytes a second of the whole swarm on one link",
-        caption=f"MAVLink is beats (HEARTBEAT), text (STATUSTEXT) and tunnel (TUNNEL); radio: its part of the {RADIO_BYTES_S:g} "
+        caption=f"MAVLink is heartbeats (HEARTBEAT), text (STATUSTEXT) and tunnel (TUNNEL); radio: its part of the {RADIO_BYTES_S:g} "
         "bytes/s that a 64 kbit/s radio carries; CDR: DiagnosticArray",
         box=box.SIMPLE,
         pad_edge=False,
         collapse_padding=True,
     )
-    for name in ("agents", "failing", "beats", "text", "tunnel", "MAVLink", "radio", "JSON", "deflated", "CDR"):
+    for name in ("agents", "failing", "heartbeats", "text", "tunnel", "MAVLink", "radio", "JSON", "deflated", "CDR"):
         made.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         others = (row.json, row.deflated, row.diagnostics)

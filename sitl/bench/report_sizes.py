@@ -62,7 +62,7 @@ def _unit(entry: Mapping[str, object]) -> UnitState:
     since = datetime.strptime(str(entry["since"]), "%Y-%m-%dT%H:%M:%S.%f%z").timestamp()
     values = entry["values"]
     if not isinstance(values, dict):
-        raise ValueError(f"'values' of {text['id']} is no object")
+        raise ValueError(f"'values' of {text['id']} is not an object")
     result = Result(
         Level[str(entry["level"])],
         text["summary"],

@@ -31,7 +31,7 @@ from sitl.harness.machine import machine
 WARM_S = 6.0
 """Discovery, and the sampler's first window."""
 STEPS = 10
-"""A rate that a method tells is read so many times while it is measured."""
+"""A rate that a method reports is read so many times while it is measured."""
 ERROR_AIM, SHARE_AIM = 1.0, 6.0
 """Percent that the sampler's rate may be off; how many times the callback must cost as much, at 2000 messages a second."""
 
@@ -192,9 +192,9 @@ def watch(load: Load, way: Way, name: str, truth: Board, seconds: float) -> Cost
         found.append(way.rates())
     took_s = time.monotonic() - began_s
     true = [(now - then) / took_s for now, then in zip(truth.read(), sent, strict=True)]
-    # A counted rate is what it is at the end; one that is told again and again is what it was all the time.
-    told = [found[-1]] if isinstance(way, Callback) else found
-    off = [abs(sum(rates[n] for rates in told) / len(told) / hz - 1) * 100 for n, hz in enumerate(true)]
+    # A counted rate is what it is at the end; one that is reported repeatedly is its mean.
+    rates_seen = [found[-1]] if isinstance(way, Callback) else found
+    off = [abs(sum(rates[n] for rates in rates_seen) / len(rates_seen) / hz - 1) * 100 for n, hz in enumerate(true)]
     if way.process.poll() is not None:
         raise RuntimeError(f"{load.name}: the process of '{name}' ended with code {way.process.returncode}")
     used = cpu(process)

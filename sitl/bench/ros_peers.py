@@ -96,11 +96,11 @@ def hz(board: Board, topics: int, _hz: float, _size: int) -> None:
 
     for number in range(topics):
         node.create_subscription(String, topic(number), keep(number), qos_profile_sensor_data, raw=True)
-    told_s = time.monotonic()
+    reported_s = time.monotonic()
     while rclpy.ok():
         rclpy.spin_once(node)
-        if time.monotonic() - told_s >= 1.0:
-            told_s = time.monotonic()
+        if time.monotonic() - reported_s >= 1.0:
+            reported_s = time.monotonic()
             for number, kept in enumerate(periods):
                 board.numbers[number] = _average(kept)
 

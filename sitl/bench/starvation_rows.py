@@ -60,9 +60,9 @@ class Row:
         for event in events:
             unit, after = event.get("unit", ""), event["mono"] - moment
             if event["event"] == "fault_opened":
-                told = f"{unit} {event.get('condition') or '?'}"
+                found = f"{unit} {event.get('condition') or '?'}"
                 beside = unit.startswith("host/") and unit not in self.expected
-                (self.beside if beside else self.alarms).append(told)
+                (self.beside if beside else self.alarms).append(found)
                 if unit in self.expected[:1] and self.detected_s is None:
                     self.detected_s = after
             elif event["event"] == "transition" and event["level"] == "WARN":

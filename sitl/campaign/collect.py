@@ -10,7 +10,7 @@ from sitl.harness.log_follower import Event
 SHARED = "host/"
 """Units about the machine that all agents of a swarm share: how they are says nothing about one agent."""
 MEMORY = ("companion", "WARN")
-"""PHM says for a while that it had ended or stood still; by then it is well again."""
+"""PHM reports for a while that it restarted or was suspended; after this time it is OK again."""
 
 
 def note(trial: Trial, agent: int, event: Event) -> None:
@@ -105,7 +105,7 @@ class Levels:
             self.reported = True
 
     def bad(self, unit: str) -> bool:
-        """Whether the unit is told already: then nothing more would be told of it."""
+        """Whether the unit was reported already: then it would not be reported again."""
         return unit in self.open.values()
 
     def unwell(self, usual: Mapping[str, str]) -> list[str]:

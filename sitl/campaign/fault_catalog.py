@@ -46,7 +46,7 @@ def useless(fault: Fault, agents: int, *, air: bool) -> str:
     if fault.also:
         return "it is two faults, and a campaign makes compound faults itself"
     if "starvation" in fault.needs:
-        return "what it starves is told at the cause alone, which `python -m sitl.bench.starvation` judges"
+        return "what it starves is reported at the cause alone, which `python -m sitl.bench.starvation` evaluates"
     if "air" in fault.needs and not air:
         return "it needs emulated links"
     if agents < fault.least:

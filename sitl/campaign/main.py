@@ -216,10 +216,10 @@ def _all(
         append(file, trial)
         took.append(trial.seconds)
         for row in table.trials(figures([trial]).judged):
-            _, agent, title, seen, told, healed, by, alarms, remarks = row
+            _, agent, title, seen, reported, healed, by, alarms, remarks = row
             colour = "red" if remarks else "green"
             console.print(
-                f"  [{colour}]{agent} {title}[/]: detected {seen} s, told {told} s, healed {healed} s {by}; {alarms} alarms {remarks}",
+                f"  [{colour}]{agent} {title}[/]: detected {seen} s, reported {reported} s, healed {healed} s {by}; {alarms} alarms {remarks}",
                 highlight=False,
             )
     return True

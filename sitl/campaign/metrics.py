@@ -51,7 +51,7 @@ class OfClass:
     missed: int
     wrong: int
     alarms: float | None
-    """Per alarm that was due, of what was told at all; None where none was due."""
+    """Per alarm that was due, of what was reported at all; None where none was due."""
 
 
 @dataclass(frozen=True)
@@ -155,10 +155,10 @@ def _of_class(name: str, verdicts: Sequence[Verdict]) -> OfClass:
 
 
 def _alarms(verdicts: Iterable[Verdict]) -> float | None:
-    """Per alarm that was due, of the faults that were told at all: one that is missed must not make up for a chain."""
-    told = [verdict for verdict in verdicts if not verdict.missed]
-    due = sum(verdict.expected for verdict in told)
-    return sum(verdict.count for verdict in told) / due if due else None
+    """Per alarm that was due, of the faults that were reported at all: one that is missed must not make up for a chain."""
+    reported = [verdict for verdict in verdicts if not verdict.missed]
+    due = sum(verdict.expected for verdict in reported)
+    return sum(verdict.count for verdict in reported) / due if due else None
 
 
 def _part(verdicts: Iterable[Verdict], wanted: Callable[[Verdict], bool]) -> float | None:

@@ -85,8 +85,8 @@ def fits(fault: Class, agent: int, taken: Sequence[tuple[Class, int]]) -> bool:
         return True
     if fault.alone or any(each.alone for each, _ in taken):
         return False
-    aboard = [each for each, victim in taken if victim == agent]
-    return not any(fault.whole or each.whole or each.group == fault.group for each in aboard)
+    on_board = [each for each, victim in taken if victim == agent]
+    return not any(fault.whole or each.whole or each.group == fault.group for each in on_board)
 
 
 def _sociable(fault: Class) -> bool:
@@ -122,7 +122,7 @@ class _Faults:
 
 
 class _Victims:
-    """All agents in a random order, then again in another: nobody comes twice in a row where there are two or more."""
+    """All agents in a random order, then again in another: none comes twice in a row where there are two or more."""
 
     def __init__(self, rng: random.Random, agents: int) -> None:
         self._rng, self._agents = rng, agents

@@ -1,4 +1,4 @@
-"""Plots of a campaign as SVG that stands in a page by itself: no script, no font, no file from elsewhere. Pure."""
+"""Plots of a campaign as self-contained SVG: no script, no font, no file from elsewhere. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Marks = Sequence[tuple[str, Sequence[float]]]
 
 
 def x_of(seconds: float) -> float:
-    """Place of a time on the logarithmic axis; what is off its ends stands at them."""
+    """Place of a time on the logarithmic axis; values beyond its ends are drawn at them."""
     part = math.log(min(max(seconds, LOW_S), HIGH_S) / LOW_S) / math.log(HIGH_S / LOW_S)
     return LEFT + part * (WIDTH - LEFT - RIGHT)
 

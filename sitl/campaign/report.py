@@ -101,7 +101,7 @@ def as_html(trials: Sequence[Trial], setting: Setting) -> str:
 
     curves = [
         ("detected", all_of("detected_s")),
-        ("told at the ground", all_of("response_s")),
+        ("reported at the ground", all_of("response_s")),
         ("healed", all_of("healed_s")),
     ]
     parts = [
@@ -147,7 +147,7 @@ def as_markdown(trials: Sequence[Trial], setting: Setting) -> str:
 
 
 def between_marks(page: str, text: str) -> str:
-    """`page` with what stands between the two marks replaced. Raises ValueError when it has no marks."""
+    """`page` with the text between the two marks replaced. Raises ValueError when it has no marks."""
     head, begin, rest = page.partition(BEGIN)
     _, end, tail = rest.partition(END)
     if not begin or not end:

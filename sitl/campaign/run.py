@@ -21,13 +21,13 @@ from sitl.harness.log_queries import world
 from sitl.swarm import config
 from sitl.swarm.swarm import Swarm, SwarmAgent
 
-Tell = Callable[[str], None]
+Progress = Callable[[str], None]
 POLL_S = 0.05
 SEEN_LIMIT_S = 30.0
-"""So long after its injection a fault that was not told is missed."""
+"""So long after its injection a fault that was not reported is missed."""
 HEALED_LIMIT_S = 90.0
 AFTER_S = 10.0
-"""How long a trial is watched after its faults are healed or told: longer than any grace, so late alarms are caught."""
+"""How long a trial is watched after its faults are recovered or reported: longer than any grace, so late alarms are caught."""
 STILL_S = 10.0
 """How long nothing may change with recovery off."""
 WELL_LIMIT_S = 120.0
@@ -49,10 +49,10 @@ def heartbeat_s(agents: int) -> float:
 
 
 class Runner:
-    """Makes trials. `setting` goes into each of them. `tell` is given a line of progress now and then."""
+    """Makes trials. `setting` goes into each of them. `progress` is called with a line now and then."""
 
-    def __init__(self, swarm: Swarm, faults: Mapping[str, Fault], setting: dict[str, Any], tell: Tell) -> None:
-        self.swarm, self.faults, self.setting, self.tell = swarm, faults, setting, tell
+    def __init__(self, swarm: Swarm, faults: Mapping[str, Fault], setting: dict[str, Any], progress: Progress) -> None:
+        self.swarm, self.faults, self.setting, self.progress = swarm, faults, setting, progress
         self.agents = {agent.number: agent for agent in swarm.agents}
         self.watch = Watch({number: agent.record for number, agent in self.agents.items()}, Ear(swarm.ground_url))
         self.meter = Meter(self.agents)
@@ -70,7 +70,7 @@ class Runner:
         if left:
             self._configure(left, {})
         if not self._wait(lambda: self.watch.ear.heard() >= self.agents.keys(), WELL_LIMIT_S):
-            self.tell(
+            self.progress(
                 f"the ground does not hear {sorted(self.agents.keys() - self.watch.ear.heard())}; undoing what is left"
             )
         try:
@@ -165,7 +165,7 @@ class Runner:
         self.watch.end()
         trial.well_after = trial.ended - trial.began if well else None
         trial.cost = self.meter.costs()
-        # Until all is well again: a link that is back has to be opened anew, and a radio's buffer to run empty.
+        # Until all is well again: a link that is back must be reopened, and a radio's buffer to run empty.
         trial.blind = [
             (fault.agent, fault.moment, trial.ended)
             for fault in trial.injections
@@ -193,7 +193,7 @@ class Runner:
             each.asked = time.monotonic()
             try:
                 each.moment = self.faults[each.fault].inject(self.agents[each.agent])
-            except Exception as error:  # one that cannot be injected is told, and does not end the campaign
+            except Exception as error:  # one that cannot be injected is reported, and does not end the campaign
                 each.error = f"{type(error).__name__}: {error}"
 
     def _clear(self, trial: Trial, draws: Sequence[Draw]) -> None:
@@ -208,7 +208,7 @@ class Runner:
             self._ended[draw.agent, each.unit] = time.monotonic()
 
     def _done(self, trial: Trial) -> bool:
-        """Whether every fault is healed, or told where it cannot be healed, or nothing more is to be expected of it."""
+        """Whether every fault is recovered, or reported where it cannot be recovered, or nothing more is to be expected of it."""
         now = time.monotonic()
         for verdict in judge(trial).verdicts:
             fault, begun = verdict.injection, verdict.injection.moment or now
@@ -234,7 +234,7 @@ class Runner:
         try:
             self._well(WELL_LIMIT_S)
         except Unwell as error:
-            self.tell(f"restoring by force: {error}")
+            self.progress(f"restoring by force: {error}")
             for agent in victims:
                 restore(self.swarm, self.agents[agent])
             return False

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from sitl.campaign.trial import OFF, Alarm, Injection, Line, Start, Trial, Warned
 
 BESIDE = "host/"
-"""All agents share one machine: its load is told by whoever sees it, and belongs to no agent's fault."""
+"""All agents share one machine: any of them may report its load, which belongs to no agent's fault."""
 PEERS = "peers/"
 """Every other agent keeps the same unit about an agent that it misses; together they are one alarm."""
 
@@ -30,7 +30,7 @@ class Verdict:
     healed_s: float | None = None
     by: str = ""
     wrong: str = ""
-    """Why the cause was not told rightly, in words; empty: it was, or nothing was told at all."""
+    """Why the reported cause is wrong, in words; empty: it is right, or nothing was reported."""
 
     @property
     def missed(self) -> bool:
@@ -85,15 +85,15 @@ def judge(trial: Trial) -> Judged:
 def counted(alarms: Sequence[Alarm]) -> int:
     """How many alarms these are to an operator."""
     own = sum(not alarm.unit.startswith(PEERS) for alarm in alarms)
-    told = Counter((alarm.unit, alarm.agent) for alarm in alarms if alarm.unit.startswith(PEERS))
+    reported = Counter((alarm.unit, alarm.agent) for alarm in alarms if alarm.unit.startswith(PEERS))
     most: dict[str, int] = {}
-    for (unit, _), number in told.items():
+    for (unit, _), number in reported.items():
         most[unit] = max(most.get(unit, 0), number)
     return own + sum(most.values())
 
 
 def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
-    """The fault that an alarm belongs to: at its unit; about its agent as a peer; aboard its agent, of its group first."""
+    """The fault that an alarm belongs to: at its unit; about its agent as a peer; on board its agent, of its group first."""
     begun = [verdict for verdict in verdicts if alarm.mono >= _asked(verdict.injection)]
     for verdict in begun:
         if _expected(alarm, verdict.injection):
@@ -102,9 +102,11 @@ def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
         return None
     if alarm.unit.startswith(PEERS):
         return next((verdict for verdict in begun if _about(alarm, verdict.injection)), None)
-    aboard = [verdict for verdict in begun if verdict.injection.agent == alarm.agent]
+    on_board = [verdict for verdict in begun if verdict.injection.agent == alarm.agent]
     check = alarm.unit.partition("/")[0]
-    return next((verdict for verdict in aboard if verdict.injection.group == check), aboard[0] if aboard else None)
+    return next(
+        (verdict for verdict in on_board if verdict.injection.group == check), on_board[0] if on_board else None
+    )
 
 
 def _asked(fault: Injection) -> float:
@@ -114,7 +116,7 @@ def _asked(fault: Injection) -> float:
 
 
 def _about(alarm: Alarm, fault: Injection) -> bool:
-    """Whether an alarm about peers follows from the fault: it names its agent, or is aboard it, or tells of a split."""
+    """Whether an alarm about peers follows from the fault: it names its agent, or is on board it, or reports a split."""
     subject = alarm.unit.removeprefix(PEERS)
     concerned = fault.layer == "link" or fault.phm
     return concerned and (subject == f"A{fault.agent:02d}" or alarm.agent == fault.agent or subject == "swarm")
@@ -132,7 +134,7 @@ def due(injection: Injection) -> int:
 
 
 def _expected(alarm: Alarm, injection: Injection) -> bool:
-    """Whether this is an alarm that the fault is expected to raise: aboard its agent, or aboard the others."""
+    """Whether this is an alarm that the fault is expected to raise: on board its agent, or the others."""
     if alarm.agent == injection.agent:
         return alarm.unit in places(injection)
     return bool(injection.others) and alarm.unit == injection.others
@@ -155,8 +157,8 @@ def _times(verdict: Verdict, trial: Trial) -> None:
     )
     if first:
         verdict.detected_s = max(0.0, first[0].mono - begun)
-        told = [line.mono for line in trial.lines if line.mono >= begun and tells(line, fault, first[0].slot)]
-        verdict.response_s = min(told) - begun if told else None
+        reported = [line.mono for line in trial.lines if line.mono >= begun and reports(line, fault, first[0].slot)]
+        verdict.response_s = min(reported) - begun if reported else None
     if trial.kind != OFF:
         _healing(verdict, trial, warned, begun, until)
 
@@ -219,12 +221,12 @@ def _wrong(verdict: Verdict, named: Sequence[Alarm], warned: Set[str]) -> str:
     """`warned`: conditions as which the unit was WARN."""
     fault = verdict.injection
     if not named and not warned:
-        return f"told at {_units(verdict.alarms)}, expected at {fault.unit}" if verdict.alarms else ""
+        return f"reported at {_units(verdict.alarms)}, expected at {fault.unit}" if verdict.alarms else ""
     known = {condition for alarm in named for condition in alarm.conditions} | warned
     if named:
         earlier = [alarm for alarm in verdict.alarms if alarm.mono < named[0].mono and not _expected(alarm, fault)]
         if earlier:
-            return f"told at {_units(earlier)} first, then at {fault.unit}"
+            return f"reported at {_units(earlier)} first, then at {fault.unit}"
     if fault.condition and fault.condition not in known:
         return f"known as {', '.join(sorted(known)) or 'nothing'}, expected {fault.condition}"
     return ""
@@ -234,8 +236,8 @@ def _units(alarms: Sequence[Alarm]) -> str:
     return ", ".join(dict.fromkeys(alarm.unit for alarm in alarms))
 
 
-def tells(line: Line, fault: Injection, slot: int) -> bool:
-    """Whether a line tells of a bad state of this agent in that slot: a change, or the refresh; its own, or another's."""
+def reports(line: Line, fault: Injection, slot: int) -> bool:
+    """Whether a line reports a bad state of this agent in that slot: a change, or the refresh; its own, or another's."""
     who = f"A{fault.agent:02d}"
     words = "FAIL|GAVE UP|WARN" if fault.level == "WARN" else "FAIL|GAVE UP"
     if re.match(rf"{who} ({words}) (?:[01-]{{8}} )?{slot}\b", line.text):

@@ -1,4 +1,4 @@
-"""A campaign's figures as rows of words, for whoever shows them: terminal, Markdown, HTML. Pure."""
+"""A campaign's figures as rows of words, for terminal, Markdown, HTML. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CLASSES = (
     "p50",
     "p95",
     "max",
-    "told at the ground: mean",
+    "reported at the ground: mean",
     "p95",
     "healed: mean",
     "p95",
@@ -26,7 +26,7 @@ CLASSES = (
     "wrong cause",
     "alarms per fault",
 )
-TRIALS = ("trial", "agent", "fault", "detected", "told", "healed", "by", "alarms", "remarks")
+TRIALS = ("trial", "agent", "fault", "detected", "reported", "healed", "by", "alarms", "remarks")
 MET = {True: "met", False: "NOT met", None: ""}
 
 
@@ -35,13 +35,13 @@ def table2(found: Figures, interval_s: float) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [
         ("Parameter: Reactivation Interval", "20 s", f"{interval_s:g} s", "", ""),
         ("Parameter: SITL Agents", "8", str(found.agents), "", ""),
-        ("Parameter: trials, faults injected", "20, not told", f"{found.trials}, {found.injected}", "", ""),
+        ("Parameter: trials, faults injected", "20, not stated", f"{found.trials}, {found.injected}", "", ""),
     ]
     return rows + [(row.name, row.paper, row.shown, row.aim, MET[row.met]) for row in judged(found)]
 
 
 def beyond(found: Figures) -> list[tuple[str, str]]:
-    """What has no aim and is told all the same."""
+    """Figures without an aim."""
     heard = "-" if found.heard is None else f"{100 * found.heard:.3f} %"
     return [
         ("Healing time, mean / p50 / p95 / max", spread(found.healing)),
@@ -113,7 +113,7 @@ def remarks(each: Judged, verdict: Verdict) -> list[str]:
         found.append(verdict.wrong)
     if verdict.count > verdict.expected:
         extra = [alarm.unit for alarm in verdict.alarms if alarm.unit not in (fault.unit, *fault.also)]
-        found.append(f"{verdict.count} alarms for {verdict.expected}: {', '.join(extra) or 'told again'}")
+        found.append(f"{verdict.count} alarms for {verdict.expected}: {', '.join(extra) or 'reported again'}")
     if each.trial.kind == "trial" and verdict.healed_s is None and fault.healable:
         found.append("not healed")
     if each.trial.well_after is None:
@@ -131,7 +131,7 @@ def short(judged_trials: Sequence[Judged]) -> list[str]:
         for remark in remarks(each, verdict)
     ]
     lines += [
-        f"{each.trial.kind} {each.trial.number}: false alarm aboard A{alarm.agent:02d} at {alarm.unit}: {alarm.summary}"
+        f"{each.trial.kind} {each.trial.number}: false alarm on board A{alarm.agent:02d} at {alarm.unit}: {alarm.summary}"
         for each in judged_trials
         for alarm in each.false
     ]

@@ -67,7 +67,7 @@ AIMS = (
     ),
     Aim("Missed", "-", "0", lambda f: f.missed, lambda v: v == 0, _whole),
     Aim("False alarms", "-", "0", lambda f: f.false, lambda v: v == 0, _whole),
-    Aim("Cause told rightly", "-", ">= 98 %", lambda f: f.right, lambda v: v >= 0.98, _percent),
+    Aim("Cause reported correctly", "-", ">= 98 %", lambda f: f.right, lambda v: v >= 0.98, _percent),
     Aim("Sidecar, CPU of one core", "-", "<= 3 %", lambda f: f.cpu_nominal, lambda v: v <= 3.0, "{:.2f} %".format),
     Aim("Changed with recovery off", "-", "0", lambda f: f.off_changes, lambda v: v == 0, _whole),
 )

@@ -19,9 +19,9 @@ NOMINAL, OFF, TRIAL = "nominal", "off", "trial"
 
 @dataclass
 class Injection:
-    """One fault on one agent. `unit`: where PHM must tell it, aboard that agent, as `condition`; empty: nowhere, since it is
-    no fault that can be told. `level`: ``ERROR``, which opens a fault, or ``WARN``. `others`: where the other agents must
-    tell it, too, together one alarm."""
+    """One fault on one agent. `unit`: where PHM must report it, on board that agent, as `condition`; empty: nowhere, since it is
+    not a fault that can be reported. `level`: ``ERROR``, which opens a fault, or ``WARN``. `others`: where the other agents must
+    report it, too, together one alarm."""
 
     fault: str
     title: str
@@ -174,7 +174,7 @@ def to_json(trial: Trial) -> str:
 
 
 def from_json(line: str | bytes) -> Trial:
-    """Keys that are not known are left out. Raises ValueError for what is no trial of this version."""
+    """Keys that are not known are left out. Raises ValueError for what is not a trial of this version."""
     data = json.loads(line)
     if not isinstance(data, dict) or data.get("v") != VERSION:
         raise ValueError(f"not a trial of version {VERSION}")

@@ -46,8 +46,8 @@ def of_agent(trial: Trial, agent: int, *, net: bool = True) -> tuple[float, floa
     span = (trial.began, trial.ended)
     holes = [(start, end + trial.heartbeat_s) for blind, start, end in trial.blind if net and blind == agent]
     watched = without(span, holes)
-    beats = trial.heartbeats.get(agent, [])
-    overdue = gaps(beats, trial.heartbeat_s, trial.ended) if beats else [span]
+    heartbeats = trial.heartbeats.get(agent, [])
+    overdue = gaps(heartbeats, trial.heartbeat_s, trial.ended) if heartbeats else [span]
     down = [piece for start, end in overdue for piece in without((max(start, span[0]), min(end, span[1])), holes)]
     return length(watched), length(down)
 

@@ -29,7 +29,7 @@ class Ear:
 
     def __init__(self, url: str) -> None:
         self._lock = threading.Lock()
-        self._beats: dict[int, list[float]] = {}
+        self._heartbeats: dict[int, list[float]] = {}
         self._bytes: dict[int, int] = {}
         self.ground = Ground(url, on_frame=self._frame)
 
@@ -42,21 +42,21 @@ class Ear:
     def begin(self) -> None:
         """A trial begins: counters at zero, the last heartbeats kept."""
         with self._lock:
-            self._beats = {agent: beats[-LAST:] for agent, beats in self._beats.items()}
+            self._heartbeats = {agent: times[-LAST:] for agent, times in self._heartbeats.items()}
             self._bytes = {}
         self.ground.lines.clear()
 
     def fill(self, trial: Trial) -> None:
         """What was heard since `begin`."""
         with self._lock:
-            trial.heartbeats = {agent: [round(beat, 3) for beat in beats] for agent, beats in self._beats.items()}
+            trial.heartbeats = {agent: [round(beat, 3) for beat in times] for agent, times in self._heartbeats.items()}
             trial.received = dict(self._bytes)
         trial.lines = [Line(line.system, line.severity, line.text, line.mono) for line in list(self.ground.lines)]
 
     def heard(self) -> set[int]:
         """Agents whose PHM was heard at all."""
         with self._lock:
-            return set(self._beats)
+            return set(self._heartbeats)
 
     def _frame(self, mono: float, message: Any) -> None:
         if message.get_srcComponent() != PHM_COMPONENT:
@@ -65,7 +65,7 @@ class Ear:
         with self._lock:
             self._bytes[agent] = self._bytes.get(agent, 0) + len(message.get_msgbuf())
             if message.get_type() == "HEARTBEAT":
-                self._beats.setdefault(agent, []).append(mono)
+                self._heartbeats.setdefault(agent, []).append(mono)
 
 
 class Watch:

@@ -1,4 +1,4 @@
-"""The demonstration: one agent for real, four faults, each seen, told once at its cause, healed and proven.
+"""The demonstration: one agent for real, four faults, each detected, reported once at its cause, recovered and verified.
 
 ``python -m sitl.demo`` expects an engine and the images (`scripts/demo` makes both). Exit 0 only when every
 fault was opened exactly once, at the right check, was healed by PHM and verified, and the ground heard it.
@@ -42,14 +42,14 @@ class Outcome:
     unit: str
     opened: list[Event]
     detected_s: float | None = None
-    told_s: float | None = None
+    reported_s: float | None = None
     healed_s: float | None = None
     by: str = ""
 
     @property
     def good(self) -> bool:
         once = [event["unit"] for event in self.opened] == [self.unit]
-        return once and None not in (self.detected_s, self.told_s, self.healed_s) and bool(self.by)
+        return once and None not in (self.detected_s, self.reported_s, self.healed_s) and bool(self.by)
 
 
 class Demo:
@@ -96,12 +96,12 @@ class Demo:
 
     def table(self, outcomes: list[Outcome]) -> Table:
         table = Table(title="Faults of this run, seconds after each was there", box=box.SIMPLE_HEAD)
-        for name in ("fault", "seen at", "alarms", "detected", "told", "healed", "by", ""):
-            number = name in ("alarms", "detected", "told", "healed")
+        for name in ("fault", "seen at", "alarms", "detected", "reported", "healed", "by", ""):
+            number = name in ("alarms", "detected", "reported", "healed")
             table.add_column(name, justify="right" if number else "left", overflow="fold", no_wrap=number)
         for entry in outcomes:
             verdict = "[green]ok[/]" if entry.good else "[red]NOT OK[/]"
-            times = (_seconds(entry.detected_s), _seconds(entry.told_s), _seconds(entry.healed_s))
+            times = (_seconds(entry.detected_s), _seconds(entry.reported_s), _seconds(entry.healed_s))
             table.add_row(entry.fault.title, entry.unit, str(len(entry.opened)), *times, entry.by or "-", verdict)
         return table
 
@@ -127,7 +127,7 @@ def judge(fault: Fault, unit: str, moment: float, events: Sequence[Event], lines
     if named is not None:
         received = next((line for line in lines if _reports(line.text, named["slot"])), None)
         outcome.detected_s = named["mono"] - moment
-        outcome.told_s = received.mono - moment if received is not None else None
+        outcome.reported_s = received.mono - moment if received is not None else None
     if healed is not None:
         outcome.healed_s, outcome.by = healed["mono"] - moment, healed["action"]
     return outcome
@@ -150,7 +150,7 @@ def as_json(outcomes: list[Outcome]) -> str:
             "unit": entry.unit,
             "alarms": [event["unit"] for event in entry.opened],
             "detected_s": entry.detected_s,
-            "told_s": entry.told_s,
+            "reported_s": entry.reported_s,
             "healed_s": entry.healed_s,
             "by": entry.by,
             "good": entry.good,

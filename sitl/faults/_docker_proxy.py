@@ -1,8 +1,8 @@
-"""A door of our own before the Docker Engine's socket: shut, the engine is gone for one agent and for nobody else.
+"""A proxy before the Docker Engine's socket: closed, the engine is unreachable for one agent alone.
 
-``python -m sitl.faults._docker_proxy PATH`` listens at PATH and passes everything on. It is a process of its own, so that whoever injects
+``python -m sitl.faults._docker_proxy PATH`` listens at PATH and passes everything on. It is a process of its own, so that the injector
 a fault may end meanwhile. `PATH.shut` holds until when it is shut, in seconds since the epoch; `PATH.pid` its process id. It ends
-when it is told to, or when its folder is gone.
+when it gets a signal, or when its folder is gone.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Door:
         path.unlink(missing_ok=True)
         self._socket = socket.socket(socket.AF_UNIX)
         self._socket.bind(str(path))
-        path.chmod(0o666)  # PHM's user in its container is nobody's here
+        path.chmod(0o666)  # PHM's user in its container does not exist here
         self._socket.listen(MOST)
         self._socket.settimeout(TICK_S)
 

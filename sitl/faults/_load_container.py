@@ -10,7 +10,7 @@ from docker.errors import NotFound
 from sitl.faults.base import Agent
 
 LASTS_S = 90
-"""The burden ends after so long, whatever becomes of whoever put it there."""
+"""The load ends after so long, even if its injector is gone."""
 
 
 def burden(agent: Agent, script: str, **limits: Any) -> None:

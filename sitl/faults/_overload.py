@@ -1,4 +1,4 @@
-"""Containers that nobody has configured, which want more processor time than there is, for a limited time."""
+"""Unconfigured containers, which want more processor time than there is, for a limited time."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """Silent for a second, disarmed, and its time since boot begins anew. It is back by itself; PHM tells it for half a minute."""
+    """Silent for a second, disarmed, and its time since boot restarts. It is back by itself; PHM reports it for half a minute."""
 
     name, title, unit = "autopilot_reboot", "autopilot rebooted", "autopilot"
     condition = "autopilot_rebooted"

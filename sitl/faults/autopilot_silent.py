@@ -8,7 +8,7 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """Its ports stay open and nothing comes any more. Opening PHM's end of the link anew does not help: a human looks after it."""
+    """Its ports stay open and nothing arrives. Reopening PHM's end of the link does not help: an operator must act."""
 
     name, title, unit = "autopilot_silent", "autopilot hung", "autopilot"
     condition = "autopilot_silent"

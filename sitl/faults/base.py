@@ -79,7 +79,7 @@ class Agent:
 
     @property
     def router(self) -> Container:
-        """The MAVLink router aboard; LookupError when it has none of its own."""
+        """The MAVLink router on board; LookupError when it has none of its own."""
         return self.container("router")
 
     @property
@@ -113,7 +113,7 @@ class Agent:
         return f"{app.id}@{app.attrs['State']['StartedAt']}"
 
     def renew_app(self, life: str) -> None:
-        """Restart the application container if it still is in that life: then nobody has healed it."""
+        """Restart the application container if it still is in that run: then it was not recovered."""
         if self.life == life:
             self.app.restart(timeout=STOP_S)
 
@@ -197,7 +197,7 @@ class Fault(ABC):
     least: ClassVar[int] = 1
 
     def places(self, agent: Agent) -> tuple[str, ...]:
-        """Units at which an alarm is due, exactly one at each; none where a fault is not told as one."""
+        """Units at which an alarm is due, exactly one at each; none where the condition is not reported as a fault."""
         return tuple(
             unit.format(agent=agent.name, id=f"A{agent.number:02d}") for unit in (self.unit, *self.also) if unit
         )
@@ -207,7 +207,7 @@ class Fault(ABC):
         return {}
 
     def prepare(self, agent: Agent) -> None:
-        """Bring into the world what that configuration names, before PHM is told to watch it."""
+        """Create what that configuration names, before PHM watches it."""
 
     def dismantle(self, agent: Agent) -> None:
         """Take it out of the world again. Doing it twice is harmless."""

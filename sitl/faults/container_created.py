@@ -1,4 +1,4 @@
-"""The application container is made anew, and nobody starts it."""
+"""The application container is recreated and not started."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ class Injection(Fault):
     The copy takes the name first and the old one goes after, so that it is the copy that PHM finds.
     """
 
-    name, title, unit = "container_created", "container made anew, never started", "container/ros_app"
+    name, title, unit = "container_created", "container recreated, never started", "container/ros_app"
     condition = "created"
     layer = "container"
-    cause = "an image was updated and its container made anew, and nobody started it"
+    cause = "an image was updated and its container recreated but not started"
 
     def inject(self, agent: Agent) -> float:
         old = agent.app

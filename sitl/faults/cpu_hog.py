@@ -12,7 +12,7 @@ SPIN = "import os\nfor _ in range({cores} - 1):\n    if not os.fork():\n        
 
 
 class Injection(Fault):
-    """Runs an endless loop for each core in a container of the lowest weight: it takes what nobody else wants, and that is all
+    """Runs an endless loop for each core in a container of the lowest weight: it takes what no other process wants, and that is all
     that there is to see. Every agent of this machine sees it."""
 
     name, title, unit = "cpu_hog", "processor used up", "host/cpu"

@@ -9,7 +9,7 @@ MARKER = "/tmp/broken_start"
 
 
 class Injection(Fault):
-    """Makes every start fail, then kills the container. PHM must stop restarting and say so; a human mends the cause."""
+    """Makes every start fail, then kills the container. PHM must stop restarting and say so; an operator fixes the cause."""
 
     name, title, unit = "crash_loop", "container ends at every start", "container/ros_app"
     condition = "exited"

@@ -8,7 +8,7 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """Removes the device's node from the host. No software brings it back: PHM tells it and waits."""
+    """Removes the device's node from the host. No software brings it back: PHM reports it and waits."""
 
     name, title, unit = "device_gone", "device unplugged", "devices/ros_app"
     condition = "device_missing"

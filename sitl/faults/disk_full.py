@@ -29,8 +29,8 @@ LEFT = "0.03"
 
 
 class Injection(Fault):
-    """Fills PHM's own /tmp, a disk in memory of 32 MB that is nobody else's, down to 3 %: half of it with recordings of an
-    hour ago, which PHM is told it may remove, the rest with a file of this moment, which it may not."""
+    """Fills PHM's own /tmp, a disk in memory of 32 MB of its own, down to 3 %: half of it with recordings of an
+    hour ago, which PHM is configured to remove, the rest with a file of this moment, which it may not."""
 
     name, title, unit = "disk_full", "disk full", "host/disk"
     condition = "disk_full"

@@ -8,7 +8,7 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """The radio aboard goes on with its RADIO_STATUS, so it is the ground station that PHM misses. Other agents tell the ground."""
+    """The radio on board continues its RADIO_STATUS, so it is the ground station that PHM misses. Other agents report it to the ground."""
 
     name, title, unit = "gcs_radio_cut", "radio to the ground cut", "gcs"
     condition = "gcs_lost"

@@ -1,4 +1,4 @@
-"""Something takes so much memory that PHM must tell it."""
+"""Something takes so much memory that PHM must report it."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """The others hear it no more, and it hears nobody: one fault on either side."""
+    """Neither it nor the others receive anything of each other: one fault on either side."""
 
     name, title, unit = "peer_lost", "peer lost", "peers/swarm"
     condition = "alone"

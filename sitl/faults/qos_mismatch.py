@@ -9,7 +9,7 @@ CARELESS = "35"
 
 
 class Injection(Fault):
-    """Tells node_1 to make its publisher anew as best effort; node_2 asks for reliable, and DDS keeps the two apart. A restart brings
+    """Has node_1 recreate its publisher as best effort; node_2 asks for reliable, and DDS keeps the two apart. A restart brings
     back what the start has."""
 
     name, title, unit = "qos_mismatch", "quality of service does not fit", "topics/{agent}/topic_1"

@@ -1,4 +1,4 @@
-"""The MAVLink router aboard is killed."""
+"""The MAVLink router on board is killed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class Injection(Fault):
     name, title, unit = "router_killed", "MAVLink router killed", "container/router"
     condition = "exited"
     layer = "link"
-    cause = "the MAVLink router aboard crashed or was stopped"
+    cause = "the MAVLink router on board crashed or was stopped"
     needs = frozenset({"air"})
 
     def inject(self, agent: Agent) -> float:

@@ -6,7 +6,7 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """Tells node_2 to give up its subscription to the topic of node_1."""
+    """Has node_2 give up its subscription to the topic of node_1."""
 
     name, title, unit = "subscriber_lost", "subscriber lost, its node alive", "topics/{agent}/topic_1"
     condition = "subscriber_lost"

@@ -6,7 +6,7 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """Tells node_1 to publish no more; it stays in the graph."""
+    """Has node_1 stop publishing; it stays in the graph."""
 
     name, title, unit = "topic_silent", "topic silent, its node alive", "rates/{agent}/topic_1"
     condition = "silent"

@@ -6,7 +6,7 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """Tells node_1 to leave out every second message."""
+    """Has node_1 skip every second message."""
 
     name, title, unit = "topic_slow", "topic at half its rate", "rates/{agent}/topic_1"
     condition = "rate_low"

@@ -1,4 +1,4 @@
-"""A simulated autopilot between companion computer and ground, as far as PHM can tell the difference.
+"""A simulated autopilot between companion computer and ground, as seen by PHM.
 
 ``python -m sitl.simulation.autopilot --id 1 --companion udpin:0.0.0.0:14550 --ground tcpin:0.0.0.0:5760 [--armed]``
 
@@ -50,7 +50,7 @@ class Autopilot:
         self._pilot.hung = hung
 
     def reboot(self, boot_s: float = BOOT_S) -> None:
-        """Its ports stay; it is silent for so long, has forgotten routes and arming, and its time since boot begins anew."""
+        """Its ports stay; it is silent for so long, has forgotten routes and arming, and its time since boot restarts."""
         self._pilot.reboot(time.monotonic(), boot_s)
 
     def stop(self) -> None:

@@ -19,7 +19,7 @@ BOOT_S = 1.0
 DISARMED = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | 16
 COPTER_LOITER = 5
 HOME_E7 = (473977418, 85455939)
-"""Latitude and longitude of agent 0; the others stand in a row to the east."""
+"""Latitude and longitude of agent 0; the others are in a row to the east."""
 APART_E7, CIRCLE_E7, TURN_S, HEIGHT_MM = 1300, 1800, 60.0, 30_000
 
 
@@ -34,7 +34,7 @@ class Pilot:
         self._due = {self._heartbeat: now, self._attitude: now}
 
     def reboot(self, now: float, boot_s: float = BOOT_S) -> None:
-        """It is silent for so long, is disarmed after, and its time since boot begins anew."""
+        """It is silent for so long, is disarmed after, and its time since boot restarts."""
         self._boot_until = now + boot_s
 
     def booted(self, now: float) -> bool:

@@ -19,7 +19,7 @@ SIK_SHARE = 3170 / 8000
 BUFFER_BYTES = 2048
 """Transmit buffer of a SiK radio."""
 FOREIGN_BYTES = 64
-"""Size of a frame of the foreign traffic that `fill_bps` stands for."""
+"""Size of a frame of the foreign traffic of `fill_bps`."""
 _LIMITS: Mapping[str, tuple[float, float]] = {
     "loss": (0.0, 1.0),
     "burst": (1.0, 1000.0),

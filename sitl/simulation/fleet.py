@@ -1,4 +1,4 @@
-"""Many agents on one clock: each with the real probe, reporters and outbox, joined by links that lose what they are told to."""
+"""Many agents on one clock: each with the real probe, reporters and outbox, joined by links with configured losses."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Port:
         self.bytes_out = 0
         self.bytes_by: Counter[str] = Counter()
         """Bytes that left, by the type of message."""
-        self.told: Counter[str] = Counter()
-        """How often something was told, by its key: `refresh`, a unit, or what the swarm's reporter says."""
+        self.sent_keys: Counter[str] = Counter()
+        """How often each key was sent: `refresh`, a unit, or a key of the swarm reporter."""
         self.agents = 1
         self._listeners: list[tuple[Callable[[Any, str], None], frozenset[int]]] = []
 
@@ -48,7 +48,7 @@ class Port:
         urgency: int = 0,
         link: str = "",
     ) -> None:
-        self.told[key] += 1
+        self.sent_keys[key] += 1
         self.outbox.put(message, self.codec.size(message), kind, key, urgency)
 
     def links(self) -> tuple[LinkFact, ...]:
@@ -103,11 +103,11 @@ class Agent:
             pilot=lambda: True,
             radio=lambda: self.radio,
         )
-        told, leader = MavlinkReporter.build(context), SwarmReporter.build(context)
-        assert told is not None
+        reporter, leader = MavlinkReporter.build(context), SwarmReporter.build(context)
+        assert reporter is not None
         assert leader is not None
-        self.reporters = (told, leader)
-        told.handle(Report(clock.stamp(), 1, clock.stamp(), tuple(self.units.values())))
+        self.reporters = (reporter, leader)
+        reporter.handle(Report(clock.stamp(), 1, clock.stamp(), tuple(self.units.values())))
 
     def become(self, unit: str, level: Level, brief: str = "") -> None:
         old = self.units[unit]
@@ -116,7 +116,7 @@ class Agent:
         )
 
     def turn(self, units: Sequence[UnitState]) -> None:
-        """It is so from now on; what changed is told, as the tracker tells it."""
+        """It is so from now on; changes are published as the tracker does."""
         before, self.units = self.units, {state.unit: state for state in units}
         for state in units:
             old = before[state.unit].level if state.unit in before else Level.STALE
@@ -128,7 +128,7 @@ class Agent:
 
 
 class Fleet:
-    """`count` agents from number 1 on, without 51. `deaf`: do not hear the ground, nor are heard by it. `cut`: (sender, hearer) pairs.
+    """`count` agents from number 1 on, without 51. `deaf`: receive nothing from the ground, and the reverse. `cut`: (sender, hearer) pairs.
 
     units: what each agent's checks say, or a few of their own. step_s: of the clock; a coarse one is quicker to compute.
     """

@@ -1,7 +1,7 @@
 """A Zenoh router and a reader of a fleet, for tests and `scripts/bench fleet`: `python -m sitl.simulation.fleet_router SESSIONS OPTIONS`.
 
 The router is a session in mode router: the same Rust code as the program `zenohd`, without its plug-ins. It runs until its
-standard input ends. Nobody is looked for by multicast.
+standard input ends. No discovery by multicast.
 """
 
 from __future__ import annotations

@@ -147,7 +147,7 @@ class Ground:
         if message.get_type() == "STATUSTEXT":
             line = TextLine(*now, *sender, message.severity, message.text)
             self.lines.append(line)
-            self._tell(line)
+            self._publish(line)
         elif message.get_type() == "HEARTBEAT" and (sender in self._last or len(self._last) < MAX_SENDERS):
             self.heartbeats[sender] = now[1]
             seen = (message.custom_mode, message.system_status)
@@ -155,9 +155,9 @@ class Ground:
                 self._last[sender] = seen
                 change = WordChange(*now, *sender, *seen)
                 self.words.append(change)
-                self._tell(change)
+                self._publish(change)
 
-    def _tell(self, news: TextLine | WordChange) -> None:
+    def _publish(self, news: TextLine | WordChange) -> None:
         if self._on_news is not None:
             self._on_news(news)
 
@@ -185,11 +185,11 @@ def main(arguments: list[str] | None = None) -> int:
     words.add_argument("--for", dest="seconds", type=float, default=None, metavar="SECONDS", help="end after this time")
     chosen = words.parse_args(arguments)
 
-    def tell(news: TextLine | WordChange) -> None:
+    def show(news: TextLine | WordChange) -> None:
         kind = "text" if isinstance(news, TextLine) else "word"
         print(json.dumps({"kind": kind, **asdict(news)}) if chosen.json else as_text(news), flush=True)
 
-    ground = Ground(chosen.url, tell)
+    ground = Ground(chosen.url, show)
     ground.start()
     with contextlib.suppress(KeyboardInterrupt):
         threading.Event().wait(chosen.seconds)

@@ -39,7 +39,7 @@ def messages(decoder: Any, data: bytes) -> list[Any]:
 
 class Pty:
     """A pseudo terminal that passes for a serial port at `path`, as far as `Port` uses sockets. The far end is kept open, so
-    that it stays whoever opens and closes it."""
+    that it stays when programs open and close it."""
 
     def __init__(self, path: str) -> None:
         self._near, self._far = pty.openpty()

@@ -118,7 +118,7 @@ class AirProcess:
         for group, place in ((self._phm, "phm"), (self._pilots, "pilot")):
             for number, port in group.items():
                 for sock in port.sockets():
-                    found[sock] = self._from_aboard(number, port, place)  # type: ignore[arg-type]
+                    found[sock] = self._from_on_board(number, port, place)  # type: ignore[arg-type]
         for number, peers in self._peers.items():
             found[peers] = self._from_peer(number)
         return found
@@ -130,7 +130,7 @@ class AirProcess:
                 if frame.target_system in (0, vehicle.number):
                     vehicle.take(time.monotonic(), "ground", frame)
 
-    def _from_aboard(self, number: int, port: Port, place: Place) -> Callable[[Any], None]:
+    def _from_on_board(self, number: int, port: Port, place: Place) -> Callable[[Any], None]:
         def receive(sock: Any) -> None:
             for _, message in port.receive(sock):
                 self.vehicles[number].take(time.monotonic(), place, Frame.of(message))
@@ -160,7 +160,7 @@ class AirProcess:
     # ------------------------------------------------------------ sockets that come and go
 
     def _routers(self) -> None:
-        """A killed router has no socket: whoever connects is refused."""
+        """A killed router has no socket: connections are refused."""
         for number, vehicle in self.vehicles.items():
             if vehicle.router_off and number in self._phm:
                 self._phm.pop(number).close()

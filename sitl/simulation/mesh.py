@@ -30,12 +30,12 @@ class Mesh:
 
     def take(self, now: float, agent: int, data: bytes) -> None:
         radio = self._radios[agent]
-        # Unlike a pair to the ground, nobody listens for one certain other: what is said into a cut is gone.
+        # Unlike a pair to the ground, there is no certain receiver: what is sent into a cut is lost.
         if not (radio.air.off or radio.air.cut) and radio.pipe.offer(now, len(data), data):
             radio.counts["to_peers"] += len(data)
 
     def turn(self, now: float) -> list[tuple[int, bytes]]:
-        """What is heard by now, and by whom. Losses are drawn twice: where it is sent, and where it is heard."""
+        """What has been received by now, and by which agent. Losses are drawn twice: at the sender and at the receiver."""
         found = []
         for sender, radio in self._radios.items():
             for data in radio.pipe.arrived(now):

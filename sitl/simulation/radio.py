@@ -3,7 +3,7 @@
 ``python -m sitl.simulation.radio --near tcpin:0.0.0.0:5790 --far tcpin:0.0.0.0:5760``
 
 As the firmware of SiK radios has it: a radio answers each HEARTBEAT that its own side gives it with a RADIO_STATUS to that
-side, as system 51 component 68, whether or not the other radio is there; what it tells of that one is zero once nothing was
+side, as system 51 component 68, whether or not the other radio is there; its values of that one are zero once nothing was
 heard of it for a while. Everything else goes through unchanged.
 """
 

@@ -1,7 +1,7 @@
-"""The MAVLink router aboard one agent, as a program of its own: hands on what PHM and the agent's port of the air send each other.
+"""The MAVLink router on board one agent, as a program: forwards between PHM and the agent's port of the air.
 
 ``python3 -I -S router.py PORT HOST FAR_PORT`` listens on PORT while it is connected to FAR_PORT of HOST, where its radio and its autopilot
-are (`sitl.simulation.link_emulator`); else whoever connects is refused. Uses the standard library alone and imports little: there is one for each agent.
+are (`sitl.simulation.link_emulator`); else connections are refused. Uses the standard library alone and imports little: there is one for each agent.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from types import FrameType
 RETRY_S = 0.2
 CONNECT_S = 2.0
 SEND_S = 1.0
-"""Who takes nothing for so long is let go: a router does not wait for one."""
+"""A client that takes nothing for so long is disconnected: a router does not wait for one."""
 BYTES = 65536
 
 
@@ -31,7 +31,7 @@ class Relay:
         self._port, self._far = port, far
 
     def run(self) -> None:
-        """For ever."""
+        """Without end."""
         while True:
             try:
                 self.carry(socket.create_connection(self._far, CONNECT_S))

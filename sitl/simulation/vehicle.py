@@ -2,11 +2,11 @@
 
     PHM --- router --- autopilot
                |
-          radio aboard ~~~ air ~~~ radio on the ground --- ground station
+          radio on board ~~~ air ~~~ radio on the ground --- ground station
 
 The router passes on what is for all, and what is for somebody only to where that one was heard, as mavlink-router does.
 A radio answers each HEARTBEAT that its own side gives it with a RADIO_STATUS to that side, as SiK firmware does. In that it
-tells of the other radio, too, until it has heard nothing of it for FORGETS_S.
+reports the other radio, too, until it has received nothing from it for FORGETS_S.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PHM = 193
 PACKETS_S = 20
 """Packets that a SiK pair exchanges each second, also when there is nothing to say: damaged ones are counted in rxerrors."""
 FORGETS_S = 3.4
-"""SiK firmware looks for packets every 0.524 s and clears what the other radio told after more than five looks without any: 3.15
+"""SiK firmware looks for packets every 0.524 s and clears the values of the other radio after more than five looks without any: 3.15
 to 3.67 s after the last."""
 MOST_ROUTES = 64
 
@@ -71,7 +71,7 @@ class Vehicle:
         self.router_off = self.pilot_off = False
         self.out: list[tuple[Place, bytes]] = []
         self.counts: Counter[str] = Counter()
-        self._aboard, self._below = _End(), _End()
+        self._on_board, self._below = _End(), _End()
         self._routes: dict[tuple[int, int], Place] = {}
         self._now = now
 
@@ -90,7 +90,7 @@ class Vehicle:
         """What the time brings: the autopilot's own frames, and what arrives over the air."""
         self._now = now
         if not self.ground.cut and not self.ground.off:
-            self._aboard.partner_at = self._below.partner_at = now
+            self._on_board.partner_at = self._below.partner_at = now
         if self.pilot is not None:
             self.pilot.booted(now)
             for raw in self.pilot.due(now):
@@ -151,7 +151,7 @@ class Vehicle:
             "autopilot": {"off": self.pilot_off, **pilot},
         }
 
-    # ------------------------------------------------------------ aboard
+    # ------------------------------------------------------------ on board
 
     def _from_pilot(self, raw: bytes) -> None:
         if not self.pilot_off:
@@ -202,7 +202,7 @@ class Vehicle:
             if frame.component == PHM:
                 self.counts["phm_to_ground"] += size
         if frame.kind == HEARTBEAT:
-            self._route("ground", self._aboard.status(self._now, self.ground, self.up.free_percent(self._now)))
+            self._route("ground", self._on_board.status(self._now, self.ground, self.up.free_percent(self._now)))
 
     def _from_station(self, frame: Frame) -> None:
         size = len(frame.raw)

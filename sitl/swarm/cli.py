@@ -103,7 +103,7 @@ def _up(chosen: argparse.Namespace) -> int:
         build=not chosen.no_build,
     )
     swarm = Swarm(options)
-    # A shell that starts this in the background has SIGINT ignored; whoever ends `up` wants no half of a swarm.
+    # A shell that starts this in the background has SIGINT ignored; an interrupted `up` must not leave half a swarm.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     try:

@@ -1,4 +1,4 @@
-"""The control client of the air process (`sitl.simulation.link_emulator`): what radios, routers and autopilots of a swarm are told to do.
+"""The control client of the air process (`sitl.simulation.link_emulator`): commands for radios, routers and autopilots of a swarm.
 
 One JSON object a line goes there, one comes back, over a TCP connection of its own for each call: any number of
 programs may do it at once, and one that was killed leaves nothing behind.
@@ -19,7 +19,7 @@ ORDERS = ("hang", "resume", "reboot", "arm", "disarm")
 class Air:
     """address: host and port of the air process's control socket.
 
-    Each method raises ConnectionError when nobody answers there, ValueError when what was asked makes no sense.
+    Each method raises ConnectionError when it does not answer, ValueError when the request is invalid.
     """
 
     def __init__(self, address: tuple[str, int]) -> None:
@@ -36,8 +36,8 @@ class Air:
           rate_bps     air data rate; a SiK pair carries about 0.4 of it each way
           rssi, noise  in the radios' units; only what RADIO_STATUS says
           fill_bps     bits per second of foreign traffic that the agent's side sends through it (saturation)
-          off          True: the radio aboard has no power; no RADIO_STATUS either
-        ``router`` (aboard, between PHM, autopilot and ground radio) and ``autopilot`` (its cable to the router):
+          off          True: the radio on board has no power; no RADIO_STATUS either
+        ``router`` (on board, between PHM, autopilot and ground radio) and ``autopilot`` (its cable to the router):
           off          True: the router is killed, connections are refused; the autopilot is unplugged
         """
         self._ask("set", agent=agent, link=link, values=how)
@@ -48,7 +48,7 @@ class Air:
 
     def split(self, groups: Sequence[Sequence[int]]) -> None:
         """The peers' network falls apart: agents hear those of their own group alone. ``[]``: it is whole again. Agents
-        that are in no group hear nobody."""
+        that are in no group receive nothing."""
         self._ask("split", groups=[list(group) for group in groups])
 
     def autopilot(self, agent: int, what: str, **how: float) -> None:

@@ -1,4 +1,4 @@
-"""How an agent stands, read off PHM's own record. Pure but for the reading."""
+"""An agent's health, read from PHM's own record. Pure but for the reading."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ UP = b" is up"
 """What a node of the application prints when it is in the graph."""
 
 
-def up(swarm: Swarm, tell: Callable[[str], None] = print) -> None:
+def up(swarm: Swarm, progress: Callable[[str], None] = print) -> None:
     """Start everything and wait until all is OK. RuntimeError says what did not start.
 
     What was started stays for inspection until `Swarm.down`.
@@ -49,11 +49,11 @@ def up(swarm: Swarm, tell: Callable[[str], None] = print) -> None:
         shutil.rmtree(swarm.folder, ignore_errors=True)
         swarm.folder.mkdir(parents=True)
         swarm.save()
-        swarm.took = _bring_up(swarm, lock, tell)
+        swarm.took = _bring_up(swarm, lock, progress)
         swarm.save()
 
 
-def _bring_up(swarm: Swarm, lock: int, tell: Callable[[str], None]) -> dict[str, float]:
+def _bring_up(swarm: Swarm, lock: int, progress: Callable[[str], None]) -> dict[str, float]:
     """Start in phases and return the seconds of each phase."""
     at_once = max(1, os.cpu_count() or 1)
     took: dict[str, float] = {}
@@ -62,7 +62,7 @@ def _bring_up(swarm: Swarm, lock: int, tell: Callable[[str], None]) -> dict[str,
         began = time.monotonic()
         work()
         took[name] = round(time.monotonic() - began, 2)
-        tell(f"{name}: {took[name]:.1f} s")
+        progress(f"{name}: {took[name]:.1f} s")
 
     if swarm.options.build:
         phase("images", _images)

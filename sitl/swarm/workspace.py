@@ -23,7 +23,7 @@ def base() -> Path:
 def folder(name: str) -> Path:
     """The folder of one swarm. ValueError for a name that Compose would not take."""
     if not _NAME.match(name) or name.endswith("-air"):
-        raise ValueError(f"{name!r} is no name for a swarm: 1 to 40 small letters, digits and '-', the first no '-'")
+        raise ValueError(f"{name!r} is not a name for a swarm: 1 to 40 small letters, digits and '-', the first no '-'")
     return base() / name
 
 

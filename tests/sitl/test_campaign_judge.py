@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sitl.campaign.scoring import Verdict, judge, tells
+from sitl.campaign.scoring import Verdict, judge, reports
 from sitl.campaign.trial import OFF, Start, Trial, Warned
 from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, trial, verified
 
@@ -40,7 +40,7 @@ def test_what_the_injector_does_on_the_way_belongs_to_its_fault() -> None:
     late = injection(asked=T0 - 2)
     judged = judge(trial(injections=[late], alarms=[alarm(-0.5, "container/ros_app"), alarm(0.4)]))
     assert (judged.false, judged.verdicts[0].count) == ([], 2)
-    assert judged.verdicts[0].wrong == f"told at container/ros_app first, then at {NODE}"
+    assert judged.verdicts[0].wrong == f"reported at container/ros_app first, then at {NODE}"
 
 
 def test_what_clearing_breaks_is_not_the_faults() -> None:
@@ -74,7 +74,7 @@ def test_a_chain_is_counted_and_wrong_where_it_began() -> None:
     topic = alarm(0.2, "rates/agent_3/topic_1")
     verdict = only(trial(alarms=[alarm(0.4), topic]))
     assert verdict.count == 2
-    assert verdict.wrong == f"told at rates/agent_3/topic_1 first, then at {NODE}"
+    assert verdict.wrong == f"reported at rates/agent_3/topic_1 first, then at {NODE}"
     later = only(trial(alarms=[alarm(0.4), alarm(0.6, "rates/agent_3/topic_1")]))
     assert (later.count, later.wrong) == (2, "")
 
@@ -83,7 +83,7 @@ def test_told_elsewhere_alone_is_a_wrong_cause_and_not_missed() -> None:
     """PHM said something, but not where the cause is."""
     verdict = only(trial(alarms=[alarm(0.4, "network/ros_app")]))
     assert (verdict.missed, verdict.detected_s) == (False, None)
-    assert verdict.wrong == f"told at network/ros_app, expected at {NODE}"
+    assert verdict.wrong == f"reported at network/ros_app, expected at {NODE}"
 
 
 def test_the_condition_must_have_been_known() -> None:
@@ -210,7 +210,7 @@ def test_what_could_not_be_injected_is_not_judged() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "system", "told"),
+    ("text", "system", "reported"),
     [
         ("A03 FAIL 6 node_1 dead", 3, True),
         ("A03 FAIL 11111011 6 node_1 dead +2", 3, True),
@@ -223,11 +223,11 @@ def test_what_could_not_be_injected_is_not_judged() -> None:
         ("A03 no GCS radio, heard by A01 A02: 2 ERROR", 1, False),
     ],
 )
-def test_which_lines_tell_of_a_fault(text: str, system: int, told: bool) -> None:
+def test_which_lines_tell_of_a_fault(text: str, system: int, reported: bool) -> None:
     """Its agent, a bad word, its slot: as a change or in the refresh. A warning tells of no fault that is an error."""
-    assert tells(line(1.0, text, system), injection(), 6) is told
+    assert reports(line(1.0, text, system), injection(), 6) is reported
 
 
 def test_who_has_lost_its_radio_is_told_by_others() -> None:
     """Of a link fault the neighbours may tell, since the agent cannot."""
-    assert tells(line(1.0, "A03 no GCS radio, heard by A01 A02: 2 ERROR", 1), injection(layer="link"), 1)
+    assert reports(line(1.0, "A03 no GCS radio, heard by A01 A02: 2 ERROR", 1), injection(layer="link"), 1)

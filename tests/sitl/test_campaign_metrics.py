@@ -121,7 +121,7 @@ def test_what_falls_short_is_said() -> None:
     lone = quiet(alarms=[alarm(5.0, "rates/agent_4/topic_1", 4)], ended=T0 + 40)
     found = figures([lone, quiet(OFF, changed=["agent 1: restarted"]), missed, chain])
     names = {row.name for row in judged(found) if row.met is False}
-    assert {"Missed", "False alarms", "Cause told rightly", "Changed with recovery off"} <= names
+    assert {"Missed", "False alarms", "Cause reported correctly", "Changed with recovery off"} <= names
     assert {"Self-resolved, of the healable", "Self-resolved, of all"} <= names
     assert found.alarms_per_fault == pytest.approx(2.0), "a missed fault does not make up for a chain"
     assert "Alarms per fault" in names

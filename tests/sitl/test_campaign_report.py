@@ -115,7 +115,7 @@ def test_reports_of_nothing_and_of_everything() -> None:
 def test_what_falls_short_stands_in_every_report() -> None:
     """A missed fault is named with its trial and agent, in JSON, HTML and Markdown alike."""
     bad = [trial(number=4, alarms=[alarm(0.4, "network/ros_app")], acts=[], lines=[])]
-    sentence = "trial 4, node_killed on A03: told at network/ros_app, expected at nodes/agent_3/node_1"
+    sentence = "trial 4, node_killed on A03: reported at network/ros_app, expected at nodes/agent_3/node_1"
     assert sentence in json.loads(as_json(bad, SETTING))["short"]
     assert sentence in as_html(bad, SETTING)
     assert sentence in as_markdown(bad, SETTING)

@@ -40,8 +40,8 @@ def test_the_line_about_the_injected_fault_counts_as_received() -> None:
     busy = line("A01 FAIL 9 CPU 100%", BEGAN - 0.9)
     change, refresh = line("A01 FAIL 6 node_1 dead", BEGAN + 0.6), line("A01 FAIL 11111011 6 node_1 dead", BEGAN + 2)
     found = judged(busy, change, refresh)
-    assert (found.told_s, found.good, len(found.opened)) == (change.mono - BEGAN, True, 1)
-    assert judged(busy, refresh).told_s == refresh.mono - BEGAN
+    assert (found.reported_s, found.good, len(found.opened)) == (change.mono - BEGAN, True, 1)
+    assert judged(busy, refresh).reported_s == refresh.mono - BEGAN
 
 
 def test_a_line_about_another_slot_is_not_about_the_injected_fault() -> None:
@@ -49,4 +49,4 @@ def test_a_line_about_another_slot_is_not_about_the_injected_fault() -> None:
     found = judged(
         line("A01 FAIL 9 CPU 100%", BEGAN + 0.6), line("A01 WARN 6 node_1 slow", BEGAN + 0.7), line("FAIL", 101.0)
     )
-    assert found.told_s is None and not found.good
+    assert found.reported_s is None and not found.good

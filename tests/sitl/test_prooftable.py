@@ -27,9 +27,9 @@ def row(**changes: object) -> Row:
         ({"alarms": ["nodes/a/n", "nodes/a/n"]}, True, False, "healed"),
         ({"alarms": ["topics/a/t"]}, True, False, "healed"),
         ({"healed_s": None}, True, False, "not healed"),
-        ({"healed_s": None, "actions": []}, False, True, "told, left to the operator"),
-        ({"healed_s": None, "given_up_s": 31.4}, False, True, "given up and told after 31 s"),
-        ({"healed_s": None}, False, False, "told, left to the operator"),
+        ({"healed_s": None, "actions": []}, False, True, "reported, left to the operator"),
+        ({"healed_s": None, "given_up_s": 31.4}, False, True, "given up and reported after 31 s"),
+        ({"healed_s": None}, False, False, "reported, left to the operator"),
         ({}, False, False, "healed"),
     ],
 )

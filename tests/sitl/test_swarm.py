@@ -123,7 +123,7 @@ def test_a_graph_comes_through_as_it_was_read() -> None:
     [
         ({}, "a list of 1 to 64 nodes"),
         ([{"name": "a", "publish": {"t": 1}, "rate": 3}], "allowed are the keys"),
-        ([{"name": "a b", "publish": {"t": 1}}], "'a b' is no name"),
+        ([{"name": "a b", "publish": {"t": 1}}], "'a b' is not a name"),
         ([{"name": "a/b", "publish": {"t": 1}}], "has a '/'"),
         ([{"name": "a"}], "publishes nothing"),
         ([{"name": "a", "publish": {"t": 0}}], "0.1 to 1000 Hz"),
@@ -203,7 +203,7 @@ def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("name", ["", "A", "a_b", "-a", "../x", "a" * 41, "x-air"])
 def test_a_name_that_compose_would_not_take_is_refused(name: str) -> None:
     """Nor one that leaves the folder, or is that of another swarm's air."""
-    with pytest.raises(ValueError, match="is no name for a swarm"):
+    with pytest.raises(ValueError, match="is not a name for a swarm"):
         workspace.folder(name)
 
 
