@@ -19,9 +19,9 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from phm.core.clock import Clock, Steps
+from phm.core.clock import Clock, ClockSteps
 from phm.core.model import Stamp
-from phm.core.scheduling_delay import Lateness
+from phm.core.scheduling_delay import SchedulingDelay
 from phm.core.settings import Settings
 from phm.facts import (
     AutopilotFact,
@@ -88,9 +88,9 @@ class FakeClock:
     def __init__(self, mono: float = 1000.0, utc: float = 1_700_000_000.0) -> None:
         self._mono = mono
         self._utc = utc
-        self.steps = Steps()
+        self.steps = ClockSteps()
         self.steps.note(Stamp(utc, mono))
-        self._lateness = Lateness()
+        self._lateness = SchedulingDelay()
         self._sleepers: list[_Sleeper] = []
         self._moved = threading.Condition()
 

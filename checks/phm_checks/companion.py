@@ -72,7 +72,7 @@ class Companion(api.Check):
         ago_s, lasted_s = facts.stood_still_ago_s, facts.stood_still_s
         if ago_s is not None and lasted_s is not None and ago_s < TOLD_S:
             why = (
-                "a signal had stopped it (SIGSTOP) and its watchdog resumed it; set `PHM_GUARD=off` if the stop was intended"
+                "a signal had stopped it (SIGSTOP) and its watchdog resumed it; set `PHM_WATCHDOG=off` if the stop was intended"
                 if facts.was_stopped
                 else "was it stopped or paused, or is the CPU overloaded?"
             )

@@ -1,7 +1,7 @@
-"""Events from the tracker and recovery to whoever subscribed: bounded queues, a thread each.
+"""Event bus: a bounded queue and a thread for each subscriber.
 
-`publish` never waits. A reporter's queue drops its oldest event when full, and counts; a subscription
-with a `key` keeps the newest event of each key instead, so its owner never misses how things stand.
+`publish` never blocks. A full queue drops its oldest event and counts it. A subscription with a `key` keeps the newest event of
+each key instead, so the subscriber never misses the current state.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Handler = Callable[[Event], None]
 
 
 class Subscription:
-    """One subscriber: a queue and the thread that empties it. Handler errors are counted, never fatal."""
+    """One subscriber: its queue and thread. Errors of the handler are logged and counted."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Subscription:
             self._queue.put(event)
 
     def close(self, timeout_s: float) -> bool:
-        """Let the queue run empty, then end. False when the handler did not finish in time."""
+        """Process the queued events, then end. False if the handler did not finish in time."""
         self._closing = True
         self._queue.wake()
         return threads.join(self._thread, timeout_s)
@@ -77,7 +77,7 @@ class Subscription:
     def _guarded(self, call: Callable[[], None]) -> None:
         try:
             call()
-        except Exception as error:  # a reporter is a plug-in: whatever it raises stays its own affair
+        except Exception as error:  # a reporter may be a plug-in: its errors must not affect others
             self.errors += 1
             self.last_error = f"{self.name}: {type(error).__name__}: {error}"
             if self.errors in (1, 10, 100) or self.errors % 1000 == 0:
@@ -85,7 +85,7 @@ class Subscription:
 
 
 class Bus:
-    """All subscriptions. Subscribing while events flow is allowed."""
+    """All subscriptions. Subscribing is allowed at any time."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -120,7 +120,7 @@ class Bus:
         return tuple(entry.last_error for entry in self._subscriptions if entry.errors)
 
     def close(self, timeout_s: float = 2.0) -> None:
-        """Hand out what is queued, within `timeout_s` for all together."""
+        """Deliver queued events, within `timeout_s` in total."""
         end = self._clock.mono() + timeout_s
         for subscription in self._subscriptions:
             subscription.close(max(0.05, end - self._clock.mono()))

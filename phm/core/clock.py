@@ -1,4 +1,4 @@
-"""Time is injected: intervals are monotonic, stamps are UTC, and tests own the clock."""
+"""The clock: intervals are monotonic, time stamps are UTC. Tests inject a fake clock."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Protocol
 
 from phm.core import threads
 from phm.core.model import Stamp
-from phm.core.scheduling_delay import Lateness, Monitor
+from phm.core.scheduling_delay import DelayMonitor, SchedulingDelay
 
 STEP_S = 1.0
-"""UTC that has moved by more than this against the monotonic clock was set, and not slewed."""
+"""A UTC change by more than this relative to the monotonic clock is a step; smaller ones are slew."""
 MAX_STEPS = 64
 UNWATCHED_S = 5.0
-"""A step after a longer time without a look may have been several: what the clock was before is then not known."""
+"""After a longer time without observation there may have been several steps, so earlier offsets are discarded."""
 
 
 class Clock(Protocol):
-    """What PHM needs of time. `phm.testing.FakeClock` is the other implementation."""
+    """Interface of the clock. `phm.testing.FakeClock` implements it for tests."""
 
     def mono(self) -> float:
         """Seconds of a clock that never jumps."""
@@ -32,14 +32,14 @@ class Clock(Protocol):
         """Both at one moment."""
 
     def latest(self, utc: float) -> float:
-        """The latest monotonic moment at which this machine's clock can have stamped something `utc`: see `Steps.latest`."""
+        """The latest monotonic moment at which this machine's clock can have stamped something `utc`: see `ClockSteps.latest`."""
 
     @property
-    def steps(self) -> Steps:
-        """How the UTC clock was set."""
+    def steps(self) -> ClockSteps:
+        """Steps of the UTC clock."""
 
     def late_s(self, since: float, most_s: float | None = None) -> float:
-        """Seconds since `since` (monotonic) in which PHM itself did not get to run: see `Lateness.late_s`."""
+        """Seconds since `since` (monotonic) in which PHM was not scheduled: see `SchedulingDelay.late_s`."""
 
     def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
         """Wait until `event` is set or `timeout_s` has passed on the monotonic clock; True when set."""
@@ -58,13 +58,11 @@ class _Period:
         return self.begin - STEP_S <= utc - self.offset <= self.end + STEP_S
 
 
-class Steps:
-    """The steps of the UTC clock for as long as it has been watched. Thread-safe.
+class ClockSteps:
+    """Steps of the UTC clock since observation began. Thread-safe.
 
-    What it was before is not known: without a battery-backed clock a computer starts in 1970, or at the time of its last
-    shutdown, and nothing shows afterwards when the clock was set.
-
-    Invariant: periods follow each other without a gap.
+    Earlier steps are unknown: without a battery-backed clock a computer starts in 1970 or at the time of its last shutdown.
+    Invariant: periods are contiguous.
     """
 
     def __init__(self) -> None:
@@ -72,7 +70,7 @@ class Steps:
         self._lock = threading.Lock()
 
     def note(self, now: Stamp) -> None:
-        """Look at the clock; to be called often, in the order of the stamps."""
+        """Observe the clock; call it often, in the order of the stamps."""
         offset = now.utc - now.mono
         with self._lock:
             last = self._periods[-1] if self._periods else None
@@ -127,17 +125,17 @@ class Steps:
 class SystemClock:
     """The machine's clocks. CLOCK_MONOTONIC, as `time.monotonic` uses on Linux. Thread-safe.
 
-    lateness: of this process, as far as a `phm.core.scheduling_delay.Monitor` measures it.
+    lateness: of this process, as far as a `phm.core.scheduling_delay.DelayMonitor` measures it.
     """
 
     def __init__(self) -> None:
-        self.lateness = Lateness()
-        self.steps, self._lock = Steps(), threading.Lock()
+        self.lateness = SchedulingDelay()
+        self.steps, self._lock = ClockSteps(), threading.Lock()
         self.stamp()
 
     def measure(self) -> None:
         """Begin to measure how late PHM is, once for a process: until its end."""
-        threads.start(Monitor(self.lateness).thread)
+        threads.start(DelayMonitor(self.lateness).thread)
 
     def mono(self) -> float:
         return time.monotonic()

@@ -1,4 +1,4 @@
-"""The graph of needs between units: who cannot be well without whom, checked to have no loop."""
+"""The dependency graph of the units."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from graphlib import CycleError, TopologicalSorter
 
 
 class DependencyCycle(Exception):
-    """Units that need each other; `loop` lists them in order, the first again at the end."""
+    """Units that depend on each other; `loop` lists them in order, the first again at the end."""
 
     def __init__(self, loop: list[str]) -> None:
         super().__init__(f"dependency cycle: {' -> '.join(loop)}")
@@ -15,9 +15,9 @@ class DependencyCycle(Exception):
 
 
 class DependencyGraph:
-    """Answers in both directions, transitively. Immutable; needs that name no known unit are dropped.
+    """Transitive dependencies in both directions. Immutable; dependencies on unknown units are ignored.
 
-    `upstream` lists the units that one depends on, causes first: the first failing entry is the root.
+    `upstream` lists the dependencies of a unit, causes first: the first failing one is the root cause.
     """
 
     def __init__(self, needs: Mapping[str, Iterable[str]]) -> None:

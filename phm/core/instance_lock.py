@@ -1,6 +1,6 @@
-"""One PHM for one state and run directory: two would overwrite each other's state and answer for each other.
+"""Ensure that only one PHM uses a state and run directory.
 
-A lock of the kernel (flock) on a file in each directory: it ends with the process, however that ends, so nothing is ever left locked.
+A kernel lock (flock) on a file in each directory: it is released when the process ends, in whatever way.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ NAME = "phm.lock"
 
 
 class AlreadyRunning(Exception):
-    """Another PHM uses one of the directories; the message says which one, who, and what to do."""
+    """Another PHM uses one of the directories; the message names the directory, the process and the remedy."""
 
 
 class InstanceLock:
@@ -37,7 +37,7 @@ class InstanceLock:
             except OSError as error:
                 reason = error.strerror or error
                 self.problem = (
-                    f"cannot lock {directory}: {reason}; a second PHM with the same directory would not be noticed"
+                    f"cannot lock {directory}: {reason}; a second PHM with the same directory would not be detected"
                 )
 
     def release(self) -> None:
@@ -58,8 +58,8 @@ class InstanceLock:
                 holder = _text(lock)
                 os.close(lock)
                 raise AlreadyRunning(
-                    f"another PHM{f' ({holder})' if holder else ''} uses {directory}: stop it first, or give this one a "
-                    "state_dir and a run_dir of its own"
+                    f"another PHM{f' ({holder})' if holder else ''} uses {directory}: stop it first, or configure a separate "
+                    "state_dir and run_dir for this one"
                 ) from None
             except OSError:
                 os.close(lock)

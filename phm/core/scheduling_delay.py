@@ -1,7 +1,7 @@
-"""How much of the time PHM itself did not get to run: silence in that time says nothing about a sender.
+"""Measure how long PHM itself was not scheduled: silence during that time proves nothing about a sender.
 
-A thread that only sleeps announces when it will be back, and counts how late it is, whatever the reason: stopped, frozen,
-throttled, swapped out, or waiting for a core. Of another process the kernel counts the last. Standard library alone.
+A thread sleeps for a fixed period and measures how late it wakes, whatever the reason: stopped, frozen, throttled, swapped out
+or waiting for a CPU. For another process the kernel's counters are read. Standard library only.
 """
 
 from __future__ import annotations
@@ -13,29 +13,29 @@ from collections.abc import Callable
 
 PERIOD_S = 0.25
 NOISE_S = 0.02
-"""A thread that wakes by so much later is not late: timers, garbage collection, one time slice of another process."""
+"""Smaller delays are ignored: timers, garbage collection, a time slice of another process."""
 KEPT = 2048
 """Spans that are remembered: at least eight minutes, were each period late."""
 WINDOW_S = 60.0
-"""Over so long `phm status` says how much of the time it was."""
+"""The window for the share that `phm status` shows."""
 
 HELD = ("R", "D")
 """States of a process that would run if it could: ready, or waiting for a disk."""
 
 Late = Callable[[float, float | None], float]
-"""As `Lateness.late_s`, at the moment of the call: since when, and how much of it counts at most beside the longest span."""
+"""As `SchedulingDelay.late_s`, at the moment of the call: since when, and how much of it counts at most beside the longest span."""
 
 
 def never_late(since: float, most_s: float | None = None) -> float:
-    """A `Late` for callers who do not measure."""
+    """A `Late` for callers without a measurement."""
     return 0.0
 
 
-class Lateness:
-    """Spans of time in which PHM did not run. Pure, the caller brings the time; thread-safe.
+class SchedulingDelay:
+    """Periods in which PHM was not scheduled. The caller passes the time; thread-safe.
 
-    Any thread that asks runs itself, so it closes the span that the measuring thread has not noticed yet: right after a pause
-    answers are the same whichever thread wakes first.
+    A thread that asks is running, so it closes the period that the measuring thread has not noticed yet: right after a pause all
+    threads get the same answer.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class Lateness:
             self._due = due
 
     def came(self, now: float) -> None:
-        """It runs."""
+        """The measuring thread runs."""
         with self._lock:
             self._notice(now)
             self._due = None
@@ -58,7 +58,7 @@ class Lateness:
         """Seconds between `since` and `now` in which PHM did not run.
 
         most_s: for a deadline of so many seconds. The longest span counts in full, all others together up to most_s: after a
-        pause everyone has as much time as before it, and where PHM is starved for good a deadline is at most doubled.
+        pause senders have as much time as before it, and if PHM is starved permanently a deadline is at most doubled.
         """
         with self._lock:
             self._notice(now)
@@ -82,7 +82,7 @@ class Lateness:
             self._due = now  # what is late from here on is another span
 
 
-class Progress:
+class ProcessStallMeter:
     """Whether the first thread of another process could run, by what the kernel counts of it in /proc/PID."""
 
     def __init__(self, pid: int, proc: str = "/proc") -> None:
@@ -117,10 +117,10 @@ class Progress:
             return ""
 
 
-class Monitor:
+class DelayMonitor:
     """The measuring thread. What it measures is in `lateness`."""
 
-    def __init__(self, lateness: Lateness, mono: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, lateness: SchedulingDelay, mono: Callable[[], float] = time.monotonic) -> None:
         self._lateness, self._mono = lateness, mono
         self._stopping = threading.Event()
         self.thread = threading.Thread(target=self._loop, name="phm-scheduling", daemon=True)

@@ -1,7 +1,7 @@
-"""Threads that start as soon as the system lets them.
+"""Start threads even at a process limit.
 
-At a limit of processes (`pids_limit` of a container, `ulimit -u`) `Thread.start` raises RuntimeError. A part of PHM whose thread
-is missing for that reason is not lost: its thread waits here, `retry` starts it later, and `problem` says so meanwhile.
+At a limit (`pids_limit` of a container, `ulimit -u`) `Thread.start` raises RuntimeError. Such a thread waits here, `retry` starts
+it later, and `problem` reports it meanwhile.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import threading
 import time
 
 REPORTED_S = 12.0
-"""A thread for a single task that could not be made is reported for so long; its task is tried again by its owner."""
+"""How long a thread for a single task that could not be started is reported; its owner retries the task."""
 
 _lock = threading.Lock()
 _waiting: list[threading.Thread] = []
@@ -18,7 +18,7 @@ _refused: dict[str, float] = {}
 
 
 def start(thread: threading.Thread) -> bool:
-    """Start it now, or else as soon as `retry` can; whether it runs already. For threads that serve until PHM ends."""
+    """Start it now, or later by `retry`. Return whether it is running. For threads that run until PHM ends."""
     if _started(thread):
         return True
     with _lock:
@@ -27,7 +27,7 @@ def start(thread: threading.Thread) -> bool:
 
 
 def start_now(thread: threading.Thread) -> bool:
-    """Start it now or not at all: for a single task, whose owner tries again in its own time."""
+    """Start it now or not at all. For a single task that its owner retries."""
     if _started(thread):
         return True
     with _lock:
@@ -36,14 +36,14 @@ def start_now(thread: threading.Thread) -> bool:
 
 
 def join(thread: threading.Thread, timeout_s: float) -> bool:
-    """Wait for its end; whether it has ended, or has never begun."""
+    """Wait for its end. Return whether it has ended or never started."""
     if thread.ident is not None and thread is not threading.current_thread():
         thread.join(max(0.0, timeout_s))
     return not thread.is_alive()
 
 
 def retry() -> None:
-    """Start what waits, as far as the system allows."""
+    """Start waiting threads, as far as the system allows."""
     with _lock:
         waiting, _waiting[:] = list(_waiting), []
     for thread in waiting:
@@ -60,7 +60,7 @@ def problem() -> str:
     if not names:
         return ""
     shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    return f"threads cannot be started ({shown}): raise the limit of processes, e.g. pids_limit of PHM's container"
+    return f"threads cannot be started ({shown}): raise the process limit, e.g. pids_limit of PHM's container"
 
 
 def _started(thread: threading.Thread) -> bool:

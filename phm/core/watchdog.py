@@ -1,13 +1,13 @@
-"""Watches over the daemon from a process of its own: a daemon that stands still is let go on, or ended to be started anew.
+"""Watch the daemon from a separate process: resume a daemon that was stopped, kill one that is unresponsive.
 
-Docker restarts what exits, not what hangs, and a process that is stopped (SIGSTOP) or whose interpreter is held by a library that
-never returns cannot end itself. So the daemon's heart writes a byte a second into a pipe, and at its other end this file, run as
-a program, counts its own looks, not seconds: where the whole container or machine was frozen, it was frozen, too.
+Docker restarts what exits, not what hangs, and a process that is stopped (SIGSTOP) or blocked in a library call cannot end
+itself. So the daemon's main loop writes a byte a second into a pipe. This file, run as a program at the other end, counts its
+own checks instead of seconds, so a freeze of the entire container or machine is not mistaken for a hang.
 
-That a signal has stopped the daemon the kernel tells (its state is T), so that is seen in a fraction of a second and no matter of
-patience. A daemon that was let go on is told so, by a line on the guard's standard output: it cannot know by itself.
+The kernel reports that a signal stopped the daemon (state T), which is noticed in a fraction of a second. A resumed daemon is
+informed by a line on the watchdog's standard output, because it cannot know by itself.
 
-Standard library alone, started without site-packages: 8 MB, most of them shared.
+Standard library only, started without site-packages: 8 MB, most of them shared.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from collections.abc import Callable
 
 LOOK_S = 1.0
 GLANCES = 4
-"""Looks at the daemon's state in each look at its beat. Nearly all of a glance's cost is waking up, 0.1 to 0.2 ms."""
+"""Checks of the daemon's process state per check of its heartbeat. Each costs 0.1 to 0.2 ms, mostly for waking up."""
 STOPPED_LOOKS = 2
-"""Glances in a row that find it stopped, so for 0.25 to 0.5 s: whoever stops and continues it at once is let alone."""
+"""State checks in a row that find it stopped (0.25 to 0.5 s): a short stop and continue is ignored."""
 SILENT_LOOKS = 12
-"""A starved daemon beats late; one that has not beaten for so long does not beat at all."""
-SWITCH = "PHM_GUARD"
-"""`off` in the environment: no guard, for whoever stops PHM on purpose."""
+"""Heartbeat checks without a heartbeat until the daemon is killed. A starved daemon is late, but not by this much."""
+SWITCH = "PHM_WATCHDOG"
+"""`off` in the environment disables the watchdog, for those who stop PHM intentionally."""
 TERMINAL = "terminal"
-"""The guard's argument where PHM runs in a terminal: there the shell stops it (Ctrl-Z), and lets it go on."""
+"""Argument for a PHM that runs in a terminal, where the shell stops (Ctrl-Z) and resumes it."""
 
 
 class DaemonWatchdog:
-    """The daemon's end of the pipes. A guard that cannot be started, or has died, is no reason not to run: it is `problem`."""
+    """The daemon's end of the pipes. If the watchdog cannot be started or has died, `problem` says so and PHM runs on."""
 
     def __init__(self, command: tuple[str, ...] = (sys.executable, "-I", "-S", __file__)) -> None:
         self._command = command
@@ -52,7 +52,7 @@ class DaemonWatchdog:
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, bufsize=0
             )
         except OSError as error:
-            self.problem = f"the guard over PHM cannot be started: {error.strerror or error}"
+            self.problem = f"the watchdog cannot be started: {error.strerror or error}"
             return
         assert process.stdin is not None and process.stdout is not None
         os.set_blocking(process.stdin.fileno(), False)
@@ -60,13 +60,13 @@ class DaemonWatchdog:
         self._process = process
 
     def revive(self) -> None:
-        """Start it again where it could not be started, or has died."""
+        """Start it again if it could not be started or has died."""
         if self.problem and self._process is None:
             self.problem = ""
             self.start()
 
     def beat(self) -> bool:
-        """Called often; tells the guard at most twice in LOOK_S. Never blocks. True when the guard has let PHM go on since."""
+        """Send a heartbeat, at most twice per LOOK_S. Never blocks. True if the watchdog has resumed PHM since the last call."""
         process, now = self._process, time.monotonic()
         if process is None:
             return False
@@ -74,15 +74,15 @@ class DaemonWatchdog:
         try:
             if now - self._wrote_at >= LOOK_S / 2:
                 self._wrote_at = now
-                process.stdin.write(b".")  # None when it is frozen for now; it counts its own looks
+                process.stdin.write(b".")  # None while the watchdog is suspended; it counts its own checks
             return bool(process.stdout.read(256))
         except OSError:
             self.close()
-            self.problem = "the guard over PHM has ended: nobody notices when PHM hangs as a whole"
+            self.problem = "the watchdog has exited: daemon hangs will no longer be detected"
             return False
 
     def close(self) -> None:
-        """Let it go, before anything that may take long. Doing it twice is harmless."""
+        """End the watchdog; call it before anything that may take long. Idempotent."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -95,14 +95,14 @@ class DaemonWatchdog:
 
 
 def state_of(pid: int) -> str:
-    """`R`, `S`, `T`, ... as /proc has it; empty when there is no such process."""
+    """Process state as in /proc (`R`, `S`, `T`, ...); empty if the process does not exist."""
     with contextlib.suppress(OSError), open(f"/proc/{pid}/stat", "rb", buffering=0) as stat:
         return state_in(stat.fileno())
     return ""
 
 
 def state_in(stat: int) -> str:
-    """From a /proc/PID/stat that stays open: half of what opening it for each look would cost."""
+    """The same from an open /proc/PID/stat, at half the cost."""
     try:
         line = os.pread(stat, 256, 0)
         return chr(line[line.rindex(b")") + 2])
@@ -119,20 +119,20 @@ def watch(
     tell: Callable[[], None] = lambda: None,
     left_alone: str = "t",
 ) -> None:
-    """Until the pipe ends or the daemon `pid` had to be ended. `tell` is called before it is let go on.
+    """Run until the pipe ends or the daemon `pid` was killed. `tell` is called before the daemon is resumed.
 
-    `left_alone`: states in which somebody else has it: `t`, a debugger; in a terminal `T`, too.
+    `left_alone`: states in which another program controls it: `t`, a debugger; in a terminal `T`, too.
     """
     os.set_blocking(pipe, False)
     end = select.poll()
-    end.register(pipe, 0)  # the end alone wakes: what was written is counted at the next look
+    end.register(pipe, 0)  # only the end of the pipe wakes it; heartbeats are counted at the next check
     silent = stopped = glances = 0
     with contextlib.suppress(FileNotFoundError), open(f"/proc/{pid}/stat", "rb", buffering=0) as stat:
         while not end.poll(1000 * look_s / GLANCES):
             state = state_in(stat.fileno())
             stopped = stopped + 1 if state == "T" and state not in left_alone else 0
             if stopped >= STOPPED_LOOKS:
-                _say(f"PHM (process {pid}) was stopped by a signal: it is let go on")
+                _say(f"PHM (process {pid}) was stopped by a signal; resuming it")
                 tell()
                 kill(pid, signal.SIGCONT)
                 stopped = 0
@@ -144,9 +144,7 @@ def watch(
             elif state not in tuple(left_alone):
                 silent += 1
             if silent >= SILENT_LOOKS:
-                _say(
-                    f"PHM (process {pid}) has stood still for {silent * look_s:.0f} s: it is ended, to be started anew"
-                )
+                _say(f"PHM (process {pid}) is unresponsive for {silent * look_s:.0f} s; killing it so that it restarts")
                 kill(pid, signal.SIGKILL)
                 return
 
@@ -160,11 +158,11 @@ def _beaten(pipe: int) -> bool:
 
 def _say(text: str) -> None:
     with contextlib.suppress(OSError):
-        os.write(2, f"phm guard: {text}\n".encode())
+        os.write(2, f"phm watchdog: {text}\n".encode())
 
 
 def _tell() -> None:
-    """Never blocks: a pipe that nobody reads is full at some time."""
+    """Never blocks, even if the pipe is full."""
     with contextlib.suppress(OSError):
         os.write(1, b"+")
 

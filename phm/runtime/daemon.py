@@ -12,7 +12,7 @@ from phm.checking import registry
 from phm.commands.services import no_reload
 from phm.core import threads
 from phm.core.clock import Clock, SystemClock
-from phm.core.closing import Closing
+from phm.core.closing import ShutdownSequence
 from phm.core.settings import Settings
 from phm.core.watchdog import DaemonWatchdog
 from phm.recovery.base import Action
@@ -146,7 +146,7 @@ class Daemon:
 
     def stop(self) -> tuple[str, ...]:
         """End every part in order, within STOP_S altogether; the names of those that hang."""
-        parts, closing = self.components, Closing(self.clock, STOP_S)
+        parts, closing = self.components, ShutdownSequence(self.clock, STOP_S)
         parts.loop.stop()
         closing.step("marker", self._marker.end, 0.5)  # first: the stop was requested, whatever hangs after this
         if self._watchdog is not None:
@@ -164,13 +164,13 @@ class Daemon:
             closing.step(name, close, 1.5)
         return tuple(closing.hung)
 
-    def _stop_recovery(self, closing: Closing) -> None:
+    def _stop_recovery(self, closing: ShutdownSequence) -> None:
         if self.components.mavlink_commands is not None:
             closing.step("commands", self.components.mavlink_commands.close, 0.5)
         self.components.holds.close()
         self.components.executor.stop()
 
-    def _stop_checks(self, closing: Closing) -> None:
+    def _stop_checks(self, closing: ShutdownSequence) -> None:
         self.components.scheduler.end()
         self.components.probes.engine.close()  # aborts the Docker calls that checks and actions wait for
         closing.step("checks", partial(self.components.scheduler.stop, 1.0), 1.5)
@@ -181,7 +181,7 @@ class Daemon:
         """End everything but links, control socket and watchdog; what this daemon knows. The main loop and the reporters end last,
         so that HEARTBEATs continue until the next daemon sends its own.
         """
-        parts, closing = self.components, Closing(self.clock, STOP_S)
+        parts, closing = self.components, ShutdownSequence(self.clock, STOP_S)
         self._stop_recovery(closing)
         self._stop_checks(closing)
         for name, close in parts.probes.closers(links=False):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from phm import testing
-from phm.core.clock import MAX_STEPS, STEP_S, UNWATCHED_S, Clock, Steps, SystemClock
+from phm.core.clock import MAX_STEPS, STEP_S, UNWATCHED_S, Clock, ClockSteps, SystemClock
 from phm.core.model import Stamp
 
 HOUR_S = 3600.0
@@ -64,7 +64,7 @@ def test_a_clock_that_was_set_while_none_was_watching_is_known_from_then_on() ->
 
 def test_a_step_after_a_long_time_without_a_look_begins_the_watching_again() -> None:
     """The clock may have been set twice while PHM was suspended."""
-    steps = Steps()
+    steps = ClockSteps()
     steps.note(Stamp(1e9, 100.0))
     steps.note(Stamp(1e9 + 5000.0, 100.0 + 2 * UNWATCHED_S))
     assert steps.known_since() == 100.0 + 2 * UNWATCHED_S
@@ -95,7 +95,7 @@ def test_a_stamp_that_lies_ahead_is_of_a_clock_before_the_watching() -> None:
 
 def test_drift_is_no_step_and_steps_are_bounded() -> None:
     """A slewed clock fills nothing; one that is set all the time keeps the newest periods."""
-    steps = Steps()
+    steps = ClockSteps()
     for second in range(1000):
         steps.note(Stamp(1e9 + second * 1.0005, 100.0 + second))
     assert len(steps.kept()) == 1

@@ -192,8 +192,8 @@ def test_a_guard_that_cannot_start_or_dies_is_a_problem_and_no_crash(monkeypatch
         return dead.problem
 
     until(noticed, "the problem")
-    assert "has ended" in dead.problem
-    monkeypatch.setenv("PHM_GUARD", "off")
+    assert "has exited" in dead.problem
+    monkeypatch.setenv("PHM_WATCHDOG", "off")
     off = DaemonWatchdog(("/nonexistent/python",))
     off.start()
     assert off.problem == ""

@@ -14,7 +14,7 @@ import pytest
 from phm import api
 from phm.checking.scheduler import CheckRun, CheckScheduler, ScheduledCheck
 from phm.core.clock import SystemClock
-from phm.core.scheduling_delay import NOISE_S, PERIOD_S, Lateness
+from phm.core.scheduling_delay import NOISE_S, PERIOD_S, SchedulingDelay
 from phm.probes.adaptive_timeout import AdaptiveTimeout
 from phm.probes.autopilot_state import AutopilotState
 from phm.probes.link_stats import LinkStats
@@ -39,7 +39,7 @@ def starved(clock: FakeClock, seconds: float, share: float = 0.8) -> None:
 
 def test_lateness_is_what_the_measuring_thread_was_too_late() -> None:
     """Sleeping is not late; what is beyond the announced moment is, but for the noise of timers."""
-    lateness = Lateness()
+    lateness = SchedulingDelay()
     lateness.expect(10.0)
     lateness.came(10.0 + NOISE_S / 2)
     assert lateness.late_s(0.0, 11.0) == 0.0
@@ -52,7 +52,7 @@ def test_lateness_is_what_the_measuring_thread_was_too_late() -> None:
 
 def test_any_thread_sees_a_pause_before_the_measuring_thread_does() -> None:
     """After a pause the answer is the same whichever thread runs first, and the pause counts once."""
-    lateness = Lateness()
+    lateness = SchedulingDelay()
     lateness.expect(10.0)
     assert lateness.late_s(0.0, 15.0) == pytest.approx(5.0)
     lateness.came(15.01)
@@ -61,7 +61,7 @@ def test_any_thread_sees_a_pause_before_the_measuring_thread_does() -> None:
 
 def test_without_a_measurement_nothing_is_late() -> None:
     """A measuring thread that could not be started hides no loss."""
-    assert Lateness().late_s(0.0, 1000.0) == 0.0
+    assert SchedulingDelay().late_s(0.0, 1000.0) == 0.0
 
 
 def test_the_longest_pause_counts_in_full_and_all_others_up_to_the_deadline_itself() -> None:

@@ -10,7 +10,7 @@ from phm.checking import registry
 from phm.checking.registry import Plugin
 from phm.core.bus import Bus
 from phm.core.clock import SystemClock
-from phm.core.closing import Closing
+from phm.core.closing import ShutdownSequence
 from phm.core.model import Event, Note
 from phm.core.settings import Settings
 from phm.reporters.base import Reporter, ReporterContext
@@ -70,11 +70,11 @@ def test_a_reporter_that_fails_costs_the_others_nothing(
     bus.close()
     assert len(Plain.heard) == 2
     assert reporters.problems() == ["plain has a problem"] * 2
-    closing = Closing(SystemClock(), 60.0)
+    closing = ShutdownSequence(SystemClock(), 60.0)
     for name, close in reporters.closers():
         closing.step(name, close, 60.0)
     assert Plain.closed == 1
     assert [record.message for record in caplog.records] == [
         "reporter a_broken cannot be started",
-        "plain did not close",
+        "closing plain failed",
     ]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from phm import api
-from phm.core.scheduling_delay import Lateness, Progress
+from phm.core.scheduling_delay import ProcessStallMeter, SchedulingDelay
 from phm.probes.ros import supervisor
 from phm.probes.ros.graph_snapshot import AGAIN_S, BREAK_S, GraphSnapshot, again_s
 from phm.probes.ros.protocol import Heard, Picture, Tick
@@ -28,7 +28,7 @@ class Child:
     """The daemon's view of a child whose messages the test writes."""
 
     def __init__(self, grace_s: float = 8.0) -> None:
-        self.now, self.up_s, self.late = 1000.0, 100.0, Lateness()
+        self.now, self.up_s, self.late = 1000.0, 100.0, SchedulingDelay()
         self.view = GraphSnapshot(again_s=again_s(grace_s)).with_message(PICTURE, self.now)
 
     def hear(self) -> None:
@@ -162,7 +162,7 @@ def test_only_a_process_that_would_run_if_it_could_is_kept_from_running(
     tmp_path: Path, state: str, ran_s: float, waited_s: float, held_s: float
 ) -> None:
     """By its state and what the kernel counts; one that sleeps, computes or is stopped has no such excuse."""
-    progress = Progress(7, proc(tmp_path, "S", 10.0, 20.0))
+    progress = ProcessStallMeter(7, proc(tmp_path, "S", 10.0, 20.0))
     assert progress.turn(100.0) == 0.0
     proc(tmp_path, state, 10.0 + ran_s, 20.0 + waited_s)
     assert progress.turn(102.0) == pytest.approx(held_s)
@@ -170,9 +170,9 @@ def test_only_a_process_that_would_run_if_it_could_is_kept_from_running(
 
 def test_without_the_kernels_count_nothing_is_excused(tmp_path: Path) -> None:
     """A kernel without schedstat, and a process that is gone."""
-    progress = Progress(7, str(tmp_path))
+    progress = ProcessStallMeter(7, str(tmp_path))
     assert (progress.turn(1.0), progress.turn(5.0)) == (0.0, 0.0)
-    mine = Progress(os.getpid())
+    mine = ProcessStallMeter(os.getpid())
     mine.turn(time.monotonic())
     assert mine.turn(time.monotonic()) >= 0.0
 
@@ -192,7 +192,7 @@ def test_a_child_is_replaced_for_silence_only_if_it_could_run(
 
 
 def held(monkeypatch: pytest.MonkeyPatch, share: float) -> None:
-    class Held(Progress):
+    class Held(ProcessStallMeter):
         def __init__(self, pid: int) -> None:
             super().__init__(pid)
             self.last: float | None = None

@@ -36,7 +36,7 @@ class Agent:
             [sys.executable, "-m", "phm.cli", "run", "-c", str(self.file)],
             text=True,
             stderr=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_GUARD": "off"},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_WATCHDOG": "off"},
         )
         until(lambda: self.faults() == 1, "the fault of the disk")
 
@@ -183,7 +183,7 @@ def test_checks_that_go_in_a_circle_are_rejected(agent: Agent) -> None:
     )
     done = agent.reload()
     assert done.returncode in (1, 78), done
-    assert "circle" in done.stderr
+    assert "cycle" in done.stderr
     assert control.ask(str(agent.folder / "run"), {"do": "ping"}) == "PHM is running"
 
 

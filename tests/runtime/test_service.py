@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from phm.core.clock import SystemClock
-from phm.core.closing import Closing
+from phm.core.closing import ShutdownSequence
 from phm.core.instance_lock import NAME, AlreadyRunning, InstanceLock
 from phm.core.signals import Signals
 from phm.runtime.daemon import Daemon
@@ -63,7 +63,7 @@ class Running:
     def another(self, *before: str) -> subprocess.Popen[str]:
         return subprocess.Popen(
             [sys.executable, *(before or ("-m", "phm.cli")), "run", "-c", str(self.folder / "phm.yaml")],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_GUARD": "off"},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_WATCHDOG": "off"},
             text=True,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -154,7 +154,7 @@ def test_a_directory_that_cannot_be_locked_is_a_problem_and_no_end(tmp_path: Pat
     (tmp_path / "file").touch()
     lock = InstanceLock(str(tmp_path / "file" / "below"))
     lock.acquire()
-    assert "would not be noticed" in lock.problem
+    assert "would not be detected" in lock.problem
 
 
 # ---------------------------------------------------------------- signals
@@ -251,7 +251,7 @@ def test_an_end_that_was_asked_for_is_marked_before_anything_can_hang(tmp_path: 
 def test_steps_that_hang_share_one_budget() -> None:
     """Each has its own limit, all together the budget; what comes after still gets its turn, and what raises is no end."""
     clock, never, ran = FakeClock(), threading.Event(), list[str]()
-    closing = Closing(clock, 5.0)
+    closing = ShutdownSequence(clock, 5.0)
     over = threading.Event()
 
     def tick() -> None:
@@ -277,6 +277,6 @@ def test_steps_that_hang_share_one_budget() -> None:
 
 def test_what_ends_in_time_is_not_waited_for_longer() -> None:
     """No step costs more than it takes."""
-    closing = Closing(SystemClock(), 3600.0)
+    closing = ShutdownSequence(SystemClock(), 3600.0)
     closing.step("quick", lambda: None, 3600.0)
     assert closing.hung == []

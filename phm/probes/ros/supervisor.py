@@ -19,7 +19,7 @@ import phm
 from phm.core import threads
 from phm.core.backoff import Backoff
 from phm.core.clock import Clock
-from phm.core.scheduling_delay import NOISE_S, Lateness, Progress
+from phm.core.scheduling_delay import NOISE_S, ProcessStallMeter, SchedulingDelay
 from phm.core.settings import Settings
 from phm.facts import CannotTell, RosFact
 from phm.facts.ros import DiagnosticFact
@@ -152,7 +152,7 @@ class RosSupervisor:
         self._unnamed = UnnamedParticipants(limits.unnamed_s)
         self._lock = threading.Lock()
         self._view = self._blank
-        self._late = Lateness()
+        self._late = SchedulingDelay()
         self._post = b""
         self._unsent = 0
         self._remarks: set[str] = set()
@@ -293,7 +293,7 @@ class RosSupervisor:
     def _attend(self, life: ChildProcess, missing: list[Missing]) -> str:
         """Read until it must be replaced; returns why, or nothing when it ended by itself or on request."""
         heard_s = weighed_s = looked_s = self._clock.mono()
-        progress, held_s = Progress(life.pid), 0.0
+        progress, held_s = ProcessStallMeter(life.pid), 0.0
         limit_s = self._limits.start_s
         dropped = 0
         while not life.over and not self._closing and not self._renew:

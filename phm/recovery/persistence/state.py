@@ -67,4 +67,4 @@ class PersistedState:
     given_up: tuple[Fault, ...] = ()
     recovery: RecoveryState = field(default_factory=RecoveryState)
     clock: tuple[tuple[float, float], ...] = ()
-    """How the UTC clock was set on this start of the machine, as far as PHM has seen (`phm.core.clock.Steps.kept`)."""
+    """How the UTC clock was set on this start of the machine, as far as PHM has seen (`phm.core.clock.ClockSteps.kept`)."""

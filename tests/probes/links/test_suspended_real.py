@@ -76,7 +76,7 @@ class Agent:
         (folder / "phm.yaml").write_text(json.dumps(document))
         self.process = subprocess.Popen(
             [sys.executable, "-m", "phm.cli", "run", "-c", str(folder / "phm.yaml")],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_GUARD": "off"},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_WATCHDOG": "off"},
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
