@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from serial.tools.list_ports_linux import SysFS
 
 from phm.core.clock import Clock
-from phm.core.settings import Settings
+from phm.core.settings import HostSettings
 from phm.facts import CannotTell, DeviceFact
 from phm.probes.blocking_call import BlockingCallWorker
 from phm.probes.inotify import FileWatcher
@@ -52,14 +52,14 @@ class Devices:
 
     def __init__(
         self,
-        settings: Settings,
+        settings: HostSettings,
         clock: Clock,
         notices: FileWatcher | None = None,
         changed: Callable[[], None] = lambda: None,
     ) -> None:
         self._changed = changed
         self._watch = notices.on(changed) if notices is not None else lambda directory, name: False
-        self._root = Path(settings.host.dev_root)
+        self._root = Path(settings.dev_root)
         self._clock = clock
         self._worker = BlockingCallWorker("devices")
         self._lock = threading.Lock()

@@ -6,12 +6,12 @@ import itertools
 import re
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from phm.core.clock import Clock
-from phm.core.settings import Settings
+from phm.core.settings import ContainerSettings, DockerSettings
 from phm.facts import CannotTell, ContainerFact, ProcessFact
 from phm.probes import ping
 from phm.probes.docker_facts import TimeBudget, container_fact, find
@@ -40,9 +40,18 @@ class _Entry:
 class Docker:
     """Implements `phm.facts.DockerProbe`. Thread-safe; each method ends within the engine's time-out."""
 
-    def __init__(self, engine: DockerEngine, settings: Settings, clock: Clock, proc: Path = Path("/proc/self")) -> None:
-        self._engine, self._settings, self._clock, self._proc = engine, settings, clock, proc
-        self._entries = {key: _Entry() for key in (_MYSELF, *(entry.key for entry in settings.containers))}
+    def __init__(
+        self,
+        engine: DockerEngine,
+        containers: Sequence[ContainerSettings],
+        settings: DockerSettings,
+        clock: Clock,
+        proc: Path = Path("/proc/self"),
+    ) -> None:
+        self._engine, self._clock, self._proc = engine, clock, proc
+        self._containers = {entry.key: entry for entry in containers}
+        self._own_container = settings.container
+        self._entries = {key: _Entry() for key in (_MYSELF, *self._containers)}
         self._generations = itertools.count(1)
         self._generation = 0
         self._my_id = ""
@@ -57,7 +66,7 @@ class Docker:
         return self._container(name, 0.0)
 
     def _container(self, name: str, young_s: float) -> ContainerFact | None:
-        wanted = self._settings.container(name)
+        wanted = self._containers.get(name)
         if wanted is None:
             raise CannotTell(f"no container {name} is configured")
         return self._shared(name, lambda budget: find(self._engine, wanted, budget), young_s)
@@ -144,7 +153,7 @@ class Docker:
     # ------------------------------------------------------------ PHM's own container
 
     def _find_myself(self, budget: TimeBudget) -> ContainerFact | None:
-        configured = self._settings.docker.container
+        configured = self._own_container
         if configured:
             try:
                 return container_fact(self._engine.inspect(configured, deadline_s=budget.left_s()))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import signal
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from phm.core import threads
 from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.model import Stamp
-from phm.core.settings import ContainerSettings, Settings
+from phm.core.settings import ContainerSettings, DockerSettings
 from phm.facts import CannotTell, EventStreamFact
 from phm.probes.docker_facts import TimeBudget, find
 from phm.probes.docker_reconcile import ExpectedState, after, differences
@@ -128,15 +128,16 @@ class ContainerWatcher:
     def __init__(
         self,
         engine: DockerEngine,
-        settings: Settings,
+        containers: Sequence[ContainerSettings],
+        settings: DockerSettings,
         clock: Clock,
         on_event: Callable[[DockerEvent], None],
         on_turn: Callable[[], None] = lambda: None,
     ) -> None:
         self._engine, self._clock, self._on_event, self._on_turn = engine, clock, on_event, on_turn
-        self._containers = {entry.key: entry for entry in settings.containers}
-        self._networks = {name for entry in settings.containers for name in entry.networks}
-        self._compare_s = settings.docker.compare
+        self._containers = {entry.key: entry for entry in containers}
+        self._networks = {name for entry in containers for name in entry.networks}
+        self._compare_s = settings.compare
         self._expected: dict[str, ExpectedState] = {}
         self._stops: dict[str, tuple[int, float | None]] = {}
         """By which signal each container is stopped, and how long it asks to be waited for."""

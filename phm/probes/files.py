@@ -14,7 +14,7 @@ from collections.abc import Callable, Hashable
 from typing import Any, Final
 
 from phm.core.clock import Clock
-from phm.core.settings import Settings
+from phm.core.settings import DockerSettings
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
 from phm.probes.docker_facts import TimeBudget
 from phm.probes.inotify import FileWatcher
@@ -43,7 +43,7 @@ class Files:
         self,
         docker_probe: DockerProbe,
         engine: DockerEngine,
-        settings: Settings,
+        settings: DockerSettings,
         clock: Clock,
         notices: FileWatcher | None = None,
         changed: Callable[[], None] = lambda: None,
@@ -52,7 +52,7 @@ class Files:
         self._changed = changed
         self._watch = notices.on(changed, content=True) if notices is not None else lambda directory, name: False
         # Behind tcp:// the engine may be another machine's, whose paths mean nothing here.
-        self._same_host = settings.docker.socket.startswith("unix:")
+        self._same_host = settings.socket.startswith("unix:")
         self._last: dict[str, tuple[ContainerFact, ContainerFact | None]] = {}
         self._sums: OrderedDict[Hashable, str] = OrderedDict()
         self._lock = threading.Lock()

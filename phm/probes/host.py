@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from phm.core.clock import Clock
-from phm.core.settings import Settings
+from phm.core.settings import HostSettings
 from phm.facts import CannotTell, DiskFact, HostFact
 from phm.facts.disk_space import space
 from phm.probes.blocking_call import BlockingCallWorker
@@ -90,14 +90,14 @@ class Host:
     """A `phm.facts.HostProbe`. `sysfs` and `proc` are where the kernel's /sys and /proc are; tests bring their own."""
 
     def __init__(
-        self, settings: Settings, clock: Clock, sysfs: Path = Path("/sys"), proc: Path = Path("/proc")
+        self, settings: HostSettings, clock: Clock, sysfs: Path = Path("/sys"), proc: Path = Path("/proc")
     ) -> None:
         self._clock = clock
         self._sysfs = sysfs
         self._meminfo = str(proc / "meminfo")
         self._processor = CpuMonitor(clock, proc)
         self._slow: _Slow | None = None
-        self._disks = {path: BlockingCallWorker(f"disk-{path}") for path in settings.host.disks}
+        self._disks = {path: BlockingCallWorker(f"disk-{path}") for path in settings.disks}
         self._lock = threading.Lock()
         self._offset: float | None = None
 

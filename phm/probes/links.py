@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from phm.core.clock import Clock
-from phm.core.settings import Settings
+from phm.core.settings import MavlinkSettings
 from phm.facts import AutopilotFact, GcsFact, LinkFact, RadioFact
 from phm.probes.adaptive_timeout import UNEVEN_S, AdaptiveTimeout
 from phm.probes.autopilot_state import AutopilotState
@@ -49,9 +49,11 @@ class Links:
     reboots, and when an endpoint opens or closes; from the endpoints' threads, so it must not wait.
     """
 
-    def __init__(self, hub: MavlinkHub, settings: Settings, clock: Clock, on_wake: Callable[[], None]) -> None:
+    def __init__(
+        self, hub: MavlinkHub, agent: int, settings: MavlinkSettings, clock: Clock, on_wake: Callable[[], None]
+    ) -> None:
         self._hub, self._clock, self._on_wake = hub, clock, on_wake
-        self._system, self._settings = settings.agent.id, settings.mavlink
+        self._system, self._settings = agent, settings
         self._gcs: tuple[float, int, int, str] | None = None
         # A ground station may freeze while its operator loads a map, and all agents would report it: half of the timeout.
         self._gcs_cadence = AdaptiveTimeout(self._settings.gcs_timeout, max(UNEVEN_S, self._settings.gcs_timeout / 2))

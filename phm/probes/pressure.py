@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from phm.core.clock import Clock
-from phm.core.settings import Settings
+from phm.core.settings import ContainerSettings, PressureSettings
 from phm.facts import CannotTell, ConsumerFact, DockerProbe, PressureFact
 from phm.probes import cgroups, engine_stats
 from phm.probes.top_consumers import TopConsumers
@@ -31,10 +32,17 @@ class _Entry:
 class Pressure:
     """A `phm.facts.PressureProbe`. Thread-safe. The host's cgroups are looked for at `pressure.cgroups`."""
 
-    def __init__(self, engine: DockerEngine, docker: DockerProbe, settings: Settings, clock: Clock) -> None:
+    def __init__(
+        self,
+        engine: DockerEngine,
+        docker: DockerProbe,
+        containers: Sequence[ContainerSettings],
+        settings: PressureSettings,
+        clock: Clock,
+    ) -> None:
         self._engine, self._docker, self._clock = engine, docker, clock
-        self._root = Path(settings.pressure.cgroups)
-        self._entries = {entry.key: _Entry() for entry in settings.containers}
+        self._root = Path(settings.cgroups)
+        self._entries = {entry.key: _Entry() for entry in containers}
         self._consumers = TopConsumers(engine, self._root, clock, self._known)
 
     def container(self, name: str) -> PressureFact | None:

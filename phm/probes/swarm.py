@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from phm.core.clock import Clock
-from phm.core.settings import Settings
+from phm.core.settings import MavlinkSettings, SwarmSettings
 from phm.facts.swarm import PeerFact, SwarmFact
 from phm.swarm.agent_count import SmoothedAgentCount
 from phm.swarm.consensus import Consensus, compute_consensus, without_gcs
@@ -34,7 +34,9 @@ class SwarmMonitor:
     def __init__(
         self,
         hub: MavlinkHub,
-        settings: Settings,
+        agent: int,
+        link_settings: MavlinkSettings,
+        settings: SwarmSettings,
         clock: Clock,
         gcs_age_s: Callable[[], float | None],
         on_wake: Callable[[], None],
@@ -42,12 +44,12 @@ class SwarmMonitor:
     ) -> None:
         self._hub, self._clock, self._on_wake, self._gcs_age_s = hub, clock, on_wake, gcs_age_s
         self._deaf = deaf
-        self._own, self._component = settings.agent.id, settings.mavlink.component_id
-        self._gcs_timeout_s = settings.mavlink.gcs_timeout
-        expected = settings.swarm.agents
-        self._heartbeat_s = settings.mavlink.heartbeat
+        self._own, self._component = agent, link_settings.component_id
+        self._gcs_timeout_s = link_settings.gcs_timeout
+        expected = settings.agents
+        self._heartbeat_s = link_settings.heartbeat
         # Each PHM with a key signs its heartbeats. Others, an autopilot's and a ground station's, are none of this probe's.
-        self._signed = settings.mavlink.signing.key is not None and settings.mavlink.signing.unsigned != "all"
+        self._signed = link_settings.signing.key is not None and link_settings.signing.unsigned != "all"
         self._agents = len({*expected, self._own})
         """How many share the links, this one included."""
         self._peers = Peers(self._own, self._period_s(self._agents), expected, clock.late_s)

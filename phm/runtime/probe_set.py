@@ -152,14 +152,18 @@ def build_probes(
 ) -> ProbeSet:
     """Build the probes that this configuration needs. hub: MAVLink endpoints that are open already (after a reload)."""
     engine = DockerEngine(settings.docker.socket, settings.docker.timeout, clock)
-    fresh = Docker(engine, settings, clock)
+    fresh = Docker(engine, settings.containers, settings.docker, clock)
     docker = AttachmentCache(fresh)
 
     def happened(event: DockerEvent) -> None:
         fresh.invalidate()  # before a check is woken to read it again
         docker_event(event)
 
-    watch = ContainerWatcher(engine, settings, clock, happened, lambda: wake("engine")) if settings.containers else None
+    watch = (
+        ContainerWatcher(engine, settings.containers, settings.docker, clock, happened, lambda: wake("engine"))
+        if settings.containers
+        else None
+    )
     pulse = (
         ReachabilityMonitor(clock, fresh.answering, fresh.ping, lambda: wake("network"))
         if _addressed(settings)
@@ -167,21 +171,30 @@ def build_probes(
     )
     notices = FileWatcher(clock)
     hub = hub or MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir, clock_synchronized)
-    links = Links(hub, settings, clock, lambda: wake("link"))
-    swarm = SwarmMonitor(hub, settings, clock, links.gcs_age_s, lambda: wake("swarm"), links.deaf)
+    links = Links(hub, settings.agent.id, settings.mavlink, clock, lambda: wake("link"))
+    swarm = SwarmMonitor(
+        hub,
+        settings.agent.id,
+        settings.mavlink,
+        settings.swarm,
+        clock,
+        links.gcs_age_s,
+        lambda: wake("swarm"),
+        links.deaf,
+    )
     ros = RosSupervisor(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None
     probe: RosProbe = ros if ros is not None else RosNotConfigured()
     world = World(
         clock=clock,
         docker=docker,
-        files=Files(docker, engine, settings, clock, notices, lambda: wake("file")),
-        devices=Devices(settings, clock, notices, lambda: wake("device")),
-        host=Host(settings, clock),
+        files=Files(docker, engine, settings.docker, clock, notices, lambda: wake("file")),
+        devices=Devices(settings.host, clock, notices, lambda: wake("device")),
+        host=Host(settings.host, clock),
         ros=probe,
         links=links,
         swarm=swarm,
         myself=SelfProbe(read_self, ros, links),
-        pressure=Pressure(engine, docker, settings, clock),
+        pressure=Pressure(engine, docker, settings.containers, settings.pressure, clock),
     )
     return ProbeSet(engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, world)
 

@@ -90,7 +90,15 @@ class Agent:
             name: UnitState(name, name, slot, Layer.ROS, Level.OK, Result(Level.OK, ""), clock.stamp())
             for slot, name in ((Slot.CONTAINER, "container/app"), (Slot.NODES, "nodes/a"))
         }
-        self.probe = Probe(self.port, self.settings, clock, self._gcs_age, lambda: None)  # type: ignore[arg-type]
+        self.probe = Probe(
+            self.port,  # type: ignore[arg-type]
+            number,
+            self.settings.mavlink,
+            self.settings.swarm,
+            clock,
+            self._gcs_age,
+            lambda: None,
+        )
         self.context = context = ReporterContext(
             self.settings,
             clock,

@@ -20,7 +20,7 @@ from phm.probes.devices import Devices
 
 
 def probe(root: Path | str = "/dev") -> Devices:
-    return Devices(testing.settings(host={"dev_root": str(root)}), SystemClock())
+    return Devices(testing.settings(host={"dev_root": str(root)}).host, SystemClock())
 
 
 @pytest.fixture
@@ -125,7 +125,7 @@ def test_a_device_with_nothing_behind_it_is_refused() -> None:
     """The kernel's own answer: a process without a controlling terminal finds nothing behind /dev/tty."""
     code = (
         "from phm import testing; from phm.core.clock import SystemClock; from phm.probes.devices import Devices\n"
-        "fact = Devices(testing.settings(), SystemClock()).look('/dev/tty', open_it=True)\n"
+        "fact = Devices(testing.settings().host, SystemClock()).look('/dev/tty', open_it=True)\n"
         "print(fact.major, fact.minor, fact.openable, fact.reason)"
     )
     folder = Path(module.__file__).parents[2]

@@ -16,7 +16,7 @@ from phm.probes.host import Host
 
 
 def probe(sysfs: Path, **host: object) -> Host:
-    return Host(testing.settings(host=host), testing.FakeClock(), sysfs)
+    return Host(testing.settings(host=host).host, testing.FakeClock(), sysfs)
 
 
 def write(file: Path, text: str) -> None:
@@ -26,7 +26,7 @@ def write(file: Path, text: str) -> None:
 
 def test_the_real_machine_is_read() -> None:
     """Plausible figures from the kernel of whatever machine this is."""
-    fact = Host(testing.settings(), SystemClock()).read()
+    fact = Host(testing.settings().host, SystemClock()).read()
     assert 0 <= fact.cpu_percent <= 100
     assert 0 < fact.memory_percent < 100 and fact.memory_available_bytes > 0
     (disk,) = fact.disks
@@ -94,7 +94,7 @@ def test_throttling_of_a_raspberry_pi_is_told_in_words(tmp_path: Path, bits: str
 def test_a_jump_of_the_clock_is_measured_against_the_monotonic_one(tmp_path: Path) -> None:
     """Time that passes is no jump; a set clock is, once."""
     clock = testing.FakeClock()
-    host = Host(testing.settings(), clock, tmp_path)
+    host = Host(testing.settings().host, clock, tmp_path)
     steps = []
     for jump in (0.0, 0.0, -5.0, 0.0):
         clock.advance(2.0)

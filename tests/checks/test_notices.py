@@ -156,7 +156,7 @@ def test_a_listener_that_fails_does_not_end_the_watch(notices: FileWatcher, tmp_
 def test_a_device_behind_a_link_is_followed_through_all_steps(notices: FileWatcher, tmp_path: Path) -> None:
     """Folder, link and device may each come and go; the folder may not be there at first."""
     ear = Ear()
-    devices = Devices(settings(host={"dev_root": str(tmp_path)}), SystemClock(), notices, ear)
+    devices = Devices(settings(host={"dev_root": str(tmp_path)}).host, SystemClock(), notices, ear)
     assert devices.look("/dev/serial/by-id/radio", open_it=False) is None
     assert ear.heard(), "the watch has begun, and the device is looked at once more"
     for change in (

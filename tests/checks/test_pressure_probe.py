@@ -107,7 +107,7 @@ class Bench:
         self.engine, self.clock = Asked(stats), testing.FakeClock()
         self.docker = testing.FakeDocker(testing.container("ros_app", **{"id": ID, "cpu_limit": 0.05, **container}))
         settings = testing.settings(containers=[{"name": "ros_app"}], pressure={"cgroups": str(root)})
-        self.probe = Pressure(self.engine, self.docker, settings, self.clock)  # type: ignore[arg-type]
+        self.probe = Pressure(self.engine, self.docker, settings.containers, settings.pressure, self.clock)  # type: ignore[arg-type]
 
 
 def test_version_2_is_read(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ class Place:
         )
         fake.containers["app"] = container("app", container_id="c1")
         self.probe: DockerProbe = FakeDocker(self.fact)
-        self.files = Files(self.probe, ask, settings(containers=[{"name": "app"}]), FakeClock())
+        self.files = Files(self.probe, ask, settings().docker, FakeClock())
 
     def look(self, path: str, *, digest: bool = False) -> FileFact | None:
         return self.files.look("app", path, digest=digest)
@@ -216,7 +216,7 @@ def test_phm_in_a_container_looks_through_its_own_mounts(tmp_path: Path, fake: F
         ),
     )
     fake.containers["app"] = container("app", container_id="c1", files={"/other/c": b"333"})
-    files = Files(FakeDocker(app, me=me), ask, settings(), FakeClock())
+    files = Files(FakeDocker(app, me=me), ask, settings().docker, FakeClock())
     sizes = {}
     for path in ("/models/a", "/maps/b", "/other/c"):
         seen = files.look("app", path, digest=False)
@@ -230,7 +230,7 @@ def test_an_engine_on_another_machine_has_other_paths(tmp_path: Path, fake: Fake
     (tmp_path / "a").write_bytes(b"ours")
     app = fact("app", id="c1", mounts=(Mount(kind="bind", source=str(tmp_path), destination="/data"),))
     fake.containers["app"] = container("app", container_id="c1", files={"/data/a": b"theirs!"})
-    files = Files(FakeDocker(app), ask, settings(docker={"socket": "tcp://192.0.2.1:2375"}), FakeClock())
+    files = Files(FakeDocker(app), ask, settings(docker={"socket": "tcp://192.0.2.1:2375"}).docker, FakeClock())
     seen = files.look("app", "/data/a", digest=False)
     assert seen is not None
     assert (seen.size, seen.seen_through) == (7, "engine")
@@ -240,14 +240,14 @@ def test_a_file_in_memory_cannot_be_told(fake: FakeEngine, ask: DockerEngine) ->
     """The engine does not see into a tmpfs: its `not there` is no proof of absence."""
     app = fact("app", id="c1", mounts=(Mount(kind="tmpfs", source="", destination="/run"),))
     fake.containers["app"] = container("app", container_id="c1")
-    files = Files(FakeDocker(app), ask, settings(), FakeClock())
+    files = Files(FakeDocker(app), ask, settings().docker, FakeClock())
     with pytest.raises(CannotTell, match="is in memory"):
         files.look("app", "/run/lock", digest=False)
 
 
 def test_without_a_container_there_is_nothing_to_look_into(ask: DockerEngine) -> None:
     """A container that does not exist is its own check's fault, not a missing file."""
-    files = Files(FakeDocker(), ask, settings(), FakeClock())
+    files = Files(FakeDocker(), ask, settings().docker, FakeClock())
     with pytest.raises(CannotTell, match="container app does not exist"):
         files.look("app", "/etc/hosts", digest=False)
 
@@ -265,7 +265,7 @@ def test_a_change_in_a_volume_is_told(tmp_path: Path, fake: FakeEngine, ask: Doc
     here.mkdir()
     app = fact("app", id="c1", mounts=(Mount(kind="bind", source=str(here), destination="/data"),))
     told, notices = threading.Semaphore(0), FileWatcher()
-    files = Files(FakeDocker(app), ask, settings(), FakeClock(), notices, told.release)
+    files = Files(FakeDocker(app), ask, settings().docker, FakeClock(), notices, told.release)
     try:
         (here / "models").mkdir()
         (here / "current").symlink_to("models")

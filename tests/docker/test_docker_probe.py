@@ -20,7 +20,8 @@ from tests.fakes.engine import FakeEngine, Hang, Status, container
 
 
 def probe(ask: DockerEngine, *containers: dict[str, Any], clock: Any = None, **more: Any) -> Docker:
-    return Docker(ask, settings(containers=list(containers), **more), clock or FakeClock())
+    chosen = settings(containers=list(containers), **more)
+    return Docker(ask, chosen.containers, chosen.docker, clock or FakeClock())
 
 
 def asked(fake: FakeEngine, call: str) -> int:
@@ -275,7 +276,7 @@ def test_own_container_is_believed_only_when_the_engine_knows_it(
 ) -> None:
     """Inside another engine's container (a CI job) the id means nothing to this engine."""
     place = proc(tmp_path, cgroup=f"7:blkio:/docker/{OTHER}/docker/{MINE}\n")
-    docker = Docker(ask, settings(), FakeClock(), proc=place)
+    docker = Docker(ask, [], settings().docker, FakeClock(), proc=place)
     assert docker.myself() is None
     fake.containers["phm"] = container("phm", container_id=MINE)
     docker.invalidate()

@@ -20,7 +20,7 @@ TITLES = ["PID", "PPID", "STAT", "TIME", "ELAPSED", "COMMAND"]
 
 
 def probe(engine: DockerEngine, name: str) -> Docker:
-    return Docker(engine, settings(containers=[{"name": name}]), SystemClock())
+    return Docker(engine, settings(containers=[{"name": name}]).containers, settings().docker, SystemClock())
 
 
 def test_a_row_is_a_process() -> None:

@@ -32,12 +32,8 @@ def watch(fake: FakeEngine) -> Iterator[Callable[..., tuple[ContainerWatcher, He
     def start(*containers: dict[str, Any], compare: float = 60.0) -> tuple[ContainerWatcher, Heard]:
         heard = Heard()
         engine = DockerEngine(fake.url, timeout_s=2)
-        made = ContainerWatcher(
-            engine,
-            settings(containers=list(containers), docker={"compare": compare}),
-            SystemClock(),
-            heard.append,
-        )
+        chosen = settings(containers=list(containers), docker={"compare": compare})
+        made = ContainerWatcher(engine, chosen.containers, chosen.docker, SystemClock(), heard.append)
         started.append((made, engine))
         made.start()
         assert fake.wait(lambda server: server.streams == 1)
@@ -293,7 +289,9 @@ def test_a_listener_that_raises_does_not_end_the_watch(fake: FakeEngine) -> None
         raise RuntimeError("injected")
 
     engine = DockerEngine(fake.url, timeout_s=2)
-    made = ContainerWatcher(engine, settings(containers=[{"name": "app"}]), SystemClock(), listen)
+    made = ContainerWatcher(
+        engine, settings(containers=[{"name": "app"}]).containers, settings().docker, SystemClock(), listen
+    )
     made.start()
     assert fake.wait(lambda server: server.streams == 1)
     fake.set("app", status="paused")
@@ -380,7 +378,12 @@ def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine) -> None:
     turns: list[int] = []
     engine = DockerEngine(fake.url, timeout_s=2)
     made = ContainerWatcher(
-        engine, settings(containers=[{"name": "app"}]), SystemClock(), lambda event: None, lambda: turns.append(1)
+        engine,
+        settings(containers=[{"name": "app"}]).containers,
+        settings().docker,
+        SystemClock(),
+        lambda event: None,
+        lambda: turns.append(1),
     )
     made.start()
     until(lambda: len(turns) == 1, "the opened stream")

@@ -36,9 +36,8 @@ class Late:
 def late(fake: FakeEngine) -> Iterator[tuple[ContainerWatcher, Late]]:
     fake.containers["app"] = container("app")
     engine, listener = DockerEngine(fake.url, timeout_s=4.0), Late()
-    watch = ContainerWatcher(
-        engine, settings(containers=[{"name": "app"}], docker={"compare": 60.0}), SystemClock(), listener
-    )
+    chosen = settings(containers=[{"name": "app"}], docker={"compare": 60.0})
+    watch = ContainerWatcher(engine, chosen.containers, chosen.docker, SystemClock(), listener)
     watch.start()
     assert fake.wait(lambda server: server.streams == 1)
     yield watch, listener

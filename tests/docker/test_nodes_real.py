@@ -26,7 +26,7 @@ class Agent:
         )
         (self.check,) = Nodes.build(settings)
         ros = testing.FakeRos(nodes={node["name"]: 1 for node in nodes})
-        self.docker = Docker(engine, settings, SystemClock())
+        self.docker = Docker(engine, settings.containers, settings.docker, SystemClock())
         self.world = testing.world(clock=SystemClock(), docker=self.docker, ros=ros)
 
     def results(self) -> dict[str, api.Result]:

@@ -50,7 +50,7 @@ class Agent:
         settings = testing.settings(containers=[{"name": name, "alias": "ros_app"}], pressure=limits)
         (self.check,) = Pressure.build(settings)
         clock = SystemClock()
-        self.docker = Docker(engine, settings, clock)
+        self.docker = Docker(engine, settings.containers, settings.docker, clock)
         self.world = testing.world(
             clock=clock, docker=self.docker, pressure=Probe(engine, self.docker, settings, clock)
         )

@@ -30,7 +30,9 @@ HEALTH = {
 
 
 def probe(engine: DockerEngine, *names: str) -> Docker:
-    return Docker(engine, settings(containers=[{"name": name} for name in names]), SystemClock())
+    return Docker(
+        engine, settings(containers=[{"name": name} for name in names]).containers, settings().docker, SystemClock()
+    )
 
 
 def fact_of(docker: Docker, name: str) -> ContainerFact:
@@ -47,7 +49,8 @@ def heard(engine: DockerEngine) -> Iterator[Callable[..., list[DockerEvent]]]:
 
     def start(**more: Any) -> list[DockerEvent]:
         events: list[DockerEvent] = []
-        watch = ContainerWatcher(engine, settings(docker={"compare": 60.0}, **more), SystemClock(), events.append)
+        chosen = settings(docker={"compare": 60.0}, **more)
+        watch = ContainerWatcher(engine, chosen.containers, chosen.docker, SystemClock(), events.append)
         watches.append(watch)
         watch.start()
         until(watch.healthy, "the watch to follow")
@@ -230,7 +233,7 @@ def test_own_container_is_found_from_within(real: Any, engine: DockerEngine, tmp
     made = real.container()
     for file in ("mountinfo", "cgroup"):
         (tmp_path / file).write_bytes(made.exec_run(["cat", f"/proc/self/{file}"]).output)
-    me = Docker(engine, settings(), SystemClock(), proc=tmp_path).myself()
+    me = Docker(engine, [], settings().docker, SystemClock(), proc=tmp_path).myself()
     assert me is not None
     assert me.id == made.id
 
@@ -240,7 +243,7 @@ def test_a_label_finds_a_real_container(real: Any, engine: DockerEngine) -> None
     label = {"phm.test.role": real.name()}
     one, two = real.container(labels=label), real.container(labels=label)
     entry = {"label": f"phm.test.role={label['phm.test.role']}", "alias": "app"}
-    docker = Docker(engine, settings(containers=[entry]), SystemClock())
+    docker = Docker(engine, settings(containers=[entry]).containers, settings().docker, SystemClock())
     with pytest.raises(CannotTell, match="names 2 containers"):
         docker.container("app")
     one.kill()
@@ -256,7 +259,7 @@ def test_a_file_is_the_same_by_volume_and_by_engine(real: Any, engine: DockerEng
         volumes={volume.name: {"bind": "/data", "mode": "rw"}},
     )
     docker = probe(engine, made.name)
-    files = Files(docker, engine, settings(), SystemClock())
+    files = Files(docker, engine, settings().docker, SystemClock())
     while files.look(made.name, "/data/done", digest=False) is None:
         assert fact_of(docker, made.name).running
     wanted = hashlib.sha256(engine.read_file(made.name, "/opt/model", 4 << 20)).hexdigest()
@@ -284,7 +287,7 @@ def test_a_volume_that_a_container_fills_with_links_shows_nothing_of_the_host(re
         volumes={volume.name: {"bind": "/data", "mode": "rw"}},
     )
     docker = probe(engine, made.name)
-    files = Files(docker, engine, settings(), SystemClock())
+    files = Files(docker, engine, settings().docker, SystemClock())
     while files.look(made.name, "/data/done", digest=False) is None:
         assert fact_of(docker, made.name).running
     seen = files.look(made.name, "/data/escape", digest=False)

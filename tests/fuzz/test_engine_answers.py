@@ -114,7 +114,9 @@ def test_any_event_is_told_or_passed_over(said: list[Any]) -> None:
     """What is told has the words of a configured container or network, and memory stays bounded."""
     told: list[DockerEvent] = []
     chosen = settings(containers=[{"name": "app", "networks": ["net"]}, {"label": "a=b"}])
-    watch = ContainerWatcher(cast(DockerEngine, SimpleNamespace(timeout_s=1.0)), chosen, FakeClock(), told.append)
+    watch = ContainerWatcher(
+        cast(DockerEngine, SimpleNamespace(timeout_s=1.0)), chosen.containers, chosen.docker, FakeClock(), told.append
+    )
     for raw in said:
         if isinstance(raw, dict):
             event = watch._understand(raw)

@@ -43,7 +43,7 @@ class Bench:
         return ArmedStatus(ArmedState.ARMED if self.armed else ArmedState.DISARMED, f"armed: {self.armed}")
 
     def fact(self, key: str) -> ContainerFact | None:
-        docker = self.probe or Docker(self.engine, self.settings, SystemClock())
+        docker = self.probe or Docker(self.engine, self.settings.containers, self.settings.docker, SystemClock())
         return docker.container(key)
 
     def target(self, key: str) -> Target:

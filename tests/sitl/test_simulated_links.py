@@ -28,7 +28,7 @@ class Flight:
         self.pilot = self._pilot()
         chosen = settings(agent={"id": 7}, mavlink={"endpoints": [{"url": f"tcp:127.0.0.1:{self.companion}"}]})
         self.hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
-        self.links = Links(self.hub, chosen, SystemClock(), lambda: None)
+        self.links = Links(self.hub, chosen.agent.id, chosen.mavlink, SystemClock(), lambda: None)
         self.ground = Ground(f"tcp:127.0.0.1:{self.ground_port}")
         self.hub.start()
         self.hub.send(text("PHM is here"))  # the autopilot passes nothing on to a port that is silent

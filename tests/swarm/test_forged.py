@@ -44,7 +44,9 @@ class Aboard:
         )
         assert isinstance(chosen.mavlink, MavlinkSettings)
         self.hub = MavlinkHub(chosen.mavlink, 1, self.clock)
-        self.swarm = SwarmMonitor(self.hub, chosen, self.clock, lambda: None, lambda: None)
+        self.swarm = SwarmMonitor(
+            self.hub, chosen.agent.id, chosen.mavlink, chosen.swarm, self.clock, lambda: None, lambda: None
+        )
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._sent = 0
         self._senders: dict[tuple[int, bool], Any] = {}

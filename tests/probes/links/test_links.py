@@ -34,7 +34,7 @@ class Scene:
         self.clock, self.wakes = FakeClock(), 0
         chosen = settings(agent={"id": 7}, mavlink={"gcs_timeout": 10, "endpoints": LINKS})
         self.hub = MavlinkHub(chosen.mavlink, 7, self.clock)
-        self.links = Links(self.hub, chosen, self.clock, self.wake)
+        self.links = Links(self.hub, chosen.agent.id, chosen.mavlink, self.clock, self.wake)
 
     def wake(self) -> None:
         self.wakes += 1
@@ -369,7 +369,7 @@ def test_the_traffic_of_an_endpoint_is_known() -> None:
         url = f"udpout:127.0.0.1:{peer.getsockname()[1]}"
         chosen: Settings = settings(agent={"id": 7}, mavlink={"endpoints": [{"url": url, "name": "fc"}]})
         hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
-        links = Links(hub, chosen, SystemClock(), lambda: None)
+        links = Links(hub, chosen.agent.id, chosen.mavlink, SystemClock(), lambda: None)
         hub.start()
         try:
             hub.send(heartbeat())
@@ -399,7 +399,7 @@ def test_a_router_that_refuses_twice_leaves_the_agent_deaf() -> None:
         agent={"id": 7}, mavlink={"endpoints": [{"url": f"tcp:127.0.0.1:{port}", "name": "r", "leads_to": "router"}]}
     )
     hub, wakes = MavlinkHub(chosen.mavlink, 7, SystemClock()), []
-    links = Links(hub, chosen, SystemClock(), lambda: wakes.append(1))
+    links = Links(hub, chosen.agent.id, chosen.mavlink, SystemClock(), lambda: wakes.append(1))
     hub.start()
     try:
         client, _ = listener.accept()
@@ -427,7 +427,7 @@ def test_our_own_echo_is_no_duplicate() -> None:
         url = f"udpout:127.0.0.1:{router.getsockname()[1]}"
         chosen: Settings = settings(agent={"id": 7}, mavlink={"endpoints": [{"url": url}]})
         hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
-        links = Links(hub, chosen, SystemClock(), lambda: None)
+        links = Links(hub, chosen.agent.id, chosen.mavlink, SystemClock(), lambda: None)
         hub.start()
         try:
             (counters,) = hub.counters().values()

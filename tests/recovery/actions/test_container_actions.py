@@ -127,7 +127,9 @@ def test_a_dependant_that_was_started_after_it_is_left_as_it_is(fake: FakeEngine
 def test_dependants_are_judged_by_the_answer_after_the_action(fake: FakeEngine, ask: DockerEngine) -> None:
     """An answer from before the start, however young, says nothing about who runs after it."""
     made = stack(fake, ask)
-    made.probe = Docker(ask, made.settings, FakeClock())  # no time passes, so every answer stays young
+    made.probe = Docker(
+        ask, made.settings.containers, made.settings.docker, FakeClock()
+    )  # no time passes, so every answer stays young
     fake.set("app", status="exited", exit_code=1)
     for name in ("app", "side"):
         assert made.fact(name) is not None
@@ -140,7 +142,7 @@ def test_dependants_are_judged_by_the_answer_after_the_action(fake: FakeEngine, 
 def test_no_answer_from_before_an_action_outlives_it(fake: FakeEngine, ask: DockerEngine, *, fails: bool) -> None:
     """Also after an action that failed: the engine may have done it all the same."""
     made = stack(fake, ask)
-    probe = made.probe = Docker(ask, made.settings, FakeClock())
+    probe = made.probe = Docker(ask, made.settings.containers, made.settings.docker, FakeClock())
     probe.container("app")
     asked = len(fake.calls)
     fake.fault = Status(500, "no", route="/restart") if fails else None
