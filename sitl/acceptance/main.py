@@ -16,14 +16,14 @@ from pathlib import Path
 from rich.console import Console
 
 from sitl.acceptance.plan import APART, MODES, ORDER, Play, configuration, plays
-from sitl.acceptance.table import Row, as_json, judged_words, rich_table, write_markdown
+from sitl.acceptance.table import Row, as_json, rich_table, set_outcome, write_markdown
 from sitl.faults import all_faults
 from sitl.faults.base import Agent, Fault
 from sitl.harness.compose_stack import ROOT, Stack
 from sitl.harness.config_overrides import write
-from sitl.harness.console import screen
+from sitl.harness.console import make_console
 from sitl.harness.log_follower import Event
-from sitl.harness.log_queries import closed, phase, relapses, world
+from sitl.harness.log_queries import closed, container_state, phase, relapses
 from sitl.harness.stack_monitor import StackMonitor
 
 NOMINAL_S = 20.0
@@ -37,7 +37,7 @@ LASTING_S = 31.0
 """Longer than `recovery.verify`, 30 s: a manual fix that lasts so long counts as permanent."""
 
 
-class Proof:
+class AcceptanceRun:
     """Makes the rows on a stack that is up."""
 
     def __init__(self, stack: Stack, console: Console, config: Path) -> None:
@@ -102,7 +102,7 @@ class Proof:
         cleared = self.monitor.mark()
         fault.clear(self.agent)
         self._well_again(row, mark)
-        judged_words(row, healable=fault.healable)
+        set_outcome(row, healable=fault.healable)
         self._judge_condition(row, fault, mark)
         if row.given_up_s is not None:
             self._given_up.add(row.unit)
@@ -117,10 +117,10 @@ class Proof:
         self._wait_lasting(row)
         mark = self.monitor.mark()
         moment = fault.inject(self.agent)
-        before = world(self.agent)
+        before = container_state(self.agent)
         self.record.wait(lambda event: event["event"] == "fault_opened", SEEN_LIMIT_S, since=mark)
         self._watch(STILL_S, mark)
-        after = world(self.agent)
+        after = container_state(self.agent)
         events = self.record.events[mark:]
         self._fill(row, events, moment)
         if before != after:
@@ -211,7 +211,7 @@ class Proof:
 
 def run(stack: Stack, console: Console, config: Path, programme: Iterable[Play]) -> list[Row]:
     """All rows of the programme, on a stack that is up with the configuration of the mode `act`."""
-    proof, faults = Proof(stack, console, config), all_faults()
+    proof, faults = AcceptanceRun(stack, console, config), all_faults()
     rows = [_print_row(row, console) for row in proof.nominal()]
     for play in programme:
         if not play.first:
@@ -239,7 +239,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--markdown", action="store_true", help="write the table of docs/reference/recovery.md")
     parser.add_argument("--keep-logs", action="store_true", help="do not remove the log folder")
     chosen = parser.parse_args(arguments)
-    console = screen(json=chosen.json)
+    console = make_console(json=chosen.json)
     config = write(configuration())
     stack = Stack(project="phm-proof", interval_s=3.0, ground_port=0, extra={"PHM_CONFIG": str(config)})
     began = time.monotonic()

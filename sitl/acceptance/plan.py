@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 from sitl.faults.file_deleted import CONTENT
-from sitl.harness.config_overrides import derived
+from sitl.harness.config_overrides import overridden
 
 MODES = ("act", "off", "advise")
 ORDER = (
@@ -79,4 +79,4 @@ def configuration(mode: str = "act", *, relaunch: bool = False, more: Mapping[st
     }
     if relaunch:
         changes["#relaunch: [ros2, run, my_package, node_1]"] = f"relaunch: {RELAUNCH}"
-    return derived(changes)
+    return overridden(changes)

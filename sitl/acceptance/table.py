@@ -68,7 +68,7 @@ class Row:
         )
 
 
-def judged_words(row: Row, *, healable: bool) -> None:
+def set_outcome(row: Row, *, healable: bool) -> None:
     """The outcome of a recovery in words, and what about it is not as it must be."""
     if sorted(row.alarms) != sorted(row.expected):
         row.problems.append(f"alarms: {row.alarms or 'none'}, expected one at {' and '.join(row.expected)}")

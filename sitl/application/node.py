@@ -43,7 +43,7 @@ LOOK_S = 0.5
 
 
 @dataclass
-class Mood:
+class Behaviour:
     """What the node does; changed by signals."""
 
     silent: bool = False
@@ -63,10 +63,12 @@ class Mood:
         return not self.silent and not (self.halved and tick % 2)
 
 
-class Ends:
+class Endpoints:
     """The node's publishers and subscriptions, recreated when its mood changes."""
 
-    def __init__(self, node: Node, publish: Sequence[tuple[str, float]], subscribe: Sequence[str], mood: Mood) -> None:
+    def __init__(
+        self, node: Node, publish: Sequence[tuple[str, float]], subscribe: Sequence[str], mood: Behaviour
+    ) -> None:
         self._node, self._mood = node, mood
         self._publish, self._subscribe = tuple(publish), tuple(subscribe)
         self._unsubscribed = self._careless = False
@@ -133,9 +135,9 @@ def _work(options: argparse.Namespace) -> None:
     try:
         if options.beacon:
             Beacon(node)
-        mood = Mood()
+        mood = Behaviour()
         mood.listen()
-        ends = Ends(node, options.publish, options.subscribe, mood)
+        ends = Endpoints(node, options.publish, options.subscribe, mood)
         # Not `spin`: a SIGTERM that comes just before it waits is lost on a node without timers, which then never ends.
         executor = SingleThreadedExecutor()
         executor.add_node(node)

@@ -20,7 +20,7 @@ from rich.table import Table
 from sitl.faults.base import Agent, mono_of
 from sitl.faults.node_killed import Injection as NodeKilled
 from sitl.harness.compose_stack import Stack
-from sitl.harness.config_overrides import derived, write
+from sitl.harness.config_overrides import overridden, write
 from sitl.harness.log_follower import Event
 from sitl.harness.machine import machine, processes
 from sitl.harness.stack_monitor import StackMonitor
@@ -119,7 +119,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     chosen = parser.parse_args(arguments)
     console = Console(stderr=chosen.json)
-    observing = write(derived({"\n  mode: act": "\n  mode: off"}))
+    observing = write(overridden({"\n  mode: act": "\n  mode: off"}))
     stack = Stack(project="phm-bench", interval_s=3.0, ground_port=0, extra={"PHM_CONFIG": str(observing)})
     try:
         with console.status("starting the agent"):

@@ -30,7 +30,7 @@ from sitl.faults._overload import end_overload, overload
 from sitl.faults.base import Agent, Fault
 from sitl.harness.compose_stack import Stack
 from sitl.harness.config_overrides import write
-from sitl.harness.console import screen
+from sitl.harness.console import make_console
 from sitl.harness.log_follower import Event
 from sitl.harness.machine import machine
 from sitl.simulation.ground import Ground
@@ -167,7 +167,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
     chosen = parser.parse_args(arguments)
     signal.signal(signal.SIGTERM, end_on_signal)
-    console = Console(stderr=True) if sys.stderr.isatty() else screen(json=True)
+    console = Console(stderr=True) if sys.stderr.isatty() else make_console(json=True)
     config = write(configuration())
     stack = Stack(project="phm-bench-load", interval_s=3.0, ground_port=0, extra={"PHM_CONFIG": str(config)})
     try:
@@ -184,7 +184,7 @@ def main(arguments: list[str] | None = None) -> int:
         table.add_column(name)
     for each in found:
         table.add_row(*table_cells(each))
-    screen(json=False).print(table)
+    make_console(json=False).print(table)
     return 0
 
 

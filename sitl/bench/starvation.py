@@ -23,8 +23,8 @@ from sitl.faults import all_faults
 from sitl.faults._overload import LASTS_S
 from sitl.faults.base import Agent, Fault
 from sitl.harness.compose_stack import ROOT, Stack
-from sitl.harness.config_overrides import derived, write
-from sitl.harness.console import screen
+from sitl.harness.config_overrides import overridden, write
+from sitl.harness.console import make_console
 from sitl.harness.log_follower import Event, Record
 from sitl.harness.machine import machine
 
@@ -146,7 +146,7 @@ def _covers(events: list[Event]) -> bool:
 def run(names: list[str], project: str, console: Console) -> list[Row]:
     """A row for each fault, each with an agent of its own."""
     rows, faults = [], {Nothing.name: Nothing(), **all_faults()}
-    config = write(derived({}))
+    config = write(overridden({}))
     for name in names:
         console.print(f"[bold]{faults[name].title}[/]")
         stack = Stack(project=project, interval_s=REPORTS_S, ground_port=0, extra={"PHM_CONFIG": str(config)})
@@ -198,7 +198,7 @@ def main(arguments: list[str] | None = None) -> int:
         write_page(chosen.markdown, ROOT / "docs" / "reference" / "recovery.md")
         return 0
     signal.signal(signal.SIGTERM, end_on_signal)
-    console, began = screen(json=chosen.json), time.monotonic()
+    console, began = make_console(json=chosen.json), time.monotonic()
     rows = run(list(chosen.only), chosen.project, console)
     if chosen.json:
         print(as_json(rows, machine(), chosen.what))

@@ -41,7 +41,7 @@ def class_of(fault: Fault) -> Class:
     return Class(fault.name, fault.layer, found, found not in _BESIDE, alone)
 
 
-def useless(fault: Fault, agents: int, *, air: bool) -> str:
+def unsuitable_because(fault: Fault, agents: int, *, air: bool) -> str:
     """Why a campaign of so many agents, with emulated links or without, leaves the fault out; empty: it does not."""
     if fault.also:
         return "it is two faults, and a campaign makes compound faults itself"
@@ -60,7 +60,7 @@ def chosen(faults: Mapping[str, Fault], only: Collection[str], agents: int, *, a
     if unknown:
         raise ValueError(f"no such fault: {', '.join(unknown)}; there are {', '.join(sorted(faults))}")
     found = {name: fault for name, fault in faults.items() if not only or name in only}
-    reasons = {name: why for name, fault in found.items() if (why := useless(fault, agents, air=air))}
+    reasons = {name: why for name, fault in found.items() if (why := unsuitable_because(fault, agents, air=air))}
     if only and reasons:
         raise ValueError("; ".join(f"{name}: {why}" for name, why in reasons.items()))
     return {name: fault for name, fault in found.items() if name not in reasons}

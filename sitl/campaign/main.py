@@ -20,13 +20,13 @@ from sitl.campaign.fault_catalog import CHANGES, chosen, class_of
 from sitl.campaign.metrics import figures
 from sitl.campaign.plan import TrialPlan, plan
 from sitl.campaign.report import Setting, as_html, as_json, as_markdown, between_marks
-from sitl.campaign.run import Runner, Unwell
+from sitl.campaign.run import NotOk, Runner
 from sitl.campaign.targets import short
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Trial, append, load
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
 from sitl.harness.compose_stack import ROOT
-from sitl.harness.console import screen
+from sitl.harness.console import make_console
 from sitl.harness.machine import machine
 from sitl.swarm import startup
 from sitl.swarm.options import DEFAULT_NAME, Options
@@ -71,7 +71,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     asked = parser().parse_args(arguments)
-    console = screen(json=False)
+    console = make_console(json=False)
     file = asked.record or Path(f"campaign-{asked.seed}.jsonl")
     try:
         faults = chosen(all_faults(), asked.only, asked.agents, air=True)
@@ -178,7 +178,7 @@ def _play(
         return False
     except (LookupError, RuntimeError) as error:
         console.print(f"[red]the campaign has stopped:[/] {error}", highlight=False)
-        if isinstance(error, Unwell):
+        if isinstance(error, NotOk):
             console.print("call again to go on from here", highlight=False)
         return False
     finally:

@@ -15,9 +15,9 @@ from sitl.campaign.plan import Draw, TrialPlan
 from sitl.campaign.restore import restore
 from sitl.campaign.scoring import judge
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Injection, Trial
-from sitl.campaign.watch import Ear, Meter, Watch
+from sitl.campaign.watch import CostMeter, GroundListener, SwarmWatcher
 from sitl.faults.base import Fault
-from sitl.harness.log_queries import world
+from sitl.harness.log_queries import container_state
 from sitl.swarm import config
 from sitl.swarm.swarm import Swarm, SwarmAgent
 
@@ -39,7 +39,7 @@ LASTING_S = 31.0
 """Longer than `recovery.verify`, 30 s: before that, the same unit's next failure counts as a repair that did not last."""
 
 
-class Unwell(RuntimeError):
+class NotOk(RuntimeError):
     """The swarm could not be brought back to health: the campaign cannot go on."""
 
 
@@ -54,8 +54,10 @@ class Runner:
     def __init__(self, swarm: Swarm, faults: Mapping[str, Fault], setting: dict[str, Any], progress: Progress) -> None:
         self.swarm, self.faults, self.setting, self.progress = swarm, faults, setting, progress
         self.agents = {agent.number: agent for agent in swarm.agents}
-        self.watch = Watch({number: agent.record for number, agent in self.agents.items()}, Ear(swarm.ground_url))
-        self.meter = Meter(self.agents)
+        self.watch = SwarmWatcher(
+            {number: agent.record for number, agent in self.agents.items()}, GroundListener(swarm.ground_url)
+        )
+        self.meter = CostMeter(self.agents)
         self._ended: dict[tuple[int, str], float] = {}
         """When the last fault at a unit of an agent was over."""
 
@@ -75,7 +77,7 @@ class Runner:
             )
         try:
             self._well(WELL_LIMIT_S / 2)
-        except Unwell:
+        except NotOk:
             for agent in self.agents.values():
                 restore(self.swarm, agent)
             self._well(WELL_LIMIT_S)
@@ -102,10 +104,10 @@ class Runner:
         try:
             self._inject(trial, draws)
             self._wait(lambda: all(verdict.detected_s is not None for verdict in judge(trial).verdicts), SEEN_LIMIT_S)
-            before = {agent: world(self.agents[agent]) for agent in victims}
+            before = {agent: container_state(self.agents[agent]) for agent in victims}
             self._wait(lambda: False, STILL_S)
             for agent, was in before.items():
-                now = world(self.agents[agent])
+                now = container_state(self.agents[agent])
                 trial.changed += [
                     f"A{agent:02d}: {key}: {was[key]} became {now[key]}" for key in was if was[key] != now[key]
                 ]
@@ -233,7 +235,7 @@ class Runner:
         """Whether all became well by itself once the faults were cleared; else they are restored by force."""
         try:
             self._well(WELL_LIMIT_S)
-        except Unwell as error:
+        except NotOk as error:
             self.progress(f"restoring by force: {error}")
             for agent in victims:
                 restore(self.swarm, self.agents[agent])
@@ -252,7 +254,7 @@ class Runner:
 
         if not self._wait(steady, limit_s):
             words = [f"A{agent:02d}: {', '.join(why[:4])}" for agent, why in self.watch.unwell().items()]
-            raise Unwell(f"not well after {limit_s:g} s: {'; '.join(words)}")
+            raise NotOk(f"not well after {limit_s:g} s: {'; '.join(words)}")
 
     def _configure(self, agents: Sequence[SwarmAgent], changes: Mapping[str, str]) -> None:
         """Start the PHM of these agents with their configuration and the changes to it, all at once."""
@@ -263,7 +265,7 @@ class Runner:
             future.result()
         if not self._wait(lambda: all(self._started(agent.number, mark) for agent in agents), WELL_LIMIT_S):
             late = [agent.name for agent in agents if not self._started(agent.number, mark)]
-            raise Unwell(f"PHM did not start again on {', '.join(late)}; see {agents[0].logs}")
+            raise NotOk(f"PHM did not start again on {', '.join(late)}; see {agents[0].logs}")
 
     def _started(self, agent: int, mark: float) -> bool:
         return self.watch.levels[agent].since > mark and self.watch.levels[agent].reported

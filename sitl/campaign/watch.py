@@ -24,7 +24,7 @@ LAST = 3
 """Heartbeats from before a trial that are kept, so that a gap over its beginning is seen."""
 
 
-class Ear:
+class GroundListener:
     """The ground's view: heartbeats and bytes of each agent's PHM, and every line, between `start` and `stop`."""
 
     def __init__(self, url: str) -> None:
@@ -68,10 +68,10 @@ class Ear:
                 self._heartbeats.setdefault(agent, []).append(mono)
 
 
-class Watch:
+class SwarmWatcher:
     """All agents' records and levels, and the ear. `update` is to be called often."""
 
-    def __init__(self, records: Mapping[int, Path], ear: Ear) -> None:
+    def __init__(self, records: Mapping[int, Path], ear: GroundListener) -> None:
         self.ear = ear
         self._records = {agent: Record(path) for agent, path in records.items()}
         self.levels = {agent: Levels() for agent in records}
@@ -111,7 +111,7 @@ class Watch:
         return {agent: words for agent, words in found.items() if words}
 
 
-class Meter:
+class CostMeter:
     """CPU and memory of the sidecars between two looks."""
 
     def __init__(self, agents: Mapping[int, Agent]) -> None:

@@ -22,7 +22,7 @@ from phm.gcs.statustext_parser import parse
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
 from sitl.harness.compose_stack import Stack
-from sitl.harness.console import screen
+from sitl.harness.console import make_console
 from sitl.harness.log_follower import Event, Record
 from sitl.harness.machine import machine
 from sitl.simulation.ground import Ground, TextLine
@@ -193,7 +193,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--ground-port", type=int, default=5760, metavar="PORT", help="where the ground listens (5760)")
     parser.add_argument("--json", action="store_true", help="print the outcomes as JSON, all else to the error stream")
     chosen = parser.parse_args(arguments)
-    console = screen(json=chosen.json)
+    console = make_console(json=chosen.json)
     stack = Stack(chosen.project, interval_s=chosen.interval, ground_port=chosen.ground_port)
     try:
         with console.status("starting the agent: application, PHM, simulated autopilot"):

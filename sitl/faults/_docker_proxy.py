@@ -24,7 +24,7 @@ MOST = 64
 START_LIMIT_S = 10.0
 
 
-class Door:
+class Proxy:
     """Threads: one to accept, one a connection."""
 
     def __init__(self, path: Path, engine: str = ENGINE) -> None:
@@ -70,7 +70,7 @@ def beside(path: Path, what: str) -> Path:
     return path.with_name(f"{path.name}.{what}")
 
 
-def put_up(path: Path) -> None:
+def start(path: Path) -> None:
     """Start the door at `path` unless there is one. Raises TimeoutError when it does not come up."""
     if _pid(path):
         return
@@ -86,12 +86,12 @@ def put_up(path: Path) -> None:
         time.sleep(0.02)
 
 
-def shut(path: Path, seconds: float) -> None:
+def block(path: Path, seconds: float) -> None:
     """Shut it for so long, 0: open it."""
     beside(path, "shut").write_text(f"{time.time() + seconds}\n", "ascii")
 
 
-def take_down(path: Path) -> None:
+def stop(path: Path) -> None:
     """End it and remove its files. Doing it twice is harmless."""
     pid = _pid(path)
     if pid:
@@ -112,7 +112,7 @@ def _pid(path: Path) -> int:
 
 
 def main(path: Path) -> None:
-    door = Door(path)
+    door = Proxy(path)
     beside(path, "pid").write_text(f"{os.getpid()}\n", "ascii")
     door.serve()
 

@@ -17,7 +17,7 @@ def drop(agent: Agent, *rules: str) -> None:
         _iptables(agent, ["-A", chain, *words, "-j", "DROP"])
 
 
-def lift(agent: Agent) -> None:
+def clear(agent: Agent) -> None:
     """Take all rules out again. Nothing happens to a container that does not run: it has no namespace."""
     if agent.app.attrs["State"]["Running"]:
         for chain in ("INPUT", "OUTPUT"):

@@ -13,9 +13,9 @@ LASTS_S = 90
 """The load ends after so long, even if its injector is gone."""
 
 
-def burden(agent: Agent, script: str, **limits: Any) -> None:
+def start_load(agent: Agent, script: str, **limits: Any) -> None:
     """Run a Python script in a container of the agent's project, as one of its orphans, so that `down` takes it, too."""
-    relieve(agent)
+    stop_load(agent)
     app = agent.app
     agent.docker.containers.run(
         app.attrs["Image"],
@@ -29,7 +29,7 @@ def burden(agent: Agent, script: str, **limits: Any) -> None:
     )
 
 
-def relieve(agent: Agent) -> None:
+def stop_load(agent: Agent) -> None:
     """End it. Doing it twice is harmless."""
     with contextlib.suppress(NotFound):
         agent.docker.containers.get(_name(agent)).remove(force=True)

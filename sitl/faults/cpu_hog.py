@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 
-from sitl.faults._load_container import burden, relieve
+from sitl.faults._load_container import start_load, stop_load
 from sitl.faults.base import Agent, Fault
 
 SPIN = "import os\nfor _ in range({cores} - 1):\n    if not os.fork():\n        break\nwhile True:\n    pass\n"
@@ -24,8 +24,8 @@ class Injection(Fault):
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
-        burden(agent, SPIN.format(cores=os.cpu_count() or 1), cpu_shares=2)
+        start_load(agent, SPIN.format(cores=os.cpu_count() or 1), cpu_shares=2)
         return moment
 
     def clear(self, agent: Agent) -> None:
-        relieve(agent)
+        stop_load(agent)

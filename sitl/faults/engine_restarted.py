@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from sitl.faults._docker_proxy import put_up, shut, take_down
+from sitl.faults._docker_proxy import block, start, stop
 from sitl.faults.base import Agent, Fault
 
 AWAY_S = 15.0
@@ -32,18 +32,18 @@ class Injection(Fault):
         return {"\n  socket: ${PHM_ENGINE:-unix:///var/run/docker.sock}": f"\n  socket: unix:///var/log/phm/{SOCKET}"}
 
     def prepare(self, agent: Agent) -> None:
-        put_up(self._door(agent))
+        start(self._door(agent))
 
     def dismantle(self, agent: Agent) -> None:
-        take_down(self._door(agent))
+        stop(self._door(agent))
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
-        shut(self._door(agent), AWAY_S)
+        block(self._door(agent), AWAY_S)
         return moment
 
     def clear(self, agent: Agent) -> None:
-        shut(self._door(agent), 0.0)
+        block(self._door(agent), 0.0)
 
     @staticmethod
     def _door(agent: Agent) -> Path:

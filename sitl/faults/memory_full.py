@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import psutil
 
-from sitl.faults._load_container import LASTS_S, burden, relieve
+from sitl.faults._load_container import LASTS_S, start_load, stop_load
 from sitl.faults.base import Agent, Fault
 
 WARN, ERROR, TAKEN = 0.04, 0.05, 0.08
@@ -38,10 +38,10 @@ class Injection(Fault):
     def inject(self, agent: Agent) -> float:
         size = int(psutil.virtual_memory().total * TAKEN)
         moment = time.monotonic()
-        burden(
+        start_load(
             agent, HOLD.format(size=size, lasts_s=LASTS_S), mem_limit=size + 64 * 2**20, memswap_limit=size + 64 * 2**20
         )
         return moment
 
     def clear(self, agent: Agent) -> None:
-        relieve(agent)
+        stop_load(agent)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from sitl.faults._firewall import drop, lift
+from sitl.faults._firewall import clear, drop
 from sitl.faults.base import STOP_S, Agent, Fault
 
 
@@ -26,7 +26,7 @@ class Injection(Fault):
         return moment
 
     def clear(self, agent: Agent) -> None:
-        lift(agent)
+        clear(agent)
         if agent.life == self._life:
             # Nodes that were cut off for longer than their lease do not find each other again.
             agent.app.restart(timeout=STOP_S)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
-from sitl.faults._firewall import drop, lift
+from sitl.faults._firewall import clear, drop
 from sitl.faults.base import Agent, Fault
 
 PARTICIPANTS = 15
@@ -39,7 +39,7 @@ class Injection(Fault):
         return moment
 
     def clear(self, agent: Agent) -> None:
-        lift(agent)
+        clear(agent)
 
 
 def data_ports(domain: int) -> Iterator[int]:

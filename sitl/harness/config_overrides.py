@@ -11,7 +11,7 @@ from sitl.harness.compose_stack import ROOT
 SHIPPED = ROOT / "config" / "phm.yaml"
 
 
-def derived(changes: Mapping[str, str]) -> str:
+def overridden(changes: Mapping[str, str]) -> str:
     """The shipped configuration with each key of `changes` replaced by its value.
 
     Raises ValueError when a key is not there exactly once: then the shipped file was changed and the caller was not.

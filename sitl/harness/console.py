@@ -10,7 +10,7 @@ WIDTH = 132
 """Columns of what goes into a file or another program: of its own accord rich would take 80, and break the tables."""
 
 
-def screen(*, json: bool) -> Console:
+def make_console(*, json: bool) -> Console:
     """The terminal; with `json` its error stream, so that standard output is JSON alone."""
     console = Console(stderr=json)
     return console if console.is_terminal else Console(file=sys.stderr if json else sys.stdout, width=WIDTH)

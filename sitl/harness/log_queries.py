@@ -9,7 +9,7 @@ from sitl.faults.base import Agent
 from sitl.harness.log_follower import Event
 
 
-def world(agent: Agent) -> Mapping[str, Any]:
+def container_state(agent: Agent) -> Mapping[str, Any]:
     """What PHM could have changed about the application container."""
     attrs = agent.app.attrs
     networks = attrs["NetworkSettings"]["Networks"]

@@ -18,7 +18,7 @@ import time
 from collections.abc import Hashable
 from typing import Any
 
-from sitl.simulation.autopilot_model import AUTOPILOT, BOOT_S, Pilot
+from sitl.simulation.autopilot_model import AUTOPILOT, BOOT_S, AutopilotModel
 from sitl.simulation.link import Port
 
 
@@ -29,7 +29,7 @@ class Autopilot:
     def __init__(self, system_id: int, companion: str, ground: str, *, armed: bool = False) -> None:
         self.system_id = system_id
         self.companion, self.ground = Port(companion), Port(ground)
-        self._pilot = Pilot(system_id, time.monotonic(), armed=armed)
+        self._pilot = AutopilotModel(system_id, time.monotonic(), armed=armed)
         self._routes: dict[tuple[int, int], Port] = {}
         self._stopping = threading.Event()
 

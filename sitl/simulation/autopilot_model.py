@@ -23,7 +23,7 @@ HOME_E7 = (473977418, 85455939)
 APART_E7, CIRCLE_E7, TURN_S, HEIGHT_MM = 1300, 1800, 60.0, 30_000
 
 
-class Pilot:
+class AutopilotModel:
     """Times are of the caller's monotonic clock. `armed` may be set from outside, and `hung`: nothing comes, nothing is obeyed."""
 
     def __init__(self, system_id: int, now: float, *, armed: bool = False) -> None:

@@ -33,7 +33,7 @@ _LIMITS: Mapping[str, tuple[float, float]] = {
 
 @dataclass
 class Conditions:
-    """What a link is like at this moment; see `sitl.swarm.control.Air.set` for each field."""
+    """What a link is like at this moment; see `sitl.swarm.control.LinkEmulatorClient.set` for each field."""
 
     cut: bool = False
     off: bool = False

@@ -2,7 +2,7 @@
 
 ``python -m sitl.simulation.link_emulator --agents 8`` listens on fixed ports of its own container (`sitl.simulation.ports.INSIDE`): for each agent's PHM
 one to its router (TCP) and one to the agents' network (UDP), one where ground stations connect (TCP), and the control
-socket, which takes what `sitl.swarm.control.Air` sends: one JSON object a line.
+socket, which takes what `sitl.swarm.control.LinkEmulatorClient` sends: one JSON object a line.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from sitl.simulation.autopilot_model import Pilot
+from sitl.simulation.autopilot_model import AutopilotModel
 from sitl.simulation.frames import Frame
 from sitl.simulation.link import Port
 from sitl.simulation.mesh import Mesh
@@ -34,7 +34,7 @@ RETRY_S = 0.5
 CONTROL_BYTES = 65536
 
 
-class AirProcess:
+class LinkEmulator:
     """Runs in one thread: `run` until `stop`. Raises OSError when a port is taken.
 
     pilots: urls of real autopilots by agent; agents without one have a simulated one. host, ports: where it listens.
@@ -53,7 +53,7 @@ class AirProcess:
         self._urls = pilots or {}
         numbers = range(1, agents + 1)
         self.vehicles = {
-            number: Vehicle(number, now, chance, None if number in self._urls else Pilot(number, now))
+            number: Vehicle(number, now, chance, None if number in self._urls else AutopilotModel(number, now))
             for number in numbers
         }
         self.mesh = Mesh(numbers, chance)
@@ -282,7 +282,7 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = words.parse_args(arguments)
     try:
         urls = {int(agent): url for agent, _, url in (pair.partition("=") for pair in chosen.pilots.split(",") if pair)}
-        air = AirProcess(chosen.agents, pilots=urls, seed=chosen.seed)
+        air = LinkEmulator(chosen.agents, pilots=urls, seed=chosen.seed)
     except (OSError, ValueError) as error:
         print(f"sitl.simulation.link_emulator: {error}", file=sys.stderr)
         return 1

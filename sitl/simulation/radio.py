@@ -27,7 +27,7 @@ FILLS = 10
 
 
 @dataclass
-class Air:
+class AirSettings:
     """What there is between the radios, to be set from outside. Signal and noise in the radios' units, loss 0 to 1."""
 
     rssi: int = 180
@@ -51,7 +51,7 @@ class _End:
         self.partner_at = time.monotonic()
         self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
 
-    def report(self, air: Air) -> None:
+    def report(self, air: AirSettings) -> None:
         """RADIO_STATUS to its own side."""
         known = time.monotonic() - self.partner_at <= FORGETS_S
         far_rssi, far_noise = (air.rssi, air.noise) if known else (0, 0)
@@ -67,7 +67,7 @@ class Radio:
     `air` and `near.off`, `far.off` (no power) may be set from outside. Raises OSError when a port is taken."""
 
     def __init__(self, near: str, far: str, seed: int = 0) -> None:
-        self.air = Air()
+        self.air = AirSettings()
         self.near, self.far = _End(Port(near)), _End(Port(far))
         self._random = random.Random(seed)
         self._stopping = threading.Event()

@@ -20,11 +20,11 @@ SEND_S = 1.0
 BYTES = 65536
 
 
-class Lost(Exception):
+class PeerLost(Exception):
     """The connection to the air has ended."""
 
 
-class Relay:
+class Router:
     """One client at a time, PHM; who comes later takes its place. What comes while there is none is dropped."""
 
     def __init__(self, port: int, far: tuple[str, int]) -> None:
@@ -35,7 +35,7 @@ class Relay:
         while True:
             try:
                 self.carry(socket.create_connection(self._far, CONNECT_S))
-            except (OSError, Lost):
+            except (OSError, PeerLost):
                 time.sleep(RETRY_S)
 
     def carry(self, far: socket.socket) -> None:
@@ -66,14 +66,14 @@ class Relay:
         try:
             far.sendall(data)
         except OSError as error:
-            raise Lost from error
+            raise PeerLost from error
         return near
 
     @staticmethod
     def _down(far: socket.socket, near: socket.socket | None) -> socket.socket | None:
         data = _read(far)
         if not data:
-            raise Lost
+            raise PeerLost
         if near is None:
             return None
         try:
@@ -111,7 +111,7 @@ def main(arguments: list[str]) -> int:
         return 2
     # The first process of a container has no default signal handling.
     signal.signal(signal.SIGTERM, _leave)
-    Relay(int(arguments[0]), (arguments[1], int(arguments[2]))).run()
+    Router(int(arguments[0]), (arguments[1], int(arguments[2]))).run()
     return 0
 
 

@@ -16,7 +16,7 @@ from collections import Counter
 from dataclasses import asdict
 from typing import Any, Literal
 
-from sitl.simulation.autopilot_model import AUTOPILOT, BOOT_S, Pilot
+from sitl.simulation.autopilot_model import AUTOPILOT, BOOT_S, AutopilotModel
 from sitl.simulation.channel_model import Conditions, Pipe
 from sitl.simulation.frames import HEARTBEAT, RADIO_STATUS, Frame
 from sitl.simulation.link import mavlink
@@ -63,7 +63,7 @@ class Vehicle:
     pilot: the simulated one; None: a real one is at the place "pilot".
     """
 
-    def __init__(self, number: int, now: float, chance: random.Random, pilot: Pilot | None) -> None:
+    def __init__(self, number: int, now: float, chance: random.Random, pilot: AutopilotModel | None) -> None:
         self.number, self.pilot = number, pilot
         self.ground = Conditions()
         self.up: Pipe[Frame] = Pipe(self.ground, chance, filled=True)

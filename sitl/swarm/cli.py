@@ -15,7 +15,7 @@ from rich import box
 from rich.table import Table
 
 from sitl.faults import all_faults
-from sitl.harness.console import screen
+from sitl.harness.console import make_console
 from sitl.swarm import active_faults, cost, startup
 from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
 from sitl.swarm.swarm import Swarm
@@ -144,7 +144,7 @@ def _status(chosen: argparse.Namespace) -> int:
         for row in rows:
             array = "".join("-" if digit is None else str(digit) for digit in row["array"] or ())
             table.add_row(row["name"], row["app"], row["sidecar"], array or "none yet", row["why"] or "-")
-        screen(json=False).print(table)
+        make_console(json=False).print(table)
     return 0 if all(row["well"] for row in rows) else 1
 
 
@@ -169,7 +169,7 @@ def _cost(chosen: argparse.Namespace) -> int:
         since = sum(row.cpu_s for row in some) / len(some)
         figures = (sum(cpu) / len(cpu), max(cpu), sum(cpu), since, sum(memory) / len(memory), max(memory), sum(memory))
         table.add_row(f"{len(some)} {service}", *(f"{figure:.1f}" for figure in figures))
-    screen(json=False).print(table)
+    make_console(json=False).print(table)
     return 0 if rows else 1
 
 

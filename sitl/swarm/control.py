@@ -16,7 +16,7 @@ LINKS = ("ground", "peers", "autopilot", "router")
 ORDERS = ("hang", "resume", "reboot", "arm", "disarm")
 
 
-class Air:
+class LinkEmulatorClient:
     """address: host and port of the air process's control socket.
 
     Each method raises ConnectionError when it does not answer, ValueError when the request is invalid.

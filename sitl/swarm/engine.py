@@ -56,7 +56,7 @@ def groups() -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Thing:
+class Resource:
     """Something of the engine that belongs to a swarm. kind: container, network or volume."""
 
     kind: str
@@ -64,22 +64,22 @@ class Thing:
     name: str
 
 
-def belongings(client: DockerClient, name: str) -> list[Thing]:
+def resources(client: DockerClient, name: str) -> list[Resource]:
     """All containers, networks and volumes of a swarm, in the order in which they can be removed."""
     label: dict[str, str | list[str] | bool] = {"label": f"{LABEL}={name}"}
     containers = client.containers.list(all=True, filters=label, ignore_removed=True)
     # PHM first: it would start again what is removed under its eyes.
     containers.sort(key=lambda one: one.labels.get("com.docker.compose.service") != "phm")
     return [
-        *(Thing("container", str(one.id), str(one.name)) for one in containers),
-        *(Thing("network", str(one.id), str(one.name)) for one in client.networks.list(filters=label)),
-        *(Thing("volume", str(one.id), str(one.name)) for one in client.volumes.list(filters=label)),
+        *(Resource("container", str(one.id), str(one.name)) for one in containers),
+        *(Resource("network", str(one.id), str(one.name)) for one in client.networks.list(filters=label)),
+        *(Resource("volume", str(one.id), str(one.name)) for one in client.volumes.list(filters=label)),
     ]
 
 
 def remove(client: DockerClient, name: str) -> int:
     """Remove what belongs to the swarm, and nothing else; how many things that were. RuntimeError names what would not go."""
-    found, failed = belongings(client, name), []
+    found, failed = resources(client, name), []
     for kind in ("container", "network", "volume"):
         with ThreadPoolExecutor(REMOVE_AT_ONCE) as pool:
             failed += [words for words in pool.map(_removed, (thing for thing in found if thing.kind == kind)) if words]
@@ -88,7 +88,7 @@ def remove(client: DockerClient, name: str) -> int:
     return len(found)
 
 
-def _removed(thing: Thing) -> str:
+def _removed(thing: Resource) -> str:
     """Why not, in words; empty when it is gone."""
     client = DockerClient.from_env()  # one for each thread: they are not safe to share
     try:

@@ -13,7 +13,7 @@ MACHINE = "host/"
 """Units that judge the machine. All agents of a swarm share this one, and what loads it need not be the swarm."""
 
 
-class Standing:
+class Health:
     """Feed it the events of one `phm.jsonl` in order. but: beginnings of units that do not count."""
 
     def __init__(self, but: tuple[str, ...] = ()) -> None:
@@ -75,15 +75,15 @@ class Standing:
         return self.why
 
 
-class Watch:
-    """The standing of one agent, kept up to date from its record. but: as `Standing`."""
+class HealthMonitor:
+    """The standing of one agent, kept up to date from its record. but: as `Health`."""
 
     def __init__(self, path: Path, but: tuple[str, ...] = ()) -> None:
         self._record = Record(path)
         self._seen = 0
-        self.standing = Standing(but)
+        self.standing = Health(but)
 
-    def update(self) -> Standing:
+    def update(self) -> Health:
         self._record.update()
         self.standing.feed(self._record.events[self._seen :])
         self._seen = len(self._record.events)

@@ -18,7 +18,7 @@ from sitl.harness.compose_stack import ROOT
 from sitl.harness.config_overrides import write
 from sitl.simulation.ports import INSIDE
 from sitl.swarm import config, engine, external_autopilots, workspace
-from sitl.swarm.health import Watch
+from sitl.swarm.health import HealthMonitor
 from sitl.swarm.swarm import Swarm, SwarmAgent
 
 BUILD_LIMIT_S = 1200.0
@@ -42,7 +42,7 @@ def up(swarm: Swarm, progress: Callable[[str], None] = print) -> None:
     config.text(swarm.options, 1)
     external_autopilots.check(swarm.options)
     with workspace.locked(swarm.name, LOCK_LIMIT_S) as lock:
-        if engine.belongings(swarm.docker, swarm.name):
+        if engine.resources(swarm.docker, swarm.name):
             raise RuntimeError(
                 f"the swarm {swarm.name} already exists: `python -m sitl down --name {swarm.name}` first"
             )
@@ -154,7 +154,7 @@ def _application(swarm: Swarm, agent: SwarmAgent, nodes: int, stop: Event) -> No
 
 def _sidecar(agent: SwarmAgent, stop: Event) -> None:
     _started(agent.router)
-    watch, sidecar = Watch(agent.record), agent.sidecar
+    watch, sidecar = HealthMonitor(agent.record), agent.sidecar
     _started(sidecar)
     _until(lambda: watch.update().array is not None, PHM_LIMIT_S, sidecar, stop)
 

@@ -16,11 +16,11 @@ from docker import DockerClient
 from sitl.faults.base import Agent
 from sitl.harness.config_overrides import write
 from sitl.swarm import config, engine, workspace
-from sitl.swarm.control import Air
-from sitl.swarm.health import MACHINE, Watch
+from sitl.swarm.control import LinkEmulatorClient
+from sitl.swarm.health import MACHINE, HealthMonitor
 from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
 
-__all__ = ["Air", "Options", "Swarm", "SwarmAgent"]
+__all__ = ["LinkEmulatorClient", "Options", "Swarm", "SwarmAgent"]
 
 DOWN_LOCK_S = 200.0
 """Longer than a Compose command that lost its parent may take."""
@@ -56,7 +56,7 @@ class Swarm:
     ground_url: str = ""
     took: dict[str, float] = field(default_factory=dict)
     agents: list[SwarmAgent] = field(init=False)
-    air: Air = field(default_factory=lambda: Air(("127.0.0.1", 0)))
+    air: LinkEmulatorClient = field(default_factory=lambda: LinkEmulatorClient(("127.0.0.1", 0)))
 
     def __post_init__(self) -> None:
         if not 1 <= self.options.agents <= MOST_AGENTS:
@@ -122,7 +122,7 @@ class Swarm:
 
         RuntimeError names the agents that are not well, and why.
         """
-        watches = {agent.name: Watch(agent.record, but=(MACHINE,)) for agent in self.agents}
+        watches = {agent.name: HealthMonitor(agent.record, but=(MACHINE,)) for agent in self.agents}
         end = time.monotonic() + limit_s
         while True:
             fresh_s = 1.5 * self.options.interval_s + SLACK_S
@@ -153,7 +153,7 @@ class Swarm:
 
     @staticmethod
     def _status_of(agent: SwarmAgent, states: Mapping[tuple[str | None, str | None], str]) -> dict[str, Any]:
-        standing = Watch(agent.record).update()
+        standing = HealthMonitor(agent.record).update()
         return {
             "agent": agent.number,
             "name": agent.name,

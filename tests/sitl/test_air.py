@@ -9,16 +9,16 @@ from typing import Any
 
 import pytest
 
-from sitl.simulation.autopilot_model import Pilot
+from sitl.simulation.autopilot_model import AutopilotModel
 from sitl.simulation.channel_model import BUFFER_BYTES, Conditions, Losses, Pipe
 from sitl.simulation.frames import HEARTBEAT, RADIO_STATUS, Frame
 from sitl.simulation.ground import Ground
 from sitl.simulation.link import Port, mavlink, messages, parser
-from sitl.simulation.link_emulator import AirProcess
+from sitl.simulation.link_emulator import LinkEmulator
 from sitl.simulation.mesh import Mesh
 from sitl.simulation.ports import Ports
 from sitl.simulation.vehicle import Vehicle
-from sitl.swarm.control import Air
+from sitl.swarm.control import LinkEmulatorClient
 from tests.fakes.until import until
 
 
@@ -145,7 +145,7 @@ def beat(system: int, component: int) -> Frame:
 
 
 def vehicle(*, pilot: bool = False) -> Vehicle:
-    return Vehicle(3, 0.0, random.Random(1), Pilot(3, 0.0) if pilot else None)
+    return Vehicle(3, 0.0, random.Random(1), AutopilotModel(3, 0.0) if pilot else None)
 
 
 def kinds(one: Vehicle, place: str) -> list[int]:
@@ -326,8 +326,8 @@ def test_a_cut_or_split_is_both_ways() -> None:
 
 
 @pytest.fixture
-def process() -> Iterator[AirProcess]:
-    air = AirProcess(2, host="127.0.0.1", ports=Ports())
+def process() -> Iterator[LinkEmulator]:
+    air = LinkEmulator(2, host="127.0.0.1", ports=Ports())
     thread = threading.Thread(target=air.run, name="air", daemon=True)
     thread.start()
     yield air
@@ -336,9 +336,9 @@ def process() -> Iterator[AirProcess]:
     assert not thread.is_alive()
 
 
-def test_the_ground_hears_each_vehicle_and_phm_hears_radio_and_autopilot(process: AirProcess) -> None:
+def test_the_ground_hears_each_vehicle_and_phm_hears_radio_and_autopilot(process: LinkEmulator) -> None:
     """Over real sockets, with RADIO_STATUS, and counted."""
-    control = Air(("127.0.0.1", process.control_port))
+    control = LinkEmulatorClient(("127.0.0.1", process.control_port))
     ground = Ground(f"tcp:127.0.0.1:{process.station.bound_port}")
     ground.start()
     phm = Port(f"tcp:127.0.0.1:{process.routers[2].rpartition(':')[2]}")
@@ -359,9 +359,12 @@ def test_the_ground_hears_each_vehicle_and_phm_hears_radio_and_autopilot(process
     phm.close()
 
 
-def test_a_killed_router_refuses_and_comes_back_at_the_same_place(process: AirProcess) -> None:
+def test_a_killed_router_refuses_and_comes_back_at_the_same_place(process: LinkEmulator) -> None:
     """So PHM sees `connection refused`, and finds it again."""
-    control, url = Air(("127.0.0.1", process.control_port)), f"tcp:{process.routers[1].partition(':')[2]}"
+    control, url = (
+        LinkEmulatorClient(("127.0.0.1", process.control_port)),
+        f"tcp:{process.routers[1].partition(':')[2]}",
+    )
     phm = Port(url)
     until(lambda: control.state()["agents"][1]["router"]["connected"] == 1, "one connection to the router")
     control.set(1, "router", off=True)
@@ -375,9 +378,9 @@ def test_a_killed_router_refuses_and_comes_back_at_the_same_place(process: AirPr
     again.close()
 
 
-def test_orders_that_make_no_sense_are_answered_with_why(process: AirProcess) -> None:
+def test_orders_that_make_no_sense_are_answered_with_why(process: LinkEmulator) -> None:
     """And the process goes on."""
-    control = Air(("127.0.0.1", process.control_port))
+    control = LinkEmulatorClient(("127.0.0.1", process.control_port))
     for order, said in (
         (lambda: control.set(9, "ground", cut=True), "no agent 9: allowed are 1 to 2"),
         (lambda: control.set(1, "moon", cut=True), "no link 'moon'"),

@@ -7,21 +7,21 @@ from typing import Any
 import pytest
 
 from sitl.campaign.collect import Levels, note
-from sitl.campaign.fault_catalog import CHANGES, LEFT_ALONE, OFF, chosen, class_of, useless
+from sitl.campaign.fault_catalog import CHANGES, LEFT_ALONE, OFF, chosen, class_of, unsuitable_because
 from sitl.campaign.main import main
 from sitl.campaign.plan import plan
 from sitl.campaign.report import BEGIN, END
 from sitl.campaign.trial import append
 from sitl.faults import all_faults
 from sitl.harness.compose_stack import ROOT
-from sitl.harness.config_overrides import derived
+from sitl.harness.config_overrides import overridden
 from tests.fakes.campaign_trials import trial
 
 
 def test_every_fault_is_drawn_or_there_is_a_reason() -> None:
     """With eight agents and emulated links, nothing is left out but what is two faults already, and what starves."""
     faults = all_faults()
-    left = {name for name, fault in faults.items() if useless(fault, 8, air=True)}
+    left = {name for name, fault in faults.items() if unsuitable_because(fault, 8, air=True)}
     assert left == {name for name, fault in faults.items() if fault.also or "starvation" in fault.needs}
     assert {class_of(fault).layer for fault in faults.values()} == {"companion", "container", "ros", "link"}
     drawn = {
@@ -55,7 +55,7 @@ def test_what_was_asked_for_and_cannot_be_had_is_refused() -> None:
 
 def test_the_changes_fit_the_shipped_configuration() -> None:
     """What a campaign changes is there to be changed; all that the recovery-off run injects exists."""
-    assert derived({**CHANGES, **OFF})
+    assert overridden({**CHANGES, **OFF})
     assert set(LEFT_ALONE) <= all_faults().keys()
 
 

@@ -60,7 +60,7 @@ def asked(path: Path) -> bytes:
 def test_it_passes_on_and_can_be_shut_and_opened(tmp_path: Path, engine: Path) -> None:
     """Open: as if it were not there. Shut: connections are cut, new ones too. Then all is as before."""
     path = tmp_path / "door"
-    made = door.Door(path, str(engine))
+    made = door.Proxy(path, str(engine))
     thread = threading.Thread(target=made.serve)
     thread.start()
     with socket.socket(socket.AF_UNIX) as lasting:
@@ -68,10 +68,10 @@ def test_it_passes_on_and_can_be_shut_and_opened(tmp_path: Path, engine: Path) -
         lasting.connect(str(path))
         lasting.sendall(b"a")
         assert lasting.recv(1) == b"a"
-        door.shut(path, 600.0)
+        door.block(path, 600.0)
         assert lasting.recv(1) == b""
         assert asked(path) == b""
-    door.shut(path, 0.0)
+    door.block(path, 0.0)
     until(lambda: asked(path) == b"ping", "the door being open again")
     path.unlink()
     thread.join(LIMIT_S)
@@ -81,11 +81,11 @@ def test_it_passes_on_and_can_be_shut_and_opened(tmp_path: Path, engine: Path) -
 def test_it_is_a_process_of_its_own_until_it_is_taken_down(tmp_path: Path) -> None:
     """Put up twice it is one; taken down nothing of it is left."""
     path = tmp_path / "door"
-    door.put_up(path)
+    door.start(path)
     pid = door._pid(path)
-    door.put_up(path)
+    door.start(path)
     assert door._pid(path) == pid > 0
-    door.take_down(path)
+    door.stop(path)
     os.waitpid(pid, 0)
-    door.take_down(path)
+    door.stop(path)
     assert list(tmp_path.iterdir()) == []

@@ -16,7 +16,7 @@ from sitl.acceptance import main, plan
 from sitl.demo.main import STORY
 from sitl.faults.base import LAYERS, Agent, Fault
 from sitl.harness.compose_stack import ROOT
-from sitl.harness.config_overrides import derived, write
+from sitl.harness.config_overrides import overridden, write
 
 FILES = sorted(path.stem for path in Path(faults.__file__).parent.glob("[!_]*.py") if path.stem != "base")
 
@@ -135,7 +135,7 @@ def test_lasting_is_longer_than_the_shipped_verify() -> None:
 def test_deriving_refuses_what_is_not_there() -> None:
     """A line that the shipped configuration no longer has is an error, not a change that silently does nothing."""
     with pytest.raises(ValueError, match="0 times, expected once"):
-        derived({"\n  budget: 6": "\n  budget: 7"})
+        overridden({"\n  budget: 6": "\n  budget: 7"})
 
 
 def test_the_critical_file_is_the_one_of_the_image() -> None:

@@ -11,9 +11,9 @@ import pytest
 
 from sitl.faults import all_faults
 from sitl.faults.base import Agent
-from sitl.simulation.link_emulator import AirProcess
+from sitl.simulation.link_emulator import LinkEmulator
 from sitl.simulation.ports import Ports
-from sitl.swarm.control import Air
+from sitl.swarm.control import LinkEmulatorClient
 
 LINKED = sorted(name for name, fault in all_faults().items() if "air" in fault.needs and name != "router_killed")
 """The router is a container of its own, which no air process has."""
@@ -31,22 +31,22 @@ AGENTS = 5
 
 
 @pytest.fixture(scope="module")
-def air() -> Iterator[Air]:
-    process = AirProcess(AGENTS, host="127.0.0.1", ports=Ports())
+def air() -> Iterator[LinkEmulatorClient]:
+    process = LinkEmulator(AGENTS, host="127.0.0.1", ports=Ports())
     thread = threading.Thread(target=process.run, name="air", daemon=True)
     thread.start()
-    yield Air(("127.0.0.1", process.control_port))
+    yield LinkEmulatorClient(("127.0.0.1", process.control_port))
     process.stop()
     thread.join(5.0)
 
 
-def links(air: Air) -> dict[int, dict[str, Any]]:
+def links(air: LinkEmulatorClient) -> dict[int, dict[str, Any]]:
     agents: dict[int, dict[str, Any]] = air.state()["agents"]
     return agents
 
 
 @pytest.mark.parametrize("name", LINKED)
-def test_it_breaks_its_own_link_of_one_agent_and_gives_it_back(name: str, air: Air) -> None:
+def test_it_breaks_its_own_link_of_one_agent_and_gives_it_back(name: str, air: LinkEmulatorClient) -> None:
     """Injected: exactly the named links of agent 2 differ. Cleared, twice: nothing does."""
     fault, agent = all_faults()[name], Agent("phm-test", "agent_2", mock.Mock(), number=2, air=air)
     before = links(air)
@@ -62,7 +62,7 @@ def test_it_breaks_its_own_link_of_one_agent_and_gives_it_back(name: str, air: A
     assert not air.state()["groups"]
 
 
-def test_a_router_that_is_off_is_one_agents_own(air: Air) -> None:
+def test_a_router_that_is_off_is_one_agents_own(air: LinkEmulatorClient) -> None:
     """Its own end in the air refuses connections, and is given back."""
     before = links(air)
     air.set(2, "router", off=True)
@@ -86,7 +86,7 @@ def test_a_killed_router_is_killed_in_its_container(monkeypatch: pytest.MonkeyPa
     container.start.assert_called_once_with()
 
 
-def test_a_split_leaves_two_groups(air: Air) -> None:
+def test_a_split_leaves_two_groups(air: LinkEmulatorClient) -> None:
     """Each agent is in one group, and a group has at least two."""
     fault, agent = all_faults()["peer_split"], Agent("phm-test", "agent_4", mock.Mock(), number=4, air=air)
     fault.inject(agent)

@@ -13,7 +13,7 @@ import yaml
 
 from sitl.simulation.ground import Ground
 from sitl.simulation.link import Port, mavlink
-from sitl.simulation.link_emulator import AirProcess
+from sitl.simulation.link_emulator import LinkEmulator
 from sitl.simulation.ports import Ports
 from sitl.swarm import config, external_autopilots
 from sitl.swarm.options import Options
@@ -42,9 +42,9 @@ def vehicle(session: Path) -> Iterator[ArduPilot]:
 
 
 @pytest.fixture
-def air(vehicle: ArduPilot) -> Iterator[AirProcess]:
+def air(vehicle: ArduPilot) -> Iterator[LinkEmulator]:
     url = f"tcp:127.0.0.1:{vehicle.serial_0.bound_port}"
-    made = AirProcess(1, pilots={1: url}, host="127.0.0.1", ports=Ports())
+    made = LinkEmulator(1, pilots={1: url}, host="127.0.0.1", ports=Ports())
     thread = threading.Thread(target=made.run, name="air", daemon=True)
     thread.start()
     yield made
@@ -66,7 +66,7 @@ def test_a_session_has_the_form_of_a_telemetry_log(session: Path) -> None:
     assert {"STATUSTEXT", "SYSTEM_TIME"} <= {message.get_type() for message in messages}
 
 
-def test_the_air_boots_it_by_connecting_and_carries_its_session(air: AirProcess, vehicle: ArduPilot) -> None:
+def test_the_air_boots_it_by_connecting_and_carries_its_session(air: LinkEmulator, vehicle: ArduPilot) -> None:
     """Ground and PHM hear its heartbeat, its words, and what only its own dialect knows; it hears both of them and the radio."""
     ground = Ground(f"tcp:127.0.0.1:{air.station.bound_port}")
     ground.start()
@@ -93,7 +93,7 @@ def test_the_air_boots_it_by_connecting_and_carries_its_session(air: AirProcess,
     phm.close()
 
 
-def test_a_command_of_the_ground_reaches_it_alone(air: AirProcess, vehicle: ArduPilot) -> None:
+def test_a_command_of_the_ground_reaches_it_alone(air: LinkEmulator, vehicle: ArduPilot) -> None:
     """And not PHM, which is a component of its own."""
     ground = Ground(f"tcp:127.0.0.1:{air.station.bound_port}")
     ground.start()

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from sitl.acceptance.table import BEGIN, END, Row, as_json, between_marks, grouped, judged_words, markdown
+from sitl.acceptance.table import BEGIN, END, Row, as_json, between_marks, grouped, markdown, set_outcome
 from sitl.harness.compose_stack import ROOT
 from sitl.harness.log_queries import relapses
 
@@ -36,7 +36,7 @@ def row(**changes: object) -> Row:
 def test_when_a_row_holds(changes: dict[str, object], healable: bool, good: bool, outcome: str) -> None:
     """One alarm at the right unit, and healed exactly when it can be; else left alone or given up in words."""
     made = row(**changes)
-    judged_words(made, healable=healable)
+    set_outcome(made, healable=healable)
     assert (made.good, made.outcome) == (good, outcome)
 
 
@@ -44,7 +44,7 @@ def test_two_faults_are_two_alarms() -> None:
     """Faults that were caused at once are each told; one alarm for both, or one of them twice, does not hold."""
     for alarms, good in ((["nodes/a/n", "files/a"], True), (["nodes/a/n"], False), (["files/a", "files/a"], False)):
         made = row(also=["files/a"], alarms=alarms)
-        judged_words(made, healable=True)
+        set_outcome(made, healable=True)
         assert made.good is good
 
 
@@ -66,7 +66,7 @@ def test_a_busy_machine_is_told_and_not_counted() -> None:
     """An alarm about the machine's own processor is true and follows from no injected fault: it stands beside."""
     made = row()
     made.alarm("host/cpu")
-    judged_words(made, healable=True)
+    set_outcome(made, healable=True)
     assert made.good
     assert "beside it host/cpu" in made.cells()[-1]
 

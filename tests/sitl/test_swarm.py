@@ -16,7 +16,7 @@ from phm.config import loads
 from sitl.application import graph
 from sitl.swarm import config, cost, workspace
 from sitl.swarm.cli import main
-from sitl.swarm.health import MACHINE, Standing
+from sitl.swarm.health import MACHINE, Health
 from sitl.swarm.options import Options
 from sitl.swarm.swarm import Swarm
 from tests.fakes.until import until
@@ -154,7 +154,7 @@ def unit(name: str, level: str, event: str = "transition") -> dict[str, Any]:
 
 def test_an_agent_is_well_when_a_report_was_made_and_every_unit_is_ok() -> None:
     """What was STALE in the report and became OK since counts as OK; an open fault does not."""
-    standing = Standing()
+    standing = Health()
     standing.feed(events(unit("nodes/a", "STALE", "unit"), REPORT))
     assert not standing.well
     assert standing.why == "nodes/a STALE"
@@ -168,14 +168,14 @@ def test_an_agent_is_well_when_a_report_was_made_and_every_unit_is_ok() -> None:
 
 def test_a_restart_of_phm_begins_anew() -> None:
     """What the run before had found proves nothing; faults that were open stay so until PHM closes them."""
-    standing = Standing()
+    standing = Health()
     standing.feed(events(unit("files/a", "OK", "unit"), REPORT, {"event": "start"}))
     assert standing.why == "no report of PHM yet"
 
 
 def test_a_record_that_stands_still_is_not_well() -> None:
     """A dead PHM leaves a record in which all was well."""
-    standing = Standing()
+    standing = Health()
     standing.feed(events(REPORT))
     assert standing.why_not(110.0, 35.0) == ""
     assert standing.why_not(140.0, 35.0) == "PHM has written nothing for 40 s"
@@ -184,7 +184,7 @@ def test_a_record_that_stands_still_is_not_well() -> None:
 def test_what_loads_the_machine_is_not_the_swarms() -> None:
     """Where that is asked for, units of the machine are not looked at."""
     loaded = events(REPORT, unit("host/cpu", "ERROR"), {"event": "fault_opened", "fault": "x-1", "unit": "host/cpu"})
-    everything, agent = Standing(), Standing(but=(MACHINE,))
+    everything, agent = Health(), Health(but=(MACHINE,))
     everything.feed(loaded)
     agent.feed(loaded)
     assert not everything.well

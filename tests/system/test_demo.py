@@ -13,7 +13,7 @@ from rich.console import Console
 
 from sitl.demo.main import main
 from sitl.harness.compose_stack import Stack
-from sitl.harness.config_overrides import derived, write
+from sitl.harness.config_overrides import overridden, write
 from sitl.harness.log_follower import Record
 from tests.system.conftest import poll
 
@@ -27,7 +27,7 @@ def free_port() -> int:
 @pytest.fixture(scope="module")
 def stack() -> Iterator[Stack]:
     """One agent for all tests of this file. The load of the machine that runs them is not what they are about."""
-    config = write(derived({"\nchecks:\n": "\nchecks:\n  host:\n    enabled: false\n"}))
+    config = write(overridden({"\nchecks:\n": "\nchecks:\n  host:\n    enabled: false\n"}))
     extra = {"PHM_CONFIG": str(config)}
     stack = Stack(f"phm-test-{uuid.uuid4().hex[:6]}", interval_s=5.0, ground_port=free_port(), extra=extra)
     try:

@@ -49,7 +49,7 @@ def stranger(docker_client: DockerClient, name: str) -> Iterator[Container]:
 
 def left(client: DockerClient, name: str) -> list[str]:
     """Everything of the swarm that the engine and this machine still have."""
-    named = [thing.name for thing in engine.belongings(client, name)]
+    named = [thing.name for thing in engine.resources(client, name)]
     networks = [str(one.name) for one in client.networks.list() if str(one.name).startswith(f"{name}-")]
     volumes = [str(one.name) for one in client.volumes.list() if str(one.name).startswith(f"{name}-")]
     return [*named, *networks, *volumes, *map(str, engine.devices(name))]
@@ -64,7 +64,7 @@ def test_nothing_is_left_of_a_swarm_whose_start_was_ended(
     process = subprocess.Popen(argv, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL)
     try:
         until(
-            lambda: any("ros_app" in thing.name for thing in engine.belongings(docker_client, name)),
+            lambda: any("ros_app" in thing.name for thing in engine.resources(docker_client, name)),
             "the container ros_app",
             limit_s=STARTED_LIMIT_S,
         )
