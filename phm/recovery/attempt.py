@@ -239,7 +239,7 @@ class Attempt:
             self._finished.set()
 
     def _run_action(self) -> ActionResult:
-        context = replace(self._context, engine=cast(DockerEngine, self._engine), holding=self._hold_dependent)
+        context = replace(self._context, engine=cast(DockerEngine, self._engine), lock_dependent=self._hold_dependent)
         try:
             with self._expect_start():
                 said = self._action.run(self._target, self._fault, context)

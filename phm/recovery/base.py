@@ -71,28 +71,28 @@ class ActionContext:
 
     engine:     refuses calls that would disturb something flight-critical while armed (`phm.recovery.safety.guarded_engine`).
     container:  the engine's view of a configured container now, or None when there is none.
-    myself:     PHM's own container, or None when it runs on the host.
-    remembered: how a container was attached to a network when that was last observed.
+    own_container: PHM's own container, or None when it runs on the host.
+    last_attachment: how a container was attached to a network when that was last observed.
     listed_nodes: ROS nodes in the graph now, with how often each is listed. Raises CannotTell.
     link:       the MAVLink endpoint of this name now, or None when there is none.
     autopilot:  the vehicle's autopilot now, or None when it was never received.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
     relief:     lowers CPU weights and restores them later.
     on_hold:    why a container must not be restarted as a dependent: it is on hold, or an operator stopped it; empty: it may.
-    holding:    locks a dependent; while it is entered, what fails there follows from the recovery of this fault.
+    lock_dependent: locks a dependent; while it is entered, what fails there follows from the recovery of this fault.
     """
 
     engine: DockerEngine
     settings: Settings
     container: Callable[[str], ContainerFact | None]
-    myself: Callable[[], ContainerFact | None]
-    remembered: Callable[[str, str], Attachment | None]
+    own_container: Callable[[], ContainerFact | None]
+    last_attachment: Callable[[str, str], Attachment | None]
     listed_nodes: Callable[[], Mapping[str, int]] = _no_graph
     link: Callable[[str], LinkFact | None] = _no_link_fact
     autopilot: Callable[[], AutopilotFact | None] = _no_autopilot
     clock: Clock = field(default_factory=SystemClock)
     reopen: Callable[[str, float], bool] = _no_link
-    holding: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
+    lock_dependent: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
     on_hold: Callable[[str], str] = lambda key: ""
     relief: CpuWeights | None = None
 

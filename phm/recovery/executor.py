@@ -66,7 +66,7 @@ class Executor:
         self.holds = holds if holds is not None else HoldRegistry()
         self.catalog = ActionCatalog(actions, self._settings)
         self.locks = TargetLocks(pipeline, clock)
-        self._guard = FlightCriticalGuard(self._settings, context.container, context.myself, armed)
+        self._guard = FlightCriticalGuard(self._settings, context.container, context.own_container, armed)
         self._generations = GenerationTracker(context.container, clock, verify_s)
         self._new_attempt = partial(
             Attempt,

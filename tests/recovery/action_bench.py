@@ -60,7 +60,7 @@ class Bench:
             lambda: None,
             lambda key, network: None,
             listed_nodes=lambda: self.nodes,
-            holding=self._holding,
+            lock_dependent=self._holding,
         )
 
     def run(self, action: type[Action], key: str, of: Fault) -> str:

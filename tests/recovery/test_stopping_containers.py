@@ -53,7 +53,7 @@ def test_a_dependant_that_is_being_stopped_is_not_restarted(agent: Agent) -> Non
         agent.containers.start(key)
         agent.bad.clear()
         try:
-            with context.holding("side", fault, "restart", 30.0):
+            with context.lock_dependent("side", fault, "restart", 30.0):
                 agent.containers.start("side")
         except CannotTell as error:
             refused.append(str(error))

@@ -43,7 +43,7 @@ def connect(container: ContainerSettings, fact: ContainerFact, name: str, networ
     """Connect the container to the network of this name and id as it was connected before, removing what is left of that;
     False when the network has gone meanwhile. Raises CannotTell."""
     left = next((one for one in fact.networks if one.name == name), None)
-    before = context.remembered(container.key, name) or left
+    before = context.last_attachment(container.key, name) or left
     try:
         if left is not None:
             context.engine.disconnect(name, fact.name, force=True)

@@ -33,7 +33,7 @@ class JoinNetwork(Action):
 
 def join_networks(container: ContainerSettings, context: ActionContext) -> str:
     """Join every network of the container that exists and PHM's container is not on; what was joined, in words, or empty."""
-    me = context.myself()
+    me = context.own_container()
     if me is None or me.network_mode == "host":
         return ""
     joined = []

@@ -97,7 +97,7 @@ def _follow(
     if not entry.recover:
         return f"{key} depends on it and has not opted in (recover: true): restart it manually", False
     try:
-        with context.holding(key, fault, "restart", stop_timeout_s(facts[key], context) + FOLLOW_S):
+        with context.lock_dependent(key, fault, "restart", stop_timeout_s(facts[key], context) + FOLLOW_S):
             skipped = _restart_dependent(entry, "" if always else facts[key].generation, context)
     except FlightCriticalError as error:
         return f"{key} depends on it: {error}; restart it manually when that is safe", False

@@ -141,5 +141,5 @@ def test_phm_joins_what_is_there(fake: FakeEngine, ask: DockerEngine) -> None:
     made.settings.containers[0].networks.insert(0, "radio")
     fake.containers["phm"] = container("phm")
     me = testing.container("phm", id=fake.containers["phm"]["Id"])
-    context = replace(made.context(), myself=lambda: me)
+    context = replace(made.context(), own_container=lambda: me)
     assert JoinNetwork().run(made.target("app"), OFF, context) == "PHM joined network swarm"

@@ -322,7 +322,7 @@ def test_a_dependants_restart_that_phms_end_interrupted_is_phms_own(yard: Yard) 
     first.until(lambda: Phase.ESCALATED in first.steps("side"), "giving up on side")
 
     def act(key: str, context: ActionContext, fault: Fault) -> None:
-        with context.holding("side", fault, "restart", 30.0):
+        with context.lock_dependent("side", fault, "restart", 30.0):
             first.pause(lambda: False)
 
     first.behave = act

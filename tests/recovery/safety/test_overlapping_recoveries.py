@@ -36,7 +36,7 @@ class Owners(Agent):
         self.containers.start(key)
         self.bad.pop(f"health/{key}", None)
         try:
-            with context.holding("side", fault, "restart", 30.0):
+            with context.lock_dependent("side", fault, "restart", 30.0):
                 self._work_on_side(key)
         except CannotTell as error:
             self.refused.append(str(error))
@@ -122,7 +122,7 @@ def test_a_result_from_a_dependent_restart_causes_no_action(agents: list[Owners]
 
     def slow(key: str, context: ActionContext, fault: Fault) -> None:
         agent.bad.pop("health/a", None)
-        with context.holding("side", fault, "restart", 30.0):
+        with context.lock_dependent("side", fault, "restart", 30.0):
             agent.bad["health/side"] = "broken"
             agent.containers.start("side")
             agent.pause(lambda: True)
@@ -162,7 +162,7 @@ def test_a_superseded_verification_is_not_a_failure_of_the_target(agents: list[O
             return
         agent.containers.start(key)
         agent.bad.pop(f"health/{key}")
-        with context.holding("side", fault, "restart", 30.0):
+        with context.lock_dependent("side", fault, "restart", 30.0):
             agent.containers.start("side")
 
     agent.behave = on_side
@@ -184,7 +184,7 @@ def test_an_action_that_was_given_up_begins_nothing_more(agents: list[Owners]) -
     def hang(key: str, context: ActionContext, fault: Fault) -> None:
         agent.pause(lambda: late)
         try:
-            with context.holding("side", fault, "restart", 30.0):
+            with context.lock_dependent("side", fault, "restart", 30.0):
                 agent.seen.append(key)
         except CannotTell as error:
             agent.refused.append(str(error))
