@@ -69,7 +69,9 @@ def voices() -> Iterator[tuple[int, Callable[[], None]]]:
     wire.sock.close()
 
 
-def test_the_command_prints_news_until_it_is_ended(voices: tuple[int, Callable[[], None]], tmp_path: Path) -> None:
+def test_the_command_prints_events_until_it_is_terminated(
+    voices: tuple[int, Callable[[], None]], tmp_path: Path
+) -> None:
     """JSON lines; SIGTERM ends it in order, with code 0 and a whole record."""
     port, speak = voices
     done = run(f"udpin:127.0.0.1:{port}", "--json", "--record", str(tmp_path / "r.jsonl"))
@@ -89,7 +91,7 @@ def test_the_command_prints_news_until_it_is_ended(voices: tuple[int, Callable[[
     assert recorded[-2:] == ["end", "snapshot"]
 
 
-def test_without_a_terminal_news_are_words(voices: tuple[int, Callable[[], None]]) -> None:
+def test_without_a_terminal_events_are_lines_of_text(voices: tuple[int, Callable[[], None]]) -> None:
     """One line for each piece of news, without a table."""
     port, speak = voices
     done = run(f"udpin:127.0.0.1:{port}")
@@ -141,8 +143,8 @@ def test_a_terminal_gets_a_live_table(voices: tuple[int, Callable[[], None]]) ->
     os.close(ours)
 
 
-def test_once_says_by_its_exit_code_whether_all_are_well(voices: tuple[int, Callable[[], None]]) -> None:
-    """Nobody heard is not well; the snapshot of `--json` is one object."""
+def test_the_exit_code_of_once_shows_whether_all_agents_are_ok(voices: tuple[int, Callable[[], None]]) -> None:
+    """Without agents the exit code is 1; the snapshot of `--json` is one object."""
     port, _ = voices
     alone = run(f"udpin:127.0.0.1:{port}", "--once", "--for", "0.3", "--json", "--expect", "1-2")
     output, errors = alone.communicate(timeout=60)
@@ -175,7 +177,7 @@ def test_a_record_that_cannot_be_written_is_reported_without_a_terminal(tmp_path
     assert errors.count("record: ") <= 2, "once when it appears, once at the end"
 
 
-def test_output_that_nobody_reads_holds_up_nothing(tmp_path: Path) -> None:
+def test_unread_output_does_not_delay_the_record(tmp_path: Path) -> None:
     """The record goes on, and one SIGTERM ends the program."""
     port, path = free_port(socket.SOCK_DGRAM), tmp_path / "r.jsonl"
     done = run(f"udpin:127.0.0.1:{port}", "--json", "--record", str(path))

@@ -229,7 +229,7 @@ def wired() -> Iterator[Callable[..., tuple[GroundStation, Wire]]]:
         wire.sock.close()
 
 
-def test_it_says_hello_like_a_ground_station(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
+def test_the_station_sends_heartbeats_like_a_ground_station(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
     """Type GCS, 254/190, and nothing but heartbeats."""
     _, wire = wired()
     wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
@@ -239,7 +239,7 @@ def test_it_says_hello_like_a_ground_station(wired: Callable[..., tuple[GroundSt
     }
 
 
-def test_silent_is_silent(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
+def test_a_silent_station_sends_nothing(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
     """It hears all the same."""
     station, wire = wired(silent=True)
     sender = Sender(7, 193)
@@ -248,7 +248,7 @@ def test_silent_is_silent(wired: Callable[..., tuple[GroundStation, Wire]]) -> N
     assert [wire.hear() for _ in range(8)] == [[]] * 8
 
 
-def test_another_program_with_our_id_is_told(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
+def test_another_program_with_our_id_is_reported(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
     """Frames of our own that come back from a router are not: those were ours."""
     station, wire = wired()
     wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
@@ -262,7 +262,7 @@ def test_another_program_with_our_id_is_told(wired: Callable[..., tuple[GroundSt
     assert "--id" in problems[0]
 
 
-def test_a_flood_crowds_out_nobody_else(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
+def test_a_flood_does_not_affect_other_senders(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
     """Of a sender that says too much only its own frames are dropped; garbage between them changes nothing."""
     station, wire = wired()
     loud, calm = Sender(9, 193), Sender(7, 193)
@@ -275,7 +275,7 @@ def test_a_flood_crowds_out_nobody_else(wired: Callable[..., tuple[GroundStation
 
 
 @pytest.mark.parametrize("silent", [False, True], ids=["speaks", "silent"])
-def test_an_autopilot_passes_on_to_those_that_speak(silent: bool) -> None:
+def test_an_autopilot_forwards_to_stations_that_send(silent: bool) -> None:
     """By ArduPilot's rule, which the simulated one has. When its port closes, the hop is the ground's own link."""
     companion, ground = free_port(), free_port()
     aboard = Autopilot(7, f"tcpin:127.0.0.1:{companion}", f"tcpin:127.0.0.1:{ground}", armed=True)

@@ -23,8 +23,8 @@ def ground() -> Ground:
 # ---------------------------------------------------------------- who there is
 
 
-def test_an_agent_nobody_told_us_about_is_found_by_its_heartbeat(ground: Ground) -> None:
-    """News of the agent and of its slots; an equal heartbeat is no news."""
+def test_an_unlisted_agent_is_discovered_by_its_heartbeat(ground: Ground) -> None:
+    """One event for the agent and one for its slots; an equal heartbeat causes none."""
     news = ground.hear(beat(9, {Slot.NODES: Level.ERROR}, state=EMERGENCY))
     assert [one.event for one in news] == ["agent", "slots"]
     assert events(news, "agent")[0]["name"] == "A09"
@@ -124,8 +124,8 @@ def test_an_agent_that_was_stopped_on_purpose_has_left(ground: Ground) -> None:
     assert (ground.agent(7)["how"], ground.agent(7)["hop"]) == ("LEFT", None)
 
 
-def test_a_restart_forgets_what_was_told_before_it(ground: Ground) -> None:
-    """A heartbeat that says BOOT after others: the new PHM tells everything anew."""
+def test_a_restart_forgets_earlier_reports(ground: Ground) -> None:
+    """A heartbeat that says BOOT after others: the new PHM reports everything again."""
     ground.hear(beat(7, {Slot.NODES: Level.ERROR}), said(7, "A07 FAIL 6 node_1 dead"))
     news = ground.hear(Heartbeat(7, 193, 18, 8, 0, 1 << 30, 1))
     assert events(news, "restart")[0]["restarts"] == 1
@@ -172,7 +172,7 @@ def test_a_refresh_corrects_what_was_missed(ground: Ground) -> None:
     assert ground.agent(7)["bad"] == []
 
 
-def test_a_refresh_that_repeats_is_recorded_and_not_told(ground: Ground) -> None:
+def test_a_repeated_refresh_is_recorded_and_not_shown(ground: Ground) -> None:
     """To people only what differs from the last is shown."""
     ground.hear(beat(7))
     first = ground.hear(said(7, "A07 OK 11111111", 6))
@@ -181,7 +181,7 @@ def test_a_refresh_that_repeats_is_recorded_and_not_told(ground: Ground) -> None
     assert events(again, "text")[0]["repeat"] is True
 
 
-def test_an_agent_with_two_ways_to_the_ground_is_told_once(ground: Ground) -> None:
+def test_an_agent_with_two_links_to_the_ground_is_reported_once(ground: Ground) -> None:
     """Each line comes twice, and heartbeats come in pairs: neither a second line nor a shorter period."""
     ground.hear(beat(7))
     first, second = ground.hear(said(7, "A07 FAIL 6 node_1 dead")), ground.hear(said(7, "A07 FAIL 6 node_1 dead"))
@@ -264,7 +264,7 @@ def test_text_cannot_steer_a_terminal(ground: Ground) -> None:
 # ---------------------------------------------------------------- the swarm
 
 
-def test_views_say_who_hears_whom(ground: Ground) -> None:
+def test_views_list_which_agents_receive_an_agent(ground: Ground) -> None:
     """An agent that is lost here and heard there has a broken radio; a view of a lost agent counts no more."""
     ground.hear(*(beat(number) for number in (1, 2, 3)))
     both = PeerView(1, gcs=True, autopilot=True, radio=False, peers={3: PeerState.ALIVE})
@@ -277,7 +277,7 @@ def test_views_say_who_hears_whom(ground: Ground) -> None:
     assert ground.agent(3)["heard_by"] == []
 
 
-def test_an_equal_view_is_no_news(ground: Ground) -> None:
+def test_an_equal_view_causes_no_event(ground: Ground) -> None:
     """Its number counts up; what it says stays."""
     ground.hear(beat(1))
     assert len(ground.hear(told(1, PeerView(1, True, True, False, {2: PeerState.ALIVE})))) == 1
@@ -285,7 +285,7 @@ def test_an_equal_view_is_no_news(ground: Ground) -> None:
     assert len(ground.hear(told(1, PeerView(3, True, True, False, {2: PeerState.LOST})))) == 1
 
 
-def test_the_speaker_tells_of_agents_never_heard_here(ground: Ground) -> None:
+def test_the_leader_reports_agents_never_received_here(ground: Ground) -> None:
     """They have a row, with what the leader says of them, and nothing that it does not say."""
     ground.hear(beat(1), said(1, "SWARM 1/3 FAIL A05:lost", 6))
     ground.hear(told(1, SwarmDigest(3, 2, {1: Level.OK, 4: Level.WARN, 5: Level.ERROR})))
@@ -322,7 +322,7 @@ def test_details_are_joined_from_their_parts(ground: Ground) -> None:
 
 
 def test_words_of_others_are_passed_on(ground: Ground) -> None:
-    """As news; what was heard directly is not overruled by hearsay."""
+    """As news; directly received data is not overruled by reports of others."""
     ground.hear(beat(7))
     assert events(ground.hear(told(7, StatusWords({7: 0, 8: 0x40025D55}))), "words")[0]["words"] == {"8": 0x40025D55}
     assert ground.agent(7)["how"] == "OK"
@@ -367,8 +367,8 @@ def test_the_hop_nearest_to_the_ground_wins(ground: Ground) -> None:
     assert ground.agent(7)["hop"]["name"] == "radio"
 
 
-def test_silence_is_told_by_what_else_is_heard(ground: Ground) -> None:
-    """The autopilot beside it, other agents, or nobody: the companion, the radio, or the ground's own link."""
+def test_a_silent_agent_is_explained_by_what_else_is_received(ground: Ground) -> None:
+    """The autopilot beside it, other agents, or none: the companion, the radio, or the ground's own link."""
     ground.hear(beat(7), beat(8), pilot(7))
     ground.wait(20, pilot(7), beat(8), every=1)
     assert ground.agent(7)["hop"]["name"] == "companion"
@@ -452,7 +452,7 @@ def test_made_up_agents_do_not_push_out_those_that_are_there() -> None:
     assert ground.agent(100)["presence"] == "never heard"
 
 
-def test_nothing_grows_for_ever(ground: Ground) -> None:
+def test_memory_is_bounded(ground: Ground) -> None:
     """Ever new lines, fault numbers and ground stations: what is kept of them is bounded."""
     ground.hear(beat(7, dict.fromkeys(Slot, Level.ERROR)))
     for number in range(500):
@@ -466,7 +466,7 @@ def test_nothing_grows_for_ever(ground: Ground) -> None:
 
 
 def test_tunnels_of_strangers_and_of_other_kinds_are_ignored(ground: Ground) -> None:
-    """Only an agent whose heartbeat was heard is believed, and only what is of the contract."""
+    """Only agents whose heartbeat was received count, and only payloads of the contract."""
     payload = tunnel.encode(PeerView(1, False, False, False, {3: PeerState.LOST}))
     ground.hear(beat(7))
     for frame in (

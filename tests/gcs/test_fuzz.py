@@ -1,4 +1,4 @@
-"""Hostile bytes from the parser to the table: nothing raises, nothing grows, and nobody else's row changes."""
+"""Hostile bytes from the parser to the table: nothing raises, nothing grows, and no other row changes."""
 
 from __future__ import annotations
 
@@ -121,10 +121,10 @@ def test_others_cannot_change_an_agents_row() -> None:
     assert before["slots"] == {str(int(slot)): "OK" for slot in HEALTHY}
 
 
-# ---------------------------------------------------------------- the sieve
+# ---------------------------------------------------------------- the ingress filter
 
 
-def test_one_sender_uses_up_his_own_share() -> None:
+def test_a_sender_uses_up_its_own_share() -> None:
     """A burst and a rate; it comes back with time, and the others do not notice."""
     ingress = IngressFilter()
     taken = sum(ingress.allow((9, 1), 100.0) for _ in range(5000))
@@ -134,7 +134,7 @@ def test_one_sender_uses_up_his_own_share() -> None:
     assert ingress.allow((9, 1), 100.1)
 
 
-def test_made_up_senders_share_one_entrance() -> None:
+def test_invented_senders_share_one_limit() -> None:
     """And those that are known already go on."""
     ingress = IngressFilter()
     ingress.allow((7, 193), 100.0)

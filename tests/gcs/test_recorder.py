@@ -37,8 +37,8 @@ def test_it_is_rotated_and_capped(tmp_path: Path) -> None:
     assert found == list(range(found[0], 1001))
 
 
-def test_a_disk_that_fails_is_told_and_what_is_lost_is_counted(tmp_path: Path) -> None:
-    """The newest lines wait in memory; when it works again, an event stands in the place of the others."""
+def test_a_failing_disk_is_reported_and_lost_lines_are_counted(tmp_path: Path) -> None:
+    """The newest lines wait in memory; when it works again, an event replaces the others."""
     source, folder = Source(), tmp_path / "sd"
     folder.write_text("no folder")
     book = made(folder / "flight.jsonl", source)

@@ -159,7 +159,7 @@ def test_what_is_not_served_is_refused(server: GcsServer, connect: Connect, requ
 
 
 def test_half_a_request_has_a_deadline(server: GcsServer, connect: Connect, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody keeps a place by saying little."""
+    """A client cannot keep a place by sending little."""
     monkeypatch.setattr("phm.gcs.server.REQUEST_S", 0.2)
     client = connect(b"GET / HT")
     until(lambda: client.read() and client.closed, "the end")
@@ -225,7 +225,7 @@ def _served(connect: Connect) -> bool:
 def test_a_stream_without_news_shows_that_it_lives(
     server: GcsServer, connect: Connect, source: Source, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever reads can tell silence from a broken connection."""
+    """A client can distinguish silence from a broken connection."""
     monkeypatch.setattr("phm.gcs.server.ALIVE_S", 0.1)
     server._alive_at = 0.0
     client = connect()

@@ -39,7 +39,7 @@ def test_a_change_says_agent_word_slot_and_words() -> None:
 
 @pytest.mark.parametrize("by", ["", "itself", "restart", "a-long-action"])
 def test_what_is_over_names_what_was_bad(by: str) -> None:
-    """Whoever ended it; and where the line had to be cut, the cut name is recognised."""
+    """Whatever ended it; where the line had to be cut, the cut name is recognized."""
     for brief in ("node_1 dead", "x" * 20 + "y" * 18):
         line = read(status_line.recovered(250, Slot.USER_1, brief, by))
         assert line.recovered
@@ -74,7 +74,7 @@ def test_a_refresh_says_how_many_are_bad() -> None:
     assert read(status_line.refresh(1, [unit("a", Slot.NODES, Level.STALE)])).word == "STALE"
 
 
-def test_what_the_speaker_says_is_read() -> None:
+def test_lines_of_the_leader_are_parsed() -> None:
     """The swarm's line, and the line about an agent whose radio failed."""
     swarm = read(digest.digest_line({1: (Level.OK, ""), 3: (Level.ERROR, "ROS")}))
     assert (swarm.kind, swarm.agent, swarm.word, swarm.text) == (LineKind.SWARM, 0, "FAIL", "A03:ROS")
@@ -83,7 +83,7 @@ def test_what_the_speaker_says_is_read() -> None:
     assert read("A03 no GCS radio: flapping").kind is LineKind.RELAY
 
 
-def test_a_swarm_line_names_who_is_not_well() -> None:
+def test_a_swarm_line_names_agents_that_are_not_ok() -> None:
     """Unless it had no room for all."""
     many = dict.fromkeys(range(1, 20), (Level.ERROR, "lost"))
     assert statustext_parser.unhealthy_agents(read(digest.digest_line(many))) is None
@@ -118,6 +118,6 @@ def test_a_swarm_line_names_who_is_not_well() -> None:
         "A\u0660\u0667 FAIL 6 x",
     ],
 )
-def test_lines_of_others_are_not_phms(text: str) -> None:
+def test_lines_of_other_programs_are_not_parsed(text: str) -> None:
     """Nor what only looks alike, with numbers that no agent and no slot has."""
     assert statustext_parser.parse(text) is None

@@ -87,7 +87,7 @@ def test_a_short_terminal_shows_those_in_trouble() -> None:
 
 
 def test_before_anybody_is_heard_it_says_so() -> None:
-    """An empty table is no picture of a healthy swarm."""
+    """An empty table does not look like a healthy swarm."""
     ground = Ground()
     ground.store.links({}, ground.clock.stamp())
     lines = drawn(ground)

@@ -16,7 +16,7 @@ __all__ = ["engine", "proxies", "real"]
 
 @pytest.fixture
 def proxies(real: Any) -> Iterator[Proxies]:
-    """With a container that stands for PHM's own."""
+    """With a container that represents PHM's own."""
     folder = short_folder()
     made = Proxies(folder, real.container().name)
     yield made

@@ -62,7 +62,7 @@ def invoke(folder: Path, text: str, *more: str) -> Result:
 
 
 def test_each_call_of_the_client_is_known_to_the_rules() -> None:
-    """A method that is added to the client is allowed by a rule, or stands among those that the proxy refuses."""
+    """A method that is added to the client is allowed by a rule, or is listed among those that the proxy refuses."""
     public = {name for name in dir(DockerEngine) if not name.startswith("_") and callable(getattr(DockerEngine, name))}
     assert public == NEEDED | REFUSED
 

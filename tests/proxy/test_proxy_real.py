@@ -300,7 +300,7 @@ HOSTILE = [
 ]  # fmt: skip
 
 
-def test_hostile_words_stand_for_themselves(real: Any, proxies: Proxies) -> None:
+def test_hostile_names_have_no_special_meaning(real: Any, proxies: Proxies) -> None:
     """Words of a command and characters of a path that mean something to HAProxy, its quotes or its patterns."""
     app = real.container()
     nodes = [

@@ -50,7 +50,7 @@ def written(directory: Path) -> dict[str, set[str]]:
 
 
 def test_every_key_that_is_written_is_documented_and_the_other_way_round(tmp_path: Path) -> None:
-    """Each event has its section with exactly its keys; the common keys stand in each line."""
+    """Each event has its section with exactly its keys; the common keys are in each line."""
     wanted = documented()
     every = wanted.pop("every") - {"cut"}
     assert written(tmp_path) == {event: keys | every for event, keys in wanted.items()}

@@ -36,7 +36,7 @@ ROS: dict[str, Any] = {"nodes": [{"name": "/agent_1/node_1"}]}
 
 
 class Port:
-    """Keeps what was to be published; does not take it when told so."""
+    """Keeps what was to be published; refuses it on request."""
 
     def __init__(self) -> None:
         self.sent: list[Mapping[str, DiagnosticFact]] = []
@@ -73,7 +73,7 @@ def test_each_unit_is_a_status_and_so_is_the_whole() -> None:
 
 
 def test_the_values_of_a_unit() -> None:
-    """All contract keys, then what was measured; an action is told while its fault is open."""
+    """All contract keys, then what was measured; an action is reported while its fault is open."""
     reporter, port = make((DEAD,))
     reporter.handle(opened(DEAD))
     reporter.handle(ActionEvent(at(), "ab12-1", DEAD.unit, "restart", "ros_app", Phase.STARTED))
@@ -182,7 +182,7 @@ def test_a_child_that_takes_nothing_is_a_problem() -> None:
 
 
 def test_faults_from_before_a_restart_of_phm_are_known() -> None:
-    """They were told then, and are open."""
+    """They were reported then, and are open."""
     settings = Settings.model_validate({"ros": ROS})
     port = Port()
     made = DiagnosticsReporter.build(replace(context(settings), ros=port, restored=(fault(DEAD),)))

@@ -70,7 +70,7 @@ def test_nothing_is_made_where_it_is_off() -> None:
 
 
 def test_the_state_goes_out_at_once_and_again_from_time_to_time() -> None:
-    """The first tick tells; the next when the refresh is due; the sequence counts on."""
+    """The first tick publishes; the next when the refresh is due; the sequence counts on."""
     bench = Bench()
     bench.fleet.tick()
     bench.fleet.tick()
@@ -98,7 +98,7 @@ def test_before_the_first_report_is_complete_it_says_boot() -> None:
     assert len(bench.link.put_) == count
 
 
-def test_a_change_is_told_at_once_and_a_burst_as_one() -> None:
+def test_a_change_is_published_immediately_and_a_burst_once() -> None:
     """What follows within a moment waits for the next tick."""
     bench = Bench()
     bench.fleet.tick()
@@ -115,7 +115,7 @@ def test_a_change_is_told_at_once_and_a_burst_as_one() -> None:
     assert (bench.last["open_faults"], bench.last["faults"][0]["brief"]) == (1, "one dead")
 
 
-def test_a_change_is_told_once_more() -> None:
+def test_a_change_is_published_once_more() -> None:
     """A second later, and then not before the refresh is due."""
     bench = Bench()
     bench.fleet.tick()
@@ -158,8 +158,8 @@ def test_an_end_on_purpose_is_said() -> None:
     assert bench.link.last["state"] == "POWEROFF"
 
 
-def test_a_short_loss_is_no_problem_and_a_long_one_is() -> None:
-    """Two deadlines without the fleet, or another PHM of the same name, are told in slot 1."""
+def test_only_a_long_loss_is_a_problem() -> None:
+    """Two deadlines without the fleet, or another PHM of the same name, are reported in slot 1."""
     bench = Bench()
     assert not bench.fleet.problem()
     bench.link.state = replace(CONNECTED, connected=False, since_s=9.0, error="no connection to tcp/r:7447")

@@ -50,7 +50,7 @@ def written(directory: Path, *events: Event) -> list[dict[str, object]]:
 
 
 def test_every_line_says_who_where_and_when(tmp_path: Path) -> None:
-    """Agent, boot, number and both clocks stand in each line, and numbers have no gap."""
+    """Agent, boot, number and both clocks are in each line, and numbers have no gap."""
     started = ReportStarted(at(), 1)
     report = Report(at(2), 1, at(), (DEAD, unit("host", Slot.HOST)))
     log = make(tmp_path)
@@ -119,7 +119,7 @@ def test_a_report_says_counts_array_and_slots(tmp_path: Path) -> None:
     assert line["slots"] == {"6": "ERROR", "9": "OK"}
 
 
-def test_both_files_tell_the_same_events(tmp_path: Path) -> None:
+def test_both_files_contain_the_same_events(tmp_path: Path) -> None:
     """The text log is written beside the record, in its own words."""
     written(tmp_path, transition(DEAD))
     assert (tmp_path / "phm.log").read_text() == (
@@ -237,7 +237,7 @@ def test_a_torn_record_is_readable_and_goes_on(tmp_path: Path) -> None:
     assert lines[-1]["text"] == "second"
 
 
-def test_the_reader_takes_rotated_files_in_order_and_skips_what_is_no_event(tmp_path: Path) -> None:
+def test_the_reader_takes_rotated_files_in_order_and_skips_other_lines(tmp_path: Path) -> None:
     """Oldest first, by number and not by name; foreign files and lines do not disturb."""
     for number in (1, 2, 10):
         (tmp_path / f"phm.jsonl.{number}").write_text(json.dumps({"seq": 100 - number}) + "\n[1]\nnull\n")

@@ -1,4 +1,4 @@
-"""What the ground is told, and when: one line for each change, none for what has not changed."""
+"""What is sent to the ground, and when: one line for each change, none without a change."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def status(scene: Scene) -> int:
     return int(scene.last_heartbeat().system_status)  # type: ignore[attr-defined]
 
 
-def test_a_fault_is_told_once_at_its_severity() -> None:
+def test_a_fault_is_reported_once_at_its_severity() -> None:
     """A lost mission function is CRITICAL, anything else lost is ERROR, and time alone repeats neither."""
     scene = Scene().running()
     scene.become("nodes/a", Level.ERROR, "a dead")
@@ -122,7 +122,7 @@ def test_a_warning_comes_and_goes() -> None:
 
 
 def test_a_change_of_words_is_a_change() -> None:
-    """A second network lost while the first still is: the operator hears it; the same words again are not told."""
+    """A second network lost while the first still is: the operator hears it; the same text is not sent again."""
     scene = Scene().running()
     scene.become("nodes/a", Level.ERROR, "a dead")
     scene.become("nodes/a", Level.ERROR, "a, b dead")
@@ -131,7 +131,7 @@ def test_a_change_of_words_is_a_change() -> None:
 
 
 def test_what_follows_from_another_fault_says_nothing() -> None:
-    """STALE is silent, blocked or not; coming back from it is silent too when nothing bad was told."""
+    """STALE is silent, blocked or not; coming back from it is silent too when no failure was sent."""
     scene = Scene().running()
     scene.become("nodes/a", Level.STALE, blocked_by="container/app")
     scene.become("nodes/a", Level.OK)
@@ -149,7 +149,7 @@ def test_not_knowing_for_a_while_repeats_nothing() -> None:
 
 
 def test_a_fault_found_to_follow_from_another_is_taken_back() -> None:
-    """What was told as a fault and then reattributed is told as over when the unit is well."""
+    """A reattributed fault is reported as recovered when its unit is OK."""
     scene = Scene().running()
     scene.become("nodes/a", Level.ERROR, "a dead")
     scene.become("nodes/a", Level.STALE, blocked_by="container/app")
@@ -168,8 +168,8 @@ def test_a_fault_found_to_follow_from_another_is_taken_back() -> None:
         (Phase.VERIFIED, []),
     ],
 )
-def test_only_what_asks_for_the_operator_is_told_of_actions(phase: Phase, expected: list[tuple[int, str]]) -> None:
-    """Advice and giving up are lines; what PHM did is told by what came of it."""
+def test_only_actions_that_need_the_operator_are_reported(phase: Phase, expected: list[tuple[int, str]]) -> None:
+    """A recommendation and giving up are lines; an action is reported by its result."""
     scene = Scene().running()
     scene.become("container/app", Level.ERROR, "app exited")
     scene.port.sent.clear()
@@ -182,7 +182,7 @@ def act(scene: Scene, phase: Phase, fault: str = "ab12-17") -> None:
 
 
 def test_what_an_operator_may_approve_has_its_number() -> None:
-    """The number of the fault, by which the ground approves; a station that comes later is told it, too, until it is over."""
+    """The number of the fault, by which the ground approves; a station that connects later gets it, too, until it ends."""
     scene = Scene().running()
     scene.become("container/app", Level.ERROR, "app exited")
     scene.port.sent.clear()
@@ -209,8 +209,8 @@ def test_what_an_operator_may_approve_has_its_number() -> None:
         (Phase.REFUSED, [(4, "A01 WARN 2 restart refused: app")]),
     ],
 )
-def test_the_end_of_what_an_operator_asked_for_is_told(phase: Phase, expected: list[tuple[int, str]]) -> None:
-    """No fault is open, so nothing else would tell it."""
+def test_the_result_of_an_operators_request_is_reported(phase: Phase, expected: list[tuple[int, str]]) -> None:
+    """No fault is open, so nothing else would report it."""
     scene = Scene().running()
     act(scene, phase, fault="")
     assert scene.port.lines() == expected
@@ -322,7 +322,7 @@ def test_answers_of_a_swarm_are_spread() -> None:
 
 @pytest.mark.parametrize(("system", "kind"), [(255, mavlink.MAV_TYPE_QUADROTOR), (1, mavlink.MAV_TYPE_GCS)])
 def test_other_senders_are_no_ground_station(system: int, kind: int) -> None:
-    """Another vehicle, or a program aboard that calls itself a ground station, gets no answer."""
+    """Another vehicle, or a program on board that acts as a ground station, gets no answer."""
     scene = Scene().running()
     scene.port.hear(Sender(system, 190).received(heartbeat(kind=kind)))
     scene.pass_time(1.0)
@@ -348,7 +348,7 @@ def test_a_storm_of_changes_stays_within_the_budget_gravest_first() -> None:
     assert 10 * 158 * 0.8 < sum(item.size for item in later) <= 10 * 158 + 63
 
 
-def test_what_flaps_is_told_as_such_and_then_when_it_rests() -> None:
+def test_a_flapping_unit_is_reported_as_such_and_again_when_it_is_stable() -> None:
     """Three failures in a minute, one warning, silence; then how it is."""
     scene = Scene(refresh=600).running()
     for _ in range(10):
@@ -379,7 +379,7 @@ def test_lost_events_are_made_up_for_at_the_refresh() -> None:
     assert (5, "A01 OK 6 cleared: a dead") in scene.port.lines()
 
 
-def test_without_endpoints_there_is_no_reporter() -> None:
+def test_no_reporter_is_built_without_endpoints() -> None:
     """An agent without MAVLink pays nothing for it."""
     context = ReporterContext(settings(), FakeClock(), "boot", tuple, lambda: True, dict, None)
     assert MavlinkReporter.build(context) is None
@@ -402,7 +402,7 @@ def test_behind_a_bad_radio_a_change_is_followed_by_refreshes() -> None:
     assert scene.port.lines() == [(4, line), (6, again), (6, again), (6, again)]
 
 
-def test_a_hold_is_told_once_and_so_is_its_end() -> None:
+def test_a_hold_and_its_end_are_reported_once() -> None:
     """NOTICE: somebody wants it so."""
     scene = Scene().running()
     now = scene.clock.stamp()

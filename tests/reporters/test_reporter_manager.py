@@ -19,7 +19,7 @@ from tests.fakes.records import at, context
 
 
 class Plain(Reporter):
-    """Remembers what it was told."""
+    """Remembers the events that it received."""
 
     name = "plain"
     heard: ClassVar[list[Event]] = []
@@ -59,7 +59,7 @@ class Unclosable(Plain):
 def test_a_reporter_that_fails_costs_the_others_nothing(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Not loaded, not built, not wanted, not closed: whoever is left is built, told, asked and closed."""
+    """Not loaded, not built, not wanted, not closed: the others are built, get events, are asked and closed."""
     kinds = {"a_broken": Unbuildable, "b_unwanted": Unwanted, "c_stuck": Unclosable, "plain": Plain}
     found = [Plugin(name, "test 1.0", kind) for name, kind in kinds.items()]
     monkeypatch.setattr(registry, "find", lambda group, base: [Plugin("x", "test 1.0", None, "no module"), *found])

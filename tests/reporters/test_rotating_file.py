@@ -131,7 +131,7 @@ def test_a_torn_last_line_stays_by_itself(tmp_path: Path) -> None:
     assert (tmp_path / "log").read_bytes() == b"whole\ntor\nnext\nmore\n"
 
 
-def test_a_log_moved_away_is_begun_anew(tmp_path: Path) -> None:
+def test_a_log_moved_away_is_created_again(tmp_path: Path) -> None:
     """After someone else's rotation or deletion, lines go into a file of the right name."""
     lines = make(tmp_path / "log")
     lines.write(b"one")
@@ -204,8 +204,8 @@ def test_memory_is_bounded_and_the_loss_is_said(tmp_path: Path) -> None:
     assert written[1:] == [b"%d" % number for number in range(5, RING_LINES + 5)]
 
 
-def test_a_pipe_that_nobody_reads_does_not_hang(tmp_path: Path) -> None:
-    """A log replaced by a full pipe is a problem to tell, not a place to wait."""
+def test_a_pipe_without_a_reader_does_not_hang(tmp_path: Path) -> None:
+    """A log replaced by a full pipe is reported as a problem and does not block."""
     os.mkfifo(tmp_path / "log")
     lines = make(tmp_path / "log")
     for _ in range(100):
@@ -213,8 +213,8 @@ def test_a_pipe_that_nobody_reads_does_not_hang(tmp_path: Path) -> None:
     assert "Resource temporarily unavailable" in lines.problem()
 
 
-def test_a_disk_that_does_not_come_back_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While a write hangs in the kernel, `problem` says so to whoever asks from another thread."""
+def test_a_disk_that_hangs_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While a write hangs in the kernel, `problem` reports it to another thread."""
     clock = FakeClock()
     lines = make(tmp_path / "log", clock)
     real, told = os.write, []

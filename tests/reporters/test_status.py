@@ -132,7 +132,7 @@ def test_a_status_that_proves_nothing_is_unhealthy(tmp_path: Path, changes: dict
     assert reason in status_file.unhealthy(fresh(tmp_path, **changes))
 
 
-def test_a_status_is_believed_for_five_seconds(tmp_path: Path) -> None:
+def test_a_status_is_valid_for_five_seconds(tmp_path: Path) -> None:
     """Age is measured on the monotonic clock: setting the clock of the day changes nothing."""
     seen = fresh(tmp_path, written_utc="1970-01-01T00:00:00.000Z", written_mono=500.0)
     assert status_file.unhealthy(seen, now_mono=505.0) == ""
@@ -160,7 +160,7 @@ def test_a_process_of_another_pid_namespace_is_not_looked_for(tmp_path: Path) ->
     [("{", "is not JSON"), ("[]", "is not a PHM status"), ("\xff", "is not JSON"), (None, "there is no")],
 )
 def test_no_status_has_a_reason(tmp_path: Path, content: str | None, reason: str) -> None:
-    """Missing, torn and foreign files are told apart, each in one sentence."""
+    """Missing, torn and foreign files have different messages."""
     if content is not None:
         (tmp_path / "status.json").write_bytes(content.encode("latin-1"))
     with pytest.raises(status_file.NoStatus, match=reason):

@@ -76,7 +76,7 @@ def test_all_nodes_well_are_one_line() -> None:
 
 
 def test_folded_topics_show_their_rates() -> None:
-    """As in Fig. 5, a rate that was measured stands behind its topic."""
+    """As in Fig. 5, a rate that was measured follows its topic."""
     rates = (
         unit("rates/agent_1/topic_1", Slot.RATES, values={"hz": 0.99949}),
         unit("rates/agent_1/map", Slot.RATES, values={"publishers": 1}),
@@ -140,7 +140,7 @@ def test_a_transition_is_a_line_at_once() -> None:
     ]
 
 
-def test_units_found_well_while_a_report_is_made_are_told_once() -> None:
+def test_units_that_become_ok_during_a_report_are_logged_once() -> None:
     """STALE to OK between start and end of a report is left to the report's own list; a failure is not."""
     lines = TextLogFormatter()
     lines.format(ReportStarted(at(), 1))
@@ -220,7 +220,7 @@ def test_a_failure_names_cause_and_consequences(summary: str, suspects: tuple[st
     assert lines.format(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {summary}"]
 
 
-def test_what_a_transition_has_told_is_not_repeated() -> None:
+def test_what_a_transition_has_logged_is_not_repeated() -> None:
     """An opened fault and one that follows from another have their line already."""
     assert TextLogFormatter().format(opened(NODE_DEAD)) == []
     assert TextLogFormatter().format(closed(NODE_DEAD, Outcome.REATTRIBUTED, "", 1.0)) == []

@@ -76,7 +76,7 @@ def test_a_dead_agent_is_lost_for_all() -> None:
 
 
 def test_one_that_does_not_hear_does_not_make_lost() -> None:
-    """The deaf one itself learns from the others that the agent lives."""
+    """The agent without a GCS itself learns from the others that the agent lives."""
     swarm = Swarm(range(1, 6))
     swarm.run(20)
     swarm.cut = {(3, 1)}
@@ -98,7 +98,7 @@ def test_more_who_lost_it_than_hear_it_is_lost_and_dissent_is_shown() -> None:
     assert (status.state, status.heard_by) == (MemberState.LOST, (5,))
 
 
-def test_a_split_network_is_told_on_both_sides_and_heals() -> None:
+def test_a_split_network_is_reported_on_both_sides_and_recovers() -> None:
     swarm = Swarm(range(1, 9))
     swarm.run(20)
     swarm.separate((1, 2, 3), (4, 5, 6, 7, 8))
@@ -180,14 +180,14 @@ def test_an_agent_that_is_not_listed_counts_for_nothing() -> None:
 
 
 def test_a_list_of_this_agent_alone_is_a_list() -> None:
-    """It flies without others, and nobody may join it."""
+    """It flies without others, and no other agent may join it."""
     peers = Peers(1, PERIOD_S, [1])
     peers.heartbeat(2, WELL, 0.0, frame=1)
     assert (peers.states(0.0), peers.agents_on_links(0.0), peers.unlisted(0.0)) == ({}, 1, (2,))
 
 
-def test_votes_of_others_make_nobody_lost_that_is_heard() -> None:
-    """However many observers say so; for who does not hear it itself, the majority counts as ever."""
+def test_a_received_agent_is_not_lost_by_votes_of_others() -> None:
+    """However many observers say so; for who does not hear it itself, the majority counts as usual."""
     swarm = Swarm(range(1, 7))
     swarm.run(20)
     swarm.cut = {(3, hearer) for hearer in (1, 2, 4, 6)}
@@ -223,7 +223,7 @@ def test_a_member_that_never_came_is_never_seen() -> None:
 def test_an_id_used_twice_is_noticed_and_a_restart_is_not() -> None:
     """Two senders count their frames each for itself; a restart falls back once; loss and reordering never do."""
     peers = Peers(1, PERIOD_S)
-    for at, frame in enumerate((250, 252, 5, 4, 60, 61, 0, 1, 2)):  # lost, overtaken, restarted at 0
+    for at, frame in enumerate((250, 252, 5, 4, 60, 61, 0, 1, 2)):  # lost, reordered, restarted at 0
         peers.heartbeat(2, WELL, 2.0 * at, frame=frame)
     assert peers.duplicate_ids(18.0) == ()
     for turn in range(4):
@@ -235,7 +235,7 @@ def test_an_id_used_twice_is_noticed_and_a_restart_is_not() -> None:
 
 @pytest.mark.parametrize("behind", [0, 1, 5, 8])
 def test_twins_that_were_switched_on_together_are_noticed(behind: int) -> None:
-    """Their numbers are never far apart, and their words the same but for what stands in one of them alone."""
+    """Their numbers are never far apart, and their words the same except in one of them."""
     peers = Peers(1, PERIOD_S)
     for turn in range(12):
         peers.heartbeat(2, WELL, 2.0 * turn, frame=turn + behind)
@@ -254,7 +254,7 @@ def test_twins_that_say_the_same_are_noticed_by_what_they_say_between() -> None:
     assert peers.duplicate_ids(60.0) == (2,)
 
 
-def test_a_copy_that_comes_late_is_no_clash() -> None:
+def test_a_late_copy_is_not_a_duplicate_id() -> None:
     """The same heartbeats once more, three of them later, by the same link."""
     peers = Peers(1, PERIOD_S)
     for turn in range(100):
@@ -264,7 +264,7 @@ def test_a_copy_that_comes_late_is_no_clash() -> None:
         assert peers.duplicate_ids(2.0 * turn) == ()
 
 
-def test_the_same_frame_by_two_ways_is_no_clash() -> None:
+def test_the_same_frame_by_two_links_is_not_a_duplicate_id() -> None:
     """Routers hand a frame on by several links, each with a delay of its own."""
     peers = Peers(1, PERIOD_S)
     for frame in range(200):
@@ -287,7 +287,7 @@ def test_an_agent_without_its_ground_radio_is_named() -> None:
     assert without_gcs(swarm.agreed(3), own_gcs=False) == (3,)
 
 
-def test_a_ground_that_is_gone_for_all_is_nobodys_radio() -> None:
+def test_a_ground_that_all_have_lost_is_not_a_radio_failure() -> None:
     swarm = Swarm(range(1, 5), gcs=())
     swarm.run(20)
     assert without_gcs(swarm.agreed(1), own_gcs=False) == ()
@@ -302,7 +302,7 @@ def consensus(fit: dict[int, bool], own: int = 5) -> Consensus:
     )
 
 
-def test_the_lowest_that_hears_the_ground_speaks() -> None:
+def test_the_lowest_agent_that_receives_the_ground_leads() -> None:
     assert LeaderElection().leader(consensus({1: False, 2: True, 3: True}), True, 0.0) == 2
     assert LeaderElection().leader(consensus({1: False}), False, 0.0) is None
 
@@ -325,7 +325,7 @@ def test_a_speaker_that_dies_is_replaced_at_once() -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.sets(st.integers(1, 20), min_size=1, max_size=12), st.data())
 def test_all_elect_the_same_once_views_have_settled(agents: set[int], data: st.DataObject) -> None:
-    """Whoever is down and whoever hears the ground: in a whole network all living agents name one leader."""
+    """Whichever agents are down or receive the ground: in a connected network all agents that are alive name one leader."""
     down = data.draw(st.sets(st.sampled_from(sorted(agents))))
     gcs = data.draw(st.sets(st.sampled_from(sorted(agents))))
     swarm = Swarm(sorted(agents), gcs)
@@ -367,7 +367,7 @@ def bad(slot: Slot, level: Level = Level.ERROR) -> int:
         (dict.fromkeys(range(1, 101), bad(Slot.CONTAINER)), (), "SWARM 0/100 FAIL A01:DOCKER A02:DOCKER +98"),
     ],
 )
-def test_the_line_says_who_is_not_well(words: dict[int, int], lost: tuple[int, ...], line: str) -> None:
+def test_the_line_names_agents_that_are_not_ok(words: dict[int, int], lost: tuple[int, ...], line: str) -> None:
     assert digest.digest_line(told(words, lost)) == line
 
 
@@ -380,7 +380,7 @@ def test_the_line_is_always_short(words: dict[int, int], data: st.DataObject) ->
     assert line.isascii()
 
 
-def test_the_deaf_are_named_once_nothing_graver_is_known() -> None:
+def test_an_agent_without_a_gcs_is_named_unless_it_has_a_worse_failure() -> None:
     statuses = {
         2: MemberStatus(MemberState.ALIVE, gcs=False, word=WELL),
         3: MemberStatus(MemberState.ALIVE, gcs=False, word=bad(Slot.NODES)),
@@ -391,7 +391,7 @@ def test_the_deaf_are_named_once_nothing_graver_is_known() -> None:
     )
 
 
-def test_what_makes_an_agent_deaf_hides_nothing_else() -> None:
+def test_a_lost_gcs_does_not_hide_other_failures() -> None:
     """It misses the ground by itself (slot 1 or 11, and 10 not known); what the ground wants to know is how it is otherwise."""
     way = {Slot.COMPANION: Level.ERROR, Slot.RADIO: Level.ERROR, Slot.AUTOPILOT: Level.STALE}
     well, broken = (

@@ -1,4 +1,4 @@
-"""Five whole daemons on sockets of this machine: heartbeats, views and digests by UDP, with a split, a deaf agent, a restart and
+"""Five whole daemons on sockets of this machine: heartbeats, views and digests by UDP, with a split, an agent without a GCS, a restart and
 an id that is used twice."""
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def fleet(swarm: Fleet) -> Fleet:
 
 
 def test_a_restarted_agent_leaves_and_comes_back(fleet: Fleet) -> None:
-    """It says that it goes: nobody calls it lost. Back again it is alive, and no clash of ids."""
+    """It announces its end, so it is not lost. Back again it is alive, and not a duplicate id."""
     fleet.stop("a2")
     fleet.until(lambda: fleet.states("a5")[2] == "left", "agent 2 to leave")
     assert fleet.sees("a5").members == 4
@@ -105,7 +105,7 @@ def test_a_restarted_agent_leaves_and_comes_back(fleet: Fleet) -> None:
 
 
 def test_all_hear_each_other_and_one_speaks(fleet: Fleet) -> None:
-    """Views are exchanged, so everybody knows who hears whom; the digest of the leader says how all are."""
+    """Views are exchanged, so each agent knows which agents receive each other; the digest of the leader has the status of all."""
     fleet.until(
         lambda: all(set(peer.heard_by) == set(IDS) for name in ALL for peer in fleet.sees(name).peers.values()), "views"
     )
@@ -122,10 +122,10 @@ def test_all_hear_each_other_and_one_speaks(fleet: Fleet) -> None:
     fleet.until(digested, "the digest")
 
 
-def test_an_agent_that_the_ground_does_not_reach_is_told_by_its_peers(fleet: Fleet) -> None:
+def test_an_agent_that_the_ground_does_not_reach_is_reported_by_its_peers(fleet: Fleet) -> None:
     """Its own words do not arrive; the leader says who hears it and how it is."""
     fleet.mesh.deaf = frozenset({"a3"})
-    fleet.until(lambda: fleet.sees("a1").no_gcs == (3,), "the deaf agent")
+    fleet.until(lambda: fleet.sees("a1").no_gcs == (3,), "the agent without a GCS")
     fleet.until(lambda: fleet.read("A03 no GCS radio, heard by A01 A02 A04 A05: OK", by=1), "the relayed line")
 
 

@@ -11,7 +11,7 @@ from sitl.simulation.fleet import Fleet
 from tests.fakes.mavlink import Sender, heartbeat
 
 
-def test_one_agent_speaks_and_its_line_is_not_repeated_aloud() -> None:
+def test_one_agent_leads_and_its_line_is_not_spoken_again() -> None:
     fleet = Fleet(8)
     fleet.run(60)
     assert {agent.probe.look().leader for agent in fleet.agents.values()} == {1}
@@ -20,7 +20,7 @@ def test_one_agent_speaks_and_its_line_is_not_repeated_aloud() -> None:
     assert {text for text in fleet.lines() if text.startswith("SWARM")} == {"SWARM 8/8 OK"}
 
 
-def test_a_lost_speaker_is_replaced_and_told() -> None:
+def test_a_lost_leader_is_replaced_and_reported() -> None:
     fleet = Fleet(8)
     fleet.run(60)
     fleet.lines()
@@ -30,7 +30,7 @@ def test_a_lost_speaker_is_replaced_and_told() -> None:
     assert "SWARM 7/8 FAIL A01:lost" in fleet.lines()
 
 
-def test_an_agent_without_its_ground_radio_is_told_through_its_peers() -> None:
+def test_an_agent_without_its_ground_radio_is_reported_by_its_peers() -> None:
     """Its own lines do not reach the ground; its status word reaches its peers."""
     fleet = Fleet(4)
     fleet.deaf = {3}
@@ -44,7 +44,7 @@ def test_an_agent_without_its_ground_radio_is_told_through_its_peers() -> None:
 
 
 def test_a_new_speaker_repeats_nothing_aloud() -> None:
-    """Nothing has changed for A03; the ground was told of it by the leader before."""
+    """Nothing has changed for A03; the earlier leader had reported it to the ground."""
     fleet = Fleet(4)
     fleet.deaf = {3}
     fleet.run(60)
@@ -55,7 +55,7 @@ def test_a_new_speaker_repeats_nothing_aloud() -> None:
     assert fleet.lines(4) == []
 
 
-def test_what_a_speaker_was_lost_with_is_told_by_the_next() -> None:
+def test_unreported_changes_of_a_lost_leader_are_reported_by_the_next() -> None:
     """A03 fails in the moment in which the leader dies."""
     fleet = Fleet(4)
     fleet.deaf = {3}
@@ -67,7 +67,7 @@ def test_what_a_speaker_was_lost_with_is_told_by_the_next() -> None:
     assert [line.partition(",")[0] for line in fleet.lines(4)] == ["A03 no GCS radio"]
 
 
-def test_a_ground_station_that_appears_is_told_of_the_deaf_once_more() -> None:
+def test_a_new_ground_station_gets_the_relayed_agents_again() -> None:
     """As each agent sends it its full state, the leader does for those that cannot."""
     fleet = Fleet(4)
     fleet.deaf = {3}
@@ -81,7 +81,7 @@ def test_a_ground_station_that_appears_is_told_of_the_deaf_once_more() -> None:
     assert fleet.lines(4) == ["A03 no GCS radio, heard by A01 A02 A04: OK"]
 
 
-def test_an_agent_at_the_edge_of_its_radio_is_not_told_each_time() -> None:
+def test_an_agent_at_the_edge_of_its_radio_is_not_reported_each_time() -> None:
     """It loses and finds the ground every quarter of a minute, and fails and recovers meanwhile."""
     fleet = Fleet(4)
     fleet.run(60)
@@ -98,7 +98,7 @@ def test_an_agent_at_the_edge_of_its_radio_is_not_told_each_time() -> None:
     assert len(fleet.lines(5)) <= 1
 
 
-def test_views_say_whom_an_agent_hears() -> None:
+def test_views_list_the_agents_that_an_agent_receives() -> None:
     """The ground, the autopilot and the radio; a change goes out at once."""
     fleet = Fleet(2)
     fleet.run(30)
@@ -170,7 +170,7 @@ def test_a_swarm_that_falls_in_two_knows_it_before_single_agents_are_missed() ->
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.1])
-def test_a_lossy_network_loses_nobody(loss: float) -> None:
+def test_no_agent_is_lost_in_a_lossy_network(loss: float) -> None:
     """Ten minutes with a tenth of all frames gone: no agent is ever agreed to be lost."""
     fleet = Fleet(8, loss=loss)
     lost = set()

@@ -30,7 +30,7 @@ Start = Callable[..., "Aboard"]
 
 
 class Aboard:
-    """Agent 1 of a swarm of three on a socket of loopback, and whoever sends to it."""
+    """Agent 1 of a swarm of three on a socket of loopback, and its senders."""
 
     def __init__(self, agents: list[int], key: Path | None) -> None:
         self.port, self.clock = free_port(socket.SOCK_DGRAM), SystemClock()
@@ -118,7 +118,7 @@ def test_made_up_agents_count_for_nothing_where_the_agents_are_listed(start: Sta
     assert (fact.members, fact.leader, len(fact.unlisted)) == (3, None, 247)
 
 
-def test_made_up_agents_slow_nobody_down_at_once(start: Start) -> None:
+def test_invented_agents_do_not_slow_heartbeats_immediately(start: Start) -> None:
     """Where no agents are listed, a flood of them does not hide a loss by a period that jumps."""
     agent = start([])
     for _turn in range(4):
@@ -130,7 +130,7 @@ def test_made_up_agents_slow_nobody_down_at_once(start: Start) -> None:
     assert default_periods(agent.hub.agents)[0] <= SIZES[1][1]
 
 
-def test_with_signing_an_unsigned_frame_is_no_agents(start: Start) -> None:
+def test_with_signing_an_unsigned_frame_is_ignored(start: Start) -> None:
     """A forged farewell of a live agent, and heartbeats of agents that are not there, change nothing."""
     agent = start([*OURS], signs=True)
     farewell = mavlink.MAVLink_heartbeat_message(18, 8, 0, WELL, mavlink.MAV_STATE_POWEROFF, 3)

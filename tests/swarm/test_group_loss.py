@@ -98,8 +98,8 @@ def test_a_cut_is_known_on_a_lossy_network_too() -> None:
 
 
 @pytest.mark.parametrize("peers", [4, 7])
-def test_a_fade_of_one_period_is_no_cut(peers: int) -> None:
-    """This agent's own radio hears nobody for 2 s, a hundred times, with nothing learned from the fades before."""
+def test_a_fade_of_one_period_is_not_a_loss(peers: int) -> None:
+    """This agent's own radio receives nothing for 2 s, a hundred times, with nothing learned from the fades before."""
     air = Air(peers, 3)
     air.run(LEARNED_S)
     for _ in range(100):
@@ -111,7 +111,7 @@ def test_a_fade_of_one_period_is_no_cut(peers: int) -> None:
 
 
 def test_longer_fades_than_were_seen_are_needed_after_one() -> None:
-    """One of 3 s is told, the next of that length are not; ten minutes later it is forgotten."""
+    """One of 3 s is reported, the next of that length are not; ten minutes later it is forgotten."""
     told = []
     air = Air(7, 4, even=True)
     for pause_s in (LEARNED_S, 30.0, 30.0, 630.0):
@@ -134,7 +134,7 @@ def test_agents_on_one_beat_are_not_lost_by_one_missed_heartbeat() -> None:
 
 
 def test_a_pause_of_our_own_is_not_theirs() -> None:
-    """PHM stands still for 5 s, and the heartbeats of that time are gone."""
+    """PHM is suspended for 5 s, and the heartbeats of that time are gone."""
     air = Air(7, 6)
     air.run(LEARNED_S)
     stall = air.now + 5.0
@@ -145,8 +145,8 @@ def test_a_pause_of_our_own_is_not_theirs() -> None:
     assert air.now > stall + 9.0
 
 
-def test_a_closed_link_lets_nobody_vanish() -> None:
-    """Its own check tells it; after five periods they are lost all the same."""
+def test_no_agent_is_lost_early_when_a_link_is_closed() -> None:
+    """Its own check reports it; after five periods they are lost all the same."""
     air = Air(7, 7)
     air.run(LEARNED_S)
     for _ in range(20):
@@ -155,7 +155,7 @@ def test_a_closed_link_lets_nobody_vanish() -> None:
     assert air.lost() == set()
 
 
-def test_a_swarm_that_grows_slows_its_heartbeats_and_nobody_vanishes() -> None:
+def test_no_agent_is_lost_when_a_growing_swarm_slows_its_heartbeats() -> None:
     air = Air(7, 8)
     air.run(LEARNED_S)
     heard = max(peer.heard_s or 0.0 for peer in air.peers.all().values())
@@ -190,7 +190,7 @@ def test_agents_that_fall_silent_one_after_another_have_not_vanished_together() 
 
 
 def test_two_agents_with_one_id_are_never_lost_between_their_heartbeats() -> None:
-    """Their heartbeats come in pairs, which is no stats of one."""
+    """Their heartbeats come in pairs, which are not those of one agent."""
     peers = Peers(1, PERIOD_S, (2, 3, 4))
     for step in range(2000):
         now = step / 5

@@ -109,7 +109,7 @@ EVENTS = st.tuples(st.sampled_from(["admit", "heard", "forget"]), st.integers(0,
 
 @given(st.lists(EVENTS, max_size=200), st.booleans(), st.booleans())
 def test_places_are_bounded(events: list[tuple[str, int, bool, float]], signs: bool, on_trial: bool) -> None:
-    """Whoever comes, signs or falls silent."""
+    """Whichever peers connect, sign or become silent."""
     admission, now = ClientAdmission(signs=signs, on_trial=on_trial), 0.0
     for what, key, signed, pause in events:
         now += pause

@@ -80,7 +80,7 @@ def test_version_1_frames_are_read() -> None:
     assert names(parser().feed(Sender(7, 1).frame(heartbeat(), v1=True))) == ["HEARTBEAT"]
 
 
-def test_messages_nobody_wants_are_skipped_and_counted() -> None:
+def test_unwanted_messages_are_skipped_and_counted() -> None:
     """The autopilot's stream costs no decoding; frames behind it are found."""
     reader = parser(0)
     assert names(reader.feed(TEXT + FRAME)) == ["HEARTBEAT"]

@@ -139,7 +139,7 @@ def test_a_pymavlink_peer_reads_what_is_sent(make_hub: MakeHub, ours: str, their
     hub = make_hub(ours.format(port))
     until(lambda: any(fact.open for fact in hub.links()), "the endpoint opening")
     if they_first:
-        # Somebody who only listens by UDP answers to whom he heard.
+        # A peer that only listens by UDP answers to its last sender.
         hub.send(heartbeat(1))
     peer = peer or connect(theirs.format(port))
     try:
@@ -206,7 +206,7 @@ def silent_server() -> Iterator[int]:
         yield server.getsockname()[1]
 
 
-def test_a_connection_that_hangs_stalls_nobody(make_hub: MakeHub) -> None:
+def test_a_connection_that_hangs_delays_no_other(make_hub: MakeHub) -> None:
     """While one endpoint waits for an answer that never comes, another sends and the hub still closes at once."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     udp.bind(("127.0.0.1", 0))
@@ -224,7 +224,7 @@ def test_a_connection_that_hangs_stalls_nobody(make_hub: MakeHub) -> None:
     udp.close()
 
 
-def test_a_name_server_that_hangs_stalls_nobody(make_hub: MakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_server_that_hangs_delays_no_endpoint(make_hub: MakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
     """A look-up without an answer costs its own endpoint, and when the answer comes it is used."""
     real, release = socket.getaddrinfo, threading.Event()
 
@@ -275,7 +275,7 @@ def test_a_name_may_appear_later(make_hub: MakeHub, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_client_that_does_not_read_loses_its_own_frames_only(make_hub: MakeHub) -> None:
-    """A ground station that hangs must not keep the others from being told."""
+    """A ground station that hangs must not delay the others."""
     port = free_port()
     hub = make_hub(f"tcpin:127.0.0.1:{port}")
     until(hub.links)
@@ -450,7 +450,7 @@ def test_other_agents_are_sent_no_text() -> None:
 
 
 def _left(end: socket.socket) -> bytes:
-    """What nobody has read yet; closes the socket."""
+    """Data that was not read yet; closes the socket."""
     with contextlib.closing(end), contextlib.suppress(BlockingIOError):
         end.setblocking(False)
         return end.recv(4096)

@@ -118,7 +118,7 @@ def test_what_could_not_be_sent_is_first_again() -> None:
     assert [item.size for item in taken(budget, 0.0)] == [45]
 
 
-def test_what_is_no_news_any_more_is_dropped() -> None:
+def test_outdated_messages_are_dropped() -> None:
     budget = LinkBudget(None, 0.0)
     budget.put(QueuedMessage("old", MessagePriority.TRANSITION, 40, None, put_at=1.0))
     budget.put(QueuedMessage("new", MessagePriority.TRANSITION, 40, None, put_at=9.0))

@@ -1,4 +1,4 @@
-"""A link that is open and silent is closed and opened anew: by the hub, and by recovery, which proves that it helped."""
+"""A link that is open and silent is closed and reopened: by the hub, and by recovery, which verifies that it helped."""
 
 from __future__ import annotations
 
@@ -104,8 +104,8 @@ def hub(url: str) -> Iterator[MavlinkHub]:
 # ---------------------------------------------------------------- the hub
 
 
-def test_a_connection_is_made_anew(stale: Stale) -> None:
-    """Closed and connected again, without being told as closed; what is queued goes out by the new one."""
+def test_a_connection_is_reopened(stale: Stale) -> None:
+    """Closed and connected again, without being reported as closed; queued messages are sent by the new one."""
     with hub(f"tcp:127.0.0.1:{stale.port}") as made:
         seen: list[bool] = []
         made.watch(lambda: seen.extend(link.open for link in made.links()))
@@ -115,7 +115,7 @@ def test_a_connection_is_made_anew(stale: Stale) -> None:
         assert all(seen)
 
 
-def test_only_the_endpoint_that_is_meant_is_opened_anew(stale: Stale) -> None:
+def test_only_the_named_endpoint_is_reopened(stale: Stale) -> None:
     """A name that is unknown opens nothing."""
     with hub(f"tcp:127.0.0.1:{stale.port}") as made:
         until(lambda: stale.accepted == 1)
@@ -123,14 +123,14 @@ def test_only_the_endpoint_that_is_meant_is_opened_anew(stale: Stale) -> None:
         assert stale.accepted == 1
 
 
-def test_what_cannot_be_opened_is_told() -> None:
-    """Nobody listens: not open again in time."""
+def test_an_endpoint_that_cannot_be_reopened_is_reported() -> None:
+    """Without a listener it is not open again in time."""
     with hub(f"tcp:127.0.0.1:{free_port()}") as made:
         until(made.links)
         assert not made.reopen("fc", 0.3)
 
 
-def test_a_serial_port_is_opened_anew_without_a_reset() -> None:
+def test_a_serial_port_is_reopened_without_a_reset() -> None:
     """DTR stays up when it is closed, so that nothing behind it takes the edge for a reset."""
     far, near = pty.openpty()
     tty.setraw(far)
@@ -190,7 +190,7 @@ class Aboard:
 
 @pytest.mark.parametrize("mode", ["act", "off"])
 def test_an_open_and_silent_link_is_healed(tmp_path: Path, stale: Stale, mode: str) -> None:
-    """One alarm; opened anew, though the autopilot counts as armed and whatever the mode: it is PHM's own; proven by the check."""
+    """One alarm; reopened, though the autopilot counts as armed and whatever the mode: it is PHM's own; proven by the check."""
     aboard = Aboard(tmp_path, stale.port, mode=mode)
     try:
         until(aboard.heard)
@@ -228,7 +228,7 @@ def test_only_what_a_reopening_has_helped_is_credited_to_it(
 
 
 def test_what_does_not_help_is_given_up(tmp_path: Path, stale: Stale) -> None:
-    """As often as recovery.same_failure says, then told once, with what to do by hand."""
+    """As often as recovery.same_failure says, then reported once, with what to do by hand."""
     aboard = Aboard(tmp_path, stale.port, same_failure=1)
     try:
         until(aboard.heard)

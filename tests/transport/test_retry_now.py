@@ -1,4 +1,4 @@
-"""The container at the other end of a link: its death is told at its cause, and its start opens the link at once."""
+"""The container at the other end of a link: its end is reported at its cause, and its start opens the link immediately."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.fakes.until import until
 
 @pytest.mark.parametrize("container", ["router", "other"])
 def test_a_link_is_tried_at_once_when_its_container_was_started(container: str) -> None:
-    """Not when another one was. Time stands still here, so the back-off alone would never be over."""
+    """Not when another one was. The clock does not move here, so the back-off alone would never be over."""
     port, clock = free_port(), FakeClock()
     made = settings(
         containers=[{"name": "router"}, {"name": "other"}],
@@ -39,7 +39,7 @@ def test_a_link_is_tried_at_once_when_its_container_was_started(container: str) 
 
 
 def test_a_link_needs_the_container_at_its_other_end() -> None:
-    """What follows from its death is not told a second time."""
+    """What follows from its death is not reported a second time."""
     made = settings(
         containers=[{"name": "mavlink-router", "alias": "router"}],
         mavlink={

@@ -39,7 +39,7 @@ def test_what_could_not_be_sent_is_first_again() -> None:
 
 
 def test_waiting_heartbeats_are_replaced_and_old_lines_expire() -> None:
-    """After an outage the ground gets one heartbeat, first, and no line that is no news any more."""
+    """After an outage the ground gets one heartbeat, first, and no outdated line."""
     clock = FakeClock()
     outbox = SendQueue(clock)
     put(outbox, text("old"))

@@ -112,7 +112,7 @@ def address_of(agent: Aboard, ground: socket.socket) -> Any:
     return ground.recvfrom(300)[1]
 
 
-def test_udpout_hears_its_peer_and_nobody_else(board: Board, udp: Callable[..., socket.socket]) -> None:
+def test_udpout_receives_from_its_peer_only(board: Board, udp: Callable[..., socket.socket]) -> None:
     """A command from another port or host of the network is not even read; the peer's own is obeyed."""
     ground = udp()
     agent = board(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
@@ -145,7 +145,7 @@ def test_udpbcast_hears_answers_from_its_port_alone(board: Board, udp: Callable[
 def test_a_ground_station_that_starts_later_gets_the_next_frame(
     board: Board, udp: Callable[..., socket.socket]
 ) -> None:
-    """That nobody listened at first is reported to a connected socket, and must cost neither the link nor a line."""
+    """A missing listener is at first reported to a connected socket, and must cost neither the link nor a line."""
     port = free_port(socket.SOCK_DGRAM)
     agent = board(f"udpout:127.0.0.1:{port}")
     (counters,) = agent.hub.counters().values()
@@ -304,7 +304,7 @@ def _flood(port: int, host: str, stop: threading.Event) -> None:
         sock.close()
 
 
-def test_where_there_is_no_radio_none_slows_the_link_down(udp: Callable[..., socket.socket]) -> None:
+def test_a_link_without_a_radio_is_not_slowed_down(udp: Callable[..., socket.socket]) -> None:
     """RADIO_STATUS can be made up by anybody; with `radio: off` it is not read."""
     full = mavlink.MAVLink_radio_status_message(100, 100, 5, 30, 30, 0, 0)
     slowed = {}

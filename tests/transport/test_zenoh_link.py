@@ -94,7 +94,7 @@ def test_a_change_is_seen_on_the_ground(bench: Bench) -> None:
 
 
 def test_who_comes_late_gets_the_state_at_once(bench: Bench) -> None:
-    """A query is answered with the newest status, long before the next refresh; a stalled agent answers nobody."""
+    """A query is answered with the newest status, long before the next refresh; a stalled agent does not answer."""
     bench.router()
     agent = bench.agent(refresh="1h")
     until(lambda: agent.reporter.report()["published"], "the first publication")
@@ -165,7 +165,7 @@ def test_two_agents_of_one_name_are_noticed(bench: Bench) -> None:
 
 
 def test_a_killed_process_is_missed(bench: Bench) -> None:
-    """Its connection ends with it, and the token at once; nobody said POWEROFF."""
+    """Its connection ends with it, and the token immediately; POWEROFF was not sent."""
     bench.router()
     ground, crowd = bench.ground(), bench.crowd(3)
     ground.wait(lambda g: len(g.tokens) == 3 and len(g.statuses) == 3)
@@ -227,13 +227,13 @@ def run_daemon(bench: Bench, folder: Path) -> subprocess.Popen[bytes]:
     return process
 
 
-def test_the_daemon_tells_a_fleet(bench: Bench, tmp_path: Path) -> None:
+def test_the_daemon_reports_to_a_fleet(bench: Bench, tmp_path: Path) -> None:
     """It starts and reports without a router, warns, recovers when there is one, and is missed when it is killed."""
     daemon = run_daemon(bench, tmp_path)
     until(
         lambda: (
             (tmp_path / "run" / NAME).exists()
-            and "not reached" in str(read(str(tmp_path / "run"))["health"]["problems"])
+            and "does not reach" in str(read(str(tmp_path / "run"))["health"]["problems"])
         ),
         "the unreachable router to be reported",
     )
@@ -254,7 +254,7 @@ def test_the_daemon_tells_a_fleet(bench: Bench, tmp_path: Path) -> None:
 
 
 def certificates(folder: Path) -> None:
-    """An authority, a router's certificate for 127.0.0.1 and an agent's; another authority that nobody trusts."""
+    """An authority, a router's certificate for 127.0.0.1 and an agent's; another authority that is not trusted."""
     for name in ("ca", "other"):
         openssl(
             "req", "-x509", *NEW, "-keyout", f"{name}.key", "-out", f"{name}.pem", "-subj", f"/CN={name}", folder=folder

@@ -10,7 +10,7 @@ from phm.testing import FakeClock
 from phm.transport.zenoh_link import MAX_QUERIES, FleetKeys, ZenohLink
 
 
-def test_whoever_asks_all_the_time_does_not_hold_up_the_status() -> None:
+def test_constant_queries_do_not_delay_the_status() -> None:
     """Each answer brings the next question: a turn answers so many, and the next turn publishes first."""
     link = ZenohLink(FleetSettings(), FleetKeys("status", "alive", "namesakes"), FakeClock())
     session: Any = SimpleNamespace(info=SimpleNamespace(links=lambda: [SimpleNamespace(zid="z", src="a", dst="b")]))

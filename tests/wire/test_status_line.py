@@ -100,7 +100,7 @@ def test_the_refresh_begins_with_the_worst() -> None:
 
 
 def test_what_is_not_known_is_never_ok() -> None:
-    """A unit that nobody could judge shows as a dash, and the line does not say OK; no unit at all neither."""
+    """An unknown unit is a dash, and the line does not say OK; nor does it without any unit."""
     others = [state for state in WELL if state.slot is not Slot.RATES]
     assert status_line.refresh(1, [*others, unit(Slot.RATES, Level.STALE)]) == "A01 STALE 1111111- 8"
     assert status_line.refresh(1, []) == "A01 STALE --------"

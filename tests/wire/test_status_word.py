@@ -1,4 +1,4 @@
-"""The status word: every level of every slot survives the journey, and nothing else is believed."""
+"""The status word: every level of every slot survives encoding, and nothing else is accepted."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def test_a_radio_without_power_is_told_once(flight: Flight) -> None:
     """The ground station is silent behind it, and raises no alarm of its own; a report that cannot be sent is in the log."""
     flight.radio.near.off = True
     until(flight.alarms, "the alarm")
-    until(lambda: "GCS not known (behind radio)" in flight.path())
+    until(lambda: "GCS unknown (behind radio)" in flight.path())
     flight.radio.near.off = False
     until(flight.settled, "all being well")
     assert [told.partition(":")[0] for told in flight.alarms()] == ["radio/ground radio"]
@@ -157,7 +157,7 @@ def test_a_port_that_is_pulled_out_is_named(flight: Flight) -> None:
     """What is behind it is blocked; when it is back, it is opened again, and all is well."""
     flight.unplug()
     until(flight.alarms, "the alarm")
-    until(lambda: "GCS not known (behind port ground) -> radio not known (behind port ground)" in flight.path())
+    until(lambda: "GCS unknown (behind port ground) -> radio unknown (behind port ground)" in flight.path())
     flight.plug_in()
     until(flight.settled, "all being well")
     assert flight.alarms() == ["link/ground port ground: ttyRADIO missing"]
