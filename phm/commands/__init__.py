@@ -1,1 +1,1 @@
-"""What comes in from the ground: commands, judged, carried out and acknowledged."""
+"""Operator requests by MAVLink and by the control socket: authorized, executed and answered."""

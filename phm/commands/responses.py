@@ -1,4 +1,4 @@
-"""The messages that answer a command. Built from what the tracker publishes: nothing is measured for it."""
+"""The MAVLink messages that answer a command, from published results: nothing is measured for them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from phm.wire.command import HEARTBEAT, STATUSTEXT, Command, CommandResult, faul
 from phm.wire.status_line import Severity
 
 _U8, _I8, _I16, _U32 = 0xFF, 0x7F, 0x7FFF, 0xFFFFFFFF
-"""What the standard writes for `not known` into a field of that type."""
+"""The standard's value for `unknown` in a field of that type."""
 _MIB = 2**20
 MOST_OTHERS = 20
 
 
 def ack(command: Command, result: CommandResult) -> Any:
-    """To the asker alone."""
+    """COMMAND_ACK to the sender."""
     return mavlink.MAVLink_command_ack_message(command.command, int(result), 0, 0, command.system, command.component)
 
 
@@ -39,7 +39,7 @@ def status(message: int, agent: int, states: Sequence[UnitState], *, complete: b
 
 
 def computer(states: Sequence[UnitState], *, mono: float, utc: float) -> Any:
-    """ONBOARD_COMPUTER_STATUS with what the host check found last; what it does not tell is marked as not known."""
+    """ONBOARD_COMPUTER_STATUS with what the host check found last; what it does not report is marked as unknown."""
     found = [state.result.readings for state in states if state.result.readings is not None]
     cpu = next((one.cpu_percent for one in found if one.cpu_percent is not None), None)
     heat = next((one.temperature_c for one in found if one.temperature_c is not None), None)
@@ -77,7 +77,7 @@ def _four(known: Sequence[int], unknown: int) -> list[int]:
 
 
 def details(fault: Fault, command: Command, others: Sequence[str] = ()) -> list[Any]:
-    """TUNNEL messages with the text about a fault, to the asker alone. others: ids of open faults, which may be asked for next."""
+    """TUNNEL messages with the text about a fault, to the sender. others: ids of further open faults."""
     since = time.strftime("%H:%M:%S", time.gmtime(max(0.0, min(fault.opened.utc, 1e11))))
     pieces = [f"{fault.unit}: {fault.result.summary}", f"{fault.outcome.value} since {since} UTC"]
     if fault.consequences:
