@@ -54,7 +54,7 @@ def test_an_advised_fault_stays_the_same_and_can_be_approved(app: Aboard, start_
     app.container.kill()
     opened = phm.wait(lambda event: event["event"] == "fault_opened", "the fault")
     phm.wait(lambda event: event["event"] == "action" and event["phase"] == "advised", "the advice")
-    poll(lambda: bool(kept(phm).get("cases", {}).get(opened["fault"], {}).get("told")), "the state on the disk")
+    poll(lambda: bool(kept(phm).get("cases", {}).get(opened["fault"], {}).get("reported")), "the state on the disk")
     kill(phm)
     mark = start_again(phm)
     phm.wait(judged(opened["unit"]), "a fresh judgement", since=mark)
