@@ -48,7 +48,7 @@ class ConsoleView:
     def rest(self, timeout_s: float, *, as_json: bool) -> None:
         """Print the events that wait, or arrive within the time."""
         for item in self._queue.take(timeout_s):
-            text = item.line.decode("ascii") if as_json else describe_with_time(item.news)
+            text = item.line.decode("ascii") if as_json else describe_with_time(item.event)
             if text:
                 self._echo(text)
 
@@ -61,12 +61,12 @@ class ConsoleView:
 
     def once(self, console: Console, *, as_json: bool) -> bool:
         """Print the status of all agents; whether there is one, and all are OK."""
-        number, news = self._station.snapshot()
+        number, event = self._station.snapshot()
         if as_json:
-            self._echo(self._station.line(number, news).decode("ascii"))
+            self._echo(self._station.line(number, event).decode("ascii"))
         else:
-            console.print(table.render(news.body, notes=self._notes()))
-        hows = {agent["how"] for agent in news.body["agents"]}
+            console.print(table.render(event.body, notes=self._notes()))
+        hows = {agent["how"] for agent in event.body["agents"]}
         return bool(hows) and not hows & NOT_OK
 
     def _warn_once(self) -> None:
@@ -77,7 +77,7 @@ class ConsoleView:
         self._warned = set(notes)
 
     def _table(self, console: Console) -> RenderableType:
-        self._lines.extend(text for item in self._queue.take(0.0) if (text := describe_with_time(item.news)))
+        self._lines.extend(text for item in self._queue.take(0.0) if (text := describe_with_time(item.event)))
         body = self._station.snapshot()[1].body
         return table.render(body, list(self._lines), height=console.height, notes=self._notes())
 

@@ -31,10 +31,10 @@ class GcsEvent:
     body: Mapping[str, Any]
 
 
-def encode(news: GcsEvent, run: str, number: int) -> bytes:
+def encode(event: GcsEvent, run: str, number: int) -> bytes:
     """One line of JSON, without its end. run: id of this run; number: counts its events from 1."""
-    when = {"utc": iso(news.at.utc), "utc_s": round(news.at.utc, 6), "mono": round(news.at.mono, 6)}
-    whole = {"v": VERSION, "run": run, "seq": number, **when, "event": news.event, **news.body}
+    when = {"utc": iso(event.at.utc), "utc_s": round(event.at.utc, 6), "mono": round(event.at.mono, 6)}
+    whole = {"v": VERSION, "run": run, "seq": number, **when, "event": event.event, **event.body}
     return json.dumps(whole, separators=(",", ":"), allow_nan=False, default=str).encode("ascii")
 
 
@@ -42,16 +42,16 @@ def severity_name(severity: int) -> str:
     return SEVERITIES[severity] if 0 <= severity < len(SEVERITIES) else str(severity)
 
 
-def describe(news: GcsEvent) -> str:
+def describe(event: GcsEvent) -> str:
     """Text for people, without the time; empty for a repetition."""
-    describe_body = _WORDS.get(news.event)
-    return describe_body(news.body) if describe_body is not None else ""
+    describe_body = _WORDS.get(event.event)
+    return describe_body(event.body) if describe_body is not None else ""
 
 
-def describe_with_time(news: GcsEvent) -> str:
+def describe_with_time(event: GcsEvent) -> str:
     """`describe` with the UTC time before it; empty if that is."""
-    said = describe(news)
-    return f"{clock_text(news.at.utc)} {said}" if said else ""
+    said = describe(event)
+    return f"{clock_text(event.at.utc)} {said}" if said else ""
 
 
 def _text(body: Mapping[str, Any]) -> str:

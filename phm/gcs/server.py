@@ -39,7 +39,7 @@ _LOOPBACK = ("127.0.0.1", "::1")
 _NAMES = (b"localhost", b"127.0.0.1", b"::1", b"[::1]")
 CLOSE_LIMIT_S = 2.0
 _HEAD = "HTTP/1.1 {status}\r\nContent-Type: {type}\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n"
-_NEWS, _TEXT = "application/x-ndjson", "text/plain"
+_EVENTS, _TEXT = "application/x-ndjson", "text/plain"
 
 
 @dataclass(slots=True)
@@ -203,7 +203,7 @@ class GcsServer:
         elif method != b"GET":
             self._answer(client, "405 Method Not Allowed", "only GET is served\n")
         elif path in (b"/", b"/news"):
-            client.pending += _HEAD.format(status="200 OK", type=_NEWS).encode("ascii")
+            client.pending += _HEAD.format(status="200 OK", type=_EVENTS).encode("ascii")
             self._begin(client)
         elif path == b"/snapshot":
             client.pending += _HEAD.format(status="200 OK", type="application/json").encode("ascii")
@@ -220,9 +220,9 @@ class GcsServer:
         return all(host.rpartition(b":")[0].strip(b"[]") in _NAMES or host in _NAMES for host in hosts)
 
     def _begin(self, client: _Client) -> None:
-        number, news = self._station.snapshot()
+        number, event = self._station.snapshot()
         client.seen, client.moved = number, self._clock.mono()
-        client.pending += self._station.line(number, news) + b"\n"
+        client.pending += self._station.line(number, event) + b"\n"
         self._flush(client)
 
     def _answer(self, client: _Client, status: str, text: str) -> None:

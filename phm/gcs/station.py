@@ -133,9 +133,9 @@ class GroundStation:
             }
             return self._number, GcsEvent(at, "snapshot", body)
 
-    def line(self, number: int, news: GcsEvent) -> bytes:
+    def line(self, number: int, event: GcsEvent) -> bytes:
         """As one line of JSON, without its end."""
-        return encode(news, self.run, number)
+        return encode(event, self.run, number)
 
     # ------------------------------------------------------------ from the endpoints' threads
 
@@ -189,19 +189,19 @@ class GroundStation:
         problems = tuple(filter(None, (self._twin, self._hub.problem())))
         with self._lock:
             at = self._clock.stamp()
-            news = self._store.links(links, at)
-            news += [GcsEvent(at, "problem", {"text": text}) for text in problems if text not in self._problems]
+            events = self._store.links(links, at)
+            events += [GcsEvent(at, "problem", {"text": text}) for text in problems if text not in self._problems]
             self._problems = problems
-            self._publish([*news, *(replace(one, at=at) for one in self._store.tick(self._judged_at(at)))])
+            self._publish([*events, *(replace(one, at=at) for one in self._store.tick(self._judged_at(at)))])
 
     def _judged_at(self, at: Stamp) -> Stamp:
         """The moment up to which silence counts: earlier by the time in which the ground did not run recently, because frames that
         arrived meanwhile may not be read yet."""
         return Stamp(at.utc, at.mono - self._clock.late_s(at.mono - WINDOW_S, LATE_MOST_S))
 
-    def _publish(self, news: Iterable[GcsEvent]) -> None:
+    def _publish(self, events: Iterable[GcsEvent]) -> None:
         """With the lock held, so that no event is missing between a snapshot and the events after it."""
-        for one in news:
+        for one in events:
             self._number += 1
             item = QueuedEvent(self._number, one, encode(one, self.run, self._number))
             for queue in self._queues:

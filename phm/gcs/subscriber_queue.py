@@ -16,7 +16,7 @@ class QueuedEvent:
     """number: counts up by one. line: the event as JSON, without the line's end."""
 
     number: int
-    news: GcsEvent
+    event: GcsEvent
     line: bytes
 
 

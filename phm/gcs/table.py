@@ -38,20 +38,22 @@ _OTHERS = 8
 """Lines beside the rows of agents: header, legend, swarm, links, problems."""
 
 
-def render(snapshot: Json, news: Sequence[str] = (), *, height: int | None = None, notes: Sequence[str] = ()) -> Group:
+def render(
+    snapshot: Json, events: Sequence[str] = (), *, height: int | None = None, notes: Sequence[str] = ()
+) -> Group:
     """The table, its header and the lines below it.
 
-    news: the newest lines, oldest first. height: rows of the terminal, None for no limit. notes: messages about the program.
+    events: the newest lines, oldest first. height: rows of the terminal, None for no limit. notes: messages about the program.
     """
     agents = list(snapshot["agents"])
-    shown, left = _choose(agents, None if height is None else max(1, height - _OTHERS - min(len(news), 5)))
+    shown, left = _choose(agents, None if height is None else max(1, height - _OTHERS - min(len(events), 5)))
     parts: list[RenderableType] = [_head(snapshot), _agents(shown)]
     if left:
         parts.append(_plain(f"and {len(left)} more: {_counts(left)}", "dim"))
     parts.append(Text(LEGEND, "dim"))
     parts += _below(snapshot, notes)
-    room = len(news) if height is None else max(0, height - len(shown) - len(parts) - 2)
-    parts += [_plain(line, "dim", crop=True) for line in (news[-room:] if room else ())]
+    room = len(events) if height is None else max(0, height - len(shown) - len(parts) - 2)
+    parts += [_plain(line, "dim", crop=True) for line in (events[-room:] if room else ())]
     return Group(*parts)
 
 

@@ -16,12 +16,12 @@ from phm.wire.tunnel import PeerState, PeerView, SwarmDigest
 from tests.gcs.bench import Ground, beat, pilot, said, told
 
 
-def drawn(ground: Ground, *, width: int = 80, height: int | None = None, news: Sequence[str] = ()) -> list[str]:
+def drawn(ground: Ground, *, width: int = 80, height: int | None = None, events: Sequence[str] = ()) -> list[str]:
     """The lines of the table as a terminal of this width shows them."""
     stream = io.StringIO()
     target = Console(file=stream, width=width, highlight=False, markup=False, emoji=False)
     snapshot = {**ground.whole(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
-    target.print(table.render(snapshot, news, height=height))
+    target.print(table.render(snapshot, events, height=height))
     return [line.rstrip() for line in stream.getvalue().splitlines()]
 
 
@@ -65,7 +65,7 @@ def test_each_agent_has_its_row(ground: Ground) -> None:
 def test_it_is_never_wider_than_the_terminal(ground: Ground, width: int) -> None:
     """One row an agent, whatever names and texts there are."""
     ground.hear(said(2, "A02 FAIL 6 " + "n" * 38))
-    lines = drawn(ground, width=width, news=["x" * 300])
+    lines = drawn(ground, width=width, events=["x" * 300])
     assert max(map(len, lines)) <= width
     if width >= 80:
         assert sum(line.startswith("A") for line in lines) == 6
@@ -76,7 +76,7 @@ def test_a_short_terminal_shows_those_in_trouble() -> None:
     ground = Ground()
     bad = {5: Slot.FILES, 77: Slot.NODES}
     ground.hear(*(beat(number, {bad[number]: Level.ERROR} if number in bad else None) for number in range(1, 101)))
-    lines = drawn(ground, height=24, news=[f"news {number}" for number in range(20)])
+    lines = drawn(ground, height=24, events=[f"news {number}" for number in range(20)])
     assert len(lines) <= 24
     assert row(lines, "A05")
     assert lines.index(row(lines, "A05")) < lines.index(row(lines, "A77"))
