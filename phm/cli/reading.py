@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from phm.checking.registry import ACTIONS, checks, find as find_installed, usable
 from phm.config import ConfigError, Problem, find, load
@@ -36,16 +36,15 @@ def read(path: str | None, environ: Mapping[str, str] | None = None) -> Read:
     """
     file = str(find(path))
     installed = checks()
-    names: dict[str, Any] = {
-        "environ": environ,
-        "known_checks": tuple(installed),
-        "known_actions": tuple(usable(find_installed(ACTIONS, Action))),
-    }
-    settings = load(file, **names)
-    units = _units(file, settings, installed)
-    known_units = {unit.id for units_of_check in units.values() for unit in units_of_check}
-    needs = {name: _checks_needed(name, units_of_check) for name, units_of_check in units.items()}
-    settings = load(file, known_units=known_units, builtin_needs=needs, **names)
+    units: dict[str, tuple[Unit, ...]] = {}
+
+    def units_of(settings: Settings) -> tuple[set[str], dict[str, set[str]]]:
+        units.update(_units(file, settings, installed))
+        known = {unit.id for units_of_check in units.values() for unit in units_of_check}
+        return known, {name: _checks_needed(name, units_of_check) for name, units_of_check in units.items()}
+
+    actions = tuple(usable(find_installed(ACTIONS, Action)))
+    settings = load(file, environ=environ, known_checks=tuple(installed), known_actions=actions, units_of=units_of)
     return Read(file, settings, units)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -37,6 +37,10 @@ def find(path: str | os.PathLike[str] | None = None) -> FilePath:
     return INSTALLED
 
 
+UnitsOf = Callable[[Settings], tuple[Collection[str], Mapping[str, Collection[str]]]]
+"""The ids of all units of valid settings, and by check the names of the checks that it needs by itself. Raises `ConfigError`."""
+
+
 def load(
     path: str | os.PathLike[str] | None = None,
     *,
@@ -44,15 +48,15 @@ def load(
     known_checks: Collection[str] | None = None,
     known_actions: Collection[str] | None = None,
     known_conditions: Collection[str] | None = None,
-    known_units: Collection[str] | None = None,
-    builtin_needs: Mapping[str, Collection[str]] | None = None,
+    units_of: UnitsOf | None = None,
 ) -> Settings:
     """Read and validate one file. Raises `ConfigError` with all problems.
 
-    environ:          for `${VAR}` and PHM_INTERVAL; default: that of the process.
-    known_checks:     names of the installed checks; None: names of checks are not validated. Likewise the actions and
-                      conditions of `recovery.ladders`, and the ids of units in `needs`.
-    builtin_needs:    check name -> names of the checks that it needs by itself, for finding cycles.
+    environ:      for `${VAR}` and PHM_INTERVAL; default: that of the process.
+    known_checks: names of the installed checks; None: names of checks are not validated. Likewise the actions and
+                  conditions of `recovery.ladders`.
+    units_of:     called once everything else is valid; with it, `needs` must name existing units and form no cycle with
+                  built-in needs.
     """
     file = find(path)
     return loads(
@@ -62,8 +66,7 @@ def load(
         known_checks=known_checks,
         known_actions=known_actions,
         known_conditions=known_conditions,
-        known_units=known_units,
-        builtin_needs=builtin_needs,
+        units_of=units_of,
     )
 
 
@@ -75,8 +78,7 @@ def loads(
     known_checks: Collection[str] | None = None,
     known_actions: Collection[str] | None = None,
     known_conditions: Collection[str] | None = None,
-    known_units: Collection[str] | None = None,
-    builtin_needs: Mapping[str, Collection[str]] | None = None,
+    units_of: UnitsOf | None = None,
 ) -> Settings:
     """As `load`, from the text of a file called `file`."""
     tree = parse(text, file, Expander(environ))
@@ -90,12 +92,20 @@ def loads(
     root = ConfigNode(tree, file, problems, value=tree.data)
     semantic_rules.check_all(root)
     if known_checks is not None:
-        semantic_rules.names_of_checks(root, known_checks, known_units)
+        semantic_rules.names_of_checks(root, known_checks, None)
     semantic_rules.names_of_recovery(root, known_actions, known_conditions)
-    semantic_rules.needs_have_no_loop(root, {name: set(needs) for name, needs in (builtin_needs or {}).items()})
+    semantic_rules.needs_have_no_loop(root, {})
     if problems or settings is None:
         raise ConfigError(problems)
-    return settings if interval is None else settings.model_copy(update={"interval": interval})
+    if interval is not None:
+        settings = settings.model_copy(update={"interval": interval})
+    if units_of is not None:
+        units, needs = units_of(settings)
+        semantic_rules.names_of_checks(root, known_checks or (), units)
+        semantic_rules.needs_have_no_loop(root, {name: set(names) for name, names in needs.items()})
+        if problems:
+            raise ConfigError(problems)
+    return settings
 
 
 def _validate(tree: Tree, file: str) -> tuple[Settings | None, list[Problem]]:

@@ -30,7 +30,7 @@ def refused(text: str, **environ: str) -> tuple[Problem, ...]:
     with pytest.raises(ConfigError) as caught:
         loads(
             text, "phm.yaml", environ={**ENVIRON, **environ}, known_checks=CHECKS, known_actions=ACTIONS,
-            known_conditions=("exited", "unhealthy"), known_units=UNITS, builtin_needs=BUILTIN,
+            known_conditions=("exited", "unhealthy"), units_of=lambda settings: (UNITS, BUILTIN),
         )  # fmt: skip
     return caught.value.problems
 

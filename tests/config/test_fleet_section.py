@@ -26,7 +26,7 @@ def refused(text: str) -> dict[str, tuple[int, str]]:
     [
         (ON, 2, "fleet.enabled", "neither 'connect' nor 'listen'"),
         (ON + "  listen: [tcp/0.0.0.0:7447]\n", 3, "fleet.listen", "mode: peer"),
-        (ON + ROUTER + "  tls: {ca: /ca.pem}\n", 4, "fleet.tls.ca", "in clear"),
+        (ON + ROUTER + "  tls: {ca: /ca.pem}\n", 4, "fleet.tls.ca", "no endpoint is encrypted"),
         (ON + "  connect: [tls/router:7447]\n  tls: {key: /key.pem}\n", 4, "fleet.tls.key", "'certificate'"),
         (ON + "  connect: [tls/router:7447]\n  tls: {certificate: /a.pem}\n", 4, "fleet.tls.certificate", "'key'"),
         (ON + "  connect: [tcp/router:77447]\n", 3, "fleet.connect[0]", "1 to 65535"),

@@ -93,7 +93,7 @@ def test_a_topic_may_name_any_node_while_no_nodes_are_listed() -> None:
 def test_needs_may_name_a_check_or_one_unit_of_the_check_itself() -> None:
     """All nodes may need one node; that is no circle."""
     text = "checks:\n  nodes:\n    needs: [host, nodes/a/one]\n"
-    read = loads(text, environ={}, known_checks=NAMES, known_units=("nodes/a/one",), builtin_needs={"nodes": ()})
+    read = loads(text, environ={}, known_checks=NAMES, units_of=lambda settings: (("nodes/a/one",), {"nodes": ()}))
     assert read.checks["nodes"].needs == ["host", "nodes/a/one"]
 
 
@@ -195,7 +195,11 @@ def outcome(text: str) -> Settings | tuple[Problem, ...]:
     """The only two outcomes there are; any other exception fails the test."""
     try:
         return loads(
-            text, environ={"A": "x"}, known_checks=NAMES, known_actions=("start",), builtin_needs={"nodes": ("host",)}
+            text,
+            environ={"A": "x"},
+            known_checks=NAMES,
+            known_actions=("start",),
+            units_of=lambda settings: ((), {"nodes": ("host",)}),
         )
     except ConfigError as error:
         return error.problems
