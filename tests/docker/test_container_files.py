@@ -17,7 +17,8 @@ from phm.probes.inotify import FileWatcher
 from phm.probes.volume_path import OutsideVolumes, resolve
 from phm.testing import FakeClock, FakeDocker, container as fact, settings
 from phm.transport.docker import DockerEngine
-from tests.fakes.engine import FakeEngine, Hang, container
+from tests.fakes.engine import FakeEngine, container
+from tests.fakes.engine_faults import Hang
 
 
 class Place:

@@ -16,7 +16,8 @@ from phm.probes.docker_facts import container_fact
 from phm.probes.ping import Pinger
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
-from tests.fakes.engine import FakeEngine, Hang, Status, container
+from tests.fakes.engine import FakeEngine, container
+from tests.fakes.engine_faults import Hang, Status
 
 
 def probe(ask: DockerEngine, *containers: dict[str, Any], clock: Any = None, **more: Any) -> Docker:

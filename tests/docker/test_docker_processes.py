@@ -13,7 +13,8 @@ from phm.probes.docker import Docker
 from phm.probes.docker_processes import AGAIN_MOST_S, AGAIN_S, FORMS, Processes, processes
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine, EngineBroken
-from tests.fakes.engine import FakeEngine, Hang, Status, container
+from tests.fakes.engine import FakeEngine, container
+from tests.fakes.engine_faults import Hang, Status
 from tests.fakes.until import until
 
 TITLES = ["PID", "PPID", "STAT", "TIME", "ELAPSED", "COMMAND"]

@@ -13,7 +13,8 @@ from phm.probes.docker_events import ENDLESS_STOP_S, KILL_S, STOP_S, ContainerWa
 from phm.probes.docker_reconcile import ExpectedState, after, differences
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
-from tests.fakes.engine import DropStream, FakeEngine, Hang, Status, container
+from tests.fakes.engine import FakeEngine, container
+from tests.fakes.engine_faults import DropStream, Hang, Status
 from tests.fakes.until import until
 
 

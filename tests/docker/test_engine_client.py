@@ -24,19 +24,8 @@ from phm.transport.docker import (
     EngineTimeout,
     EngineUnreachable,
 )
-from tests.fakes.engine import (
-    DropStream,
-    FakeEngine,
-    Fault,
-    Garbage,
-    Hang,
-    NoHttp,
-    Oversize,
-    Status,
-    Trickle,
-    Truncate,
-    container,
-)
+from tests.fakes.engine import FakeEngine, container
+from tests.fakes.engine_faults import DropStream, Fault, Garbage, Hang, NoHttp, Oversize, Status, Trickle, Truncate
 
 
 @pytest.mark.parametrize("fault", [Hang(), Trickle(), Trickle(route="/json")])

@@ -14,7 +14,8 @@ from phm.probes.docker_events import ContainerWatcher, DockerEvent
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
-from tests.fakes.engine import DropStream, FakeEngine, container
+from tests.fakes.engine import FakeEngine, container
+from tests.fakes.engine_faults import DropStream
 from tests.fakes.until import until
 
 

@@ -21,7 +21,8 @@ from phm.recovery.actions.start import Start
 from phm.recovery.base import ActionFailed, NotNeeded
 from phm.testing import FakeClock
 from phm.transport.docker import DockerEngine, EngineBroken, EngineTimeout
-from tests.fakes.engine import FakeEngine, Hang, Status, container
+from tests.fakes.engine import FakeEngine, container
+from tests.fakes.engine_faults import Hang, Status
 from tests.recovery.action_bench import Bench, bench, fault
 
 PATH = "/ws/src/critical_file"

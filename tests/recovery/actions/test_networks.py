@@ -14,7 +14,8 @@ from phm.recovery.actions.restart import Restart
 from phm.recovery.actions.start import Start
 from phm.recovery.base import Action, NotYet
 from phm.transport.docker import DockerEngine
-from tests.fakes.engine import FakeEngine, Status, container
+from tests.fakes.engine import FakeEngine, container
+from tests.fakes.engine_faults import Status
 from tests.recovery.action_bench import Bench, bench, fault
 
 OFF = fault("network/app", "disconnected")
