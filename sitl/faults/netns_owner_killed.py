@@ -27,7 +27,7 @@ class Injection(Fault):
     needs = frozenset({"configuration"})
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
-        graph, topics = "\n# The ROS graph of this agent.\n", "\n  # Topics that must flow, a list."
+        graph, topics = "\n# The ROS graph of this agent.\n", "\n  # Topics that must have data, a list."
         return {
             graph: f"\n  - name: {self._dependant(agent)}\n    alias: dependant\n    recover: true\n{graph}",
             topics: f"\n    - name: /{agent.name}/{NODE}\n      container: dependant{topics}",
