@@ -148,14 +148,14 @@ class Unit:
             When a need is found wrong, this unit is STALE `blocked_by` it instead of a fault of its own.
     target: name of the container that a recovery for this unit acts on, or empty. While any action on a
             target runs, all units with that target are held: they raise no fault.
-    settle_s: how long a bad result must last before it is told, for evidence that arrives before that of
+    settle_s: how long a bad result must last before it is reported, for evidence that arrives before that of
             its cause (a topic falls silent before discovery notices that its node is dead). A result that knows
             better has a `settle_s` of its own.
     grace_s: how long, after PHM's start, after a need recovered, after the target was started again by anybody and
             after an action on it, a bad result counts as `not known yet` (discovery needs seconds to fill the graph).
     memory_s: how long its check may still find it OK after it has gone (a topic counts as silent only after a while).
             Grace ends early for a unit that has been OK, but not before it has been for longer than this.
-    suspect: while this unit is ERROR, each fault that opens names it as a possible cause. It blocks nobody:
+    suspect: while this unit is ERROR, each fault that opens names it as a possible cause. It blocks nothing:
             for what can be behind anything but need not be (a full disk, memory used up).
     """
 
@@ -173,7 +173,7 @@ class Check(ABC):
 
     Class attributes: `name` (as in the entry point), `slot`, `layer`; `period_s` how often it runs between
     the passes (None: at each pass only); `deadline_s` after which it is overdue; `failures` how many runs
-    in a row must be bad before it is told. A user may override the last three in the configuration.
+    in a row must be bad before it is reported. A user may override the last three in the configuration.
     """
 
     name: ClassVar[str]
@@ -237,5 +237,5 @@ def worst(results: Iterable[Result]) -> Result:
 
 
 def topic_id(name: str) -> str:
-    """A ROS name as it stands in a unit id: ``/agent_1/node_1`` -> ``agent_1/node_1``."""
+    """A ROS name as it appears in a unit id: ``/agent_1/node_1`` -> ``agent_1/node_1``."""
     return name.lstrip("/")

@@ -1,14 +1,14 @@
-"""A beacon for rclpy nodes: one line makes a node tell PHM that it lives, that its executor turns, and whom it hears.
+"""A beacon for rclpy nodes: one line makes a node report that it runs, that its executor works, and which nodes it receives.
 
     from phm.beacon import Beacon      # or `from beacon import Beacon`, with this one file copied beside the node
 
     Beacon(node)
 
 It needs rclpy alone, from Humble on. All nodes of a process share one thread and one hidden ROS node. Five times a
-second they beat on `/phm/beacon`, which PHM hears; less often they greet each other on `/phm/hello`, and the beat tells
-what came of it. The messages are `rcl_interfaces/msg/Log`, which comes with rclpy itself; docs/reference/ros.md has their text.
+second they send a heartbeat on `/phm/beacon`, which PHM receives; less often they greet each other on `/phm/hello`, and
+the heartbeat contains which greetings arrived. The messages are `rcl_interfaces/msg/Log`, which comes with rclpy itself; docs/reference/ros.md has their text.
 
-The thread is not the executor's: a process whose executor hangs still beats, and says for how long it has hung,
+The thread is not the executor's: a process whose executor hangs still sends heartbeats, and says for how long it has hung,
 while one that is dead or stopped is silent. Nothing here blocks the application, and nothing is raised into it but
 ValueError for a wrong argument. `PHM_BEACON=off` in the environment turns every beacon off.
 """
@@ -44,10 +44,10 @@ TURN_S = 1.0
 FIRST_TURN_S = 0.05
 """The first one comes soon: an executor that hangs before it is taken for one that was never started."""
 VIEWS_S = 1.0
-"""How often a beat tells of the neighbours."""
+"""How often a heartbeat contains the neighbours."""
 HELLO_S = 0.8
 HELLO_SHARE_S = 0.05
-"""A greeting every HELLO_S, or HELLO_SHARE_S for each process where that is longer: so whoever listens never hears more
+"""A greeting every HELLO_S, or HELLO_SHARE_S for each process where that is longer: so no listener receives more
 than 20 a second. Each costs about 0.3 ms with all that the middleware does for it."""
 SILENT_HELLOS = 3.0
 """A neighbour that is silent for so many of its periods is not alive."""
@@ -66,7 +66,7 @@ QUEUE = 64
 class Beacon:
     """Makes `node` known to PHM until it is destroyed, its context is shut down, or `close` is called. Need not be kept.
 
-    period_s: between two beats, 0.05 to 10; the nodes of a process share the shortest. watch_executor: False for
+    period_s: between two heartbeats, 0.05 to 10; the nodes of a process share the shortest. watch_executor: False for
     a node that is spun at times only, and would look hung in between. A node that is never spun never looks hung.
 
     Raises ValueError for a period that is not allowed. Any other trouble is one warning in the node's log.
@@ -102,7 +102,7 @@ class _Life:
         self._timer: Any = None
         if watch_executor:
             # In the node's default group, so that a callback that never returns there is seen under an executor with
-            # several threads too. The steady clock: simulated time may stand still.
+            # several threads too. The steady clock: simulated time may be paused.
             clock = Clock(clock_type=ClockType.STEADY_TIME)
             self._timer = node.create_timer(FIRST_TURN_S, self._turn, clock=clock)
 
@@ -125,7 +125,7 @@ class _Life:
             return True
 
     def forgive(self, seconds: float) -> None:
-        """The whole process stood still for so long, which is not its executor's fault."""
+        """The entire process was suspended for so long, which is not its executor's fault."""
         self._turned_s += seconds
 
     def late_s(self, now_s: float) -> float:
@@ -171,7 +171,7 @@ class _Neighbours:
             return
 
     def views(self, now_s: float) -> dict[str, dict[str, Any]]:
-        """By full name; whoever has been silent for long is forgotten."""
+        """By full name; nodes that have been silent for long are removed."""
         for name in [name for name, heard in self._heard.items() if now_s - heard[1] > FORGET_S]:
             del self._heard[name]
         return {
@@ -185,7 +185,7 @@ class _Neighbours:
 
 
 class _Voice:
-    """One publisher with its message, which is made once: it is what a beat costs that counts, five times a second."""
+    """One publisher with its message, which is made once: the cost of a heartbeat matters, five times a second."""
 
     def __init__(self, node: Any, topic: str, format_name: str) -> None:
         self._publisher = node.create_publisher(Log, topic, _qos(1))
@@ -212,7 +212,7 @@ class _Hub:
         self._period_s = PERIODS_S[1]
         self._next_hello_s = self._listened_s = 0.0
         self._has_news = False
-        # Nobody spins this node: what comes waits in a short queue until the thread looks, and wakes no executor.
+        # Nothing spins this node: what arrives waits in a short queue until the thread looks, and wakes no executor.
         self._node: Any = Node(
             f"_phm_beacon_{self._witness}",
             context=context,
@@ -337,7 +337,7 @@ def _warn(node: Any, text: str) -> None:
 
 
 def _never_called(_: object) -> None:
-    """rclpy wants a callback; without an executor nobody calls it."""
+    """rclpy wants a callback; without an executor it is never called."""
 
 
 def _farewell() -> None:
@@ -347,5 +347,5 @@ def _farewell() -> None:
 
 
 atexit.register(_farewell)
-# A forked process has no hub's thread; its own beacons begin anew.
+# A forked process has no hub's thread; its own beacons start again.
 os.register_at_fork(after_in_child=_hubs.clear)

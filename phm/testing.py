@@ -1,6 +1,6 @@
 """Fakes for tests of checks, ours or anyone's: a clock that the test moves, and probes that hold facts.
 
-Part of the public interface: whoever writes a check tests it with these::
+Part of the public interface: authors of checks test them with these::
 
     from phm import testing
 
@@ -8,7 +8,7 @@ Part of the public interface: whoever writes a check tests it with these::
         world = testing.world(docker=testing.FakeDocker(testing.container("ros_app", status="exited")))
         assert my_check.run(world).level is api.Level.ERROR
 
-Each fake answers with the facts that it was given, until `fail` tells it to raise `CannotTell`.
+Each fake answers with the facts that it was given, until `fail` makes it raise `CannotTell`.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ __all__ = [
     "world",
 ]
 
-# An event may be set by any thread without telling the clock, so sleepers look at it this often (real seconds).
+# An event may be set by any thread without notice to the clock, so sleepers look at it this often (real seconds).
 _LOOK_S = 0.002
 
 
@@ -79,7 +79,7 @@ class _Sleeper:
 
 
 class FakeClock:
-    """A `phm.core.clock.Clock` that stands still until the test moves it.
+    """A `phm.core.clock.Clock` that changes only when the test moves it.
 
     Invariant: a thread counts as sleeping only while neither its event is set nor its time is over, so
     that after `advance` a `wait_for_sleepers` waits for the woken threads to have done their work.
@@ -129,7 +129,7 @@ class FakeClock:
         return self._lateness.late_s(since, self.mono(), most_s)
 
     def jump_utc(self, seconds: float) -> None:
-        """Set UTC forward or back, as an NTP client does; nobody wakes."""
+        """Set UTC forward or back, as an NTP client does; no sleeper wakes."""
         with self._moved:
             self._utc += seconds
             self.steps.note(Stamp(self._utc, self._mono))
@@ -169,13 +169,13 @@ class FakeClock:
 
 
 class _Fake:
-    """What all fakes can: be told to fail, and count how often they were asked."""
+    """What all fakes can: fail on request, and count how often they were asked."""
 
     def __init__(self) -> None:
         self._problem: Exception | None = None
         self.calls = 0
 
-    def fail(self, problem: str | Exception = "the fake was told to fail") -> None:
+    def fail(self, problem: str | Exception = "the fake fails on request") -> None:
         """From now on raise `problem`; a text becomes a `CannotTell`."""
         self._problem = CannotTell(problem) if isinstance(problem, str) else problem
 
@@ -246,7 +246,7 @@ class FakeDocker(_Fake):
         self.listings += 1
         fact = self.container(name)
         if fact is None or not fact.running or name not in self.lists:
-            raise CannotTell(f"no processes of {name} can be told")
+            raise CannotTell(f"the processes of {name} are unknown")
         return self.lists[name]
 
     def myself(self) -> ContainerFact | None:
@@ -338,7 +338,7 @@ class FakeHost(_Fake):
 class FakePressure(_Fake):
     """Counters of containers by name: with room for everything and no limit, until `put` or `change` says otherwise.
 
-    `taken` lists who takes the CPUs. A container that was never put has counters that stand still.
+    `taken` lists who takes the CPUs. A container that was never put has counters that do not change.
     """
 
     def __init__(self) -> None:
@@ -487,5 +487,5 @@ def world(
 
 
 def settings(**yaml_like: Any) -> Settings:
-    """Settings as if these top-level keys stood in `phm.yaml`; raises pydantic's ValidationError."""
+    """Settings as if these top-level keys were in `phm.yaml`; raises pydantic's ValidationError."""
     return Settings.model_validate(yaml_like)

@@ -142,7 +142,7 @@ class ContainerFact:
     """By which the engine asks it to end (StopSignal of the image or the container)."""
     stop_timeout_s: float | None = None
     """How long the engine then waits before SIGKILL, as the container asks for it (`stop_grace_period`,
-    `--stop-timeout`); negative: for ever; None: the engine's default, 10 s."""
+    `--stop-timeout`); negative: forever; None: the engine's default, 10 s."""
     cgroup_parent: str = ""
     """The cgroup that the user wants it in; empty: the engine's choice."""
     cpu_limit: float | None = None
@@ -176,24 +176,24 @@ class EventStreamFact:
 
 
 COMPLETE = EventStreamFact(True, float("-inf"), float("-inf"))
-"""Open for ever."""
+"""Open forever."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessFact:
-    """One process of a container, as the host's `ps` tells it. Zombies are left out: they have ended."""
+    """One process of a container, as the host's `ps` lists it. Zombies are left out: they have ended."""
 
     pid: int
     """Number on the host, not that inside the container."""
     parent: int = 0
     state: str = ""
-    """One letter: R on a processor or waiting for one, S asleep, D in the kernel, T stopped; empty when not told."""
+    """One letter: R on a processor or waiting for one, S asleep, D in the kernel, T stopped; empty when unknown."""
     cpu_s: float | None = None
-    """Processor time used so far, in whole seconds; None when not told."""
+    """Processor time used so far, in whole seconds; None when unknown."""
     command: str = ""
     """Program and arguments, with a space between, at most 4096 characters."""
     age_s: float | None = None
-    """Since it was started, in whole seconds, rounded down; None when not told."""
+    """Since it was started, in whole seconds, rounded down; None when unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +263,7 @@ class DeviceFact:
     description: str = ""
     """For serial ports, pyserial's words: product, maker, serial number, USB ids."""
     inode: int = 0
-    """Of the device file: another one after the device was away; 0 when not told."""
+    """Of the device file: another one after the device was away; 0 when unknown."""
 
 
 class DeviceProbe(Protocol):
@@ -287,12 +287,12 @@ class DiskFact:
     problem: str = ""
     """Why this disk could not be read (a hung network mount); the numbers then mean nothing."""
     total_bytes: int = 0
-    """What users may fill, used and free; 0: not told."""
+    """What users may fill, used and free; 0: unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class HostFact:
-    """None stands for `this machine does not tell`."""
+    """None: this machine does not report it."""
 
     cpu_percent: float
     """Of all cores, since the last reading (at least 0.2 s); 0 to 100."""
@@ -303,13 +303,13 @@ class HostFact:
     temperature_c: float | None = None
     temperature_of: str = ""
     throttled: tuple[str, ...] | None = None
-    """Words such as `under-voltage now`, `frequency capped now`; empty when none; None when not told."""
+    """Words such as `under-voltage now`, `frequency capped now`; empty when none; None when unknown."""
     clock_synchronized: bool | None = None
     clock_step_s: float = 0.0
     """How far UTC has jumped against the monotonic clock since the last reading."""
     fans_rpm: tuple[int, ...] = ()
     waiting_percent: float | None = None
-    """Share of that time in which some task was ready and had to wait for a core; None when the kernel does not tell."""
+    """Share of that time in which some task was ready and had to wait for a core; None when the kernel does not report it."""
     memory_stalled_percent: float | None = None
     """Share of that time in which tasks waited for memory and none ran; None when the kernel does not count it."""
     io_stalled_percent: float | None = None
@@ -341,7 +341,7 @@ class SelfFact:
     """For how long PHM as a whole last did nothing, without having ended; None: never."""
     stood_still_ago_s: float | None = None
     was_stopped: bool = False
-    """It stood still because a signal had stopped it, and went on because its guard let it."""
+    """It was suspended because a signal had stopped it, and was resumed by the watchdog."""
 
 
 class SelfProbe(Protocol):

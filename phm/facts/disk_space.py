@@ -1,4 +1,4 @@
-"""How full a disk is, in the manner of `df`: for whoever judges it and for whoever makes room on it, so that both mean the same."""
+"""How full a disk is, in the manner of `df`: for the check and for the action that frees space, so that both use the same figure."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ class GcsFact:
     component: int = 0
     link: str = ""
     due_s: float | None = None
-    """It was never silent for nearly so long of late; None: it has not been heard steadily for long enough to tell."""
+    """It was never silent for nearly so long of late; None: it has not been received steadily for long enough."""
     overdue: bool = False
     """Silent for longer than that, while its link was open and read."""
     not_counted_s: float = 0.0
@@ -45,9 +45,9 @@ class AutopilotFact:
     link: str = ""
     """Name of the endpoint that it came by."""
     boot_s: float | None = None
-    """How long it had run, by the newest time since boot that it told; None: it tells none."""
+    """How long it had run, by the newest time since boot that it reported; None: it reports none."""
     reboots: int = 0
-    """How often that time was seen to begin anew."""
+    """How often that time was seen to start again."""
     rebooted_s: float | None = None
     """Since the last of these was seen; None: never."""
     rebooted_armed: bool = False
@@ -94,13 +94,13 @@ class RadioFact:
     txbuf: int = 100
     """Percent of the transmit buffer that is free."""
     margin: float | None = None
-    """Signal over noise aboard, the mean of the newest reports."""
+    """Signal over noise on board, the mean of the newest reports."""
     remmargin: float | None = None
     """The same at the other end of the radio link."""
     rxerrors_s: float | None = None
     """Packets that came damaged, a second; None before the second report."""
     fixed_s: float | None = None
-    """Packets that came damaged and could be mended, a second."""
+    """Packets that came damaged and could be corrected, a second."""
     alone: bool = False
     """It says that it no longer hears the radio at the other end, which it did hear."""
     not_counted_s: float = 0.0
@@ -122,7 +122,7 @@ class SenderFact:
     frames: int
     """Seen in the window over which loss is counted."""
     loss_percent: float | None
-    """By gaps in the sequence numbers; None: too few frames to tell."""
+    """By gaps in the sequence numbers; None: too few frames."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ class StallFact:
 
 @dataclass(frozen=True, slots=True)
 class PressureFact:
-    """Limits and counters of one running container. None stands for `cannot be seen from here`, or for `no limit`."""
+    """Limits and counters of one running container. None means `cannot be seen from here`, or for `no limit`."""
 
     at: float
     """Monotonic seconds of this reading."""

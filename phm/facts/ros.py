@@ -25,7 +25,7 @@ class EndpointFact:
     lease_s: float | None = None
     """Of its liveliness; None: without end."""
     type_hash: str = ""
-    """Of the definition of the type (REP 2016), shortened; empty where the other side does not tell it (Humble)."""
+    """Of the definition of the type (REP 2016), shortened; empty where the other side does not send it (Humble)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +53,15 @@ class RateFact:
     publishers: int = 0
     """How many discovery lists now; one that died is listed until its lease ends."""
     matched: int | None = None
-    """To how many of them the middleware connected the sampler; None where it does not tell, or while not listening."""
+    """To how many of them the middleware connected the sampler; None where it does not report it, or while not listening."""
     restarts: int = 0
-    """Publishers seen to begin anew, by their sequence numbers or by one that took another's place."""
+    """Publishers seen to start again, by their sequence numbers or by one that took another's place."""
     sample_bytes: float | None = None
     """Size of a sample, serialized, averaged over those looked at."""
     error_hz: float | None = None
     """Standard deviation of `hz` that comes from the publisher's own unevenness. None until it is known."""
     changed_s: float | None = None
-    """For how long each single look has shown another rate than before, of which alone `hz` tells then. None when the
+    """For how long each single look has shown another rate than before, which alone `hz` is then. None when the
     window holds no such change, and with several publishers."""
     not_counted_s: float = 0.0
     """Of silent_s, the time in which the ROS child did not run."""
@@ -86,7 +86,7 @@ class NameFact:
 class NeighbourFact:
     """What one node's beacon says about another node that has a beacon. age_s: as that node measured it.
 
-    late_s: how late the other's executor is, as that node was told.
+    late_s: how late the other's executor is, as that node received it.
     """
 
     alive: bool

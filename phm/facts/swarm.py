@@ -32,7 +32,7 @@ class SwarmFact:
 
     peers: by agent id, without this agent. members, living: how many, with it. split: agents that vanished together.
     no_gcs: living agents that hear no ground station while others do. duplicate_ids: ids that two agents use. leader: who
-    leads for the swarm; None while nobody hears the ground.
+    leads for the swarm; None while no agent receives the ground.
     """
 
     own: int
