@@ -11,7 +11,7 @@ import pytest
 from docker import DockerClient
 from rich.console import Console
 
-from sitl.demo.main import main
+from sitl.demo import main
 from sitl.harness.compose_stack import Stack
 from sitl.harness.config_overrides import overridden, write
 from sitl.harness.log_follower import Record
@@ -57,7 +57,7 @@ def test_the_sidecar_runs_with_least_privilege_and_is_healthy(stack: Stack, dock
     assert f"{stack.project}_net" in phm.attrs["NetworkSettings"]["Networks"]
 
     def healthy() -> bool:
-        phm.runtime.reload()
+        phm.reload()
         return bool(phm.attrs["State"]["Health"]["Status"] == "healthy")
 
     poll(healthy, "a healthy sidecar", 60.0)
@@ -84,5 +84,5 @@ def test_a_killed_daemon_is_back_and_goes_on(stack: Stack, docker_client: Docker
         return len(boots) == 2
 
     poll(second_boot, "a report of a second boot", 60.0)
-    phm.runtime.reload()
+    phm.reload()
     assert phm.attrs["RestartCount"] == 1
