@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.docker.conftest import engine, real
+from tests.probes.docker.conftest import engine, real
 from tests.proxy.haproxy import Proxies, short_folder
 
 __all__ = ["engine", "proxies", "real"]

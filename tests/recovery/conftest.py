@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 
 from phm.transport.docker import DockerEngine
-from tests.docker.conftest import SOCKET, fake, real
 from tests.fakes.engine import FakeEngine
+from tests.probes.docker.conftest import SOCKET, fake, real
 from tests.proxy.conftest import proxies
 from tests.proxy.haproxy import BehindProxy, Door
 

@@ -209,7 +209,7 @@ def test_an_echo_is_answered_where_the_kernel_allows_it(real: Any) -> None:
     peer = real.container(network=network.name)
     peer.reload()
     address = peer.attrs["NetworkSettings"]["Networks"][network.name]["IPAddress"]
-    source = Path(__file__).resolve().parents[2] / "phm"
+    source = Path(__file__).resolve().parents[3] / "phm"
     program = (
         "from phm.probes import ping; import socket, sys; "
         "echo = ping._echo(socket.AF_INET, sys.argv[1]); assert echo is not None; "
