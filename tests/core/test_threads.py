@@ -21,7 +21,7 @@ from phm.probes.blocking_call import BlockingCallWorker
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dns import Resolver
-from tests.core.test_engine import Scripted
+from tests.checking.test_scheduler import Scripted
 from tests.fakes.until import until
 from tests.recovery.test_executor import World, make, worlds  # noqa: F401 - a fixture
 

@@ -1,0 +1,111 @@
+"""Slot 6: how often the check asks the Docker Engine for processes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from phm import api, testing
+from phm_checks._process_table import BLIND_S, OLD_S, QUIET_S
+from phm_checks.nodes import Nodes
+from tests.fakes.nodes_bench import (
+    GRACE_S,
+    MAIN,
+    NAME,
+    Bench,
+    beating,
+    flowing,
+    rated,
+)
+
+
+@pytest.mark.parametrize(("made", "period_s"), [(rated, QUIET_S), (Bench, BLIND_S)])
+def test_while_all_is_well_the_engine_is_left_alone(made: Callable[[], Bench], period_s: float) -> None:
+    """With a topic or a beacon as a quick sign, the list of processes is asked for every QUIET_S alone."""
+    bench = made()
+    bench.after(20.0)
+    before = bench.docker.listings
+    bench.after(60.0)
+    assert bench.docker.listings - before == 60 // period_s
+
+
+def test_what_stays_in_doubt_is_asked_about_less_and_less() -> None:
+    """A topic that is silent for an hour must not cost a list of processes each second."""
+    bench = rated()
+    bench.after(3.0)
+    before = bench.docker.listings
+    bench.after(5.0, lambda passed: bench.ros.change(topics=flowing(passed)))
+    assert 6 <= bench.docker.listings - before <= 9
+    bench.after(120.0, lambda passed: bench.ros.change(topics=flowing(5.0 + passed)))
+    before = bench.docker.listings
+    bench.after(100.0, lambda passed: bench.ros.change(topics=flowing(125.0 + passed)))
+    assert bench.docker.listings - before == 100 // QUIET_S
+
+
+def test_a_jittering_topic_does_not_cost_a_list_each_time() -> None:
+    """It wavers and flows and wavers: that is one long doubt."""
+    bench = rated()
+    bench.after(120.0, lambda passed: bench.ros.change(topics=flowing(0.5 if passed % 1.0 else 0.0)))
+    before = bench.docker.listings
+    bench.after(100.0, lambda passed: bench.ros.change(topics=flowing(0.5 if passed % 1.0 else 0.0)))
+    assert bench.docker.listings - before <= 100 // QUIET_S + 1
+
+
+def test_a_standing_doubt_hides_no_new_one() -> None:
+    """The topic has been silent for minutes, for reasons of its own; then the beacon wavers: looked into at once."""
+    bench = rated()
+    bench.ros.change(beacons=beating())
+    bench.after(300.0, lambda passed: bench.ros.change(topics=flowing(passed)))
+    bench.processes(MAIN)
+    bench.ros.change(beacons=beating(0.5))
+    bench.clock.advance(0.25)
+    assert bench.result().brief == "node_1 dead"
+
+
+def test_an_old_name_beside_the_new_one_is_no_standing_doubt() -> None:
+    """It stays for a lease of 20 s; a node that dies meanwhile is seen as soon as ever."""
+    bench = rated()
+    bench.ros.change(nodes={})
+    bench.after(GRACE_S)
+    bench.ros.change(nodes={NAME: 2})
+    assert bench.after(12.0).level is api.Level.OK
+    bench.processes(MAIN)
+    bench.ros.change(topics=flowing(0.25))
+    bench.clock.advance(0.25)
+    assert bench.result().brief == "node_1 dead"
+
+
+def test_an_engine_that_hangs_is_asked_once_a_run() -> None:
+    """Each question may take its whole deadline, and the check has one, too."""
+    keys = ("one", "two", "three")
+    settings = testing.settings(
+        containers=[{"name": key} for key in keys],
+        ros={"nodes": [{"name": f"/{key}", "container": key} for key in keys]},
+    )
+    (check,) = Nodes.build(settings)
+    clock, asked = testing.FakeClock(), list[str]()
+
+    class Hanging(testing.FakeDocker):
+        def container(self, name: str) -> api.ContainerFact | None:
+            asked.append(name)
+            clock.advance(5.0)
+            raise api.CannotTell("the Docker Engine did not answer within 5.0 s")
+
+    world = testing.world(clock=clock, docker=Hanging(), ros=testing.FakeRos(nodes={f"/{key}": 1 for key in keys}))
+    for number in range(1, 4):
+        results = check.run(world)
+        assert len(asked) == number
+        assert not isinstance(results, api.Result)
+        assert {result.level for result in results.values()} == {api.Level.OK}
+
+
+def test_a_list_that_grew_old_proves_nothing() -> None:
+    """Should the check be held up, what was seen before that does not count."""
+    bench = Bench()
+    bench.after(3.0)
+    bench.processes(MAIN)
+    bench.after(BLIND_S)
+    bench.docker.fail()
+    bench.clock.advance(OLD_S + 1)
+    assert bench.result().level is api.Level.OK

@@ -1,0 +1,74 @@
+"""Slot 6: no node of a container is reachable though all of their processes run."""
+
+from __future__ import annotations
+
+import pytest
+
+from phm import api
+from phm_checks._graph_evidence import UNNAMED_S
+from phm_checks._liveness import LOST_S
+from phm_checks._process_table import OLD_S
+from tests.fakes.nodes_bench import (
+    GRACE_S,
+    MAIN,
+    NAME,
+    ONE,
+    TOPIC,
+    Bench,
+    beating,
+    pair,
+)
+
+
+def test_when_no_node_of_a_container_is_heard_though_all_run_nothing_is_restarted() -> None:
+    """Discovery between PHM and the container is cut; the nodes themselves may be well."""
+    bench = pair()
+    bench.after(3.0)
+    bench.ros.change(nodes={})
+    result = bench.after(LOST_S + 1.0)
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_unreachable", "")
+    assert "or any other node of ros_app" in result.summary and "its process 71 is running" in result.summary
+    bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1})
+    assert bench.after(1.0).level is api.Level.OK
+
+
+def test_a_transport_that_hides_names_restarts_no_node() -> None:
+    """Names of nodes come as data: publishers are there, nobody is listed, and nobody was ever seen."""
+    bench = pair(topics=[{"name": TOPIC, "rate": 10, "publishers": [NAME]}])
+    nameless = api.TopicFact((api.EndpointFact("", "std_msgs/msg/String"),), (), api.RateFact(None, None))
+    bench.ros.change(nodes={}, topics={TOPIC: nameless})
+    result = bench.after(GRACE_S + LOST_S + 1.0)
+    assert (result.condition, result.target) == ("node_unreachable", "")
+
+
+def test_a_node_whose_name_alone_was_lost_is_not_missing() -> None:
+    """Its topic has a publisher without a name: PHM has lost names and gets them with a new participant, so it waits for that."""
+    bench = Bench(topics=[{"name": TOPIC, "publishers": [NAME]}])
+    named, nameless = (api.TopicFact((api.EndpointFact(node, "std_msgs/msg/String"),)) for node in (NAME, ""))
+    bench.ros.change(topics={TOPIC: named})
+    assert bench.after(GRACE_S).level is api.Level.OK
+    levels = []
+    bench.ros.change(nodes={}, topics={TOPIC: nameless})
+    bench.after(UNNAMED_S - 1.0, lambda _: levels.append(bench.result().level))
+    assert api.Level.ERROR not in levels
+    bench.ros.change(nodes={NAME: 1}, topics={TOPIC: named})
+    assert bench.after(1.0).level is api.Level.OK
+    bench.ros.change(nodes={}, topics={TOPIC: nameless})
+    assert bench.after(UNNAMED_S + 1.0).condition == "node_missing"
+
+
+@pytest.mark.parametrize("why", ["one is heard", "one is listed", "one ended", "nobody knows the processes"])
+def test_a_node_is_dead_unless_all_of_its_container_run_unheard(why: str) -> None:
+    """One sign that the way is open, or one process that nobody knows, and a missing node is a missing node."""
+    bench = pair()
+    bench.after(3.0)
+    bench.ros.change(nodes={"/agent_1/node_2": 1} if why == "one is listed" else {})
+    if why == "one is heard":
+        bench.after(LOST_S + 1.0, lambda _: bench.ros.change(beacons={"/agent_1/node_2": beating()[NAME]}))
+    if why == "one ended":
+        bench.processes(MAIN, ONE)
+    if why == "nobody knows the processes":
+        del bench.docker.lists["ros_app"]
+        bench.after(OLD_S)
+    result = bench.after(LOST_S + 1.0)
+    assert (result.condition, result.target) == ("node_missing", "ros_app")
