@@ -10,8 +10,8 @@ import pytest
 from hypothesis import strategies as st
 
 from phm.beacon import BEACON_FORMAT
+from phm.probes.ros.beacon_registry import BeaconRegistry, portions
 from phm.probes.ros.beacon_text import log_texts
-from phm.probes.ros.ledger import BeaconRegistry, portions
 from phm.probes.ros.protocol import LINE_LIMIT, Heard, decode, encode
 from phm.probes.ros.self_reports import SelfReports
 from tests.fuzz.hostile import messages, torn

@@ -13,9 +13,9 @@ from dataclasses import replace
 from typing import Any
 
 from phm.beacon import BEACON, MAX_TEXT
+from phm.probes.ros.beacon_registry import BeaconRegistry, portions
 from phm.probes.ros.beacon_text import log_texts
 from phm.probes.ros.graph import full_name
-from phm.probes.ros.ledger import BeaconRegistry, portions
 from phm.probes.ros.message_taker import GID_BYTES, MessageTaker, Taken
 from phm.probes.ros.protocol import Heard, Message
 from phm.probes.ros.raw_names import printable
@@ -41,7 +41,7 @@ class BeaconListener:
         from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
         self._node, self._nodes = node, nodes
-        self._ledger = BeaconRegistry(nodes, self._listed)
+        self._registry = BeaconRegistry(nodes, self._listed)
         self._lost = False
         self._looked_s = time.monotonic()
         qos = QoSProfile(
@@ -64,12 +64,12 @@ class BeaconListener:
             # The middleware's stamp is of a clock that may be set: it counts within what is possible.
             age_s = min(max((wall_ns - received_ns) / 1e9, 0.0), longest_s)
             try:
-                self._ledger.add(*log_texts(data), now_s - age_s, writer)
+                self._registry.add(*log_texts(data), now_s - age_s, writer)
             except (ValueError, struct.error):
-                self._ledger.refused += 1
-        news = self._ledger.news(now_s)
+                self._registry.refused += 1
+        news = self._registry.news(now_s)
         if news is None:
-            return [Heard(refused=self._ledger.refused, lost=True)] if self._lost else []
+            return [Heard(refused=self._registry.refused, lost=True)] if self._lost else []
         return [*portions(replace(news, lost=self._lost), self._nodes)]
 
     def _take(self) -> list[Taken]:
@@ -85,8 +85,8 @@ class BeaconListener:
 
     def _chosen(self, taken: Sequence[Taken]) -> list[Taken]:
         """What is read of it, within the budgets; the rest is counted as refused."""
-        chosen = choose(taken, self._ledger.own_writers())
-        self._ledger.refused += len(taken) - len(chosen)
+        chosen = choose(taken, self._registry.own_writers())
+        self._registry.refused += len(taken) - len(chosen)
         self._lost = self._lost or len(chosen) < sum(len(data) <= MAX_BYTES for data, _, _ in taken)
         return chosen
 

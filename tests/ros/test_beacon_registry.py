@@ -10,9 +10,9 @@ import pytest
 
 from phm.beacon import BEACON_FORMAT, HELLO_FORMAT, MAX_NEIGHBOURS, MAX_NODES, _Neighbours
 from phm.facts.ros import BeaconFact, NeighbourFact
+from phm.probes.ros.beacon_registry import FORGET_S, MAX_RIVALS, MAX_STRANGERS, BeaconRegistry, portions
 from phm.probes.ros.beacon_text import beacons_in, log_texts
 from phm.probes.ros.beacons import MAX_BYTES, OTHERS_BYTES, choose
-from phm.probes.ros.ledger import FORGET_S, MAX_RIVALS, MAX_STRANGERS, BeaconRegistry, portions
 from phm.probes.ros.protocol import LINE_LIMIT, Heard, encode
 from phm.probes.ros.self_reports import MAX_NAMES, Own, SelfReports
 
