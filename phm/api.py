@@ -1,6 +1,6 @@
-"""What a check is: the whole surface that a check, ours or anyone's, is written against.
+"""The public interface for checks, both PHM's own and those of plug-ins.
 
-A check is a class that judges what probes say about one or more *units*. It is found through the
+A check is a class that evaluates what probes report about one or more *units*. It is found through the
 entry-point group ``phm.checks``; the entry point's name is the check's name::
 
     from phm import api
@@ -16,8 +16,8 @@ entry-point group ``phm.checks``; the entry point's name is the check's name::
                                  brief=f"battery {volts:.1f} V", condition="battery_low")
             return api.ok(f"battery at {volts:.1f} V", battery_v=volts)
 
-`run` may block, raise and be slow: it has a thread of its own, and an exception or a passed deadline
-becomes STALE, a statement about PHM and never a fault of the vehicle.
+`run` may block, raise and be slow: it runs in its own thread. An exception or an exceeded deadline becomes STALE, a
+statement about PHM and never a fault of the vehicle.
 """
 
 from __future__ import annotations
@@ -141,19 +141,19 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One subject that gets a level of its own, a node of the graph of needs.
+    """One subject with its own level; a node of the dependency graph.
 
     id:     ``check`` or ``check/subject``, e.g. ``container/ros_app``, ``nodes/agent_1/node_1``.
-    needs:  ids of units without which this one cannot be well. A need that is not configured is ignored.
-            When a need is found wrong, this unit is STALE `blocked_by` it instead of a fault of its own.
-    target: name of the container that a recovery for this unit acts on, or empty. While any action on a
-            target runs, all units with that target are held: they raise no fault.
+    needs:  ids of units that this one depends on. Units that are not configured are ignored.
+            When a dependency is bad, this unit is STALE `blocked_by` it instead of a separate fault.
+    target: name of the container that a recovery for this unit acts on, or empty. During an action on a
+            target, no unit with that target opens a fault.
     settle_s: how long a bad result must last before it is reported, for evidence that arrives before that of
             its cause (a topic falls silent before discovery notices that its node is dead). A result that knows
             better has a `settle_s` of its own.
-    grace_s: how long, after PHM's start, after a need recovered, after the target was started again by anybody and
-            after an action on it, a bad result counts as `not known yet` (discovery needs seconds to fill the graph).
-    memory_s: how long its check may still find it OK after it has gone (a topic counts as silent only after a while).
+    grace_s: how long a bad result counts as `not known yet` after PHM's start, after a dependency recovered, after a
+            start of the target and after an action on it (discovery needs seconds to fill the graph).
+    memory_s: how long its check may still report OK after the subject is gone (a topic counts as silent only after a while).
             Grace ends early for a unit that has been OK, but not before it has been for longer than this.
     suspect: while this unit is ERROR, each fault that opens names it as a possible cause. It blocks nothing:
             for what can be behind anything but need not be (a full disk, memory used up).
@@ -169,7 +169,7 @@ class Unit:
 
 
 class Check(ABC):
-    """One judge. Subclass, name it, and say in `run` how its units are.
+    """Base class of checks. Subclass it, name it, and return results for its units from `run`.
 
     Class attributes: `name` (as in the entry point), `slot`, `layer`; `period_s` how often it runs between
     the passes (None: at each pass only); `deadline_s` after which it is overdue; `failures` how many runs
@@ -185,17 +185,17 @@ class Check(ABC):
 
     @classmethod
     def build(cls, settings: Settings) -> Iterable[Check]:
-        """The instances that this configuration asks for; each gets a thread. Default: one."""
+        """The instances for this configuration; each gets a thread. Default: one."""
         return [cls()]
 
     @property
     def subject(self) -> str:
-        """What makes instances of one class differ, e.g. the container's name; empty for a single one."""
+        """What distinguishes instances of the class, e.g. the container's name; empty for a single instance."""
         return ""
 
     @property
     def units(self) -> Sequence[Unit]:
-        """The units judged by `run`. Default: one, named like the check."""
+        """The units that `run` evaluates. Default: one, named like the check."""
         return (Unit(f"{self.name}/{self.subject}" if self.subject else self.name),)
 
     @property
@@ -213,7 +213,7 @@ def ok(summary: str, **values: Value) -> Result:
 
 
 def bypass(summary: str, **values: Value) -> Result:
-    """Nothing to judge: counts as OK, logged as BYPASS."""
+    """Nothing to check: counts as OK, logged as BYPASS."""
     return Result(Level.OK, summary, values=values, bypass=True)
 
 
@@ -226,7 +226,7 @@ def error(summary: str, *, brief: str, condition: str, target: str = "", **value
 
 
 def stale(summary: str, *, brief: str = "", **values: Value) -> Result:
-    """Could not tell. Never opens a fault and never triggers recovery."""
+    """The state could not be determined. Never opens a fault and never triggers recovery."""
     return Result(Level.STALE, summary, brief, values=values)
 
 
