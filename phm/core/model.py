@@ -1,4 +1,4 @@
-"""The words of PHM as types: levels, slots, results, transitions, faults, reports.
+"""The data types of PHM: levels, slots, results, transitions, faults, reports.
 
 Pure data: no clock, no input or output, no third-party import, so that every other module may
 import this one. All records are frozen; what changes is kept by its owner (tracker, executor).
@@ -17,9 +17,9 @@ ON_HOLD = "on_hold"
 
 
 class Level(IntEnum):
-    """How a subject is; numbers and names of `diagnostic_msgs/DiagnosticStatus`.
+    """State of a unit; numbers and names of `diagnostic_msgs/DiagnosticStatus`.
 
-    STALE means *not known*: not run yet, overdue, could not tell, or blocked by another fault.
+    STALE means *unknown*: not run yet, overdue, not determinable, or blocked by another fault.
     """
 
     OK = 0
@@ -29,7 +29,7 @@ class Level(IntEnum):
 
     @property
     def bad(self) -> bool:
-        """WARN or ERROR: something about the subject is known to be wrong."""
+        """WARN or ERROR: a problem is known."""
         return self in (Level.WARN, Level.ERROR)
 
 
@@ -54,7 +54,7 @@ class Slot(IntEnum):
 
 
 class Layer(str, Enum):
-    """The three layers of the paper, the links between them, and the user's own checks."""
+    """The three layers of the paper, the links between them, and custom checks."""
 
     COMPANION = "companion"
     DOCKER = "docker"
@@ -112,7 +112,7 @@ class HostReadings:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a check says about one unit (see `phm.api.Unit`) after one run.
+    """Result of one run of a check for one unit (see `phm.api.Unit`).
 
     level:     OK, WARN, ERROR, or STALE when the check could not tell.
     summary:   one sentence for the log: what, expected, seen, and what to do.
@@ -151,7 +151,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class UnitState:
-    """What the tracker currently publishes about one unit."""
+    """The published state of one unit."""
 
     unit: str
     check: str
@@ -167,10 +167,10 @@ class UnitState:
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """A debounced change of what is published about a unit.
+    """A debounced change of the published state of a unit.
 
     `changed_text` is set when the level stayed but its cause or its wording did (a second network
-    lost while the first still is): reporters tell it, recovery looks again.
+    lost while the first still is): reporters send it, recovery evaluates it again.
     """
 
     at: Stamp
@@ -188,7 +188,7 @@ class Transition:
 
 
 class Outcome(str, Enum):
-    """How a fault ended. REATTRIBUTED: it was found to follow from another, open fault."""
+    """How a fault ended. REATTRIBUTED: it turned out to follow from another open fault."""
 
     OPEN = "open"
     RESOLVED = "resolved"
@@ -237,14 +237,14 @@ class FaultOpened:
 
 @dataclass(frozen=True, slots=True)
 class FaultClosed:
-    """Sent once for each fault; `fault.outcome` and `fault.by` say how it ended."""
+    """Published once per fault; `fault.outcome` and `fault.by` tell how it ended."""
 
     at: Stamp
     fault: Fault
 
 
 class Phase(str, Enum):
-    """Where an action stands. ADVISED, EXPIRED and REFUSED change nothing in the world. EXPIRED: an approval no longer holds."""
+    """Progress of an action. ADVISED, EXPIRED and REFUSED have no effect. EXPIRED: an approval is no longer valid."""
 
     ADVISED = "advised"
     APPROVED = "approved"
