@@ -73,11 +73,11 @@ def test_a_restarted_node_is_taken_back(scene: Scene, bench: Bench) -> None:
 
 
 def test_a_hung_executor_is_known_and_leaves_the_agreement_whole(scene: Scene) -> None:
-    """Alive by all, and its executor does not turn."""
+    """All nodes report it alive, and its executor is blocked."""
     scene.nodes["b"].send_signal(signal.SIGUSR1)
     result = until(lambda: (found := scene.run()).values.get("hung") == 1 and found, "the hung executor")
     assert result.level is api.Level.OK
-    assert result.summary.endswith("; the executor of agent_1/b does not turn")
+    assert result.summary.endswith("; the executor of agent_1/b is blocked")
 
 
 def test_a_split_names_its_sides(scene: Scene, bench: Bench) -> None:
