@@ -149,7 +149,7 @@ def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehi
     until(lambda: "silent" in vehicle.gate() and "was armed" in vehicle.gate(), "the silence")
     vehicle.beats["ground"].says = False
     until(
-        lambda: any("come by ground" in text for text in vehicle.daemon.components.probes.world.links.problems()),
+        lambda: any("arrive by ground" in text for text in vehicle.daemon.components.probes.world.links.problems()),
         "the stranger",
     )  # type: ignore[union-attr]
     vehicle.passes(3)
