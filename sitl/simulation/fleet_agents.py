@@ -19,6 +19,7 @@ from typing import Any
 
 import psutil
 
+from phm.cli.run import leave
 from phm.core.clock import SystemClock
 from phm.core.model import (
     Fault,
@@ -216,3 +217,4 @@ def main(endpoint: str, fleet: str, first: str, count: str, options: str) -> Non
 
 if __name__ == "__main__":
     main(*sys.argv[1:])
+    leave(0)  # as the daemon does: Zenoh's threads may outlast their sessions
