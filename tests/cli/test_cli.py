@@ -373,6 +373,7 @@ def test_watch_shows_the_status_until_interrupted(tmp_path: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # also where the tests themselves ignore it
     ) as process:
         assert process.stdout is not None
         seen = 0

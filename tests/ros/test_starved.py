@@ -202,7 +202,7 @@ def held(monkeypatch: pytest.MonkeyPatch, share: float) -> None:
             self.last = now
             return share * passed_s
 
-    monkeypatch.setattr(supervisor, "Progress", Held)
+    monkeypatch.setattr(supervisor, "ProcessStallMeter", Held)
 
 
 def test_what_was_heard_is_sent_before_the_picture(bench: Bench) -> None:
