@@ -52,7 +52,9 @@ class Agent:
         clock = SystemClock()
         self.docker = Docker(engine, settings.containers, settings.docker, clock)
         self.world = testing.world(
-            clock=clock, docker=self.docker, pressure=Probe(engine, self.docker, settings, clock)
+            clock=clock,
+            docker=self.docker,
+            pressure=Probe(engine, self.docker, settings.containers, settings.pressure, clock),
         )
         self.seen: list[api.Result] = []
 

@@ -158,7 +158,7 @@ def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehi
     vehicle.stop()
     vehicle.start()
     why = "no heartbeat of the autopilot was received since PHM started, and it was armed before"
-    expected = {"containers": ("pilot",), "armed": "armed", "why": why}
+    expected = {"containers": ["pilot"], "armed": "armed", "why": why}
     assert vehicle.daemon is not None
     assert vehicle.daemon.components.health.document()["flight_critical"] == expected
     vehicle.passes(3)
