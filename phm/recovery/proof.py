@@ -12,6 +12,7 @@ from phm.recovery.base import Action
 from phm.recovery.lives import ENGINE, Life, by_phm
 from phm.recovery.policy import OUTSIDE
 from phm.recovery.shop import Shop
+from phm.tracker.starvation import explained
 
 POLL_S = 0.05
 LOOK_AGAIN_S = 0.5
@@ -93,9 +94,16 @@ class Proving:
         longest_s = self.follow_s
         if longest_s is None:
             longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.proof_s
-        if now - self.done <= longest_s + more_s:
+        starved = self.starved and self._may_be_starvation(seen)
+        if now - self.done <= longest_s + (more_s if starved else 0.0):
             return None
-        return Proof(missing=self.waiting[0], partly=self.waiting[0] != self.unit, excused=self.starved)
+        return Proof(missing=self.waiting[0], partly=self.waiting[0] != self.unit, excused=starved)
+
+    def _may_be_starvation(self, seen: Seen) -> bool:
+        """Whether starvation can explain that the first unit has not come back: not where a network is detached, for instance.
+        Such a failure counts, or the same step would be repeated for as long as the machine is busy."""
+        newest = seen.newest(self.waiting[0], self.done + self.proof_s)
+        return newest is None or newest.level is not Level.ERROR or explained(newest) is not None
 
     def decides_s(self, seen: Seen) -> float:
         """How long the unit's check needs from the start of the container, as it now says; 0: it does not wait for time."""

@@ -68,9 +68,12 @@ def test_what_needs_the_unit_is_waited_for_as_long_as_the_action_says(follow_s: 
 class Starved(Silent):
     """As Silent and Alone, of a container that is starved until `until`."""
 
-    def __init__(self, started: float, *, well: bool, until: float = 100.0) -> None:
+    def __init__(self, started: float, *, well: bool, until: float = 100.0, condition: str = "node_unheard") -> None:
         super().__init__(started)
-        self.well, self.until, self.now = well, until, 0.0
+        self.well, self.until, self.now, self.condition = well, until, 0.0, condition
+
+    def newest(self, unit: str, mono: float) -> Result | None:
+        return error("bad", brief="bad", condition=self.condition) if self.started >= mono else None
 
     def well_since(self, unit: str, mono: float) -> bool:
         return self.well
@@ -99,3 +102,12 @@ def test_what_starts_while_it_is_starved_gets_more_time_and_is_not_to_blame(well
     starved.started = ends
     late = starved.say(proving, ends + 0.1)
     assert late is not None and late.excused and late.partly is well
+
+
+def test_what_starvation_does_not_explain_is_to_blame() -> None:
+    """The network of a container that was started is detached: neither more time nor another start changes that."""
+    starved = Starved(100.0, well=True, condition="disconnected")
+    proving = Proving("container/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S)
+    ends = GRACE_S + 4.0
+    assert starved.say(proving, ends) is None
+    assert starved.say(proving, ends + 0.1) == Proof(missing="nodes/one", partly=True)

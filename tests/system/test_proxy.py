@@ -44,6 +44,11 @@ class Stack:
         units = json.loads(output).get("checks", []) if output.startswith(b"{") else []
         return next((str(entry["level"]) for entry in units if entry["id"] == unit), "")
 
+    def show(self) -> None:
+        """Print what PHM has logged: pytest shows it when the test has failed."""
+        log = self.app.client.containers.get(self.me).exec_run(["sh", "-c", "grep -v -e SUCCESS -e REPORT /var/log/phm/phm.log"])
+        print(log.output.decode(errors="replace"))
+
     def service(self, name: str) -> Any:
         (found,) = self.compose("ps", "--all", "--quiet", name).split()
         return self.app.client.containers.get(found)
@@ -56,6 +61,7 @@ def stack(app: Aboard) -> Iterator[Stack]:
         made.compose("up", "--detach", "--no-build")
         yield made
     finally:
+        made.show()
         made.compose("down", "--volumes", "--timeout", "3")
 
 
