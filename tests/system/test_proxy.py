@@ -46,7 +46,9 @@ class Stack:
 
     def show(self) -> None:
         """Print what PHM has logged: pytest shows it when the test has failed."""
-        log = self.app.client.containers.get(self.me).exec_run(["sh", "-c", "grep -v -e SUCCESS -e REPORT /var/log/phm/phm.log"])
+        log = self.app.client.containers.get(self.me).exec_run(
+            ["sh", "-c", "grep -v -e SUCCESS -e REPORT /var/log/phm/phm.log"]
+        )
         print(log.output.decode(errors="replace"))
 
     def service(self, name: str) -> Any:
