@@ -49,7 +49,7 @@ class Stack:
         log = self.app.client.containers.get(self.me).exec_run(
             ["sh", "-c", "grep -v -e SUCCESS -e REPORT /var/log/phm/phm.log"]
         )
-        print(log.output.decode(errors="replace"))
+        print(log.output.decode(errors="replace"))  # noqa: T201
 
     def service(self, name: str) -> Any:
         (found,) = self.compose("ps", "--all", "--quiet", name).split()
