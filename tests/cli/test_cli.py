@@ -373,7 +373,7 @@ def test_watch_shows_the_status_until_interrupted(tmp_path: Path) -> None:
             if seen == 2:
                 break
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=20)
+        _, errors = process.communicate(timeout=120)
     assert (process.returncode, errors) == (0, "")
 
 

@@ -38,7 +38,7 @@ class Flight:
             agent={"id": 7}, interval=2, state_dir=str(folder / "state"), run_dir=str(folder / "run"),
             log={"directory": str(folder / "log")}, checks={"host": {"enabled": False}, "peers": {"enabled": False}},
             mavlink={
-                "endpoints": endpoints, "heartbeat": 0.5, "gcs_timeout": 2, "autopilot_timeout": 2, "radio_timeout": 4,
+                "endpoints": endpoints, "heartbeat": 0.5, "gcs_timeout": 5, "autopilot_timeout": 5, "radio_timeout": 8,
             },
         )  # fmt: skip
         self.events: list[Event] = []
