@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from phm.commands.requests import AddNote, Hold, OperatorRequest, Ping, Release, Reload, Reply
+from phm.commands.requests import AddNote, HoldContainer, OperatorRequest, Ping, ReleaseContainer, Reload, Reply
 from phm.commands.services import CommandServices
 from phm.core.clock import Clock
 from phm.core.model import Fault
@@ -37,10 +37,10 @@ class CommandHandler:
                 return self._approve(fault)
             case RestartContainer(place):
                 return self._restart(place, by)
-            case Hold(container, for_s, reason):
+            case HoldContainer(container, for_s, reason):
                 text, data = self._services.holds.hold(container, for_s, reason, by)
                 return Reply(CommandResult.ACCEPTED, text, data)
-            case Release(container):
+            case ReleaseContainer(container):
                 text, data = self._services.holds.release(container, by)
                 return Reply(CommandResult.ACCEPTED, text, data)
             case AddNote(text):

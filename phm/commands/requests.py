@@ -25,7 +25,7 @@ class AddNote:
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
+class HoldContainer:
     """Keep recovery from a container; empty: from all. for_s: seconds, None for the configured length."""
 
     container: str
@@ -34,7 +34,7 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True)
-class Release:
+class ReleaseContainer:
     """End the hold of a container; empty: all holds."""
 
     container: str
@@ -45,7 +45,7 @@ class Reload:
     """Read the configuration again."""
 
 
-SocketRequest = Ping | AddNote | Hold | Release | Reload | ApproveAction
+SocketRequest = Ping | AddNote | HoldContainer | ReleaseContainer | Reload | ApproveAction
 OperatorRequest = SocketRequest | RunChecks | RestartContainer
 
 
@@ -77,12 +77,12 @@ def parse(document: Any) -> SocketRequest:
         case "note", {"text": str(text), **rest} if not rest:
             return AddNote(one_line(text)[:MAX_NOTE])
         case "release", {"container": str(container), **rest} if not rest:
-            return Release(container)
+            return ReleaseContainer(container)
         case "hold", {
             "container": str(container),
             "for_s": None | int() | float() as for_s,
             "reason": str(reason),
             **rest,
         } if not rest and not isinstance(for_s, bool):
-            return Hold(container, for_s, reason)
+            return HoldContainer(container, for_s, reason)
     raise ValueError("unknown request")

@@ -39,7 +39,7 @@ class RosNotConfigured:
 
 
 @dataclass(frozen=True)
-class SelfProbe:
+class DaemonSelfProbe:
     """Probe of PHM itself: the daemon's condition and that of its ROS child process."""
 
     read_self: ReadSelf
@@ -193,7 +193,7 @@ def build_probes(
         ros=probe,
         links=links,
         swarm=swarm,
-        myself=SelfProbe(read_self, ros, links),
+        myself=DaemonSelfProbe(read_self, ros, links),
         pressure=Pressure(engine, docker, settings.containers, settings.pressure, clock),
     )
     return ProbeSet(engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, world)

@@ -120,7 +120,7 @@ class Reloader:
         except DependencyCycle as error:
             daemon.cancel_handover()
             return daemon, ReloadOutcome(False, why=f"checks: {error}")
-        except Exception:
+        except Exception:  # a defect: the present daemon goes on, and `run` reports the failure
             daemon.cancel_handover()
             raise
         new.start()

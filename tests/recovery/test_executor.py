@@ -132,7 +132,7 @@ def test_a_fault_is_acted_on_and_the_result_is_proven(worlds: list[World]) -> No
     for _ in range(100):
         world.clock.advance(0.05)
         world.look()
-        time.sleep(0.001)  # the worker's own thread must get its chance to do too much
+        until(lambda: world.clock.sleepers, "the worker to have done all that it wants to do")
     assert world.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
     assert world.runs == ["restart"]
     assert world.closed()[0].fault.by == "restart"
