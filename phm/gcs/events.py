@@ -67,8 +67,12 @@ def _slots(body: Mapping[str, Any]) -> str:
     notable = {slot: pair for slot, pair in changed.items() if _BAD.intersection(pair)}
     pieces = [f"slot {slot} {old} -> {new}" for slot, (old, new) in notable.items()]
     quiet = [new for slot, (_, new) in changed.items() if slot not in notable]
-    pieces += [f"{quiet.count(level)} slots become {word}" for level, word in _QUIET.items() if level in quiet]
+    pieces += [_became(quiet.count(level), word) for level, word in _QUIET.items() if level in quiet]
     return ", ".join([f"{_name(body)} {body['state']}", *pieces])
+
+
+def _became(count: int, word: str) -> str:
+    return f"1 slot becomes {word}" if count == 1 else f"{count} slots become {word}"
 
 
 def _presence(body: Mapping[str, Any]) -> str:
