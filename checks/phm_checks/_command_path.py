@@ -1,7 +1,7 @@
 """The path of a command from the ground to the autopilot: hops in order, and where it stops. Pure.
 
-A hop is what one check says about one part of the way. Not a check: files of this folder that begin with an underscore
-are parts of checks.
+A hop is the result of one check for one section of the path. Not a check: files in this folder whose names start with an
+underscore are parts of checks.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ from phm.api import Level
 from phm_checks._text import clean
 
 QUIET_S = 2.5
-"""Whoever speaks MAVLink sends a HEARTBEAT a second; two of them may be lost."""
+"""Every MAVLink component sends one HEARTBEAT per second; two of them may be lost."""
 
 START_S = 30.0
-"""Router, radio and autopilot are switched on with the companion, and may take so long: what was never there is not missed yet."""
+"""Router, radio and autopilot are switched on together with the companion computer and may take this long to start: until then, a
+device that was never received does not count as missing."""
 
 
 class HopState(Enum):
-    """UNUSED: there is none, or none was ever heard. WEAK: frames pass, and something is wrong with it."""
+    """UNUSED: the hop does not exist, or nothing was ever received from it. WEAK: frames pass, but something is wrong with it."""
 
     OK = "ok"
     WEAK = "weak"
@@ -33,7 +34,8 @@ class HopState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Hop:
-    """evidence: a few words for the operator. behind: hops, the nearest to PHM first, without which nothing is known of it."""
+    """evidence: a few words for the operator. behind: the hops through which it is observed, the nearest to PHM first; if one of
+    them is broken, nothing is known about this hop."""
 
     name: str
     state: HopState
@@ -42,7 +44,7 @@ class Hop:
 
 
 def hop(name: str, result: api.Result, behind: Sequence[str] = ()) -> Hop:
-    """What a check's result says about its part of the way."""
+    """Convert a check's result into the hop for its section of the path."""
     if result.bypass:
         return Hop(name, HopState.UNUSED)
     states = {
@@ -59,7 +61,7 @@ def hop(name: str, result: api.Result, behind: Sequence[str] = ()) -> Hop:
 
 
 def seen_from_here(hops: Sequence[Hop]) -> list[Hop]:
-    """What lies behind a broken hop is not known, whatever its own evidence says: none of it gets here."""
+    """Mark hops behind a broken hop as unknown, whatever their own evidence says: no data from them reaches PHM."""
     broken = {one.name for one in hops if one.state is HopState.BROKEN}
     return [_seen(one, next((name for name in one.behind if name in broken), "")) for one in hops]
 
@@ -71,31 +73,31 @@ def _seen(one: Hop, behind: str) -> Hop:
 
 
 def first_broken(hops: Sequence[Hop]) -> Hop | None:
-    """Where a command stops; None: at no hop, as far as is known."""
+    """The hop at which a command stops; None if no broken hop is known."""
     return next((one for one in hops if one.state is HopState.BROKEN), None)
 
 
 def in_words(hops: Sequence[Hop]) -> str:
-    """``GCS ok -> radio BROKEN (no RADIO_STATUS 6 s) -> ...``; what is not used is left out."""
+    """``GCS ok -> radio BROKEN (no RADIO_STATUS 6 s) -> ...``; unused hops are omitted."""
     used = (one for one in hops if one.state is not HopState.UNUSED)
     return " -> ".join(f"{one.name} {one.state.value}{f' ({one.evidence})' if one.evidence else ''}" for one in used)
 
 
-# ---------------------------------------------------------------- which hops there are
+# ---------------------------------------------------------------- the existing hops
 
 
 def link_id(entry: api.EndpointSettings) -> str:
-    """The unit of an endpoint."""
+    """The unit id of an endpoint."""
     return f"link/{api.topic_id(entry.key)}"
 
 
 def radio_id(entry: api.EndpointSettings) -> str:
-    """The unit of the radio behind an endpoint."""
+    """The unit id of the radio behind an endpoint."""
     return f"radio/{api.topic_id(entry.key)}"
 
 
 def target_of(link: str) -> str:
-    """What recovery acts on for the endpoint of this name."""
+    """The recovery target for the endpoint with this name."""
     return f"link:{link}"
 
 
@@ -108,12 +110,12 @@ def to_autopilot(settings: api.Settings) -> list[api.EndpointSettings]:
 
 
 def ways(settings: api.Settings) -> list[api.EndpointSettings]:
-    """Endpoints that a command from the ground may pass; not those to other agents."""
+    """Endpoints through which a command from the ground may pass; not the endpoints to other agents."""
     return [entry for entry in settings.mavlink.endpoints if entry.to_ground or entry.to_autopilot]
 
 
 def with_radio(settings: api.Settings) -> list[api.EndpointSettings]:
-    """Endpoints behind which a radio is looked for."""
+    """Endpoints behind which PHM expects or looks for a radio."""
     return [
         entry
         for entry in settings.mavlink.endpoints
@@ -122,41 +124,41 @@ def with_radio(settings: api.Settings) -> list[api.EndpointSettings]:
 
 
 def kind(entry: api.EndpointSettings) -> str:
-    """What its hop is called."""
+    """The name of the endpoint's hop."""
     return "port" if entry.serial else "router" if entry.leads_to == "router" else "link"
 
 
 def named(hop_name: str, entry: api.EndpointSettings, entries: Sequence[api.EndpointSettings]) -> str:
-    """`radio`, or with the endpoint's name where there are several."""
+    """The hop's name, such as `radio`, followed by the endpoint's name if there are several."""
     return hop_name if list(entries) == [entry] else f"{hop_name} {entry.key}"
 
 
-# ---------------------------------------------------------------- what several checks ask of an endpoint
+# ---------------------------------------------------------------- endpoint queries that several checks share
 
 
 def link_of(world: api.World, name: str) -> api.LinkFact | None:
-    """None: it was not tried yet."""
+    """The state of an endpoint; None if PHM has not tried it yet."""
     return next((link for link in world.links.links() if link.name == name), None)
 
 
 def silent(link: api.LinkFact | None) -> bool:
-    """Whether the endpoint is open and nothing at all comes by it."""
+    """Whether the endpoint is open but receives nothing at all."""
     return link is not None and link.open and (link.rx_age_s is None or link.rx_age_s >= QUIET_S)
 
 
 def routed(world: api.World, entry: api.EndpointSettings) -> bool:
-    """Whether a router is there: configured, or seen by a RADIO_STATUS, which no autopilot passes on."""
+    """Whether there is a router: configured, or detected by a RADIO_STATUS, which no autopilot forwards."""
     if entry.leads_to != "both" or entry.serial:
         return entry.leads_to == "router"
     return any(radio.link == entry.key for radio in world.links.radios())
 
 
 def starting(world: api.World) -> bool:
-    """Whether PHM has begun a moment ago, and what belongs to the vehicle may still be on its way."""
+    """Whether PHM started only recently, so that other parts of the vehicle may still be starting."""
     return world.myself.look().uptime_s < START_S
 
 
 def all_closed(world: api.World, entries: Sequence[api.EndpointSettings]) -> bool:
-    """Whether every one of these endpoints is known to be closed: then nothing can be heard."""
+    """Whether all these endpoints are known to be closed: then nothing can be received."""
     closed = {link.name for link in world.links.links() if not link.open}
     return all(entry.key in closed for entry in entries)

@@ -1,6 +1,6 @@
-"""Whether the processor is used up: by its mean over a window, or sooner where the kernel says that tasks wait for it.
+"""Detects an overloaded CPU: from its mean use over a window, or sooner if the kernel reports that tasks wait for a CPU.
 
-Not a check: files of this folder that begin with an underscore are parts of checks.
+Not a check: files in this folder whose names start with an underscore are parts of checks.
 """
 
 from __future__ import annotations
@@ -16,25 +16,27 @@ from phm_checks._text import StableNumber, span
 from phm_checks._threshold import Threshold
 
 WAITING_PERCENT = 40.0
-"""Tasks must have waited for a core for this share of the quick window: cores that are all busy while nobody waits are well used."""
+"""Tasks must have waited for a core during this share of the quick window: cores that are all busy while no task waits are just
+well used."""
 STAYS_S = 5.0
-"""What was told quickly stays until it was not so for this long: bursts with short pauses are one fault."""
+"""A fault from the quick detection persists until its condition has been absent for this long: bursts with short pauses are one
+fault."""
 FEWEST = 2
-"""Readings in the quick window. The kernel counts all the time, so few will do."""
+"""Minimum number of readings in the quick window. The kernel counts continuously, so a few are enough."""
 ASK_AGAIN_S = 10.0
-"""An engine that did not answer whether a container starts is left alone for so long."""
+"""After the engine failed to answer whether a container is starting, PHM waits this long before it asks again."""
 _MOST_READINGS = 2000
 
 
 class Cpu:
-    """Judges the readings of one machine. Unit: shares in percent, times in seconds."""
+    """Evaluates the readings of one machine. Units: shares in percent, times in seconds."""
 
     def __init__(self, settings: api.Settings) -> None:
         limits = self._limits = settings.host
         self._mean = Threshold(limits.cpu.warn, limits.cpu.error)
         self._readings: deque[tuple[float, float]] = deque(maxlen=_MOST_READINGS)
         self._quick: deque[tuple[float, float, float]] = deque(maxlen=_MOST_READINGS)
-        self._told: tuple[float, Level, str] | None = None
+        self._quick_fault: tuple[float, Level, str] | None = None
         self._steady = StableNumber(share=0.05)
         self._containers = [entry.key for entry in settings.containers]
         self._start_s = settings.ros.grace
@@ -43,12 +45,12 @@ class Cpu:
         self._taken: tuple[str, float] | None = None
 
     def judge(self, fact: api.HostFact, now: float, world: api.World) -> api.Result:
-        """See `_judge`; the readings carry the mean, too."""
+        """Evaluate one reading, see `_judge`; the result's readings also contain the mean."""
         mean = self._mean_of(fact, now)
         return replace(self._judge(fact, mean, now, world), readings=api.HostReadings(cpu_percent=mean))
 
     def _judge(self, fact: api.HostFact, mean: float, now: float, world: api.World) -> api.Result:
-        """The mean of the readings within the window; high use is told once the window is full, or the quick way."""
+        """Evaluate the mean of the readings in the window; report high use once the window is full, or by the quick detection."""
         window_s = self._limits.cpu_window
         values: dict[str, api.Value] = {
             "cpu_percent": round(mean, 1),
@@ -56,11 +58,11 @@ class Cpu:
         }
         if fact.waiting_percent is not None:
             values["cpu_waiting_percent"] = round(fact.waiting_percent, 1)
-        # It takes two questions to know who has the CPUs: the first is asked before there is something to report.
+        # Finding the top CPU consumer takes two queries, so the first is made before there is something to report.
         self._taken = top_consumer(world) if fact.cpu_percent >= self._limits.cpu.warn else None
         full = now - self._readings[0][0] >= window_s
         level = self._mean.level(mean)
-        quick = self._judge_quickly(fact, now, world)
+        quick = self._quick_level(fact, now, world)
         if quick is not None and (not full or quick[0] is Level.ERROR or level is Level.OK):
             return self._bad(quick[0], quick[1], 100.0, values)
         if level is Level.OK:
@@ -72,10 +74,10 @@ class Cpu:
         return self._bad(level, words, mean, values)
 
     def _mean_of(self, fact: api.HostFact, now: float) -> float:
-        """The mean CPU use in percent over the window, with this reading."""
+        """The mean CPU use in percent over the window, including this reading."""
         window_s = self._limits.cpu_window
         self._readings.append((now, fact.cpu_percent))
-        # One reading from before the window stays: it shows that the window is full.
+        # Keep one reading from before the window: it shows that the window is full.
         while len(self._readings) > 1 and self._readings[1][0] <= now - window_s:
             self._readings.popleft()
         inside = [share for at, share in self._readings if at > now - window_s]
@@ -86,21 +88,21 @@ class Cpu:
         summary = f"{words}{most}: find the process with `top`, or give its container a CPU limit"
         return api.Result(level, summary, f"CPU {self._steady.show('cpu', share):.0f} %", "cpu_high", values=values)
 
-    # ------------------------------------------------------------ the quick way
+    # ------------------------------------------------------------ quick detection
 
-    def _judge_quickly(self, fact: api.HostFact, now: float, world: api.World) -> tuple[Level, str] | None:
-        """Level and words; None when the quick way has nothing to tell."""
+    def _quick_level(self, fact: api.HostFact, now: float, world: api.World) -> tuple[Level, str] | None:
+        """Level and text of a fault; None if the quick detection has nothing to report."""
         self._first = now if self._first is None else self._first
         seen = self._pressed(fact, now)
-        if seen is not None and (self._told is not None or not self._starting(now, world)):
-            level = max(seen[0], self._told[1], key=_rank) if self._told is not None else seen[0]
-            self._told = now, level, seen[1]
-        if self._told is not None and now - self._told[0] > STAYS_S:
-            self._told = None
-        return self._told[1:] if self._told is not None else None
+        if seen is not None and (self._quick_fault is not None or not self._starting(now, world)):
+            level = max(seen[0], self._quick_fault[1], key=_rank) if self._quick_fault is not None else seen[0]
+            self._quick_fault = now, level, seen[1]
+        if self._quick_fault is not None and now - self._quick_fault[0] > STAYS_S:
+            self._quick_fault = None
+        return self._quick_fault[1:] if self._quick_fault is not None else None
 
     def _pressed(self, fact: api.HostFact, now: float) -> tuple[Level, str] | None:
-        """What the readings of the quick window say: never below the limit, and tasks waited."""
+        """Evaluate the quick window: a fault if CPU use was never below the limit and tasks waited for a core."""
         window_s = self._limits.cpu_quick
         if fact.waiting_percent is None or window_s == 0:
             return None
@@ -122,9 +124,9 @@ class Cpu:
         return (Level.ERROR if least >= limits.error else Level.WARN), words
 
     def _starting(self, now: float, world: api.World) -> bool:
-        """PHM or a container has just been started: that takes all of a small machine for a while, and ends by itself.
+        """Whether PHM or a container has just started: a start uses a small machine's entire CPU for a while and then ends by itself.
 
-        True as well when the engine cannot tell: then the mean decides.
+        Also true if the engine does not answer: then the mean decides.
         """
         if self._first is None or now - self._first < self._start_s or now < self._ask_from:
             return True
@@ -141,7 +143,7 @@ def _rank(level: Level) -> int:
 
 
 def _age_s(fact: api.ContainerFact, world: api.World) -> float:
-    """Seconds since the container was started; infinite when its engine's stamp cannot be read."""
+    """Seconds since the container was started; infinite if the engine's timestamp cannot be parsed."""
     try:
         started = datetime.fromisoformat(fact.started_at[:19] + "+00:00").timestamp()
     except ValueError:

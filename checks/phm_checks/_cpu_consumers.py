@@ -1,5 +1,6 @@
-"""Who has the CPUs that a container or the computer is short of. Not a check: files of this folder that begin with an underscore are
-parts of checks.
+"""The consumer of the CPU time that a container or the computer lacks.
+
+Not a check: files in this folder whose names start with an underscore are parts of checks.
 """
 
 from __future__ import annotations
@@ -8,13 +9,13 @@ from phm import api
 from phm_checks._text import clean
 
 FEW = 0.1
-"""Who takes fewer CPUs than this is not named."""
+"""A consumer that uses fewer CPUs than this is not named."""
 
 
 def top_consumer(world: api.World, but: str = "") -> tuple[str, float] | None:
-    """The name and the CPUs of the consumer that takes most, other than container `but`; None when it cannot be seen.
+    """The name and CPU use of the largest consumer, other than container `but`; None if it is unknown.
 
-    The probe needs two questions to know, so ask before it is urgent.
+    The probe needs two queries before it has an answer, so call this before the answer is urgent.
     """
     try:
         found = [fact for fact in world.pressure.consumers() if fact.name != but and fact.cpus >= FEW]

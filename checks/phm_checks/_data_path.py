@@ -1,8 +1,8 @@
-"""Whether discovery between PHM and a container passes and no data does: several nodes at once, of which nothing is heard. Pure but
-for asking the world.
+"""Detects that discovery works between PHM and a container but no data arrives: several nodes at once, with nothing received from any
+of them. Pure, except that it queries the world.
 
-One node that says nothing may hang. That all nodes of a container fall silent in the same moment, while discovery lists them and
-their processes run, is the way between them and PHM: a firewall, or a transport that is not shared.
+One silent node may be hung. When all nodes of a container fall silent at the same moment, while discovery lists them and their
+processes run, the cause is the path between them and PHM: a firewall, or a transport that they do not share.
 """
 
 from __future__ import annotations
@@ -17,28 +17,30 @@ from phm_checks._text import listed, span
 
 WITNESSES = 2
 SILENT_S = 3.0
-"""Well below the time after which the silence of a single node is told, so that this is known before."""
+"""Well below the time after which the silence of a single node is reported, so that a blocked data path is known first."""
 TOGETHER_S = 1.5
-"""Beacons beat five times a second and topics of 1 Hz once: so far apart may be the last signs of nodes cut off at once."""
+"""Beacons send five times a second and 1 Hz topics once: the last signs of life of nodes that are cut off at the same moment may be this
+far apart."""
 ASLEEP, AWAKE = "asleep", "awake"
 OLD_PICTURE_S = 2.0
 SOON_S, SOON_PERIODS = 1.0, 5.0
-"""Where beacons that have threads of their own are among the silent, and all processes sleep, so none of them waits for a processor:
-a second of silence, or so many beats, which a second look must confirm."""
+"""The limit if beacons, which have their own threads, are among the silent and all processes sleep, so that none of them waits for a
+CPU: one second of silence, or this many beacon periods, confirmed by a second look."""
 CONFIRM_S = 0.4
-"""Until the second look: PHM's own child, too, may have been held up, and what has come be still on its way through it."""
+"""Time until the second look: PHM's own child process may have been delayed too, with received data still in its queue."""
 FRESH_S = 0.5
-"""Pictures come four times a second; an older one means that the child is held up."""
+"""Snapshots arrive four times a second; an older one means that the child process is delayed."""
 NOISE_S = 0.05
-"""Ages of one sign in two pictures differ by less: none can be of another beat."""
+"""The ages of one sign of life differ by less than this between two snapshots, so none can belong to a different beacon message."""
 PAUSE, REMEMBER_S = 2.0, 600.0
-"""A silence that ended by itself shows what this machine does at times: so many times as long is waited for, for so long."""
+"""A silence that ended by itself shows how long this machine can pause: for REMEMBER_S, PHM waits for PAUSE times as long."""
 ABSENT_S = 4.0
-"""So long nothing may have been heard of nodes that are not listed either. Below the time after which each is told by itself."""
+"""Nothing must have been received for this long from nodes that are not listed either. Below the time after which each node is
+reported separately."""
 
 
 class DataPath:
-    """What may be heard of one container's nodes: beacons, and topics with a rate that one node alone publishes."""
+    """Data that PHM can receive from one container's nodes: beacons, and topics with a rate that exactly one node publishes."""
 
     def __init__(self, key: str, settings: api.Settings) -> None:
         self._key, self._grace_s = key, settings.ros.grace
@@ -49,23 +51,23 @@ class DataPath:
         self._ends = {name: NodeTopics.of(name, settings.ros.topics) for name in own}
         self._generation, self._met_at = "", 0.0
         self._cut_at = 0.0
-        """The last sign before they were told to be cut off was at this moment at the latest."""
+        """The last sign of life before they were reported as cut off came at this moment at the latest."""
         self._pause_s, self._paused_at = 0.0, 0.0
-        """The last silence of all that ended by itself, and when."""
+        """Duration of the last silence of all nodes that ended by itself, and when it ended."""
         self._blocked_generation = ""
-        """In which it was blocked last, until something was heard in another."""
+        """The container generation in which the path was last blocked; cleared when data is received in another generation."""
         self.never_heard = False
-        """Of the last answer that said why: whether nothing was ever heard in this life."""
+        """For the last non-empty result of `why`: whether nothing was ever received in this container generation."""
 
     def why(self, world: api.World, generation: str) -> str:
-        """The evidence in words; empty while anything is heard, or when it cannot be told. life: of the container, now."""
+        """The evidence as text; empty while anything is received, or if the state is unknown. generation: the container's current one."""
         why = self._why(world, generation)
         if why:
             self._blocked_generation = generation
         return why
 
     def waiting(self, world: api.World, generation: str) -> bool:
-        """It was blocked in the life before, and whether data come in this one is not known yet. After `why`."""
+        """Whether the path was blocked in the previous generation and it is not yet known if data arrives in this one. Call after `why`."""
         if self._blocked_generation in ("", generation):
             return False
         now = world.clock.mono()
@@ -74,7 +76,7 @@ class DataPath:
         return bool(self._blocked_generation)
 
     def _heard(self, world: api.World, now: float) -> bool:
-        """Whether any node has given a sign in this life."""
+        """Whether any node has given a sign of life in this generation."""
         try:
             fact = world.ros.look()
         except api.CannotTell:
@@ -95,10 +97,10 @@ class DataPath:
         if fact.age_s > OLD_PICTURE_S:
             return ""
         silent = [found for node in self._wanted if (found := self._silent_s(node, fact)) is not None]
-        # What was heard before this life was heard of other processes, whose names may be listed until their lease ends.
-        in_this_life = silent and now - max(silent) > self._met_at
-        if in_this_life and len(silent) >= WITNESSES:
-            # What was told stays so until something is heard.
+        # Data from before this generation came from other processes, whose names may stay listed until their lease ends.
+        in_this_generation = silent and now - max(silent) > self._met_at
+        if in_this_generation and len(silent) >= WITNESSES:
+            # A reported fault persists until something is received.
             long = _together(silent, SILENT_S, TOGETHER_S) or now - min(silent) <= self._cut_at
             silent_s = min(silent) if long and self._run(world) else self._soon(world, fact, silent)
             if silent_s:
@@ -116,15 +118,15 @@ class DataPath:
         return ""
 
     def _soon(self, world: api.World, fact: api.RosFact, silent: Sequence[float]) -> float:
-        """How long all of them have been silent, where that is certain before SILENT_S; else 0."""
-        beats = [fact.beacons[node.name].period_s for node in self._wanted if node.name in fact.beacons]
+        """How long all of them have been silent, if that is certain before SILENT_S; otherwise 0."""
+        periods = [fact.beacons[node.name].period_s for node in self._wanted if node.name in fact.beacons]
         all_heard_of = len(silent) == len(self._wanted)
-        if not all_heard_of or len(beats) < WITNESSES or fact.age_s > FRESH_S:
+        if not all_heard_of or len(periods) < WITNESSES or fact.age_s > FRESH_S:
             return 0.0
         now = world.clock.mono()
         pause_s = self._pause_s if now - self._paused_at < REMEMBER_S else 0.0
-        limit_s = max(SOON_S, SOON_PERIODS * max(beats), PAUSE * pause_s)
-        near_s = max(2 * max(beats), FRESH_S)
+        limit_s = max(SOON_S, SOON_PERIODS * max(periods), PAUSE * pause_s)
+        near_s = max(2 * max(periods), FRESH_S)
         if not _together(silent, limit_s - CONFIRM_S, near_s) or self._run(world) != ASLEEP:
             return 0.0
         world.clock.wait(threading.Event(), max(CONFIRM_S, limit_s - min(silent)))
@@ -141,7 +143,7 @@ class DataPath:
         return min(later) if sure else 0.0
 
     def absent(self, world: api.World) -> str:
-        """The evidence that discovery does not pass either, though all nodes run; empty where that cannot be told. After `why`."""
+        """The evidence that discovery does not work either, although all nodes run; empty if unknown. Call after `why`."""
         now = world.clock.mono()
         if len(self._wanted) < WITNESSES or now - self._met_at < self._grace_s:
             return ""
@@ -162,7 +164,7 @@ class DataPath:
         )
 
     def _silent_s(self, node: Wanted, fact: api.RosFact) -> float | None:
-        """Since the last sign of a node that is listed; None: it is not, or it never gave one, so it is no witness."""
+        """Seconds since the last sign of life of a listed node. None if it is not listed, or never gave a sign and so proves nothing."""
         if not fact.nodes.get(node.name):
             return None
         ages = list(self._signs(node, fact))
@@ -178,7 +180,7 @@ class DataPath:
                 yield max(0.0, rate.silent_s - rate.not_counted_s)
 
     def _nameless(self, fact: api.RosFact) -> bool:
-        """Nodes' names come as data, that there are publishers with discovery."""
+        """Whether publishers are discovered without node names: names arrive as data, publishers through discovery."""
         if fact.up_s < self._grace_s or any(node.name in fact.nodes for node in self._wanted):
             return False
         topics = [fact.topics.get(topic, api.TopicFact()) for ends in self._ends.values() for topic, _ in ends.rates]
@@ -187,7 +189,7 @@ class DataPath:
         return len(found) >= WITNESSES and not any(found) and not heard
 
     def _run(self, world: api.World) -> str:
-        """AWAKE or ASLEEP where each node has a process of its own, none of them stopped; else empty. Asked only for a reason."""
+        """AWAKE or ASLEEP if each node has its own process and none is stopped; otherwise empty. Called only if there is a reason."""
         try:
             found, _ = match(self._wanted, world.docker.processes(self._key), {})
         except api.CannotTell:
@@ -199,5 +201,5 @@ class DataPath:
 
 
 def _together(silent: Sequence[float], limit_s: float, apart_s: float) -> bool:
-    """Whether all have been silent for longer than that, and since about the same moment."""
+    """Whether all have been silent for longer than `limit_s`, beginning at most `apart_s` apart."""
     return min(silent) > limit_s and max(silent) - min(silent) <= apart_s

@@ -1,6 +1,6 @@
-"""Named ends of topics in the course of time: which a running node had and gave up, and how long it takes to make one anew.
+"""History of named topic endpoints: which ones a running node had and closed, and how long it takes to recreate one.
 
-Not a check: memory of `topics`.
+Not a check: holds state for `topics`.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from phm import api
 from phm_checks._node_activity import went_on
 
 SETTLE_S = 0.4
-"""How long an end must be lost whose node goes on, before it is told. To make one anew, as for another quality of service,
-takes some milliseconds."""
+"""How long an endpoint must be lost before it is reported, while its node continues to run. Recreating one, for example to change its
+quality of service, takes some milliseconds."""
 REMADE = 2.0
-"""A node that has taken longer to make it anew (as one with a life cycle may) is given so many times as long again, on top."""
+"""A node that took longer to recreate an endpoint, as a lifecycle node may, gets this multiple of that time in addition."""
 REMADE_MOST_S = 5.0
-"""What was away for longer was lost, and teaches nothing."""
+"""An endpoint that was gone for longer was lost; the duration is not used as a reference."""
 REMEMBERED_S = 600.0
 
 Key = tuple[str, str, str]
@@ -25,7 +25,8 @@ Key = tuple[str, str, str]
 
 @dataclass(slots=True)
 class _End:
-    """An end that was there since its node came into the graph. lost_at: monotonic; gap_s: the longest of late, as of gap_at."""
+    """An endpoint that has existed since its node appeared in the graph. lost_at: monotonic time; gap_s: the longest recent gap,
+    measured at gap_at."""
 
     lost_at: float | None = None
     gap_s: float = 0.0
@@ -33,14 +34,14 @@ class _End:
 
 
 class EndpointHistory:
-    """At most as many as are configured. What never was there is a matter of configuration, and no restart helps; neither is
-    anything known of a node that was started anew."""
+    """State of the configured endpoints, at most one entry each. An endpoint that never existed is a configuration problem, which no
+    restart fixes. Nothing is known about the endpoints of a restarted node."""
 
     def __init__(self) -> None:
         self._had: dict[Key, _End] = {}
 
     def lost(self, key: Key, *, there: bool, listed: bool, now: float) -> bool:
-        """Whether a node that is listed had this end and gave it up. Called at every look."""
+        """Whether a listed node had this endpoint and closed it. Called for every snapshot."""
         end = self._had.get(key)
         if there:
             end = end or self._had.setdefault(key, _End())
@@ -56,12 +57,13 @@ class EndpointHistory:
         return True
 
     def young(self, topic: str, now: float) -> bool:
-        """Whether all ends of the topic that are lost may be being made anew at this moment."""
+        """Whether all lost endpoints of the topic may currently be being recreated."""
         lost = [end.lost_at for key, end in self._had.items() if key[0] == topic and end.lost_at is not None]
         return bool(lost) and now - min(lost) < SETTLE_S
 
     def settle_s(self, key: Key, fact: api.RosFact, now: float) -> float | None:
-        """How long a lost end must have been away to be told; None while its node has not been heard since: it may be ending."""
+        """How long an endpoint must have been lost before it is reported. None while its node has given no sign of life since: it may be
+        terminating."""
         end = self._had[key]
         assert end.lost_at is not None
         if not went_on(key[2], fact, now - end.lost_at):

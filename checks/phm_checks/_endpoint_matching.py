@@ -1,4 +1,4 @@
-"""The ends of one topic and their pairs: which belong together, and which the configuration needs.
+"""The endpoints of one topic and their pairs: which endpoints match, and which pairs the configuration requires.
 
 A pair is a publisher and a subscription of the same topic. Not a check: pure rules, used by `topics`.
 """
@@ -17,7 +17,7 @@ SHOWN = 3
 
 
 def full(name: str) -> str:
-    """A ROS name with its first slash."""
+    """A ROS name with its leading slash."""
     return f"/{api.topic_id(name)}"
 
 
@@ -29,7 +29,7 @@ def all_ends(seen: api.TopicFact) -> Iterator[tuple[str, api.EndpointFact]]:
 def named_sides(
     topic: api.TopicSettings, seen: api.TopicFact
 ) -> tuple[tuple[str, Sequence[str], Sequence[api.EndpointFact]], ...]:
-    """Kind of end, the nodes that the configuration names, and the ends that are there."""
+    """Kind of endpoint, the nodes that the configuration names, and the endpoints that exist."""
     return (
         ("publisher", topic.publishers, seen.publishers),
         ("subscriber", topic.subscribers, seen.subscribers),
@@ -37,7 +37,7 @@ def named_sides(
 
 
 def sides(pairs: Sequence[Pair]) -> list[tuple[str, api.EndpointFact]]:
-    """The ends of these pairs, each once."""
+    """The endpoints of these pairs, each once."""
     return list(
         dict.fromkeys(side for out, into in pairs for side in (("publisher", out), ("subscriber", into))),
     )
@@ -60,7 +60,7 @@ def serves(out: api.EndpointFact, into: api.EndpointFact) -> bool:
 
 
 def needed(topic: api.TopicSettings, seen: api.TopicFact, pair: Pair) -> bool:
-    """Whether the configuration needs this pair: both are named, or the subscriber is and no publisher serves it."""
+    """Whether the configuration requires this pair: both endpoints are named, or the subscriber is named and no publisher serves it."""
     out, into = pair
     if not named(into, topic.subscribers):
         return False
@@ -70,7 +70,7 @@ def needed(topic: api.TopicSettings, seen: api.TopicFact, pair: Pair) -> bool:
 
 
 def needed_end(topic: api.TopicSettings, seen: api.TopicFact, side: str, end: api.EndpointFact) -> bool:
-    """Whether the configuration names this end, or it stands for the one publisher that there must be."""
+    """Whether the configuration names this endpoint, or it is the only candidate for the one required publisher."""
     if side == "subscriber":
         return named(end, topic.subscribers)
     if topic.publishers:
@@ -87,7 +87,7 @@ def level_of(topic: api.TopicSettings, seen: api.TopicFact, pairs: Sequence[Pair
 
 
 def unfit(seen: api.TopicFact, pair: Pair, mismatch: Mismatch) -> str:
-    """One policy of one pair, and what to change: at the end that stands alone, if one does."""
+    """Text for one policy of one pair and what to change: at the endpoint that matches no other, if there is one."""
     out, into = pair
     at_publisher = f"at the publisher {mismatch.raise_offer}"
     at_subscriber = f"at the subscriber {mismatch.lower_ask}"

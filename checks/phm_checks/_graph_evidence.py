@@ -1,4 +1,4 @@
-"""What the picture of the ROS graph says about one node, as evidence, with what must be remembered for it."""
+"""Evidence about one node from ROS graph snapshots, with the state that this requires."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ from phm_checks._liveness import Evidence, Kind, Observation
 from phm_checks._text import last, listed, span
 
 SILENT_PERIODS, SILENT_S = 3.0, 0.5
-"""A beacon that misses this many beats, and for no less than this time, is silent."""
+"""A beacon is silent if it misses this many periods, and for at least this long."""
 LATE_S = 1.5
-"""An executor that has not turned for this long is late. Below the time after which a silent topic is told."""
+"""An executor that has not run for this long is late. Below the time after which a silent topic is reported."""
 WAVER_PERIODS = 2.0
-"""A beacon or topic that is silent for so many periods is no evidence yet, but a reason to look at the processes."""
+"""A beacon or topic that is silent for this many periods is not evidence yet, but a reason to check the processes."""
 WAVER_S = 0.2
 LARGE_BPS, PAUSE_S = 0.8e6, 2.75
-"""Topics of so many bytes a second are listened to with such pauses (`phm.probes.ros.rates.topic_monitor`), so they seem to waver."""
+"""PHM samples topics above this many bytes per second with pauses of this length (`phm.probes.ros.rates.topic_monitor`), so they
+appear to be interrupted."""
 TWICE_S = 30.0
 """A restarted node is listed twice until its old lease ends, 20 s by default in Fast DDS; longer means two nodes."""
 
 
 UNNAMED_S = 20.0
-"""So long ends without a name speak against a node's absence: PHM looks for the names with a new participant after 5 s
-(`phm.probes.ros.unnamed_participants`), which takes seconds."""
+"""For this long, endpoints without a node name are evidence against a node's absence: after 5 s PHM looks for the names with a new
+participant (`phm.probes.ros.unnamed_participants`), which takes seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class NodeTopics:
-    """What the configuration says of one node's topics: those it alone publishes at a rate, and all that it uses."""
+    """One node's topics according to the configuration: those with a rate that only this node publishes, and all that it uses."""
 
     rates: tuple[tuple[str, float], ...] = ()
-    """(full name of the topic, Hz)."""
+    """(Full topic name, rate in Hz)."""
     topics: tuple[str, ...] = ()
 
     @classmethod
@@ -49,8 +50,8 @@ class NodeTopics:
 
 
 class GraphEvidence:
-    """One node in the pictures of the graph. `doubts` (why it may not be well) and `count` (how often it is listed) are
-    those of the last look."""
+    """One node in the graph snapshots. `doubts` (why it may not be healthy) and `count` (how often it is listed) are those of the last
+    snapshot."""
 
     def __init__(self, node: str, ends: NodeTopics, grace_s: float) -> None:
         self._node, self._ends, self._grace_s = node, ends, grace_s
@@ -61,19 +62,19 @@ class GraphEvidence:
         self._bare_since: float | None = None
         self._twice_since: float | None = None
         self.appeared_at = float("-inf")
-        """When its name came into the graph, or came once more, on the monotonic clock."""
+        """When its name appeared in the graph, or appeared one more time, on the monotonic clock."""
         self.count = 0
         self.rivals = 0
-        """Other processes that beat under its name."""
+        """Other processes that send beacons under its name."""
         self.twofold = False
-        """It is listed more than once, and so is one of its ends: a name alone may stay behind for ever, seen after its
-        interface had been down for seconds."""
+        """The node is listed more than once, and so is one of its endpoints. A name alone may remain in the graph permanently; this was
+        observed after the node's interface had been down for seconds."""
         self.doubts: set[str] = set()
         self.blind = True
-        """Nothing but the graph tells of it: neither a beacon nor a topic with a rate."""
+        """The graph is the only source: the node has neither a beacon nor a topic with a rate."""
 
     def look(self, fact: api.RosFact | None, now: float, began_at: float) -> list[Evidence]:
-        """Evidence in the newest picture; None: there is none. began_at: what is older is of an earlier node of the name."""
+        """Evidence from the newest snapshot; None if there is none. began_at: older data belongs to an earlier node of this name."""
         if fact is None:
             self.doubts, self.blind = {"no picture"}, True
             return []
@@ -89,10 +90,10 @@ class GraphEvidence:
         return [piece for piece in (beacon, topics, self._endpoints(fact, now), name) if piece is not None]
 
     def twice(self, now: float) -> bool:
-        """Whether there are two of it: listed so for longer than any lease, or while another process beats under its name."""
+        """Whether the node runs twice: listed so for longer than any lease, or while another process sends beacons under its name."""
         return self._twice_since is not None and (now - self._twice_since > TWICE_S or self.rivals > 0)
 
-    # ------------------------------------------------------------ one kind each
+    # ------------------------------------------------------------ one method per kind
 
     def _beacon(self, fact: api.RosFact, now: float, began_at: float) -> Evidence | None:
         beacon = fact.beacons.get(self._node)
@@ -101,7 +102,7 @@ class GraphEvidence:
             return None
         if self.rivals:
             self.doubts.add("rivals")
-        # While PHM's own child is late nobody was heard: that is no silence.
+        # While PHM's own child process is late, nothing is received from any node: that does not count as silence.
         silent_s = max(0.0, beacon.silent_s - fact.age_s)
         if silent_s > WAVER_PERIODS * beacon.period_s:
             self.doubts.add("beacon wavers")
@@ -116,7 +117,7 @@ class GraphEvidence:
         return Evidence(Kind.BEACON, Observation.ALIVE, f"its last beacon was {span(beacon.age_s)} ago", beacon.age_s)
 
     def _topics(self, fact: api.RosFact) -> Evidence | None:
-        """Those that this node alone publishes: one that flows is a sign of life, silence of all a reason to look."""
+        """Topics that only this node publishes: data on one is a sign of life, silence of all a reason to check the processes."""
         silent: list[tuple[float, str]] = []
         limits = []
         for topic, rate_hz in self._ends.rates:
@@ -139,7 +140,7 @@ class GraphEvidence:
         return Evidence(Kind.TOPICS, Observation.SILENT, words, fact.age_s, shortest_s)
 
     def _endpoints(self, fact: api.RosFact, now: float) -> Evidence | None:
-        """Only of a name that is listed and had some: one that never had is remapped, or not through with its start."""
+        """Missing endpoints count only for a listed node that had some: otherwise its topics are remapped, or it is still starting."""
         seen = (fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics)
         if any(end.node == self._node for topic in seen for end in (*topic.publishers, *topic.subscribers)):
             self._had_ends, self._bare_since = True, None
@@ -159,17 +160,17 @@ class GraphEvidence:
         self._twice_since = (self._twice_since or now) if self.twofold else None
 
     def _most_ends(self, fact: api.RosFact) -> int:
-        """How often the same end of one topic is listed for it, at most; 0: none of its ends is."""
+        """The highest number of times that one endpoint of a topic is listed for this node; 0 if none of its endpoints is listed."""
         seen = [fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics]
         ends = ([end.node for end in side] for one in seen for side in (one.publishers, one.subscribers))
         return max((nodes.count(self._node) for nodes in ends), default=0)
 
     def _name(self, fact: api.RosFact, now: float) -> Evidence | None:
-        """A picture that never had the node proves its absence only when it is old enough."""
+        """If the child process has never listed the node, its snapshots prove the node's absence only once it has run for long enough."""
         count = fact.nodes.get(self._node, 0)
         if count > self.count:
             self.appeared_at = now
-            self.doubts.add("listed anew")
+            self.doubts.add("listed again")
         self.count = count
         if count > 1:
             self.doubts.add("listed twice")
@@ -189,7 +190,7 @@ class GraphEvidence:
         return Evidence(Kind.NAME, Observation.GONE, "it is not in the graph", fact.age_s, now - self._gone_since)
 
     def _unnamed(self, fact: api.RosFact) -> bool:
-        """Whether an end of its topics has no node's name: it may be its own, whose name PHM alone has lost."""
+        """Whether an endpoint of its topics has no node name: it may be this node's own, whose name only PHM has lost."""
         seen = (fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics)
         return any(not end.node for topic in seen for end in (*topic.publishers, *topic.subscribers))
 

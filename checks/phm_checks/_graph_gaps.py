@@ -1,6 +1,7 @@
-"""Pictures of the graph that are incomplete by their own evidence: they are no reason for an alarm.
+"""Detects graph snapshots that are incomplete by their own evidence: they are not a reason for an alarm.
 
-Not a check: memory of `topics`. Why pictures can be so, and what is done about it: `phm.probes.ros.unnamed_participants`.
+Not a check: holds state for `topics`. `phm.probes.ros.unnamed_participants` explains why snapshots can be incomplete, and what PHM
+does about it.
 """
 
 from __future__ import annotations
@@ -10,18 +11,18 @@ from phm_checks._endpoint_matching import full, named_sides
 from phm_checks._text import listed
 
 LATE_S = 0.3
-"""Topics are looked at every 0.25 s: a sample this much younger than the last listed publisher came after it."""
+"""Topics are polled every 0.25 s: a sample that is this much newer than the last listed publisher arrived after it."""
 
 
 class GraphGaps:
-    """At most as many as topics are configured."""
+    """State of the configured topics, at most one entry each."""
 
     def __init__(self) -> None:
         self._unlisted_since: dict[str, float] = {}
         """Topics without a listed publisher, on the monotonic clock."""
 
     def judge(self, topic: api.TopicSettings, seen: api.TopicFact, now: float) -> api.Result | None:
-        """STALE where it is open whether a named end is there, or data prove what is not listed; else nothing."""
+        """STALE if it is unknown whether a named endpoint exists, or data proves an endpoint that is not listed; otherwise None."""
         name = full(topic.name)
         numbers: dict[str, api.Value] = {"publishers": len(seen.publishers), "subscribers": len(seen.subscribers)}
         for kind, wanted, there in named_sides(topic, seen):
@@ -43,7 +44,7 @@ class GraphGaps:
         return None
 
     def _unlisted_flows(self, name: str, seen: api.TopicFact, now: float) -> bool:
-        """Whether a sample came after the last publisher was listed."""
+        """Whether a sample arrived after the last publisher disappeared from the list."""
         if seen.publishers:
             self._unlisted_since.pop(name, None)
             return False

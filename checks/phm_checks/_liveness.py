@@ -1,7 +1,7 @@
-"""Whether a node lives, by all that is known about it: the fusion of evidence. Pure; asks and remembers nothing.
+"""Whether a node is alive, from all evidence about it: the evidence fusion. Pure; it makes no queries and keeps no state.
 
-Evidence comes in six kinds, the best first. The first rule that has a verdict decides, so a strong sign is told
-at once, and a weak sign of death never against a newer sign of life.
+There are six kinds of evidence, the most reliable first. The first rule that reaches a verdict decides. So strong evidence is reported
+immediately, and weak evidence of death never overrides a newer sign of life.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from enum import Enum, IntEnum
 
 
 class Kind(IntEnum):
-    """Where a piece of evidence comes from, the best first."""
+    """The source of a piece of evidence, the most reliable first."""
 
     CONTAINER = 1
     PROCESS = 2
@@ -27,22 +27,22 @@ class Observation(Enum):
 
     ALIVE = "alive"
     BUSY = "busy"
-    """It computes."""
+    """It uses the CPU."""
     LATE = "late"
-    """It beats, but its executor does not turn."""
+    """It sends beacons, but its executor does not run."""
     STOPPED = "stopped"
-    """Frozen from outside: it will do nothing until it is let go."""
+    """Frozen from outside: it does nothing until it is resumed."""
     SILENT = "silent"
     GONE = "gone"
     ENDING = "ending"
-    """Of a container: it goes, and all in it, and the engine has not noticed yet."""
+    """Of a container: it is terminating with everything in it, and the engine has not noticed yet."""
 
 
 class NodeState(Enum):
     ALIVE = "alive"
     HUNG = "hung"
     UNANSWERING = "unanswering"
-    """It hangs or computes: its process could say which, and is not known well enough."""
+    """It is hung or busy: its process could show which, but too little is known about that process."""
     DEAD = "dead"
     NEVER_STARTED = "never started"
     DUPLICATE = "duplicate"
@@ -50,23 +50,23 @@ class NodeState(Enum):
 
 
 HANG_S = 5.0
-"""An executor that has not turned for this long hangs, if its process does not compute. Shorter could be a slow callback."""
+"""An executor that has not run for this long is hung if its process does not use the CPU. A shorter time could be a slow callback."""
 BLIND_HANG_S = 15.0
-"""The same where nobody can tell whether the process computes."""
+"""The same if it is unknown whether the process uses the CPU."""
 LOST_S = 5.0
-"""A node that left the graph while its process runs is given this long: a starved machine drops leases."""
+"""PHM waits this long for a node that left the graph while its process runs: on a machine short of CPU, leases expire."""
 GOODBYE_S = 0.3
-"""Nodes that end in an orderly way leave the graph a moment before their container is seen to have exited."""
+"""Nodes that shut down cleanly leave the graph a moment before PHM sees that their container has exited."""
 BARE_S = 2.0
 """A name may stay listed this long after its endpoints."""
 NEWER_S = 0.3
-"""A sign of life is newer than a list of processes by at least one look at the topics, which are made every 0.25 s."""
+"""A sign of life counts as newer than a process list only by at least one topic poll; topics are polled every 0.25 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """age_s: since it was observed. lasted_s: for how long it has been so. words: a clause for the operator. measured: of a
-    process, whether it is known if it computes."""
+    """age_s: time since it was observed. lasted_s: how long the state has lasted. words: a clause for the operator. measured: for a
+    process, whether its CPU use is known."""
 
     kind: Kind
     says: Observation
@@ -78,9 +78,9 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class NodeHistory:
-    """alive: the node was judged alive just before. seen: it was alive in this life of its container. starting: it, or its
-    container, began a moment ago. twice: it has been listed more than once for longer than any lease. contained: it runs in a
-    container whose processes the engine is asked for. unlisted: the engine could not list them.
+    """alive: the previous verdict was alive. seen: the node was alive in the current container generation. starting: it, or its
+    container, started a moment ago. twice: it has been listed more than once for longer than any lease. contained: it runs in a
+    container whose processes PHM requests from the engine. unlisted: the engine could not list them.
     """
 
     alive: bool = True
@@ -95,12 +95,12 @@ class NodeHistory:
 class NodeVerdict:
     state: NodeState
     words: str
-    """The evidence, the decisive first."""
+    """The evidence, the decisive piece first."""
     busy_s: float = 0.0
-    """Alive, but so busy that it has not answered for this long."""
+    """How long the node has been alive but too busy to answer."""
     witnessed: bool = False
-    """It was in the graph or had a process in this life, and the engine says that its process has ended or is stopped, or its
-    container: no lateness looks like that."""
+    """The node was in the graph or had a process in this container generation, and the engine reports that its process or its container
+    has ended or is stopped: a delay cannot look like that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,17 +115,17 @@ class Findings:
         return found if found is not None and found.says in what else None
 
     def alive_since(self, then: Evidence) -> bool:
-        """Whether the node beat or published after `then` was observed."""
+        """Whether the node sent a beacon or published after `then` was observed."""
         signs = (self.says(Kind.BEACON, Observation.ALIVE, Observation.LATE), self.says(Kind.TOPICS, Observation.ALIVE))
         return any(sign is not None and sign.age_s + NEWER_S < then.age_s for sign in signs)
 
 
 RuleResult = tuple[NodeState, Kind | None] | None
-"""The state and the kind of evidence that decided, or nothing."""
+"""The state and the kind of evidence that decided, or None."""
 
 
 def fuse(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
-    """The state of one node."""
+    """Determine the state of one node."""
     case = Findings({piece.kind: piece for piece in evidence}, past)
     verdicts = (rule(case) for rule in RULES)
     state, decisive = next((verdict for verdict in verdicts if verdict is not None), (NodeState.UNKNOWN, None))
@@ -138,8 +138,8 @@ def fuse(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
 
 
 def container(case: Findings) -> RuleResult:
-    """1. Nothing lives in a container that does not run, and nothing moves in one that is paused. What is missing in one that ends
-    goes with it: the engine will say so."""
+    """1. Nothing is alive in a container that is not running, and nothing runs in a paused one. A node that is missing from a
+    terminating container ends with it: the engine will report that."""
     if case.says(Kind.CONTAINER, Observation.ENDING):
         return NodeState.UNKNOWN, Kind.CONTAINER
     if case.says(Kind.CONTAINER, Observation.GONE):
@@ -148,9 +148,9 @@ def container(case: Findings) -> RuleResult:
 
 
 def process(case: Findings) -> RuleResult:
-    """2. A process that ended is a dead node, one that is stopped a hung node, unless it gave a sign of life since.
+    """2. If its process has ended, the node is dead; if its process is stopped, the node is hung, unless it gave a sign of life since.
 
-    A node that said good-bye may go with its container: that is waited for.
+    A node that has just left the graph may be terminating with its container: PHM waits for that.
     """
     found = case.says(Kind.PROCESS, Observation.GONE, Observation.STOPPED)
     if found is None or case.alive_since(found):
@@ -170,9 +170,9 @@ def _just_left(case: Findings) -> bool:
 
 
 def silent_beacon(case: Findings) -> RuleResult:
-    """3. A beacon has a thread of its own: when it is silent the process is dead, stopped, or has no processor.
+    """3. A beacon has its own thread: if it is silent, the process is dead, stopped, or gets no CPU.
 
-    Topics that flow, or a process that computes, prove the last; one that sleeps is given time.
+    Data on topics, or a process that uses the CPU, proves the last case; a process that sleeps gets more time.
     """
     beacon = case.says(Kind.BEACON, Observation.SILENT)
     if beacon is None or case.says(Kind.NAME, Observation.GONE):
@@ -187,7 +187,7 @@ def silent_beacon(case: Findings) -> RuleResult:
 
 
 def late_beacon(case: Findings) -> RuleResult:
-    """4. An executor that does not turn hangs, unless the process computes, or publishes from another thread."""
+    """4. An executor that does not run is hung, unless the process uses the CPU or publishes from another thread."""
     beacon = case.says(Kind.BEACON, Observation.LATE)
     if beacon is None:
         return None
@@ -199,8 +199,8 @@ def late_beacon(case: Findings) -> RuleResult:
 
 
 def _unanswering(case: Findings, beacon: Evidence) -> NodeState:
-    """A process that is known not to compute hangs. Where nobody can tell, a node of a container is not taken for hung: a busy
-    one would be restarted for it."""
+    """A process known not to use the CPU is hung. If that is unknown, a node in a container does not count as hung: recovery would
+    restart a node that is only busy."""
     process = case.says(Kind.PROCESS, Observation.ALIVE)
     if process is not None and process.measured:
         return NodeState.HUNG if beacon.lasted_s >= HANG_S else NodeState.UNKNOWN
@@ -210,7 +210,7 @@ def _unanswering(case: Findings, beacon: Evidence) -> NodeState:
 
 
 def sign_of_life(case: Findings) -> RuleResult:
-    """5. Whoever beats or publishes is alive, whatever the graph says."""
+    """5. A node that sends beacons or publishes is alive, whatever the graph says."""
     for kind in (Kind.BEACON, Kind.TOPICS):
         if case.says(kind, Observation.ALIVE):
             return (NodeState.DUPLICATE, Kind.NAME) if case.past.twice else (NodeState.ALIVE, kind)
@@ -218,7 +218,7 @@ def sign_of_life(case: Findings) -> RuleResult:
 
 
 def left_the_graph(case: Findings) -> RuleResult:
-    """6. A name that is gone is a dead node; while its process runs, only after LOST_S, and never while it computes."""
+    """6. If its name is gone, the node is dead; while its process runs, only after LOST_S, and never while it uses the CPU."""
     name = case.says(Kind.NAME, Observation.GONE)
     if name is None:
         return None
@@ -231,7 +231,7 @@ def left_the_graph(case: Findings) -> RuleResult:
 
 
 def bare_name(case: Findings) -> RuleResult:
-    """7. A name without its endpoints is not alive, unless its process is: then it is its topics that are at fault."""
+    """7. A name without its endpoints is not alive, unless its process is: then its topics are at fault."""
     ends = case.says(Kind.ENDPOINTS, Observation.GONE)
     if ends is None or case.says(Kind.PROCESS, Observation.ALIVE, Observation.BUSY):
         return None
@@ -240,7 +240,7 @@ def bare_name(case: Findings) -> RuleResult:
 
 
 def listed(case: Findings) -> RuleResult:
-    """8. Else it is as the graph says. A topic that is silent is not by itself a sign of death: that is its own fault."""
+    """8. Otherwise the graph decides. A silent topic alone is not evidence of death: it is a separate fault."""
     if case.says(Kind.NAME, Observation.ALIVE) is None:
         return None
     return (NodeState.DUPLICATE if case.past.twice else NodeState.ALIVE), Kind.NAME

@@ -1,7 +1,6 @@
-"""Consensus of the nodes about each other: who hears whom, what the majority says, who dissents, where it is split. Pure.
+"""Consensus of the nodes about each other: which nodes receive each other, the majority's verdict, dissents and splits. Pure.
 
-An observer is a process that PHM hears, through its beacon, or PHM itself. The nodes of one process hear with the same
-ears, so they count once.
+An observer is a process whose beacon PHM receives, or PHM itself. The nodes of one process receive the same data, so they count once.
 """
 
 from __future__ import annotations
@@ -14,26 +13,26 @@ from phm import api
 
 PHM = "PHM"
 SILENT_PERIODS, SILENT_S = 3.0, 0.5
-"""A beacon that misses this many beats, and for no less than this time, is silent."""
+"""A beacon is silent if it misses this many periods, and for at least this long."""
 HUNG_S = 5.0
-"""An executor that has not turned for this long hangs."""
+"""An executor that has not run for this long is hung."""
 MET_S = 10.0
-"""Two nodes that have both lived this long should have met; before, not knowing each other means nothing."""
+"""Two nodes that have both run for this long should have discovered each other; before that, not knowing each other means nothing."""
 
 
 class Verdict(Enum):
-    """What the observers say about a node, by strict majority of those who have an opinion."""
+    """The observers' verdict on a node, by strict majority of those with an opinion."""
 
     ALIVE = "alive"
     HUNG = "hung"
-    """Alive, and its executor does not turn."""
+    """Alive, but its executor does not run."""
     DEAD = "dead"
     UNDECIDED = "undecided"
 
 
 @dataclass(frozen=True, slots=True)
 class Opinion:
-    """heard_by, unheard_by: observers, by the name of their first node, PHM last."""
+    """The two tuples contain the observers that receive the node and those that do not, by the name of their first node, PHM last."""
 
     node: str
     verdict: Verdict
@@ -43,8 +42,8 @@ class Opinion:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """opinions: of all nodes asked about. observers: who took part, PHM last. sides: more than one when the living nodes
-    have fallen apart into groups of which none hears another.
+    """opinions: on all evaluated nodes. observers: all participants, PHM last. sides: more than one if the living nodes
+    are split into groups that do not receive each other.
     """
 
     opinions: tuple[Opinion, ...]
@@ -61,7 +60,7 @@ class Agreement:
 
     @property
     def dissents(self) -> tuple[Opinion, ...]:
-        """Nodes about which the observers differ, but for those that the split explains."""
+        """Nodes on which the observers disagree, except those that the split explains."""
         return tuple(item for item in self.opinions if item.heard_by and item.unheard_by and not self._explained(item))
 
     def _explained(self, opinion: Opinion) -> bool:
@@ -72,32 +71,33 @@ class Agreement:
 
 
 def agree(beacons: Mapping[str, api.BeaconFact], others: Mapping[str, bool], late_s: float = 0.0) -> Agreement:
-    """The consensus, by full names of nodes.
+    """Determine the consensus, by full node names.
 
-    beacons: of the nodes that have one. others: those without, and whether PHM hears them in another way: nobody but PHM
-    can tell of them. late_s: how old the picture is; while PHM itself is late, nobody was heard, and that is no silence.
+    beacons: of the nodes that have one. others: the nodes without one, and whether PHM receives data from them in another way: only
+    PHM can observe them. late_s: age of the snapshot; while PHM itself is late, it receives nothing from any node, and that does not
+    count as silence.
     """
     heard = {node: not silent(fact, late_s) for node, fact in beacons.items()}
     processes: dict[str, list[str]] = {}
     for node, fact in sorted(beacons.items()):
         if heard[node]:
             processes.setdefault(fact.witness or node, []).append(node)
-    ears = {nodes[0]: nodes for nodes in processes.values()}
-    opinions = [_opinion(node, beacons, heard, ears) for node in sorted(beacons)]
+    nodes_of = {nodes[0]: nodes for nodes in processes.values()}
+    opinions = [_opinion(node, beacons, heard, nodes_of) for node in sorted(beacons)]
     opinions += [_alone(node, hears) for node, hears in sorted(others.items())]
-    return Agreement(tuple(opinions), (*ears, PHM), _sides(ears, opinions))
+    return Agreement(tuple(opinions), (*nodes_of, PHM), _sides(nodes_of, opinions))
 
 
 def silent(fact: api.BeaconFact, late_s: float = 0.0) -> bool:
-    """Whether PHM does not hear the node."""
+    """Whether PHM does not receive the node's beacon."""
     return max(0.0, fact.silent_s - late_s) > max(SILENT_PERIODS * fact.period_s, SILENT_S)
 
 
 def _opinion(
-    node: str, beacons: Mapping[str, api.BeaconFact], heard: Mapping[str, bool], ears: Mapping[str, list[str]]
+    node: str, beacons: Mapping[str, api.BeaconFact], heard: Mapping[str, bool], nodes_of: Mapping[str, list[str]]
 ) -> Opinion:
     votes = {
-        observer: _hears(beacons[observer], beacons[node], node) for observer in ears if node not in ears[observer]
+        observer: _hears(beacons[observer], beacons[node], node) for observer in nodes_of if node not in nodes_of[observer]
     }
     votes[PHM] = heard[node]
     yes = tuple(observer for observer, vote in votes.items() if vote is True)
@@ -110,12 +110,12 @@ def _opinion(
 
 
 def _alone(node: str, hears: bool) -> Opinion:
-    """Not to be heard by PHM alone is no proof of anything."""
+    """The opinion on a node that only PHM observes: if PHM alone does not receive it, that proves nothing."""
     return Opinion(node, Verdict.ALIVE, (PHM,)) if hears else Opinion(node, Verdict.UNDECIDED, (), (PHM,))
 
 
 def _hears(observer: api.BeaconFact, other: api.BeaconFact, node: str) -> bool | None:
-    """None: no opinion, as they have not had the time to meet."""
+    """Whether the observer receives the other node; None: no opinion, as they have not had enough time to discover each other."""
     view = observer.views.get(node)
     if view is not None:
         return view.alive
@@ -123,14 +123,14 @@ def _hears(observer: api.BeaconFact, other: api.BeaconFact, node: str) -> bool |
     return False if lived_s >= MET_S else None
 
 
-def _sides(ears: Mapping[str, list[str]], opinions: Iterable[Opinion]) -> tuple[tuple[str, ...], ...]:
-    """Groups of nodes that hear each other, directly or through others. One direction will do: the other is dissent."""
-    deaf = {(observer, opinion.node) for opinion in opinions for observer in opinion.unheard_by}
+def _sides(nodes_of: Mapping[str, list[str]], opinions: Iterable[Opinion]) -> tuple[tuple[str, ...], ...]:
+    """Groups of nodes that receive each other, directly or through others. One direction is enough: a failure of the other is a dissent."""
+    not_received = {(observer, opinion.node) for opinion in opinions for observer in opinion.unheard_by}
 
     def apart(one: str, other: str) -> bool:
-        return all(any((here, node) in deaf for node in ears[there]) for here, there in ((one, other), (other, one)))
+        return all(any((here, node) in not_received for node in nodes_of[there]) for here, there in ((one, other), (other, one)))
 
-    left, sides = list(ears), []
+    left, sides = list(nodes_of), []
     while left:
         side, fresh = [left[0]], [left.pop(0)]
         while fresh:
@@ -139,5 +139,5 @@ def _sides(ears: Mapping[str, list[str]], opinions: Iterable[Opinion]) -> tuple[
             left = [other for other in left if other not in joined]
             side += joined
             fresh += joined
-        sides.append(tuple(sorted(node for observer in side for node in ears[observer])))
+        sides.append(tuple(sorted(node for observer in side for node in nodes_of[observer])))
     return tuple(sides)

@@ -1,4 +1,4 @@
-"""What the checks of one container have in common: an instance for each container that asks for it."""
+"""Base class of the checks of one container: one instance for each container whose configuration requires it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from phm.api import Layer
 
 
 class PerContainer(api.Check):
-    """One instance, one unit ``<check>/<container>``, for each configured container that `wanted` lets through."""
+    """One instance, one unit ``<check>/<container>``, for each configured container that `wanted` accepts."""
 
     layer: ClassVar[Layer] = Layer.DOCKER
 
@@ -20,7 +20,7 @@ class PerContainer(api.Check):
 
     @classmethod
     def wanted(cls, entry: api.ContainerSettings) -> bool:
-        """Whether this container's configuration gives the check something to judge."""
+        """Whether this container's configuration gives the check something to evaluate."""
         return True
 
     @classmethod

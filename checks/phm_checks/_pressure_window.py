@@ -1,5 +1,6 @@
-"""What the counters of a container say about the last seconds. Not a check: files of this folder that begin with an underscore
-are parts of checks.
+"""What the counters of a container show about the last seconds.
+
+Not a check: files in this folder whose names start with an underscore are parts of checks.
 """
 
 from __future__ import annotations
@@ -10,13 +11,13 @@ from dataclasses import dataclass
 from phm import api
 
 LEAST_S = 0.4
-"""Over less than this, shares say nothing: the CPU limit is given out ten times a second."""
+"""Over a shorter time, shares mean nothing: the kernel grants the CPU limit in ten periods per second."""
 MOST_READINGS = 200
 
 
 @dataclass(frozen=True, slots=True)
 class PressureDelta:
-    """What happened to a container in `seconds`. Shares are in percent of that time; None: cannot be seen."""
+    """What happened to a container in `seconds`. Shares are in percent of that time; None: not available."""
 
     seconds: float
     cpus: float | None = None
@@ -30,14 +31,14 @@ class PressureDelta:
 
 
 class PressureWindow:
-    """The readings of one container, of one life."""
+    """The readings of one container generation."""
 
     def __init__(self, longest_s: float) -> None:
         self._longest_s = longest_s
         self._facts: deque[api.PressureFact] = deque(maxlen=MOST_READINGS)
 
     def add(self, fact: api.PressureFact) -> None:
-        """A reading that was given before counts once; one of another life or source forgets all before it."""
+        """Add a reading. A repeated reading counts once; a reading from another generation or source discards all earlier ones."""
         if self._facts and _other(self._facts[-1], fact):
             self._facts.clear()
         if self._facts and fact.at - self._facts[-1].at < LEAST_S / 2:
@@ -50,9 +51,9 @@ class PressureWindow:
         self._facts.clear()
 
     def over(self, span_s: float, *, full: bool = False) -> PressureDelta | None:
-        """What the last `span_s` seconds or a little more brought; None while there is too little to compare.
+        """The change over the last `span_s` seconds or a little more; None while there are too few readings to compare.
 
-        full: None also while the readings do not reach back so far.
+        full: also return None while the readings do not reach back that far.
         """
         if not self._facts:
             return None
@@ -81,7 +82,7 @@ def _spent(old: api.PressureFact, new: api.PressureFact, seconds: float) -> Pres
         seconds,
         cpus=None if used_s is None else used_s / seconds,
         throttled=throttled,
-        # The kernel counts tasks that the limit stops among those that wait for a CPU.
+        # The kernel counts tasks that the limit throttles among those that wait for a CPU.
         waiting=None if waiting is None else max(0.0, waiting - (throttled or 0.0)),
         memory=_share(old.memory, new.memory, seconds),
         io=_share(old.io, new.io, seconds),
@@ -92,11 +93,11 @@ def _spent(old: api.PressureFact, new: api.PressureFact, seconds: float) -> Pres
 
 
 def _throttled(old: api.PressureFact, new: api.PressureFact, seconds: float) -> float | None:
-    """Percent of the time in which the limit kept it from running; 0 without a limit.
+    """Percent of the time in which the limit kept the container from running; 0 without a limit.
 
-    The share of periods in which the limit was used up alone would call a container starved that wants 1 % more than it gets: it
-    is multiplied by the share of the wanted CPU time that was refused. That is right for any number of CPUs, over which the
-    stopped time is added up.
+    The share of periods in which the limit was used up is not enough: it would report a container as starved that needs 1 % more CPU
+    time than it gets. So it is multiplied by the share of the required CPU time that was refused. This is correct for any number of
+    CPUs, since the throttled time is summed over all of them.
     """
     hits, stopped_s = _risen(old.throttled_periods, new.throttled_periods), _risen(old.throttled_s, new.throttled_s)
     used_s = _risen(old.cpu_used_s, new.cpu_used_s)

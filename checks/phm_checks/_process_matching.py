@@ -1,6 +1,6 @@
-"""Which process is which node: by the words of command lines. Pure.
+"""Matches processes to nodes by the words in command lines. Pure.
 
-What is not certain is not answered: two processes for one node, or one for two nodes, are nobody's.
+An uncertain match is not reported: two processes for one node, or one process for two nodes, match no node.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ _NAME = re.compile(r"__node:=(\w+)", re.ASCII)
 _TOOL = re.compile(r"(?:^|[/ ])ros2 ")
 _END = r"(?![\w.-])"
 BARE = 2
-"""The last of the ways by which a process is known, and the least sure: the node's name is a word of its command."""
+"""The last and least certain of the matching methods: the node's name is a word in the process's command line."""
 _STEPS = 64
-"""Generations of parents followed; processes come from outside and may lie in a circle."""
+"""Maximum number of parent generations to follow; process lists are external input and may contain a cycle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """One configured node. name: with its first slash. container: key, empty when not known. process: see NodeSettings."""
+    """One configured node. name: with its leading slash. container: key, empty if unknown. process: see NodeSettings."""
 
     name: str
     container: str = ""
@@ -44,9 +44,9 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """The process of a node, and its parents, which may have the same words (a shell, `ros2 run`, an init, a launcher).
+    """The process of a node, and its parents, whose command lines may contain the same words (a shell, `ros2 run`, an init, a launcher).
 
-    way: by which of the ways it was found, the surest is 0.
+    way: the matching method that found it; 0 is the most certain.
     """
 
     process: api.ProcessFact
@@ -60,10 +60,10 @@ def match(
     wrappers: Mapping[str, Collection[int]],
     ways: Mapping[str, int] | None = None,
 ) -> tuple[dict[str, Match], dict[str, int]]:
-    """The certain matches by node name, and how many processes fit each of the others.
+    """The certain matches by node name, and for each other node the number of processes that fit.
 
-    wrappers: by node name, processes that are known to only stand around the node's own. ways: by node name, how surely its
-    process was known before: what fits less surely is not the node's.
+    wrappers: by node name, processes that are known to be only parents of the node's own. ways: by node name, the method that
+    matched its process before: a process that fits only by a less certain method is not the node's.
     """
     found: dict[str, Match] = {}
     counts: dict[str, int] = {}
@@ -85,7 +85,7 @@ def match(
 
 
 def _fitting(node: Wanted, processes: Sequence[api.ProcessFact], least: int) -> tuple[list[api.ProcessFact], int]:
-    """Those that fit by the first way that fits any (the user's words, a remapped name, an option, the bare name), and which."""
+    """The processes that fit by the first successful method (configured words, remapped name, option, bare name), and that method."""
     if node.process:
         return [one for one in processes if all(words in one.command for words in node.process)], 0
     own = [one for one in processes if _may_be(node, one.command)]
@@ -97,7 +97,7 @@ def _fitting(node: Wanted, processes: Sequence[api.ProcessFact], least: int) -> 
 
 
 def _may_be(node: Wanted, command: str) -> bool:
-    """Not if the command line gives its node another name or namespace, or is one of ROS's own tools, which name nodes."""
+    """Whether the command may run the node: not if it sets another node name or namespace, or is a ROS tool, which also names nodes."""
     spaces, names = _NAMESPACE.findall(command), _NAME.findall(command)
     return (
         (not spaces or node.namespace in [space.strip("/") for space in spaces])
@@ -111,13 +111,13 @@ def _ways(short: str) -> Sequence[Callable[[str], object]]:
     patterns = (
         rf"__node:={name}{_END}",
         rf"--name[ =]{name}{_END}",
-        rf"(?<![\w.-]){name}(?:\.py)?{_END}",  # not node_1.launch.py, which starts it and others
+        rf"(?<![\w.-]){name}(?:\.py)?{_END}",  # not node_1.launch.py, which starts this node and others
     )
     return [re.compile(pattern, re.ASCII).search for pattern in patterns]
 
 
 def _above(pid: int, parents: Mapping[int, int]) -> set[int]:
-    """All that stand around a process: what starts a node often has the node's words, too."""
+    """All ancestors of a process: the command line of a node's launcher often contains the node's words, too."""
     found: set[int] = set()
     for _ in range(_STEPS):
         pid = parents.get(pid, 0)
@@ -128,7 +128,7 @@ def _above(pid: int, parents: Mapping[int, int]) -> set[int]:
 
 
 def _launchers(nodes: Sequence[Wanted], found: Mapping[str, Match]) -> set[str]:
-    """Nodes for which only the process that starts them was found: one that names another node, too, and has started it."""
+    """Nodes for which only their launcher was found: a process that also names another node and has started it."""
     known = {node.name: node for node in nodes}
     return {
         name
@@ -143,7 +143,7 @@ def _launchers(nodes: Sequence[Wanted], found: Mapping[str, Match]) -> set[str]:
 
 
 def _shared(nodes: Sequence[Wanted], found: Mapping[str, Match]) -> set[str]:
-    """Nodes that share a process although nobody said so."""
+    """Nodes that share a process although it is not configured for them."""
     users: dict[int, list[Wanted]] = {}
     for node in nodes:
         if node.name in found:

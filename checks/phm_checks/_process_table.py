@@ -1,4 +1,4 @@
-"""The processes of one container over time: when to ask for them, and what they say about its nodes."""
+"""The processes of one container over time: when to list them, and what they show about the container's nodes."""
 
 from __future__ import annotations
 
@@ -11,47 +11,48 @@ from phm_checks._liveness import Evidence, Kind, Observation
 from phm_checks._process_matching import BARE, Match, Wanted, match
 
 QUIET_S = 10.0
-"""Between two lists while nothing is in doubt: a node that was started anew has another process."""
+"""Time between two process lists while nothing is in doubt: a restarted node has a new process."""
 BLIND_S = 2.0
-"""The same while some node has neither a beacon nor a topic with a rate, by whose silence a death would be noticed."""
+"""The same while some node has neither a beacon nor a topic with a rate, whose silence would reveal that the node died."""
 SOON_S, SHARE = 0.5, 4.0
-"""While something is in doubt: every half second, then at a quarter of how long it has been so."""
+"""While something is in doubt: every half second, then at intervals of a quarter of the time since the doubt began."""
 CALM_S = 5.0
-"""A doubt counts as over when it was not there for so long: a jittering topic must not cost a list each time."""
+"""A doubt is over after it has been absent for this long: a jittering topic must not cause a process list each time."""
 GAP_S = 0.2
 AGAIN_S = 1.0
-"""Between questions about a container that does not run, or whose processes cannot be told; where the engine itself does
-not answer, QUIET_S: it may take its whole deadline each time."""
+"""Time between queries about a container that does not run, or whose processes cannot be listed. If the engine itself does not
+answer, QUIET_S: each query may take the full deadline."""
 OLD_S = 3 * QUIET_S
 """A list older than this proves nothing."""
 ABSENT_S, LATER = 2.0, 3.0
-"""A node that has no process while all others of its container have theirs was left out of the start: this long after the first
-of them, or so many times as long as it took in earlier lives, and a second, since ages come in whole seconds."""
+"""A node without a process, while all other nodes of its container have theirs, was left out of the start. PHM decides this ABSENT_S
+after the first process started, or after LATER times the node's start delay in earlier generations plus one second, since process ages
+are whole seconds."""
 SLOWER = 2.0
-"""The same in times of what the slowest of the others took, should this start be a slow one."""
+"""The same as a multiple of the slowest other node's start delay, in case this start is slow."""
 WINDOW_S, BUSY_SHARE = 3.0, 0.5
-"""A process that used this share of a processor over at least this time computes. `ps` gives whole seconds."""
+"""A process that used this share of one CPU over at least this time is busy. `ps` reports whole seconds."""
 ENDING_S = 11.0
-"""The engine says that a container runs until all its processes have ended: measured up to 1.5 s after its first process was killed,
-while the others are missing one by one. It waits for 10 s itself before it gives up on one that was killed."""
+"""The engine reports a container as running until all its processes have ended: up to 1.5 s, measured, after its first process was
+killed, while the others disappear one by one. The engine itself waits 10 s before it gives up on a killed container."""
 _KEPT = 12
 NEVER = float("-inf")
 
 
 @dataclass(slots=True)
 class KnownProcess:
-    """The process of one node. used: when it was looked at, with the processor time until then."""
+    """The process of one node. used: the times of its readings, each with the CPU time used until then."""
 
     match: Match
     first: bool = True
-    """It came with the container, or before PHM: no other process of the node was seen in this life."""
+    """It started with the container, or before PHM: no other process of the node was seen in this generation."""
     began_at: float = float("inf")
-    """When it was started, or a little later: the earliest that looks at it have shown."""
+    """When it was started, or a little later: the earliest start time that the readings have shown."""
     used: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_KEPT))
     state: str = ""
     command: str = ""
     ended_at: float = float("inf")
-    """When it was first missing."""
+    """When it was first found missing."""
 
     @property
     def pid(self) -> int:
@@ -68,7 +69,7 @@ class KnownProcess:
         self.state, self.command = process.state, process.command
         self.began_at = min(self.began_at, now - (process.age_s or 0.0))
         if process.cpu_s is None:
-            self.used.clear()  # what it used before says nothing about now
+            self.used.clear()  # earlier CPU use says nothing about the present
         else:
             self.used.append((now, process.cpu_s))
             while len(self.used) > 2 and now - self.used[1][0] >= WINDOW_S:
@@ -76,12 +77,12 @@ class KnownProcess:
 
     @property
     def measured(self) -> bool:
-        """Whether it is known if it computes: its processor time was seen over WINDOW_S, or it is on a processor."""
+        """Whether its CPU use is known: its CPU time was measured over WINDOW_S, or it is running on a CPU now."""
         return self.state == "R" or (len(self.used) > 1 and self.used[-1][0] - self.used[0][0] >= WINDOW_S)
 
     @property
     def busy(self) -> bool:
-        """Its main thread is on a processor, or all of them together have used much of one."""
+        """Whether its main thread is running on a CPU, or all its threads together have used much of one CPU."""
         if self.state == "R":
             return True
         if not self.used:
@@ -91,7 +92,7 @@ class KnownProcess:
 
 
 class ProcessTable:
-    """What is known of one container's processes. Invariant: `_known` holds processes of its present life alone."""
+    """Known processes of one container. Invariant: `_known` contains only processes of its current generation."""
 
     def __init__(self, key: str, nodes: Sequence[Wanted], grace_s: float) -> None:
         self.key, self._grace_s = key, grace_s
@@ -99,15 +100,15 @@ class ProcessTable:
         self._known: dict[str, KnownProcess] = {}
         self._unclear: Mapping[str, int] = {}
         self._ways: dict[str, int] = {}
-        """How surely each node's process was found once, in any life: where there is none now, there is none."""
+        """The most certain method that ever matched each node's process, in any generation: if that method finds none now, there is none."""
         self._commands: dict[str, str] = {}
-        """By which command line, in the life before."""
+        """The command line of each node's process in the previous generation."""
         self._late_s: dict[str, float] = {}
-        """How long after the first of the container's nodes each was started, at most, in all lives before."""
+        """The longest time by which each node started after the container's first node, over all earlier generations."""
         self._status = ""
         self._generation = ""
         self._first = 0
-        """The container's first process, once a list of this life has shown it."""
+        """The container's first process, once a list of this generation has contained it."""
         self._ending_since: float | None = None
         self._born_at = NEVER
         self._began_at: dict[str, float] = {}
@@ -115,13 +116,13 @@ class ProcessTable:
         self._asked_at = NEVER
         self._again_s = QUIET_S
         self._doubts: dict[Hashable, float] = {}
-        """When each was last there. Bounded: a few words for each configured node."""
+        """When each doubt last existed. Bounded: a few strings for each configured node."""
         self._doubt_since = NEVER
 
-    # ------------------------------------------------------------ asking
+    # ------------------------------------------------------------ queries
 
     def look(self, world: api.World, doubts: Collection[Hashable], *, blind: bool) -> None:
-        """Ask the engine, if there is a reason. doubts: a new one is looked into at once."""
+        """Query the engine if there is a reason. doubts: a new one causes an immediate query."""
         now = world.clock.mono()
         if not self._due(now, doubts, blind):
             return
@@ -144,8 +145,8 @@ class ProcessTable:
             self._take(processes, world.clock.mono())
 
     def _ends(self, first: int, processes: Sequence[api.ProcessFact], now: float) -> bool:
-        """Whether the first process has ended, which ends all others: then who is missing says nothing. Where lists never show it,
-        nobody knows."""
+        """Whether the first process has ended, which ends all others: then a missing process proves nothing. If the lists never contain
+        it, this is unknown and False."""
         if any(process.pid == first for process in processes):
             self._first, self._ending_since = first, None
         elif self._first == first and self._ending_since is None:
@@ -170,12 +171,12 @@ class ProcessTable:
         self._status = fact.status if fact is not None else "missing"
         generation = fact.generation if fact is not None else ""
         if generation and generation != self._generation:
-            # The first life that PHM meets may be old: nothing began then that it knows of.
+            # The first generation that PHM sees may be old: PHM does not know when it began.
             if self._generation:
                 self._born_at = now
             self._learn()
             if generation.partition("@")[0] != self._generation.partition("@")[0]:
-                # Another container may name its processes in another manner.
+                # A new container may name its processes differently.
                 self._ways = dict.fromkeys(self._ways, BARE)
             self._generation, self._first, self._ending_since = generation, 0, None
             self._known.clear()
@@ -194,8 +195,8 @@ class ProcessTable:
             known.look(now, by_pid.get(known.pid))
 
     def _renew(self, name: str, known: KnownProcess | None, matched: Match, now: float) -> KnownProcess:
-        """Another process is the node's: the first in this life, or the old one has ended; or it was taken for another's, since a
-        launcher that has not started its nodes yet is all there is with their names."""
+        """Assign another process to the node: it is the first in this generation, or the old one has ended, or the old match was wrong:
+        until a launcher has started its nodes, it is the only process with their names."""
         first = not self.left_out(name) if known is None else known.first and known.match.way > matched.way
         if known is not None and known.match.way <= matched.way:
             self._began_at[name] = now
@@ -204,7 +205,7 @@ class ProcessTable:
         return self._known[name]
 
     def _learn(self) -> None:
-        """What the life that has ended shows of how its nodes come. One that came much later was started anew."""
+        """Learn from the ended generation how its nodes start. A node that started much later had been restarted."""
         for name, known in self._known.items():
             self._commands[name] = known.command
             late_s = known.began_at - self._first_at()
@@ -212,34 +213,34 @@ class ProcessTable:
                 self._late_s[name] = max(late_s, self._late_s.get(name, 0.0))
 
     def _first_at(self) -> float:
-        """When the first process of a node was started in this life; infinite: none was seen."""
+        """When the first node process of this generation was started; infinite if none was seen."""
         return min((known.began_at for known in self._known.values()), default=float("inf"))
 
     def forget(self, name: str, since: float) -> None:
-        """The node came into the graph at `since`: if its process had ended before, it runs as another now."""
+        """Forget the node's process if it had ended before `since`, when the node appeared in the graph: it now runs as another process."""
         known = self._known.get(name)
         if known is not None and known.ended_at < since:
             del self._known[name]
             for kept in (self._ways, self._commands, self._late_s):
                 kept.pop(name, None)
 
-    # ------------------------------------------------------------ telling
+    # ------------------------------------------------------------ results
 
     @property
     def generation(self) -> str:
-        """Which life of the container was seen last; empty before the first look."""
+        """The container generation that was seen last; empty before the first query."""
         return self._generation
 
     def lived(self, name: str) -> bool:
-        """Whether a process of the node was seen in this life."""
+        """Whether a process of the node was seen in this generation."""
         return name in self._known
 
     def began_at(self, name: str) -> float:
-        """When the node or its container was last seen to have begun, on the monotonic clock; -inf: not seen."""
+        """When the node or its container was last seen to start, on the monotonic clock; -inf if no start was seen."""
         return max(self._born_at, self._began_at.get(name, NEVER))
 
     def container(self, now: float) -> Evidence | None:
-        """What the state of the container says of all its nodes; nothing while it runs."""
+        """Evidence from the container's state, for all its nodes; None while the container is running."""
         age_s = now - self._asked_at
         if self._status == "running" and self._ending_since is not None and now - self._ending_since < ENDING_S:
             words = f"its container is stopping: its first process {self._first} has ended"
@@ -250,7 +251,7 @@ class ProcessTable:
         return Evidence(Kind.CONTAINER, says, f"its container is {self._status}", age_s)
 
     def process(self, name: str, now: float) -> Evidence | None:
-        """What the newest list says of one node; nothing when it cannot be told."""
+        """Evidence from the newest list about one node; None if its state is unknown."""
         known = self._known.get(name)
         if self._listed_at is None or now - self._listed_at > OLD_S:
             return None
@@ -272,7 +273,7 @@ class ProcessTable:
         return Evidence(Kind.PROCESS, Observation.ALIVE, f"{words}, its CPU use is unknown", age_s, measured=False)
 
     def fit(self, name: str, now: float) -> int:
-        """How many processes of the newest list may be the node's own, where it is more than one; 0: one, none, or no list."""
+        """The number of processes in the newest list that may be the node's own, if more than one; 0 for one, none, or no list."""
         if self._listed_at is None or now - self._listed_at > OLD_S:
             return 0
         count = self._unclear.get(name, 0)
@@ -280,26 +281,26 @@ class ProcessTable:
 
     @property
     def unlisted(self) -> bool:
-        """Whether the engine could not list the processes when it was asked last, though the container runs."""
+        """Whether the engine failed to list the processes at the last query, although the container is running."""
         return self._status == "running" and self._listed_at is None
 
-    def told(self, name: str) -> str:
-        """How it is with the node's process, for the values of a result."""
+    def describe(self, name: str) -> str:
+        """The state of the node's process as text, for the values of a result."""
         known, count = self._known.get(name), self._unclear.get(name, 0)
         if known is not None:
             return f"{known.pid} {known.state}".rstrip() if known.there else f"{known.pid} ended"
         return f"{count} fit" if count > 1 else "none found"
 
     def _vanished(self, name: str, now: float) -> bool:
-        """The node's process was found in an earlier life of the container, and in this one there is none."""
+        """Whether the node's process was found in an earlier generation of the container, but not in this one."""
         if name not in self._ways or self._unclear.get(name):
             return False
         return now - self.began_at(name) >= self._grace_s or self.left_out(name)
 
     def left_out(self, name: str) -> bool:
-        """The others came up as they did before, and this node did not, long after it should have: no need to wait for it.
+        """Whether the others started as before but this node did not, long after it should have: PHM need not wait for it.
 
-        Only where it and they are known from before: the same commands start the same nodes.
+        Only if it and the others are known from earlier generations: the same commands start the same nodes.
         """
         others = [node.name for node in self._nodes if node.name != name]
         if self._listed_at is None or not others or name not in self._late_s or name in self._known:
@@ -311,6 +312,6 @@ class ProcessTable:
         return self._listed_at - self._first_at() >= limit_s
 
     def _as_before(self, name: str) -> bool:
-        """Whether the node runs, by the command by which it ran in the life before."""
+        """Whether the node is running with the same command line as in the previous generation."""
         known = self._known.get(name)
         return known is not None and known.there and known.command == self._commands.get(name)

@@ -1,8 +1,8 @@
 """Whether DDS connects a publisher with a subscription, by the request-vs-offered rules of quality of service.
 
-The rules are those of `rmw_qos_profile_check_compatible`: a publisher must offer at least what a subscription asks for, in
-reliability, durability, liveliness, and with periods (deadline, liveliness lease) that are not longer. What is not told
-(an older middleware, `system_default`) is not judged. Not a check: pure rules, used by `topics`.
+The rules are those of `rmw_qos_profile_check_compatible`: a publisher must offer at least what a subscription requests, in
+reliability, durability and liveliness, and with periods (deadline, liveliness lease) that are not longer. Policies that are not
+reported (an older middleware, `system_default`) are not evaluated. Not a check: pure rules, used by `topics`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from phm import api
 
-# From the weakest to the strongest, as rclpy names them.
+# From the weakest to the strongest, with rclpy's names.
 _KINDS = {
     "reliability": ("best_effort", "reliable"),
     "durability": ("volatile", "transient_local"),
@@ -23,7 +23,7 @@ _PERIODS = {"deadline": "deadline_s", "liveliness lease": "lease_s"}
 
 @dataclass(frozen=True)
 class Mismatch:
-    """One policy by which a pair does not connect. offered, asked: as texts. raise_offer, lower_ask: what would help."""
+    """One policy that prevents a pair from connecting. offered, asked: as text. raise_offer, lower_ask: settings that would fix it."""
 
     policy: str
     offered: str
@@ -33,7 +33,7 @@ class Mismatch:
 
 
 def mismatches(out: api.EndpointFact, into: api.EndpointFact) -> list[Mismatch]:
-    """Why publisher `out` does not serve subscription `into`; empty when it does, or nothing is known against it."""
+    """Why publisher `out` does not serve subscription `into`; empty if it does, or if no mismatch is known."""
     return [*_kinds(out, into), *_periods(out, into)]
 
 

@@ -1,7 +1,7 @@
-"""The lives of one container: whether it stays, or is started again and again.
+"""The runs of one container: whether it stays up, or is restarted again and again.
 
-A life is short when it ends before the container has run for `steady_s`. Some short lives in a row are a loop, and the
-loop is over when one life is not short: one fault, whether the container happens to run at a look or not.
+A run is short if it ends before the container has run for `steady_s`. Several short runs in a row are a restart loop, and the
+loop is over when one run is not short. That is one fault, whether or not the container happens to be running at a reading.
 """
 
 from __future__ import annotations
@@ -9,25 +9,26 @@ from __future__ import annotations
 from phm import api
 
 STABLE_S = 12.0
-"""Longer than Docker's own measure, 10 s, after which its restart policy waits no longer than at first, and than what mutes
-the parts of a container: 11 s after it was told to end. So what never comes well is told, inside or at the container."""
+"""Longer than Docker's own limit of 10 s, after which its restart policy resets its back-off, and longer than the 11 s for which the
+parts of a container are suppressed after it was told to stop. So a container that never becomes healthy is reported, either by its parts
+or by the container itself."""
 ENGINE_RESTARTS = 3
-"""So many restarts in a row by the engine's restart policy, each after a short life, are a loop."""
+"""This many restarts in a row by the engine's restart policy, each after a short run, are a loop."""
 OTHER_STARTS = 6
-"""The same for starts by anybody else. The check knows no hands apart: it is more than PHM's own budget allows."""
+"""The same for starts by anyone else. The check cannot distinguish who started it, so this is more than PHM's own budget allows."""
 WAIT_S = 2.0
-"""The engine waits 0.1 s before the first restart and twice as long each time: a longer wait comes after several."""
+"""The engine waits 0.1 s before the first restart and doubles the wait each time: a wait this long follows several restarts."""
 
 
 class RestartLoop:
-    """What the looks at one container add up to."""
+    """Restart-loop detection from successive readings of one container."""
 
     def __init__(self, steady_s: float, limit_by_hand: int) -> None:
         self.steady_s = steady_s
         self.steady = False
-        """This life has lasted for `steady_s`, as far as it was seen."""
+        """Whether the current run has lasted for `steady_s`, as far as it was observed."""
         self.by_engine = 0
-        """Restarts by the engine in a row, since a life that was not short or a start by hand."""
+        """Consecutive restarts by the engine, since a run that was not short or a start by hand."""
         self.by_hand = 0
         self._limit_by_hand = limit_by_hand
         self._waited_long = False
@@ -40,7 +41,7 @@ class RestartLoop:
         return self.by_engine >= ENGINE_RESTARTS or self.by_hand >= self._limit_by_hand or self._waited_long
 
     def look(self, fact: api.ContainerFact, now: float) -> None:
-        """Take what was seen at `now` (monotonic seconds)."""
+        """Process the container's state at `now` (monotonic seconds)."""
         if self._seen is not None:
             self._count(fact, self._seen)
         elif fact.status == "restarting":
@@ -59,7 +60,7 @@ class RestartLoop:
             self._begin_counting()
 
     def _count(self, fact: api.ContainerFact, before: api.ContainerFact) -> None:
-        """The engine's counter also tells of lives that nobody saw; a start by anybody else sets it to 0."""
+        """Count restarts. The engine's counter also includes runs that PHM did not observe; a start by anyone else resets it to 0."""
         risen, reborn = fact.restart_count - before.restart_count, fact.generation != before.generation
         if not reborn and risen <= 0:
             return

@@ -1,4 +1,4 @@
-"""Topics whose names are almost those of the configuration: where a misspelt or wrongly remapped name shows.
+"""Topics whose names are almost those in the configuration, which reveal a misspelled or wrongly remapped name.
 
 Not a check: pure rules, used by `topics`.
 """
@@ -17,7 +17,7 @@ _DIGITS = re.compile(r"\d+")
 
 @dataclass(frozen=True)
 class SimilarName:
-    """A topic that nobody configured. why: how its name differs from the configured one. sure: hardly on purpose."""
+    """A topic that is not configured. why: how its name differs from the configured one. sure: the difference is hardly intended."""
 
     name: str
     why: str
@@ -26,7 +26,7 @@ class SimilarName:
 
     @property
     def unfed(self) -> bool:
-        """Somebody subscribes to it and nobody publishes it."""
+        """Whether it has a subscriber but no publisher."""
         return bool(self.uses.subscribers) and not self.uses.publishers
 
     @property
@@ -38,7 +38,7 @@ class SimilarName:
 
 
 def similar_names(wanted: str, others: Mapping[str, api.NameFact]) -> list[SimilarName]:
-    """Names near to `wanted`, the nearest first."""
+    """Names similar to `wanted`, the most similar first."""
     found = []
     for name, uses in others.items():
         why = difference(wanted, name)
@@ -58,7 +58,7 @@ _WHYS = (_CASE, _EDIT, _SHORT, _LONG, _ELSEWHERE)
 
 
 def difference(wanted: str, name: str) -> str:
-    """How `name` differs from `wanted`, in words; empty when it is not near, or the same."""
+    """How `name` differs from `wanted`, as text; empty if it is not similar, or equal."""
     if name == wanted:
         return ""
     if name.lower() == wanted.lower():
@@ -73,7 +73,7 @@ def difference(wanted: str, name: str) -> str:
 
 
 def _sure(wanted: str, name: str) -> bool:
-    """Names that differ in their numbers, and those of another namespace, are mostly others of a family."""
+    """Whether the name is a likely mistake: names that differ only in a number or the namespace usually belong to related topics."""
     if difference(wanted, name) == _ELSEWHERE:
         return False
     return _DIGITS.sub("", wanted) != _DIGITS.sub("", name)

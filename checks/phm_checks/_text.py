@@ -1,6 +1,6 @@
-"""Wording that the checks share: names and output from outside made safe, lists, and numbers that keep still.
+"""Text helpers that the checks share: sanitizing of external names and output, lists, and stable numbers.
 
-Not a check: files of this folder that begin with an underscore are parts of checks.
+Not a check: files in this folder whose names start with an underscore are parts of checks.
 """
 
 from __future__ import annotations
@@ -9,17 +9,17 @@ from collections.abc import Iterable, Sequence
 
 UNNAMED = "(unnamed)"
 BRIEF_MAX = 38
-"""Characters of `Result.brief`: what a STATUSTEXT leaves beside agent, word and slot."""
+"""Maximum length of `Result.brief` in characters: what a STATUSTEXT leaves besides agent, word and slot."""
 
 
 def clean(text: str, most: int = 200) -> str:
-    """Text from outside as one printable line of at most `most` characters."""
+    """External text as one printable line of at most `most` characters."""
     line = " ".join("".join(char if char.isprintable() else " " for char in text[: most * 4]).split())
     return line if len(line) <= most else f"{line[: most - 3]}..."
 
 
 def brief(subject: str, words: str = "") -> str:
-    """`subject words` in at most 38 ASCII characters. The front of the subject goes first: tails differ more."""
+    """`subject words` in at most 38 ASCII characters. Cuts the start of the subject first: the ends of names differ more."""
     name = clean(subject).encode("ascii", "replace").decode()
     tail = clean(words).encode("ascii", "replace").decode()
     room = BRIEF_MAX - len(tail) - (1 if tail else 0)
@@ -29,12 +29,12 @@ def brief(subject: str, words: str = "") -> str:
 
 
 def last(name: str) -> str:
-    """The last part of a path or a ROS name: what people call it."""
+    """The last part of a path or a ROS name, which people use as its short name."""
     return name.rstrip("/").rpartition("/")[2] or name
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:
-    """`a, b, c and 4 more`; `none` when there are none. A name that is empty is `(unnamed)`."""
+    """`a, b, c and 4 more`; `none` if there are none. An empty name becomes `(unnamed)`."""
     every = [clean(name, 80) or UNNAMED for name in names]
     if not every:
         return "none"
@@ -43,14 +43,14 @@ def listed(names: Iterable[str], most: int = 5) -> str:
 
 
 def span(seconds: float) -> str:
-    """A duration for people: `0.4 s`, `12 s`, `5 min`."""
+    """A readable duration: `0.4 s`, `12 s`, `5 min`."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     return f"{seconds:.0f} s" if seconds < 600 else f"{seconds / 60:.0f} min"
 
 
 def one_edit_apart(first: str, second: str) -> bool:
-    """Whether one inserted, dropped, changed or swapped character makes one of the other."""
+    """Whether one inserted, deleted, changed or swapped character turns one name into the other."""
     if first == second or abs(len(first) - len(second)) > 1:
         return False
     short, long = sorted((first, second), key=len)
@@ -62,7 +62,7 @@ def one_edit_apart(first: str, second: str) -> bool:
 
 
 def did_you_mean(wanted: str, there: Iterable[str]) -> str:
-    """A sentence that offers names one edit away or with another namespace, or nothing."""
+    """A sentence that suggests names one edit away or in another namespace; empty if there are none."""
     names = list(there)
     near = [name for name in names if one_edit_apart(wanted, name)]
     near += [name for name in names if name not in near and name != wanted and last(name) == last(wanted)]
@@ -70,9 +70,9 @@ def did_you_mean(wanted: str, there: Iterable[str]) -> str:
 
 
 class StableNumber:
-    """Keeps the number in a text still until it has moved by more than `share` of itself.
+    """Keeps the number in a text unchanged until the value has moved by more than `share` of it.
 
-    A changed brief is told to the ground, so a jittering number must not change it at each reading.
+    PHM sends a changed brief to the ground, so a jittering number must not change it at each reading.
     """
 
     def __init__(self, share: float) -> None:
@@ -80,17 +80,17 @@ class StableNumber:
         self._shown: dict[str, float] = {}
 
     def show(self, subject: str, value: float) -> float:
-        """The number to write for `subject`. Subjects are those of the configuration, so few."""
+        """The number to show for `subject`. Subjects come from the configuration, so there are few."""
         shown = self._shown.get(subject)
         if shown is None or abs(value - shown) > self._share * abs(shown):
             self._shown[subject] = shown = value
         return shown
 
     def forget(self, subject: str) -> None:
-        """The subject is well again: the next number is shown as it is."""
+        """Reset after the subject has recovered: the next number is shown unchanged."""
         self._shown.pop(subject, None)
 
 
 def joined(sentences: Sequence[str]) -> str:
-    """Findings as one text, each with its full stop."""
+    """Findings as one text, each ending with a full stop."""
     return " ".join(text if text.endswith((".", "?", "!")) else f"{text}." for text in sentences)

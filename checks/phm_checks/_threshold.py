@@ -1,15 +1,18 @@
-"""A level by two limits that does not flap. Not a check: files of this folder that begin with an underscore are parts of checks."""
+"""A level from two limits, with hysteresis against flapping.
+
+Not a check: files in this folder whose names start with an underscore are parts of checks.
+"""
 
 from __future__ import annotations
 
 from phm.api import Level
 
 MARGIN = 0.05
-"""A level is left only when the value is this share of the limit below it, so that a value at the limit does not flap."""
+"""A level ends only once the value is below its limit by this share of the limit, so that a value at the limit does not flap."""
 
 
 class Threshold:
-    """A level by two limits, with memory: up at the limit, down only below limit minus margin."""
+    """A level from two limits, with state: it rises at the limit, and falls only below the limit minus the margin."""
 
     def __init__(self, warn: float, error: float) -> None:
         self._limits = ((Level.ERROR, error), (Level.WARN, warn))

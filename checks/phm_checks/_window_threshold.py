@@ -1,6 +1,6 @@
-"""A level by two limits over a window: it rises only while the newest part is bad, too, and ends when the entire window is calm.
+"""A level from two limits over a window: it rises only while the newest part is also bad, and ends when the entire window is calm.
 
-Not a check: files of this folder that begin with an underscore are parts of checks.
+Not a check: files in this folder whose names start with an underscore are parts of checks.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from phm.api import Level
 
 STAYS = 0.7
-"""A level is left only below this share of its limit."""
+"""A level ends only below this share of its limit."""
 
 
 class WindowThreshold:
@@ -17,7 +17,7 @@ class WindowThreshold:
         self._level = Level.OK
 
     def level(self, over_window: float | None, newest: float | None) -> Level:
-        """over_window: mean over the window; newest: over the last part of it, about a second. None: cannot be seen."""
+        """over_window: mean over the window; newest: mean over its last part, about one second. None: not available."""
         self._level = Level.OK if over_window is None else self._judge(over_window, newest)
         return self._level
 
