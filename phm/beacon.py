@@ -96,7 +96,7 @@ class _Life:
         self.name: str = node.get_fully_qualified_name()
         self._birth = birth
         self._node = weakref.ref(node)
-        self._beats = self._turns = 0
+        self._heartbeats = self._turns = 0
         self._turned_s = 0.0
         self._closed = False
         self._timer: Any = None
@@ -132,8 +132,8 @@ class _Life:
         return round(min(max(0.0, now_s - self._turned_s - TURN_S), MAX_LATE_S), 3) if self._turns else 0.0
 
     def beat(self, now_s: float) -> dict[str, Any]:
-        self._beats += 1
-        return {"birth": self._birth, "beats": self._beats, "turns": self._turns, "late_s": self.late_s(now_s)}
+        self._heartbeats += 1
+        return {"birth": self._birth, "beats": self._heartbeats, "turns": self._turns, "late_s": self.late_s(now_s)}
 
     def close(self) -> None:
         self._closed = True

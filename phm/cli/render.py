@@ -222,8 +222,8 @@ def _sent(link: Json) -> str:
     """Traffic of a link: bytes sent, and messages sent and dropped by priority."""
     words = [f"{link['bytes_out']} bytes sent"] if "bytes_out" in link else []
     for kind, count in link.get("sent", {}).items():
-        told = [f"{count[word]} {word}" for word in ("sent", "coalesced", "dropped") if count.get(word)]
-        words += [f"{kind} {', '.join(told)}"] if told else []
+        counts = [f"{count[word]} {word}" for word in ("sent", "coalesced", "dropped") if count.get(word)]
+        words += [f"{kind} {', '.join(counts)}"] if counts else []
     if link.get("slowed", 1) > 1:
         words.append(f"slowed down {link['slowed']:g} times by radio flow control")
     return f" ({'; '.join(words)})" if words else ""

@@ -1,7 +1,7 @@
 """The daemon's side of the control socket (`phm.wire.control`): approvals, notes, holds and reloads from this machine.
 
 One thread, few connections, small requests, short deadlines: a client that sends something else, or nothing, gets an error and is
-disconnected. The socket belongs to PHM's user alone (mode 0600), and the kernel tells the user at the other end.
+disconnected. The socket belongs to PHM's user alone (mode 0600), and the kernel reports the user id of the client.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class ConfigNode:
         return [entry for entry in self.entries() if entry.text]
 
     def quantity(self, kind: Any, default: float) -> float | None:
-        """A number of `kind` (`Seconds`, `Percent`, ...), `default` when absent, None when it is no such number."""
+        """The value as a number of `kind` (`Seconds`, `Percent`, ...); `default` when absent, None when invalid."""
         if self.value is None:
             return default
         try:

@@ -354,11 +354,11 @@ def needs_have_no_loop(root: ConfigNode, builtin: dict[str, set[str]]) -> None:
                 continue  # all units of a check may need one of them
             written.append((name, need, place))
             graph.setdefault(name, set()).add(need)
-    told: set[frozenset[str]] = set()
+    reported: set[frozenset[str]] = set()
     for name, need, place in written:
         way = _way(graph, need, name)
-        if way is not None and frozenset(way) not in told:
-            told.add(frozenset(way))
+        if way is not None and frozenset(way) not in reported:
+            reported.add(frozenset(way))
             place.add_problem(f"dependency cycle: {' -> '.join([name, *way])} (remove one of these needs)")
 
 

@@ -1,7 +1,7 @@
 """The data types of PHM: levels, slots, results, transitions, faults, reports.
 
-Pure data: no clock, no input or output, no third-party import, so that every other module may
-import this one. All records are frozen; what changes is kept by its owner (tracker, executor).
+Pure data: no clock, no input or output, no third-party imports, so that every other module can
+import this one. All records are frozen; mutable state is kept by its owner (tracker, executor).
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 
 Value = str | int | float | bool | None
-"""What a result's `values` may hold: exactly what JSON can carry without loss."""
+"""Types allowed in a result's `values`: those that JSON represents without loss."""
 ON_HOLD = "on_hold"
-"""The condition of a STALE unit whose target is on hold: it is bad, on purpose, and no fault."""
+"""Condition of a STALE unit whose target is on hold: the unit is bad intentionally, so this is not a fault."""
 
 
 class Level(IntEnum):
@@ -34,7 +34,7 @@ class Level(IntEnum):
 
 
 class Slot(IntEnum):
-    """Place in the status array; 1 to 8 are numbered as in Fig. 5 of the PHM paper."""
+    """Position in the status array; 1 to 8 are numbered as in Fig. 5 of the PHM paper."""
 
     COMPANION = 1
     CONTAINER = 2
@@ -65,9 +65,9 @@ class Layer(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """One moment on both clocks: `utc` seconds since the epoch, `mono` seconds of the monotonic clock.
+    """One point in time on both clocks: `utc` in seconds since the epoch, `mono` in seconds of the monotonic clock.
 
-    Intervals are differences of `mono` only; `utc` may jump.
+    Calculate intervals from `mono` only, because `utc` can jump.
     """
 
     utc: float
@@ -78,12 +78,12 @@ class Stamp:
 class Evidence:
     """What tracker and recovery need to know about a result besides its level and condition. The defaults claim nothing.
 
-    generation:   which run of the target container the check saw (`phm.facts.ContainerFact.generation`).
+    generation:   the run of the target container that the check observed (`phm.facts.ContainerFact.generation`).
     certain:      more time would not change this bad result, so it counts during grace, too.
     conclusive:   the problem itself was observed, not inferred from delay or silence: resource starvation cannot explain it.
     never_ok:     whether the subject has never been OK since its container was started; None: the check does not know.
-    listed:       how many times the name of the missing node is still in the ROS graph; None: unknown.
-    file:         path, in the container, of the file that is wrong.
+    listed:       how many times the ROS graph still lists the name of the missing node; None: unknown.
+    file:         path of the faulty file inside the container.
     broken_hop:   name of the first broken hop on the command path.
     """
 
@@ -114,19 +114,19 @@ class HostReadings:
 class Result:
     """Result of one run of a check for one unit (see `phm.api.Unit`).
 
-    level:     OK, WARN, ERROR, or STALE when the check could not tell.
-    summary:   one sentence for the log: what, expected, seen, and what to do.
+    level:     OK, WARN, ERROR, or STALE when the check could not determine the state.
+    summary:   one sentence for the log: the subject, what was expected, what was found, and what to do.
     brief:     at most 38 ASCII characters for the operator's line, e.g. ``node_1 dead``; empty when OK.
-    condition: one machine word that names what is wrong (``exited``, ``unhealthy``); it selects the
+    condition: one machine-readable word for the problem (``exited``, ``unhealthy``); it selects the
                ladder of recovery actions. Empty when OK.
-    target:    name of the container (as in the configuration) that a recovery may act on, or empty.
-    values:    measured numbers for logs and reporters, units in the key names. PHM makes no decision from them.
-    bypass:    the check had nothing to judge and counts as OK (logged as BYPASS).
-    settle_s:  how long a bad result must last before it is told, where the check knows better than `Unit.settle_s`:
-               shorter with evidence that nothing above it is the cause, longer for what was seen to mend itself.
-    decides_s: a STALE result that only time can change: from the start of its container it takes at most so many seconds
-               until it is OK or ERROR. The verification of an action waits for that.
-    age_s:     how old the evidence is where no newer could be had: the engine's health check probes in its own time.
+    target:    name of the container (as in the configuration) that recovery may act on, or empty.
+    values:    measurements for logs and reporters, with the unit in the key. PHM does not base decisions on them.
+    bypass:    the check had nothing to evaluate and counts as OK (logged as BYPASS).
+    settle_s:  how long a bad result must last before it is published; overrides `Unit.settle_s`. Shorter if there is
+               evidence that no dependency is the cause, longer for problems that have recovered by themselves before.
+    decides_s: for a STALE result that only time can change: it becomes OK or ERROR at most this many seconds after the
+               start of its container. The verification of an action waits that long.
+    age_s:     age of the evidence if the check could not get newer evidence: Docker runs health checks on its own schedule.
     evidence:  what tracker and recovery need to know besides level and condition.
     readings:  measurements of the companion computer, from checks that make them.
     """
@@ -145,7 +145,7 @@ class Result:
     readings: HostReadings | None = None
 
     def with_evidence(self, evidence: Evidence) -> Result:
-        """The same result with this evidence."""
+        """Return a copy of this result with `evidence`."""
         return replace(self, evidence=evidence)
 
 
@@ -169,8 +169,8 @@ class UnitState:
 class Transition:
     """A debounced change of the published state of a unit.
 
-    `changed_text` is set when the level stayed but its cause or its wording did (a second network
-    lost while the first still is): reporters send it, recovery evaluates it again.
+    `changed_text` is set when the level is unchanged but its cause or its wording is not (a second
+    network is lost while the first is still lost): reporters send it, and recovery evaluates it again.
     """
 
     at: Stamp
@@ -188,7 +188,7 @@ class Transition:
 
 
 class Outcome(str, Enum):
-    """How a fault ended. REATTRIBUTED: it turned out to follow from another open fault."""
+    """How a fault ended. REATTRIBUTED: another open fault turned out to be its cause."""
 
     OPEN = "open"
     RESOLVED = "resolved"
@@ -198,17 +198,20 @@ class Outcome(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """An episode at one unit, from the transition to ERROR until it is over.
+    """One failure of one unit, from its transition to ERROR until it is closed.
 
-    `by` is ``itself`` or the name of the action that ended it; `blocks` lists the units that are
-    STALE because of it, in the order in which they were found; `consequences` names the checks that
-    cannot be well while it lasts, by the graph of needs (known at once, when the alarm is raised);
-    `suspects` names units that were ERROR then and can be behind anything, a full disk: a hint, not a verdict;
-    `well_s` is for how many seconds the unit had been told as OK, without a break, when it broke;
-    `well_in_life_s` the same in all since its target's container was last seen to be started, breaks or not; `life_seen`
-    whether that start was seen at all: else the container runs for longer than PHM; `life` names the life of that container in
-    which the fault opened, as a check saw it last (`phm.facts.ContainerFact.generation`), empty where none is known or PHM has been
-    restarted since.
+    by:               ``itself`` or the name of the action that ended it.
+    blocks:           units that are STALE because of it, in the order in which they were found.
+    consequences:     names of the checks that cannot be OK while it lasts, from the dependency graph. Known as soon as the
+                      fault opens.
+    suspects:         units that were in ERROR when it opened and can cause any fault, such as a full disk: a hint, not a
+                      diagnosis.
+    ok_s:             for how many seconds the unit had been published as OK, without interruption, when it failed.
+    ok_since_start_s: total seconds for which the unit was published as OK since PHM last saw its target container start;
+                      interruptions do not reset it.
+    start_seen:       whether PHM saw that start at all. If not, the container has been running for longer than PHM.
+    generation:       the run of the target container in which the fault opened, as a check saw it last
+                      (`phm.facts.ContainerFact.generation`). Empty if none is known or PHM was restarted since.
     """
 
     id: str
@@ -237,14 +240,17 @@ class FaultOpened:
 
 @dataclass(frozen=True, slots=True)
 class FaultClosed:
-    """Published once per fault; `fault.outcome` and `fault.by` tell how it ended."""
+    """Published once per fault; `fault.outcome` and `fault.by` show how it ended."""
 
     at: Stamp
     fault: Fault
 
 
 class Phase(str, Enum):
-    """Progress of an action. ADVISED, EXPIRED and REFUSED have no effect. EXPIRED: an approval is no longer valid."""
+    """Progress of an action. In the phases ADVISED, EXPIRED and REFUSED nothing is done to the target.
+
+    EXPIRED: the approval is no longer valid.
+    """
 
     ADVISED = "advised"
     APPROVED = "approved"
@@ -259,7 +265,7 @@ class Phase(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class ActionEvent:
-    """One step of a recovery. `detail` is a sentence for the log, with the next step when it failed."""
+    """One step of a recovery. `detail` is a sentence for the log; after a failure it includes the next step."""
 
     at: Stamp
     fault: str
@@ -273,7 +279,7 @@ class ActionEvent:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A line for the log: kind ACTION, COMMAND, DOCKER, HOLD, NOTE (an operator's) or PHM."""
+    """A line for the log. `kind`: ACTION, COMMAND, DOCKER, HOLD, NOTE (written by an operator) or PHM."""
 
     at: Stamp
     kind: str
@@ -288,9 +294,9 @@ class ReportStarted:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """One pass over all checks. `units` is in configuration order.
+    """Result of one pass over all checks. `units` is in configuration order.
 
-    missing: units whose check did not come back in this pass; what `units` says of them is older.
+    missing: units whose check did not finish in this pass; their state in `units` is older.
     """
 
     at: Stamp
@@ -302,10 +308,10 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class HoldChanged:
-    """A hold has begun, or ended (`began` false).
+    """A hold began, or ended (`began` is false).
 
-    target: key of the container; empty: all. by, reason: whose it is and why. left_s: how long it is to last, or would have.
-    text: a sentence for the log.
+    target: key of the container; empty: all containers. by, reason: who set the hold, and why. left_s: how long it will last,
+    or, when it ended, how long it would still have lasted. text: a sentence for the log.
     """
 
     at: Stamp
@@ -321,10 +327,10 @@ Event = Transition | FaultOpened | FaultClosed | ActionEvent | HoldChanged | Not
 
 
 def worst_by_slot(units: tuple[UnitState, ...]) -> dict[Slot, Level]:
-    """The level of each used slot: ERROR, then WARN, then STALE, then OK wins.
+    """Return the worst level of each used slot, in the order ERROR, WARN, STALE, OK.
 
-    STALE beats OK, so that a slot with an unknown part never claims to be well, but loses to what is
-    known to be wrong.
+    STALE is worse than OK, so that a slot with an unknown unit is never shown as healthy, but less
+    bad than WARN and ERROR, which are known problems.
     """
     rank = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
     slots: dict[Slot, Level] = {}

@@ -1,8 +1,8 @@
-"""Signals as bytes to be read: their handlers do nothing, so they find nothing that the interrupted code holds.
+"""Receive signals as bytes from a pipe: the handlers do nothing, so they cannot block on a lock that the interrupted code holds.
 
-A handler runs in the main thread, between two steps of whatever that is doing. One that calls `Event.set` stops for ever when the
-main thread is inside `wait` of that same event, which holds the event's lock. The kernel's part of Python writes each signal's
-number into a pipe instead (`signal.set_wakeup_fd`), and the thread that waits for signals reads it.
+A handler runs in the main thread, between two bytecode instructions. A handler that calls `Event.set` deadlocks if the main thread
+is inside `wait` of the same event, because `wait` holds the event's lock. So Python's C-level handler writes the number of each
+signal into a pipe (`signal.set_wakeup_fd`), and the thread that waits for signals reads it.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ def _nothing(number: int, frame: FrameType | None) -> None:
 
 
 class Signals:
-    """Takes these signals over until `close`; to be made and closed by the main thread, read by any one thread."""
+    """Handles these signals until `close`. Create and close it in the main thread; any single thread may read."""
 
     def __init__(self, *numbers: signal.Signals, handler: Handler = _nothing) -> None:
-        """handler: is called as well, in the main thread; it must neither wait nor take a lock."""
+        """handler: also called, in the main thread; it must neither wait nor take a lock."""
         self._read, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._wakeup = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
         self._before = {number: signal.signal(number, handler) for number in numbers}
 
     def wait(self, timeout_s: float | None) -> tuple[signal.Signals, ...]:
-        """Those that came, in their order, at most `timeout_s` from now; empty when none did."""
+        """Wait at most `timeout_s` for signals and return them in order of arrival; empty after a timeout."""
         ready = select.poll()
         ready.register(self._read, select.POLLIN)
         if not ready.poll(None if timeout_s is None else max(0.0, timeout_s) * 1000):
@@ -42,7 +42,7 @@ class Signals:
         return ()
 
     def close(self) -> None:
-        """Give the signals back to whom they belonged before."""
+        """Restore the previous handlers of the signals."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._wakeup)

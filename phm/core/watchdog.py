@@ -161,12 +161,12 @@ def _say(text: str) -> None:
         os.write(2, f"phm watchdog: {text}\n".encode())
 
 
-def _tell() -> None:
-    """Never blocks, even if the pipe is full."""
+def _report_resume() -> None:
+    """Inform the daemon through standard output. Never blocks, even if the pipe is full."""
     with contextlib.suppress(OSError):
         os.write(1, b"+")
 
 
 if __name__ == "__main__":
     os.set_blocking(1, False)
-    watch(0, os.getppid(), tell=_tell, left_alone="tT" if TERMINAL in sys.argv[1:] else "t")
+    watch(0, os.getppid(), tell=_report_resume, left_alone="tT" if TERMINAL in sys.argv[1:] else "t")

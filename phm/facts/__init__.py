@@ -1,7 +1,7 @@
-"""What probes say about the world, and the protocols by which checks ask them.
+"""Facts that probes report, and the protocols through which checks query the probes.
 
-Probes report what *is*; they never judge. Every method has a deadline of its own and raises
-`CannotTell` with a sentence when it could not find out: the check is then STALE, and no recovery
+Probes report what they observe and never judge it. Each method has its own deadline. It raises
+`CannotTell` with a sentence if it cannot find out: the check is then STALE, and no recovery
 follows. Times named `age_s` are seconds before the call on the monotonic clock.
 """
 
@@ -50,7 +50,7 @@ class CannotTell(Exception):
 
 
 class NotPermitted(CannotTell):
-    """The other side answered that PHM may not (HTTP 403, EACCES)."""
+    """The other side refused the request for lack of permission (HTTP 403, EACCES)."""
 
 
 # ---------------------------------------------------------------- Docker
@@ -66,7 +66,7 @@ class Attachment:
     gateway: str = ""
     aliases: tuple[str, ...] = ()
     fixed_address: str = ""
-    """The address asked for by the user (IPAMConfig), empty when Docker chose it."""
+    """The address that the user configured (IPAMConfig); empty if Docker chose the address."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class Mount:
     kind: str
     """bind, volume or tmpfs."""
     source: str
-    """Path on the host (for a volume: where the engine keeps it)."""
+    """Path on the host (for a volume: where the engine stores it)."""
     destination: str
     name: str = ""
     writable: bool = True
@@ -89,20 +89,20 @@ class DeviceMapping:
 
 @dataclass(frozen=True, slots=True)
 class HealthcheckFact:
-    """How the engine runs a container's HEALTHCHECK; the engine's own defaults where nothing is set."""
+    """How the engine runs a container's HEALTHCHECK; the engine's defaults for options that are not set."""
 
     interval_s: float = 30.0
     timeout_s: float = 30.0
     start_period_s: float = 0.0
     start_interval_s: float = 5.0
-    """Interval within the start period; engines before 25 use `interval_s` there as well."""
+    """Interval during the start period; engines before version 25 use `interval_s` then, too."""
     retries: int = 3
 
     @property
     def decides_s(self) -> float:
-        """From the start of the container, at most so long until the engine no longer says `starting`.
+        """Longest time from the start of the container until the engine no longer reports `starting`.
 
-        A probe that fails does not count when it began within the start period, and the last of these may take its time-out.
+        A failed probe does not count if it began within the start period, and the last of these may take up to its timeout.
         """
         uncounted_s = self.start_period_s + self.start_interval_s + self.timeout_s
         return uncounted_s + self.retries * (self.interval_s + self.timeout_s)
@@ -117,7 +117,7 @@ class ContainerFact:
     status: str
     """created, running, paused, restarting, removing, exited or dead."""
     started_at: str
-    """The engine's own stamp; with `id` it identifies one life of the container."""
+    """The engine's timestamp; together with `id` it identifies one run of the container."""
     exit_code: int = 0
     oom_killed: bool = False
     error: str = ""
@@ -127,30 +127,30 @@ class ContainerFact:
     health_streak: int = 0
     health_output: str = ""
     healthcheck: HealthcheckFact | None = None
-    """None: the container has none."""
+    """None: the container has no HEALTHCHECK."""
     restart_count: int = 0
     restart_policy: str = "no"
     network_mode: str = "default"
     pid_mode: str = ""
-    """As `network_mode`, of its PID namespace: `container:...` where it shares that of another."""
+    """Like `network_mode`, for the PID namespace: `container:...` if it shares that of another container."""
     networks: tuple[Attachment, ...] = ()
     mounts: tuple[Mount, ...] = ()
     devices: tuple[DeviceMapping, ...] = ()
     device_rules: tuple[str, ...] = ()
     privileged: bool = False
     stop_signal: int = 15
-    """By which the engine asks it to end (StopSignal of the image or the container)."""
+    """The signal with which the engine asks it to terminate (StopSignal of the image or the container)."""
     stop_timeout_s: float | None = None
-    """How long the engine then waits before SIGKILL, as the container asks for it (`stop_grace_period`,
+    """How long the engine then waits before SIGKILL, as set for the container (`stop_grace_period`,
     `--stop-timeout`); negative: forever; None: the engine's default, 10 s."""
     cgroup_parent: str = ""
-    """The cgroup that the user wants it in; empty: the engine's choice."""
+    """The parent cgroup that the user configured; empty: chosen by the engine."""
     cpu_limit: float | None = None
     """CPUs; None: no limit."""
     cpu_period_s: float = 0.1
-    """Period in which that limit is given out."""
+    """Period to which that limit applies."""
     maintenance: str = ""
-    """The label `phm.maintenance`: a time in which the container is on hold (`phm.core.maintenance`)."""
+    """The label `phm.maintenance`: a maintenance window, in which the container is on hold (`phm.core.maintenance`)."""
 
     @property
     def running(self) -> bool:
@@ -159,15 +159,15 @@ class ContainerFact:
 
     @property
     def generation(self) -> str:
-        """Changes exactly when the container is recreated or started again."""
+        """Identifies one run: changes exactly when the container is recreated or restarted."""
         return f"{self.id}@{self.started_at}"
 
 
 @dataclass(frozen=True, slots=True)
 class EventStreamFact:
-    """The engine's event stream. open, since: whether it is open, and since when it is so (monotonic seconds).
+    """The engine's event stream. open, since: whether it is open, and since when (monotonic seconds).
 
-    complete_since: nothing that happened after this (monotonic seconds) was missed; infinity: not known.
+    complete_since: no event after this time (monotonic seconds) was missed; infinity: not known.
     """
 
     open: bool
@@ -176,29 +176,29 @@ class EventStreamFact:
 
 
 COMPLETE = EventStreamFact(True, float("-inf"), float("-inf"))
-"""Open forever."""
+"""A stream that has always been open and has missed nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessFact:
-    """One process of a container, as the host's `ps` lists it. Zombies are left out: they have ended."""
+    """One process of a container, as the host's `ps` lists it. Zombies are left out because they have terminated."""
 
     pid: int
-    """Number on the host, not that inside the container."""
+    """Process id on the host, not inside the container."""
     parent: int = 0
     state: str = ""
-    """One letter: R on a processor or waiting for one, S asleep, D in the kernel, T stopped; empty when unknown."""
+    """One letter: R running or runnable, S sleeping, D in uninterruptible sleep, T stopped; empty when unknown."""
     cpu_s: float | None = None
-    """Processor time used so far, in whole seconds; None when unknown."""
+    """CPU time used so far, in full seconds; None when unknown."""
     command: str = ""
-    """Program and arguments, with a space between, at most 4096 characters."""
+    """Program and arguments, separated by spaces, at most 4096 characters."""
     age_s: float | None = None
-    """Since it was started, in whole seconds, rounded down; None when unknown."""
+    """Time since it was started, in full seconds, rounded down; None when unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class FileFact:
-    """One path, as `lstat` sees it after following links. `sha256` is empty unless it was asked for."""
+    """One path, as `lstat` reports it after links were followed. `sha256` is empty unless it was requested."""
 
     path: str
     kind: str
@@ -208,42 +208,42 @@ class FileFact:
     executable: bool
     sha256: str = ""
     seen_through: str = ""
-    """volume or engine: by which way the file was looked at."""
+    """volume or engine: how the file was accessed."""
 
 
 class DockerProbe(Protocol):
     def engine(self) -> str:
-        """Version of the answering engine. Raises CannotTell when none answers in time."""
+        """Return the version of the engine. Raises CannotTell if it does not answer in time."""
 
     def container(self, name: str) -> ContainerFact | None:
-        """The container configured as `name` (its alias), or None when there is none.
+        """Return the container configured as `name` (its alias), or None if it does not exist.
 
-        Raises CannotTell when the engine does not answer, or when a label names several containers.
+        Raises CannotTell if the engine does not answer, or if a label matches several containers.
         """
 
     def processes(self, name: str) -> tuple[ProcessFact, ...]:
-        """The processes of the running container configured as `name`.
+        """Return the processes of the running container configured as `name`.
 
-        The engine starts a `ps` for each question, so ask when there is a reason. Raises CannotTell when the container
-        does not run, or the engine cannot tell within a second.
+        The engine starts a `ps` for each request, so call this only when there is a reason. Raises CannotTell if the
+        container is not running, or if the engine does not answer within a second.
         """
 
     def myself(self) -> ContainerFact | None:
-        """PHM's own container; None when PHM does not run in one."""
+        """Return PHM's own container; None if PHM does not run in a container."""
 
     def network_id(self, name: str) -> str:
-        """Id of the network, or empty when it does not exist."""
+        """Return the id of the network; empty if it does not exist."""
 
     def reachable(self, address: str) -> bool:
-        """Whether `address` answers from here (ICMP echo, else ARP/TCP evidence), within 1 s."""
+        """Return whether `address` answers within 1 s (ICMP echo, else ARP/TCP evidence)."""
 
 
 class FileProbe(Protocol):
     def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
-        """The file at `path` inside the container, or None when it is not there.
+        """Return the file at `path` inside the container, or None if it does not exist.
 
-        Looks through a volume mounted into PHM where one covers the path, else asks the engine. With
-        `digest` the SHA-256 is read too (cached until size, mtime or inode change).
+        Reads a volume mounted into PHM if one contains the path, else asks the engine. With `digest`
+        the SHA-256 is calculated, too (cached until size, mtime or inode change).
         """
 
 
@@ -252,7 +252,7 @@ class FileProbe(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DeviceFact:
-    """One device file of the host. `openable` is None when opening it was not tried or proves nothing."""
+    """One device file of the host. `openable` is None if opening it was not tried or proves nothing."""
 
     path: str
     character: bool
@@ -261,21 +261,21 @@ class DeviceFact:
     openable: bool | None
     reason: str = ""
     description: str = ""
-    """For serial ports, pyserial's words: product, maker, serial number, USB ids."""
+    """For serial ports, the description from pyserial: product, manufacturer, serial number, USB ids."""
     inode: int = 0
-    """Of the device file: another one after the device was away; 0 when unknown."""
+    """Inode of the device file, which changes when the device was removed and is back; 0 when unknown."""
 
 
 class DeviceProbe(Protocol):
     def look(self, path: str, *, open_it: bool) -> DeviceFact | None:
-        """The host's device at `path`, or None when it is not there.
+        """Return the host's device at `path`, or None if it does not exist.
 
-        `open_it` False checks permission bits alone: opening an idle serial port raises DTR, which
-        resets some autopilots and radios.
+        If `open_it` is false, only the permission bits are checked: opening an idle serial port raises
+        DTR, which resets some autopilots and radios.
         """
 
     def serial_ports(self) -> tuple[DeviceFact, ...]:
-        """The serial ports that are there now, to be named when an expected one is missing."""
+        """Return the serial ports that exist now, to be named when an expected one is missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,17 +285,17 @@ class DiskFact:
     free_bytes: int
     inodes_used_percent: float = 0.0
     problem: str = ""
-    """Why this disk could not be read (a hung network mount); the numbers then mean nothing."""
+    """Why this disk could not be read (such as a hung network mount); the numbers are then meaningless."""
     total_bytes: int = 0
-    """What users may fill, used and free; 0: unknown."""
+    """Space available to users, used and free; 0: unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class HostFact:
-    """None: this machine does not report it."""
+    """Measurements of the host. None: this machine does not report the value."""
 
     cpu_percent: float
-    """Of all cores, since the last reading (at least 0.2 s); 0 to 100."""
+    """Use of all cores together since the last reading (at least 0.2 s ago); 0 to 100."""
     memory_percent: float
     memory_available_bytes: int
     disks: tuple[DiskFact, ...]
@@ -303,17 +303,17 @@ class HostFact:
     temperature_c: float | None = None
     temperature_of: str = ""
     throttled: tuple[str, ...] | None = None
-    """Words such as `under-voltage now`, `frequency capped now`; empty when none; None when unknown."""
+    """Reasons such as `under-voltage now`, `frequency capped now`; empty: not throttled; None: unknown."""
     clock_synchronized: bool | None = None
     clock_step_s: float = 0.0
-    """How far UTC has jumped against the monotonic clock since the last reading."""
+    """How far UTC has jumped relative to the monotonic clock since the last reading."""
     fans_rpm: tuple[int, ...] = ()
     waiting_percent: float | None = None
-    """Share of that time in which some task was ready and had to wait for a core; None when the kernel does not report it."""
+    """Share of the time since the last reading in which a ready task waited for a core; None: not reported by the kernel."""
     memory_stalled_percent: float | None = None
-    """Share of that time in which tasks waited for memory and none ran; None when the kernel does not count it."""
+    """Share of that time in which tasks waited for memory and none ran; None: not counted by the kernel."""
     io_stalled_percent: float | None = None
-    """The same for the disks."""
+    """The same for disk I/O."""
 
 
 class HostProbe(Protocol):
@@ -325,23 +325,23 @@ class HostProbe(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SelfFact:
-    """PHM about itself: how its own parts do. Empty tuples mean all is well."""
+    """PHM's own health. Empty tuples mean that there are no problems."""
 
     uptime_s: float
     overdue: tuple[str, ...] = ()
-    """Checks that have not come back within their deadline."""
+    """Checks that have not finished within their deadline."""
     dropped: Mapping[str, int] = field(default_factory=dict)
-    """Events lost by a slow reporter, by reporter."""
+    """Events that a slow reporter has lost, by reporter."""
     problems: tuple[str, ...] = ()
     """Sentences, e.g. `log: no space left on /var/log/phm, 12 lines kept in memory`."""
     ros_restarts: int = 0
     ended_badly: bool = False
-    """The PHM before this one was killed, crashed, or ended itself because it had stalled."""
+    """The previous PHM process was killed, crashed, or ended itself because it had stalled."""
     stood_still_s: float | None = None
-    """For how long PHM as a whole last did nothing, without having ended; None: never."""
+    """How long the last suspension of the entire PHM process lasted; None: it was never suspended."""
     stood_still_ago_s: float | None = None
     was_stopped: bool = False
-    """It was suspended because a signal had stopped it, and was resumed by the watchdog."""
+    """A signal had suspended it, and the watchdog resumed it."""
 
 
 class SelfProbe(Protocol):
@@ -350,7 +350,7 @@ class SelfProbe(Protocol):
 
 @dataclass(frozen=True)
 class World:
-    """Everything a check may ask. Handed to `Check.run`; tests build it from `phm.testing`."""
+    """All probes that a check may query. Passed to `Check.run`; tests build it from `phm.testing`."""
 
     clock: Clock
     docker: DockerProbe

@@ -1,4 +1,4 @@
-"""What a container is kept waiting for, as counters since its start: `phm.facts` explains probes and facts."""
+"""Resources that a container has to wait for, as counters since its start. `phm.facts` explains probes and facts."""
 
 from __future__ import annotations
 
@@ -8,69 +8,69 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class StallFact:
-    """Seconds that tasks were kept waiting for one resource (the kernel's pressure stall information), since the start."""
+    """Seconds that tasks waited for one resource since the start (pressure stall information of the kernel)."""
 
     some_s: float
     """At least one task waited."""
     full_s: float | None = None
-    """A task waited and none ran; None where the kernel does not count it (for the CPU before Linux 5.13)."""
+    """At least one task waited and none ran; None if the kernel does not count it (for the CPU before Linux 5.13)."""
 
 
 @dataclass(frozen=True, slots=True)
 class PressureFact:
-    """Limits and counters of one running container. None means `cannot be seen from here`, or for `no limit`."""
+    """Limits and counters of one running container. None: not visible to PHM, or, for a limit, that there is none."""
 
     at: float
     """Monotonic seconds of this reading."""
     source: str
     """`cgroup v2`, `cgroup v1`, or `engine statistics`."""
     generation: str = ""
-    """Counters of readings with the same text can be compared."""
+    """Counters of two readings can be compared if this text is the same."""
     not_seen: tuple[str, ...] = ()
-    """What this source does not show, in words."""
+    """Descriptions of what this source does not provide."""
     cpu_limit: float | None = None
     """CPUs; None: no limit."""
     cpu_used_s: float | None = None
     cpu_period_s: float = 0.1
-    """The limit is granted again in each period."""
+    """The limit applies to each period."""
     throttled_periods: int | None = None
-    """Periods in which the limit was used up."""
+    """Periods in which the limit was reached."""
     throttled_s: float | None = None
-    """Time in which tasks were stopped for that, added up over the machine's CPUs."""
+    """Time for which tasks were paused by the limit, the sum over all CPUs of the machine."""
     cpu: StallFact | None = None
     memory: StallFact | None = None
     io: StallFact | None = None
     memory_bytes: int | None = None
-    """In use, with the page cache."""
+    """Memory in use, including the page cache."""
     memory_limit: int | None = None
     reread_pages: int | None = None
-    """Pages that a process had to wait for because they had been dropped from memory and were needed again."""
+    """Pages that were evicted from memory and needed again, so that a process had to wait for them (refaults)."""
     oom_kills: int | None = None
     pids: int | None = None
     """Processes and threads."""
     pids_limit: int | None = None
     pids_refused: int | None = None
-    """Processes and threads that were not started because of the limit."""
+    """Processes and threads that could not be started because of the limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConsumerFact:
-    """Who takes how much of the machine's CPUs."""
+    """CPU use of one consumer on this machine."""
 
     name: str
-    """Of the container: its key where it is configured; empty: all that runs outside of containers."""
+    """Name of the container, or its key if it is configured; empty: everything that runs outside of containers."""
     cpus: float
 
 
 class PressureProbe(Protocol):
     def container(self, name: str) -> PressureFact | None:
-        """Counters of the container configured as `name`; None when it does not run.
+        """Return the counters of the container configured as `name`; None if it is not running.
 
-        The engine's statistics are asked for every 2 s at most; until then the last answer is given again. Raises CannotTell.
+        The engine's statistics are requested at most every 2 s; in between, the last answer is returned. Raises CannotTell.
         """
 
     def consumers(self) -> tuple[ConsumerFact, ...]:
-        """Who takes the CPUs, most first, between this question and the one before. Empty at the first question.
+        """Return the CPU use of all consumers between the previous call and this one, highest first. Empty for the first call.
 
-        Costs a look at each container, so ask when there is a reason. Raises CannotTell.
+        Reads each container, so call this only when there is a reason. Raises CannotTell.
         """

@@ -1,4 +1,4 @@
-"""What the ROS probe says: the graph, rates, beacons and diagnostics. Part of `phm.facts`, and imported from there.
+"""Facts from the ROS probe: the graph, rates, beacons and diagnostics. Part of `phm.facts`; import them from there.
 
 Times named `age_s` or `silent_s` are seconds before the call on the monotonic clock, unless said otherwise.
 """
@@ -20,51 +20,51 @@ class EndpointFact:
     reliability: str = ""
     durability: str = ""
     deadline_s: float | None = None
-    """None: it has no deadline."""
+    """None: the endpoint has no deadline."""
     liveliness: str = ""
     lease_s: float | None = None
-    """Of its liveliness; None: without end."""
+    """Lease duration of its liveliness; None: infinite."""
     type_hash: str = ""
-    """Of the definition of the type (REP 2016), shortened; empty where the other side does not send it (Humble)."""
+    """Hash of the type definition (REP 2016), shortened; empty if the other side does not send it (Humble)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RateFact:
-    """What the sampler measured on one topic over its last window. See docs/reference/ros.md for how."""
+    """Measurements of the sampler on one topic over its last window; docs/reference/ros.md describes the method."""
 
     hz: float | None
-    """Of all publishers together. 0.0: silent. None until two samples far enough apart have been seen."""
+    """Rate of all publishers together. 0.0: silent. None until two samples far enough apart have been received."""
     silent_s: float | None
-    """Since the sampler last saw a publisher advance; None before the first sample."""
+    """Since the sampler last saw any publisher advance; None before the first sample."""
     window_s: float = 0.0
-    """Publication time that `hz` was measured over."""
+    """Publication time over which `hz` was measured."""
     samples: int = 0
-    """Looked at so far; not those published."""
+    """Number of samples examined so far, not the number published."""
     problem: str = ""
-    """Why there is no rate: begins with `type unknown`, `ambiguous` or `QoS mismatch`; or empty."""
+    """Why there is no rate: begins with `type unknown`, `ambiguous` or `QoS mismatch`; empty: there is no problem."""
     limit_s: float | None = None
-    """Silent from here on: adapts to the pauses that were seen. None for a latched topic."""
+    """The topic counts as silent after this time, which adapts to the observed pauses. None for a latched topic."""
     jitter_s: float | None = None
-    """Standard deviation of the period, estimated; see `phm.probes.ros.rates.publisher_stats.Jitter`. None with several publishers."""
+    """Estimated standard deviation of the period; see `phm.probes.ros.rates.publisher_stats.Jitter`. None if there are several publishers."""
     age_s: float | None = None
-    """Since the newest sample was published, against the quickest delivery of late, so that a clock of another host
-    that is off does not matter; how late the quickest one was is not known. Of a latched topic against the clock of
-    this host, and None where that clock is behind."""
+    """Since the newest sample was published, relative to the fastest recent delivery, so that a wrong clock on another
+    host does not matter; the delay of that fastest delivery is not known. For a latched topic, relative to the clock
+    of this host; None if that clock is behind."""
     publishers: int = 0
-    """How many discovery lists now; one that died is listed until its lease ends."""
+    """Number that discovery lists now; a publisher that died is listed until its lease ends."""
     matched: int | None = None
-    """To how many of them the middleware connected the sampler; None where it does not report it, or while not listening."""
+    """Number of them to which the middleware connected the sampler; None: not reported, or the sampler does not listen now."""
     restarts: int = 0
-    """Publishers seen to start again, by their sequence numbers or by one that took another's place."""
+    """Restarts of publishers, detected from sequence numbers or because one publisher replaced another."""
     sample_bytes: float | None = None
-    """Size of a sample, serialized, averaged over those looked at."""
+    """Mean serialized size of the samples examined."""
     error_hz: float | None = None
-    """Standard deviation of `hz` that comes from the publisher's own unevenness. None until it is known."""
+    """Standard deviation of `hz` caused by irregular publishing. None until it is known."""
     changed_s: float | None = None
-    """For how long each single look has shown another rate than before, which alone `hz` is then. None when the
-    window holds no such change, and with several publishers."""
+    """How long each measurement has shown a different rate than before; `hz` then covers that time only. None if the
+    window contains no such change, or if there are several publishers."""
     not_counted_s: float = 0.0
-    """Of silent_s, the time in which the ROS child did not run."""
+    """The part of silent_s in which the ROS child did not run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class TopicFact:
 
 @dataclass(frozen=True, slots=True)
 class NameFact:
-    """Who uses a topic that the configuration does not name: full names of nodes, each once."""
+    """Users of a topic that is not configured: full names of nodes, each once."""
 
     publishers: tuple[str, ...] = ()
     subscribers: tuple[str, ...] = ()
@@ -84,9 +84,9 @@ class NameFact:
 
 @dataclass(frozen=True, slots=True)
 class NeighbourFact:
-    """What one node's beacon says about another node that has a beacon. age_s: as that node measured it.
+    """What the beacon of one node reports about another node that has a beacon. age_s: as the reporting node measured it.
 
-    late_s: how late the other's executor is, as that node received it.
+    late_s: delay of the other node's executor, as the reporting node received it.
     """
 
     alive: bool
@@ -98,13 +98,18 @@ class NeighbourFact:
 class BeaconFact:
     """The newest beacon of one node (`phm.beacon`).
 
-    period_s: how often it means to send. late_s: how late its executor ran its newest beat, by its own word.
-    birth: changes when the node is restarted. beats: how many it has sent in this life, as of a second ago at most; of
-    a node that is not configured, as of its last news. views: what it says about its neighbours, by full node name. turns:
-    how often its executor turned in this life, as of the same moment; 0: never yet, or it is not watched, and late_s means
-    nothing. witness: the process that speaks; its nodes hear as one.
-    rivals: how many other processes beat under the same name, each and this one several times since it began.
-    copied_by: who else uses the identity of this process (name of a node, or of a writer); refused, but reported.
+    period_s:  its intended period between heartbeats.
+    late_s:    how late its executor was at the newest heartbeat, as the node itself reports.
+    birth:     changes when the node is restarted.
+    beats:     number of heartbeats since the node started, at most a second old; for a node that is not configured, as of
+               its last change.
+    views:     what it reports about its neighbours, by full node name.
+    turns:     number of turns of its executor since the node started, as of the same time; 0: none yet, or the executor is
+               not watched, and late_s means nothing.
+    witness:   the process that sends the beacon; all nodes of a process receive as one.
+    rivals:    number of other processes that send heartbeats under the same name. Each rival, and this process, must have
+               sent several since the rival began.
+    copied_by: name of the other node or writer that uses the identity of this process; its messages are refused, but reported.
     """
 
     age_s: float
@@ -118,24 +123,24 @@ class BeaconFact:
     rivals: int = 0
     copied_by: str = ""
     not_counted_s: float = 0.0
-    """Of age_s, the time in which the ROS child did not run."""
+    """The part of age_s in which the ROS child did not run."""
 
     @property
     def silent_s(self) -> float:
-        """What of its age is its silence."""
+        """The part of its age that counts as silence."""
         return max(0.0, self.age_s - self.not_counted_s)
 
     @property
     def missed(self) -> float:
-        """Periods since the last beat."""
+        """Periods since the last heartbeat."""
         return self.silent_s / self.period_s
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosticFact:
-    """One status of diagnostic_msgs/DiagnosticStatus: what the application published, or what PHM publishes itself.
+    """One diagnostic_msgs/DiagnosticStatus that the application, or PHM itself, published.
 
-    level: 0 OK, 1 WARN, 2 ERROR, 3 STALE; others are possible, as it comes from outside.
+    level: 0 OK, 1 WARN, 2 ERROR, 3 STALE; other values are possible, because it is external input.
     """
 
     age_s: float
@@ -144,21 +149,26 @@ class DiagnosticFact:
     hardware_id: str = ""
     values: Mapping[str, str] = field(default_factory=dict)
     not_counted_s: float = 0.0
-    """Of age_s, the time in which the ROS child did not run."""
+    """The part of age_s in which the ROS child did not run."""
 
 
 @dataclass(frozen=True, slots=True)
 class RosFact:
-    """The newest picture of the ROS graph from the child process.
+    """The newest snapshot of the ROS graph from the child process.
 
-    age_s: since the child made it, or found nothing changed. up_s: how long this child has been looking, without a break in which
-    it did not run and leases may have ended; a graph that is only a second old does not prove absence. nodes: full name -> how
-    often it is listed. topics: those that the configuration names, by full name. beacons: by full node name, those heard since this child began.
-    diagnostics: by the name of the status, likewise. others: topics that the configuration does not name, by full
-    name, as of a few seconds ago; not all of them where there are very many. refused: messages on the beacons' topic that
-    were none, or were too many, since this child began. names_known: whether the names of nodes could be read.
-    lost_s: since more beacons came than PHM reads; None: never. A beacon that has been silent for longer is left out, since its
-    silence proves nothing. listened_s: how long this child has existed, whatever breaks there were.
+    age_s:       since the child made it, or found it unchanged.
+    up_s:        how long this child has observed the graph without an interruption in which it did not run and leases may
+                 have ended. A graph that has been observed for only a second does not prove absence.
+    nodes:       full name -> how often it is listed.
+    topics:      configured topics, by full name.
+    beacons:     those received since this child started, by full node name.
+    diagnostics: those received since this child started, by the name of the status.
+    others:      topics that are not configured, by full name, a few seconds old; incomplete if there are very many.
+    refused:     messages on the beacon topic since this child started that were not beacons, or were too many.
+    names_known: whether the names of nodes could be read.
+    lost_s:      since more beacons arrived than PHM reads; None: never. A beacon that has been silent for longer is left
+                 out, because its silence proves nothing.
+    listened_s:  how long this child has existed, interruptions included.
     """
 
     age_s: float
@@ -175,10 +185,10 @@ class RosFact:
 
     @property
     def heard_for_s(self) -> float:
-        """How long something that is sent rarely has been listened for: of that time a break loses only itself."""
+        """How long PHM has listened for messages that are sent rarely: an interruption only loses its own duration."""
         return max(self.up_s, self.listened_s)
 
 
 class RosProbe(Protocol):
     def look(self) -> RosFact:
-        """Raises CannotTell when rclpy is missing, or the child is being replaced or is silent."""
+        """Return the newest snapshot. Raises CannotTell if rclpy is missing, or the child is being replaced or is silent."""

@@ -1,4 +1,4 @@
-"""What the swarm probe says about the other agents. Part of `phm.facts`, and imported from there."""
+"""Facts from the swarm probe about the other agents. Part of `phm.facts`; import them from there."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class PeerFact:
-    """One other agent, as the swarm agrees on it.
+    """Another agent, by consensus of the swarm.
 
-    state: alive, late, partly reachable, lost, never seen, or left (stopped on purpose). age_s: since this agent heard it,
-    None when it never did. heard_by, not_heard_by: ids of the agents whose view counted, this one included. gcs: whether
-    it hears a ground station by its own word; None when it has not said so lately. word: its newest status word.
-    since_s: for how long its state has been this one.
+    state:               alive, late, partly reachable, lost, never seen, or left (stopped intentionally).
+    age_s:               since this agent last received from it; None if it never did.
+    heard_by,
+    not_heard_by:        ids of the agents that do, or do not, receive it and whose views counted, this one included.
+    gcs:                 whether it reports that it receives a ground station; None if it has not reported this recently.
+    word:                its newest status word.
+    since_s:             how long it has been in this state.
     """
 
     state: str
@@ -28,11 +31,14 @@ class PeerFact:
 
 @dataclass(frozen=True, slots=True)
 class SwarmFact:
-    """The swarm as this agent computes it from all views, its own included.
+    """State of the swarm, as this agent computes it from all views including its own.
 
-    peers: by agent id, without this agent. members, living: how many, with it. split: agents that vanished together.
-    no_gcs: living agents that hear no ground station while others do. duplicate_ids: ids that two agents use. leader: who
-    leads for the swarm; None while no agent receives the ground.
+    peers:           by agent id, without this agent.
+    members, living: numbers of agents, this one included.
+    split:           agents that were lost together.
+    no_gcs:          living agents that receive no ground station while others do.
+    duplicate_ids:   ids that two agents use.
+    leader:          id of the agent that reports for the swarm; None while no agent receives the ground.
     """
 
     own: int
@@ -45,13 +51,13 @@ class SwarmFact:
     leader: int | None = None
     gcs: bool = False
     up_s: float = 0.0
-    """How long this agent has listened: absence proves nothing before."""
+    """How long this agent has been listening. Shortly after the start, absence proves nothing."""
     links: tuple[str, ...] = ()
-    """Names of the links on which another agent was heard lately."""
+    """Names of the links on which another agent was received recently."""
     unlisted: tuple[int, ...] = ()
-    """Ids heard lately that are not among `swarm.agents`, where that is set: they count for nothing."""
+    """Ids received recently that are not in `swarm.agents`, if that is set. They are ignored."""
 
 
 class SwarmProbe(Protocol):
     def look(self) -> SwarmFact:
-        """Never fails: what is not known is said as such."""
+        """Never fails: unknown values are marked as unknown."""

@@ -80,10 +80,10 @@ class FileWatcher:
         self._closed = False
 
     def on(self, notify: Notify, *, content: bool = False) -> Watch:
-        """A way to watch for one listener. `notify` is called from the thread of this object.
+        """Return a function that adds watches for one listener. `notify` is called from the thread of this object.
 
-        content: a file that was written and closed counts as changed, too. Not for devices: to open and close one is
-        no change.
+        content: a file that was written and closed counts as changed, too. Do not use it for devices: opening and closing
+        a device does not change it.
         """
         listener = _Listener(notify, _COMING_AND_GOING | (_CLOSE_WRITE if content else 0))
         self._listeners.append(listener)

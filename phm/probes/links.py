@@ -93,9 +93,9 @@ class Links:
             return GcsFact(self._clock.mono() - gcs[0], *gcs[1:], due_s, overdue, not_counted_s)
 
     def deaf(self) -> bool:
-        """Whether a ground station is surely out of reach of this agent, though `gcs_timeout` may not have passed: the radio
-        on board has lost the other one, or all endpoints to the ground are gone. That the ground is silent is no such proof."""
-        return self._deaf(self.gcs(), self.radios())
+        """Whether this agent certainly cannot reach a ground station, even if `gcs_timeout` has not passed: the radio on board
+        has lost its counterpart, or all endpoints to the ground are gone. Silence of the ground alone does not prove it."""
+        return self._gcs_unreachable(self.gcs(), self.radios())
 
     def autopilot(self) -> AutopilotFact | None:
         with self._lock:
@@ -192,9 +192,9 @@ class Links:
         heard = self.radios()
         radios = tuple((radio.silent_s <= limits.radio_timeout, *_report(radio)) for radio in heard)
         links = tuple((link.name, link.open, _gone(link)) for link in self._hub.links())
-        return ground, self._deaf(gcs, heard), flying, len(self.problems()), radios, links
+        return ground, self._gcs_unreachable(gcs, heard), flying, len(self.problems()), radios, links
 
-    def _deaf(self, gcs: GcsFact | None, radios: tuple[RadioFact, ...]) -> bool:
+    def _gcs_unreachable(self, gcs: GcsFact | None, radios: tuple[RadioFact, ...]) -> bool:
         gone = {link.name for link in self._hub.links() if _gone(link)}
         cut = bool(self._ground) and self._ground <= gone
         if gcs is None:

@@ -25,10 +25,11 @@ LINK_S = 60.0
 
 
 class SwarmMonitor:
-    """A `phm.facts.SwarmProbe`. `on_wake` is called when the picture changes, be it by silence; it must not wait.
+    """A `phm.facts.SwarmProbe`. `on_wake` is called when the status changes, also because of silence; it must not block.
 
-    gcs_age_s: seconds since a ground station was heard, None for never.
-    deaf: it surely is out of reach, whatever that says. Frames come in the endpoints' threads.
+    gcs_age_s: seconds since the last heartbeat of a ground station, None if there was none.
+    deaf: whether the ground station is certainly unreachable, regardless of `gcs_age_s`. Frames arrive in the threads of the
+    endpoints.
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class SwarmMonitor:
         deaf: Callable[[], bool] = lambda: False,
     ) -> None:
         self._hub, self._clock, self._on_wake, self._gcs_age_s = hub, clock, on_wake, gcs_age_s
-        self._deaf = deaf
+        self._gcs_unreachable = deaf
         self._own, self._component = agent, link_settings.component_id
         self._gcs_timeout_s = link_settings.gcs_timeout
         expected = settings.agents
@@ -174,7 +175,7 @@ class SwarmMonitor:
 
     def _hears_ground(self) -> bool:
         age_s = self._gcs_age_s()
-        return age_s is not None and age_s <= self._gcs_timeout_s and not self._deaf()
+        return age_s is not None and age_s <= self._gcs_timeout_s and not self._gcs_unreachable()
 
     def _period_s(self, agents: int) -> float:
         """Of everybody's heartbeats in a swarm of so many."""

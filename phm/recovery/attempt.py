@@ -59,8 +59,8 @@ class AttemptOutcome:
     not_counted: the failure says nothing about the target (`phm.recovery.history`).
     forbidden:   not done: the vehicle was armed meanwhile.
     postponed:   not done: something that the action needs is missing. This does not count as an attempt.
-    undecided:   only time can tell; until then the attempt has not failed.
-    partly:      the unit itself recovered, but not everything that needs it.
+    undecided:   only time can show whether it worked; until then the attempt has not failed.
+    partly:      the unit itself recovered, but not everything that depends on it.
     """
 
     worked: bool

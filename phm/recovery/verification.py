@@ -58,9 +58,10 @@ class VerificationResult:
 class Verification:
     """The verification of one action that ended at `done` (monotonic seconds). Pure.
 
-    The unit itself gets `verify_s`, less when it is certainly still bad, more while its check says that only time can tell
-    (a HEALTHCHECK that is `starting`). What needs the unit gets its grace. Runs count that began `verify_after_s` after the
-    action; that time, `still_bad_after_s` and `dependents_within_s` are the action's (`phm.recovery.base.Action`).
+    The unit itself has `verify_s` to recover: less if it is certainly still bad, more while its check reports that only time
+    can show the result (a HEALTHCHECK that is `starting`). Dependents have their grace. Only check runs that began
+    `verify_after_s` after the action count; that time, `still_bad_after_s` and `dependents_within_s` are set by the action
+    (`phm.recovery.base.Action`).
     """
 
     unit: str
@@ -128,8 +129,8 @@ class VerificationHooks:
     """What a long verification must not hold up.
 
     stopping:  whether PHM stops.
-    undecided: called once when `recovery.verify` is over and only time can tell about the unit: from then on the other units
-               of the container are judged separately.
+    undecided: called once when `recovery.verify` is over and only time can show whether the unit is OK: from then on the
+               other units of the container are evaluated separately.
     wanted:    whether another fault of the container calls for an action; asked only after that.
     """
 

@@ -233,7 +233,7 @@ def graph_of(tracked: Iterable[TrackedUnit]) -> DependencyGraph:
 
 
 def all_needs(unit: Unit, added: Iterable[str], units_by_check: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """A unit's own dependencies and those of the configuration, where the name of a check stands for all its units."""
+    """A unit's own dependencies and those from the configuration, where the name of a check means all its units."""
     wanted = list(unit.needs)
     for name in added:
         wanted.extend(units_by_check.get(name, (name,)))

@@ -1,7 +1,7 @@
-"""The newest beacon of each node, and which of the messages are what they claim to be. Pure.
+"""The newest beacon of each node, and which of the messages are genuine. Pure.
 
-Anyone may publish on the beacons' topic: a stranger can neither take the place of a node that still beats, nor speak with
-the identity of another process, nor use up the room of the configured nodes.
+Anyone can publish on the beacon topic. So an unknown sender can neither replace a node that still sends heartbeats, nor use the
+identity of another process, nor use up the space reserved for the configured nodes.
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ from phm.probes.ros.beacon_text import beacons_in
 from phm.probes.ros.protocol import Heard
 
 MAX_STRANGERS = 200
-"""Nodes that are kept though they are not configured."""
+"""Most nodes kept that are not configured."""
 FORGET_S = 60.0
-"""A stranger that has been silent for longer is forgotten."""
+"""A node that is not configured is forgotten after this much silence."""
 SILENT_MISSES = 3.0
-"""A node that has missed this many beats may be another one from now on."""
+"""After this many missed heartbeats another process may take the name of the node."""
 DOUBT = (2.0, SILENT_MISSES)
-"""Missed beats at which the daemon is informed immediately, so that checks look."""
+"""Numbers of missed heartbeats at which the daemon is informed immediately, so that checks run."""
 COPIED_S = 10.0
-"""A copied identity is reported for so long after its last message."""
+"""A copied identity is reported for this long after its last message."""
 PORTION, AGES_PORTION = 40, 1000
-"""Beacons in one message to the daemon: each has 50 neighbours at most, with names of 255 characters, so 17 kB. And ages."""
+"""Beacons, and ages, in one message to the daemon: a beacon has at most 50 neighbours with names of 255 characters, so 17 kB."""
 RIVAL_BEATS = 3
-"""So often must another process of the same name have beaten before it counts, and the first one have gone on for a period."""
+"""Another process of the same name counts after this many heartbeats, if the first one has continued for at least a period."""
 MAX_RIVALS = 4
 
 
 @dataclass(slots=True)
 class _Rival:
-    """Another process that beats under the name of one that has not fallen silent: how often it did, first and last."""
+    """Another process that sends heartbeats under the name of one that is not silent: their number, first and last time."""
 
     since_s: float
     at_s: float
-    beats: int = 1
+    heartbeats: int = 1
 
 
 @dataclass(slots=True)
 class _Heard:
-    """The newest beacon of one node, when it came (monotonic), and how much of its silence has been reported.
+    """The newest beacon of one node, when it arrived (monotonic), and how much of its silence has been reported.
 
     rivals: by witness. copied_by: who used its identity last, and when.
     """
@@ -63,20 +63,20 @@ class _Heard:
         )
 
     def meet(self, witness: str, at_s: float) -> None:
-        """A rival has beaten."""
+        """Record a heartbeat of a rival."""
         rival, silent_s = self.rivals.get(witness), SILENT_MISSES * self.fact.period_s
         if rival is not None and at_s - rival.at_s <= silent_s:
-            rival.at_s, rival.beats = at_s, rival.beats + 1
+            rival.at_s, rival.heartbeats = at_s, rival.heartbeats + 1
             return
         self.rivals = {name: one for name, one in self.rivals.items() if at_s - one.at_s <= silent_s}
         if len(self.rivals) < MAX_RIVALS:
             self.rivals[witness] = _Rival(at_s, at_s)
 
     def _rivals(self, now_s: float) -> int:
-        """Those that beat now, and did while this one went on: a node that relieves another overlaps with it for a beat."""
+        """Count those sending now that also sent while this one continued: a replacement overlaps for one heartbeat."""
         period_s = self.fact.period_s
         return sum(
-            rival.beats >= RIVAL_BEATS
+            rival.heartbeats >= RIVAL_BEATS
             and self.at_s - rival.since_s >= period_s
             and now_s - rival.at_s <= SILENT_MISSES * period_s
             for rival in self.rivals.values()
@@ -84,12 +84,12 @@ class _Heard:
 
 
 class BeaconRegistry:
-    """Whose beacons the child has received. Pure but for what it remembers: times are handed in, monotonic seconds.
+    """The beacons that the child has received. No I/O and no clock: callers pass times, in monotonic seconds.
 
-    nodes: those of the configuration, which are never passed over for want of room. listed: asked for the writers that
-    discovery lists now, with the names of their nodes; None where it does not know.
+    nodes: the configured nodes, which are never dropped for lack of space. listed: returns the writers that discovery lists
+    now, with the names of their nodes; None if unknown.
 
-    Invariant: a process (`witness`) is bound to the writer that used its name first, until that one has fallen silent and
+    Invariant: a process (`witness`) is bound to the writer that used its name first, until that writer is silent and has
     left the graph.
     """
 
@@ -100,17 +100,17 @@ class BeaconRegistry:
         """By witness."""
         self._heard: dict[str, _Heard] = {}
         self._news: set[str] = set()
-        self._beats: set[str] = set()
+        self._received: set[str] = set()
         self.refused = 0
-        self._told_refused = 0
+        self._reported_refused = 0
 
     def own_writers(self) -> set[bytes]:
-        """Those that the configured nodes beat with."""
+        """The writers of the heartbeats of configured nodes."""
         heard = (self._heard[name].fact.witness for name in self._nodes & self._heard.keys())
         return {self._writers[witness] for witness in heard if witness in self._writers}
 
     def add(self, format_name: str, text: str, at_s: float, writer: bytes | None = None) -> None:
-        """One message; `at_s`: when it came. writer: who wrote it, where the middleware says so."""
+        """Process one message. `at_s`: when it arrived. writer: its sender, if the middleware reports it."""
         try:
             if format_name != BEACON_FORMAT:
                 raise ValueError("another format, or another version")
@@ -127,7 +127,7 @@ class BeaconRegistry:
             self.refused += 1
 
     def news(self, now_s: float) -> Heard | None:
-        """What there is to tell: all about whoever said something new, the age alone of whoever beats on."""
+        """Return what to report: all of each beacon with new content, only the age of a beacon that just continues."""
         for name, heard in list(self._heard.items()):
             seen = heard.now(now_s)
             doubt = sum(seen.missed > limit for limit in DOUBT)
@@ -138,17 +138,17 @@ class BeaconRegistry:
             if name not in self._nodes and now_s - heard.at_s > FORGET_S:
                 del self._heard[name]
         news = {name: self._heard[name].now(now_s) for name in self._news if name in self._heard}
-        beats = self._beats - self._news
-        ages = {name: self._heard[name].now(now_s).age_s for name in beats if name in self._heard}
+        unchanged = self._received - self._news
+        ages = {name: self._heard[name].now(now_s).age_s for name in unchanged if name in self._heard}
         if len(self._writers) > len(self._heard):
             witnesses = {heard.fact.witness for heard in self._heard.values()}
             self._writers = {name: writer for name, writer in self._writers.items() if name in witnesses}
-        more_refused = self.refused != self._told_refused
-        self._news, self._beats, self._told_refused = set(), set(), self.refused
+        more_refused = self.refused != self._reported_refused
+        self._news, self._received, self._reported_refused = set(), set(), self.refused
         return Heard(beacons=news, ages=ages, refused=self.refused) if news or ages or more_refused else None
 
     def _is_genuine(self, witness: str, writer: bytes | None, at_s: float) -> bool:
-        """False for what another writer says in the name of a process that is bound to its own."""
+        """False for a message from another writer in the name of a process that is bound to its own writer."""
         bound = self._writers.get(witness)
         if writer is None or bound is None or bound == writer:
             return True
@@ -177,30 +177,30 @@ class BeaconRegistry:
         elif known.fact.witness != fact.witness:
             if known.now(at_s).missed <= SILENT_MISSES:
                 known.meet(fact.witness, at_s)
-                return  # two of one name: the one that was there first goes on to count
+                return  # two processes of one name: the first one still counts
             known = None
         else:
             views = fact.views if has_views else known.fact.views
             fact = replace(fact, rivals=known.fact.rivals, copied_by=known.fact.copied_by, views=views)
         if known is None or has_views or known.doubt or _differs(known.fact, fact):
             self._news.add(name)
-        self._beats.add(name)
+        self._received.add(name)
         new = self._heard[name] = _Heard(fact, at_s)
         if known is not None:
             new.rivals, new.copied_by = known.rivals, known.copied_by
 
 
 def _differs(old: BeaconFact, new: BeaconFact) -> bool:
-    return _told(old) != _told(new)
+    return _reported(old) != _reported(new)
 
 
-def _told(fact: BeaconFact) -> tuple[object, ...]:
-    """What the daemon must know as it is now. Before the first turn of an executor its lateness means nothing."""
+def _reported(fact: BeaconFact) -> tuple[object, ...]:
+    """The fields whose current values the daemon needs. Before the first turn of an executor its lateness means nothing."""
     return fact.birth, fact.late_s, fact.period_s, fact.turns > 0
 
 
 def portions(news: Heard, first: Collection[str]) -> list[Heard]:
-    """The same in messages of which none is too long, those of the nodes in `first` first."""
+    """Split the news into messages of limited size, beginning with the nodes in `first`."""
     beacons = sorted(news.beacons.items(), key=lambda item: item[0] not in first)
     ages = sorted(news.ages.items(), key=lambda item: item[0] not in first)
     count = max(1, -(-len(beacons) // PORTION), -(-len(ages) // AGES_PORTION))

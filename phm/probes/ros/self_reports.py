@@ -104,8 +104,8 @@ class SelfReports:
 
 
 def _state(fact: BeaconFact) -> tuple[object, ...]:
-    """What must not change unnoticed: the life, who else has its name, whether two or three beats are missing, how late the
-    executor is, roughly."""
+    """Fields whose changes must be noticed: the run of the node, other processes with its name or identity, whether two or three
+    heartbeats are missing, and roughly how late its executor is."""
     return fact.birth, fact.rivals, fact.copied_by, fact.missed > 2.0, fact.missed > 3.0, int(fact.late_s).bit_length()
 
 

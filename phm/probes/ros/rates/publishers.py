@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from phm.probes.ros.rates.publisher_stats import PublisherStats, Sample
 
 MOST = 8
-"""Publishers that are told apart; of more, a queue of bearable length shows too few samples each."""
+"""Most publishers that are distinguished; with more, a queue of acceptable length holds too few samples of each."""
 PER_PUBLISHER, DEPTH_MOST = 16, 64
 """Samples in the queue for each of them: three make a line, and while it is not full they can be counted."""
 _STEADY = 3
