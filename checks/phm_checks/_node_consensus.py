@@ -97,7 +97,9 @@ def _opinion(
     node: str, beacons: Mapping[str, api.BeaconFact], heard: Mapping[str, bool], nodes_of: Mapping[str, list[str]]
 ) -> Opinion:
     votes = {
-        observer: _hears(beacons[observer], beacons[node], node) for observer in nodes_of if node not in nodes_of[observer]
+        observer: _hears(beacons[observer], beacons[node], node)
+        for observer in nodes_of
+        if node not in nodes_of[observer]
     }
     votes[PHM] = heard[node]
     yes = tuple(observer for observer, vote in votes.items() if vote is True)
@@ -128,7 +130,10 @@ def _sides(nodes_of: Mapping[str, list[str]], opinions: Iterable[Opinion]) -> tu
     not_received = {(observer, opinion.node) for opinion in opinions for observer in opinion.unheard_by}
 
     def apart(one: str, other: str) -> bool:
-        return all(any((here, node) in not_received for node in nodes_of[there]) for here, there in ((one, other), (other, one)))
+        return all(
+            any((here, node) in not_received for node in nodes_of[there])
+            for here, there in ((one, other), (other, one))
+        )
 
     left, sides = list(nodes_of), []
     while left:

@@ -177,14 +177,14 @@ class Nodes(api.Check):
         cut_off: Collection[str],
     ) -> api.Result:
         roster, name = self._rosters.get(node.wanted.container), node.wanted.name
-        began_at, told, fit = NEVER, "", 0
+        began_at, process, fit = NEVER, "", 0
         if roster is not None:
-            began_at, told, fit = roster.began_at(name), roster.told(name), roster.fit(name, now)
+            began_at, process, fit = roster.began_at(name), roster.describe(name), roster.fit(name, now)
         unlisted = roster is not None and roster.unlisted
         judgement = node.judge(evidence, began_at, now, self._grace_s, fit, unlisted=unlisted)
         node.live(roster, evidence, now)
         level, words, short, condition = self._words(node, judgement, fact, why)
-        values: dict[str, api.Value] = {"listed": node.signs.count, "process": told}
+        values: dict[str, api.Value] = {"listed": node.signs.count, "process": process}
         known = api.Evidence(
             certain=judgement.state is NodeState.NEVER_STARTED and roster is not None and roster.left_out(name),
             conclusive=judgement.witnessed or judgement.state is NodeState.DUPLICATE,

@@ -18,7 +18,7 @@ from phm.recovery.holds.hold_registry import MAX_DONE, MAX_HOLDS, Hold, Persiste
 from phm.recovery.persistence.state import MAX_REPORTED, PersistedCase, PersistedState, RecoveryState, UnfinishedAction
 from phm.recovery.safety.armed_state import LastArmedState
 
-VERSION = 3
+VERSION = 4
 MAX_FAULTS = 256
 MAX_TARGETS = 64
 MAX_TEXT = 2000
@@ -231,9 +231,9 @@ def _fault(fault: Fault) -> dict[str, Any]:
         "by": fault.by,
         "blocks": list(fault.blocks[:MAX_FAULTS]),
         "consequences": list(fault.consequences[:MAX_FAULTS]),
-        "well_s": fault.ok_s,
-        "well_in_life_s": fault.ok_since_start_s,
-        "life_seen": fault.start_seen,
+        "ok_s": fault.ok_s,
+        "ok_since_start_s": fault.ok_since_start_s,
+        "start_seen": fault.start_seen,
         "result": {
             "summary": result.summary[:MAX_TEXT],
             "brief": result.brief[:MAX_TEXT],
@@ -254,9 +254,9 @@ def _read_fault(body: Any, opened: Stamp) -> Fault:
         by=str(body["by"]),
         blocks=tuple(str(unit) for unit in body["blocks"]),
         consequences=tuple(str(name) for name in body["consequences"]),
-        ok_s=float(body.get("well_s", 0.0)),
-        ok_since_start_s=float(body.get("well_in_life_s", 0.0)),
-        start_seen=bool(body.get("life_seen", False)),
+        ok_s=float(body.get("ok_s", 0.0)),
+        ok_since_start_s=float(body.get("ok_since_start_s", 0.0)),
+        start_seen=bool(body.get("start_seen", False)),
     )
 
 
