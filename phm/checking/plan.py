@@ -39,12 +39,18 @@ class CheckPlan:
 
 
 def build_plan(settings: Settings, checks: Mapping[str, type[Check]]) -> CheckPlan:
-    """The plan for this configuration. Raises `DependencyCycle` when units need each other."""
+    """Build the checks that are not disabled, and their plan. Raises `DependencyCycle` when units need each other."""
+    enabled = {name: check for name, check in checks.items() if settings.checks.get(name, CheckSettings()).enabled}
+    return plan_checks(settings, {name: tuple(check.build(settings)) for name, check in enabled.items()})
+
+
+def plan_checks(settings: Settings, built: Mapping[str, Sequence[Check]]) -> CheckPlan:
+    """The plan for checks that are built, by name; disabled ones are left out. Raises `DependencyCycle`."""
     instances: list[tuple[Check, CheckSettings]] = []
-    for name, check_class in sorted(checks.items(), key=lambda item: (item[1].slot, item[0])):
+    for name, checks in sorted(built.items(), key=lambda item: (item[1][0].slot if item[1] else 0, item[0])):
         override = settings.checks.get(name, CheckSettings())
         if override.enabled:
-            instances.extend((check, override) for check in check_class.build(settings))
+            instances.extend((check, override) for check in checks)
     by_check: dict[str, list[str]] = {}
     for check, _ in instances:
         by_check.setdefault(check.name, []).extend(unit.id for unit in check.units)

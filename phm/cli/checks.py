@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from phm.cli.options import config_option, json_option, load_settings, loops_are_configuration_errors
+from phm.cli.options import config_option, json_option, load_configuration
 
 if TYPE_CHECKING:
     from phm.checking.plan import CheckPlan
@@ -27,7 +27,7 @@ def command(ctx: click.Context, as_graph: bool, config: str | None, as_json: boo
     Exit code 0; 1: a check cannot be loaded, or none is installed; 78: the configuration is invalid.
     """
     if as_graph:
-        plan = _plan(config)
+        plan = load_configuration(config).plan
         click.echo(json.dumps(_graph_json(plan), indent=2) if as_json else "\n".join(_tree(plan)))
         ctx.exit(0)
     rows = _rows()
@@ -40,15 +40,6 @@ def command(ctx: click.Context, as_graph: bool, config: str | None, as_json: boo
     if not rows:
         click.echo("No checks are installed: install the package phm-sidecar.", err=True)
     ctx.exit(0 if rows and not any(row["problem"] for row in rows) else 1)
-
-
-def _plan(config: str | None) -> CheckPlan:
-    settings = load_settings(config)
-    from phm.checking import registry
-    from phm.checking.plan import build_plan
-
-    with loops_are_configuration_errors():
-        return build_plan(settings, registry.checks())
 
 
 def _graph_json(plan: CheckPlan) -> list[dict[str, Any]]:

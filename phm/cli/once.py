@@ -6,7 +6,7 @@ import json
 
 import click
 
-from phm.cli.options import config_option, json_option, load_settings, loops_are_configuration_errors
+from phm.cli.options import config_option, json_option, load_configuration, unusable_keys_are_configuration_errors
 
 
 @click.command(epilog="Example: phm once --json | jq .status_array")
@@ -19,13 +19,13 @@ def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
     Changes nothing: no recovery, no MAVLink, no log.
     Exit code 0: no check reports ERROR; 1: a check reports ERROR; 78: the configuration is invalid.
     """
-    settings = load_settings(config)
+    configuration = load_configuration(config, links=False)
     from phm.runtime.single_pass import run_once
     from phm.wire.report import report_json
 
-    with loops_are_configuration_errors():
-        units = run_once(settings)
-    report = report_json(settings.agent.name, units)
+    with unusable_keys_are_configuration_errors():
+        units = run_once(configuration)
+    report = report_json(configuration.settings.agent.name, units)
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:

@@ -10,6 +10,7 @@ import click
 
 if TYPE_CHECKING:
     from phm.core.settings import Settings
+    from phm.runtime.configuration import Configuration
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -49,28 +50,29 @@ def json_option(function: F) -> F:
 
 
 def load_settings(path: str | None) -> Settings:
-    """The configuration; exits with 78 and every problem on stderr when it is invalid."""
-    from phm.cli.reading import read
+    """The settings of a valid configuration; exits as `load_configuration` does."""
+    return load_configuration(path).settings
+
+
+def load_configuration(path: str | None, *, links: bool = True) -> Configuration:
+    """The configuration with its checks, see `read`; exits with 78 and every problem on stderr when it is invalid."""
     from phm.config import ConfigError
+    from phm.runtime.configuration import read
 
     try:
-        return read(path).settings
+        return read(path, links=links)
     except ConfigError as error:
         click.echo(str(error), err=True)
         raise click.exceptions.Exit(EX_CONFIG) from None
 
 
 @contextmanager
-def loops_are_configuration_errors() -> Iterator[None]:
-    """Exit with 78 for problems that are found only while the daemon is built: dependency cycles and unusable signing keys."""
-    from phm.core.dependency_graph import DependencyCycle
+def unusable_keys_are_configuration_errors() -> Iterator[None]:
+    """Exit with 78 for a problem that is found only while the daemon is built: an unusable signing key."""
     from phm.transport.mavlink_signing import InvalidKey
 
     try:
         yield
-    except DependencyCycle as error:
-        click.echo(f"checks: {error}", err=True)
-        raise click.exceptions.Exit(EX_CONFIG) from None
     except InvalidKey as error:
         click.echo(str(error), err=True)
         raise click.exceptions.Exit(EX_CONFIG) from None

@@ -8,14 +8,11 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import click
 
-from phm.cli.options import config_option, load_settings, loops_are_configuration_errors
-
-if TYPE_CHECKING:
-    from phm.core.settings import Settings
+from phm.cli.options import config_option, load_configuration, unusable_keys_are_configuration_errors
 
 
 @contextmanager
@@ -38,24 +35,19 @@ def command(config: str | None) -> None:
     Exit code 0; 78: the configuration is invalid (nothing was opened); 75: another PHM uses the same state_dir or run_dir.
     """
     with uncollected():
-        settings = load_settings(config)
+        configuration = load_configuration(config)
         logging.basicConfig(level=logging.WARNING, format="phm: %(levelname)s: %(name)s: %(message)s")
         from phm.core.instance_lock import AlreadyRunning
         from phm.runtime import service
+        from phm.runtime.configuration import read
 
     try:
-        with loops_are_configuration_errors():
-            code = service.run(settings, lambda: _read_again(config))
+        with unusable_keys_are_configuration_errors():
+            code = service.run(configuration, lambda: read(config))
     except AlreadyRunning as error:
         click.echo(f"phm run: {error}", err=True)
         code = os.EX_TEMPFAIL
     leave(code)
-
-
-def _read_again(config: str | None) -> Settings:
-    from phm.cli.reading import read
-
-    return read(config).settings
 
 
 def leave(code: int) -> NoReturn:

@@ -12,7 +12,7 @@ import click
 from phm.cli.options import EX_CONFIG, config_option, json_option
 
 if TYPE_CHECKING:
-    from phm.cli.reading import Read
+    from phm.runtime.configuration import Configuration
 
 
 @click.command(epilog="Example: phm validate -c config/phm.yaml")
@@ -30,8 +30,8 @@ def command(ctx: click.Context, file: str | None, config: str | None, as_json: b
 
 def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None = None) -> int:
     """Print the result; problems on stderr, one a line (with as_json all on stdout). Returns 0 or 78."""
-    from phm.cli.reading import read
     from phm.config import ConfigError
+    from phm.runtime.configuration import read
 
     try:
         good = read(path, environ)
@@ -48,7 +48,7 @@ def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None 
     return 0
 
 
-def _facts(good: Read) -> dict[str, str | int | float]:
+def _facts(good: Configuration) -> dict[str, str | int | float]:
     settings = good.settings
     return {
         "file": good.file,
@@ -63,7 +63,7 @@ def _facts(good: Read) -> dict[str, str | int | float]:
     }
 
 
-def _line(good: Read) -> str:
+def _line(good: Configuration) -> str:
     facts = _facts(good)
     counted = ", ".join(f"{facts[key]} {key}" for key in ("units", "containers", "nodes", "topics", "endpoints"))
     return f"{good.file}: valid, agent {facts['agent']} (id {facts['id']}), every {facts['interval_s']:g} s: {counted}"

@@ -9,6 +9,7 @@ from functools import partial
 
 from phm.api import Check
 from phm.checking import registry
+from phm.checking.plan import CheckPlan
 from phm.commands.services import no_reload
 from phm.core import threads
 from phm.core.clock import Clock, SystemClock
@@ -46,11 +47,12 @@ class Daemon:
         clock: Clock | None = None,
         watchdog: DaemonWatchdog | None = None,
         *,
+        plan: CheckPlan | None = None,
         problems: Sequence[Callable[[], str]] = (threads.problem,),
         reload: Callable[[], str] = no_reload,
         previous: Daemon | None = None,
     ) -> None:
-        """previous: the daemon that this one replaces in `start`, after a reload; problems, reload: see `Components`."""
+        """previous: the daemon that this one replaces in `start`, after a reload; plan, problems, reload: see `Components`."""
         self.settings, self.clock = settings, clock or SystemClock()
         self._watchdog, self._problems, self._reload, self._previous = watchdog, problems, reload, previous
         self._marker = ShutdownMarker(settings.state_dir)
@@ -61,6 +63,7 @@ class Daemon:
         self.components: Components = Components(
             settings,
             self.clock,
+            plan=plan,
             watchdog=watchdog,
             problems=problems,
             reload=reload,
@@ -71,9 +74,17 @@ class Daemon:
         self.pipeline = self.components.pipeline
         self._supervised = self._stalled = 0
 
-    def successor(self, settings: Settings) -> Daemon:
-        """A daemon for another configuration; it replaces this one in its `start`."""
-        return Daemon(settings, self.clock, self._watchdog, problems=self._problems, reload=self._reload, previous=self)
+    def successor(self, settings: Settings, plan: CheckPlan | None = None) -> Daemon:
+        """A daemon for another configuration; it replaces this one in its `start`. plan: see `Components`."""
+        return Daemon(
+            settings,
+            self.clock,
+            self._watchdog,
+            plan=plan,
+            problems=self._problems,
+            reload=self._reload,
+            previous=self,
+        )
 
     # ------------------------------------------------------------ start
 

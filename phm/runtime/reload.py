@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field
 
 from phm.config import ConfigError, Problem
 from phm.core.dependency_graph import DependencyCycle
-from phm.core.settings import Settings
+from phm.runtime.configuration import Configuration
 from phm.runtime.daemon import Daemon
 
 logger = logging.getLogger(__name__)
@@ -26,7 +26,7 @@ FIXED = ("agent", "mavlink", "process", "state_dir", "run_dir")
 ANSWER_S = 30.0
 MAX_PROBLEMS = 100
 
-Read = Callable[[], Settings]
+ReadAgain = Callable[[], Configuration]
 """Reads and validates the configuration file again. Raises ConfigError."""
 
 
@@ -66,7 +66,7 @@ class _Request:
 class Reloader:
     """Any thread may call `request`; only the main thread, which owns the daemon, may call `run`."""
 
-    def __init__(self, read: Read) -> None:
+    def __init__(self, read: ReadAgain) -> None:
         self._read = read
         self._lock = threading.Lock()
         self._waiting: list[_Request] = []
@@ -105,7 +105,7 @@ class Reloader:
         except ConfigError as error:
             return daemon, ReloadOutcome(False, problems=error.problems)
         old = daemon.settings
-        sections = [name for name in type(old).model_fields if getattr(old, name) != getattr(wanted, name)]
+        sections = [name for name in type(old).model_fields if getattr(old, name) != getattr(wanted.settings, name)]
         restart = tuple(name for name in sections if name in FIXED)
         changed = tuple(name for name in sections if name not in FIXED)
         if not changed:
@@ -114,9 +114,11 @@ class Reloader:
             return daemon, ReloadOutcome(
                 False, why=f"an action is in progress ({busy}): reload again when it is finished"
             )
-        usable = wanted.model_copy(update={name: getattr(old, name) for name in FIXED})
+        usable, plan = wanted.settings, wanted.plan
+        if restart:  # the checks of the file are those after the restart: others are built for what applies now
+            usable, plan = usable.model_copy(update={name: getattr(old, name) for name in FIXED}), None
         try:
-            new = daemon.successor(usable)
+            new = daemon.successor(usable, plan)
         except DependencyCycle as error:
             daemon.cancel_handover()
             return daemon, ReloadOutcome(False, why=f"checks: {error}")

@@ -10,31 +10,32 @@ from phm.core import threads
 from phm.core.clock import SystemClock
 from phm.core.instance_lock import InstanceLock
 from phm.core.process_priority import apply
-from phm.core.settings import Settings
 from phm.core.signals import Signals
 from phm.core.watchdog import DaemonWatchdog
+from phm.runtime.configuration import Configuration
 from phm.runtime.daemon import STALLED_END_S, SUPERVISE_S, Daemon
-from phm.runtime.reload import Read, Reloader
+from phm.runtime.reload import ReadAgain, Reloader
 
 logger = logging.getLogger(__name__)
 
 ENDING = frozenset((signal.SIGTERM, signal.SIGINT))
 
 
-def run(settings: Settings, read: Read | None = None) -> int:
+def run(configuration: Configuration, read: ReadAgain) -> int:
     """Run until SIGTERM or SIGINT; 0 after an orderly end. read: reads the configuration again, on SIGHUP. Raises AlreadyRunning.
 
     Exits with 70 (EX_SOFTWARE) when the scheduler has stalled: restart policies act on that.
     """
+    settings = configuration.settings
     lock = InstanceLock(settings.state_dir, settings.run_dir)
     lock.acquire()
     watchdog = DaemonWatchdog()
     priority = apply(settings.process)
     clock = SystemClock()
     clock.measure()
-    reloader = Reloader(read or (lambda: settings))
+    reloader = Reloader(read)
     problems = (threads.problem, lambda: lock.problem, lambda: priority.problem)
-    daemon = Daemon(settings, clock, watchdog, problems=problems, reload=reloader.request)
+    daemon = Daemon(settings, clock, watchdog, plan=configuration.plan, problems=problems, reload=reloader.request)
     with Signals(*ENDING, signal.SIGCONT, signal.SIGHUP) as signals:
         daemon.start()
         watchdog.start()

@@ -7,15 +7,17 @@ import threading
 from phm.core import threads
 from phm.core.clock import Clock, SystemClock
 from phm.core.model import UnitState
-from phm.core.settings import Settings
+from phm.runtime.configuration import Configuration
 from phm.runtime.wiring import Components
 
 
-def run_once(settings: Settings, clock: Clock | None = None) -> tuple[UnitState, ...]:
-    """Changes nothing. Waits until every unit has a level, at most the longest grace, settle time and deadline together."""
+def run_once(configuration: Configuration, clock: Clock | None = None) -> tuple[UnitState, ...]:
+    """Changes nothing. Waits until every unit has a level, at most the longest grace, settle time and deadline together.
+
+    configuration: read without links.
+    """
     clock = clock or SystemClock()
-    silent = settings.model_copy(update={"mavlink": settings.mavlink.model_copy(update={"endpoints": []})})
-    components = Components(silent, clock)
+    components = Components(configuration.settings, clock, plan=configuration.plan)
     plan, scheduler, pipeline = components.plan, components.scheduler, components.pipeline
     longest_s = max((entry.unit.grace_s + entry.unit.settle_s for entry in plan.tracked), default=0.0)
     end = clock.mono() + longest_s + plan.pass_limit_s

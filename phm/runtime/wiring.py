@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from phm.checking import registry
 from phm.checking.pipeline import Pipeline
-from phm.checking.plan import build_plan
+from phm.checking.plan import CheckPlan, build_plan
 from phm.checking.scheduler import CheckRun, CheckScheduler
 from phm.commands.control_server import ControlServer
 from phm.commands.handler import CommandHandler
@@ -46,6 +46,7 @@ from phm.transport.mavlink import MavlinkHub
 class Components:
     """Everything that one daemon consists of.
 
+    plan:              the checks and their dependency graph, if they are built already (`phm.runtime.configuration`).
     watchdog:          the watchdog process, if one is used.
     problems:          what else may be wrong with this process; each gives a sentence or an empty text.
     reload:            reloads the configuration for `phm reload`; the outcome as JSON.
@@ -57,6 +58,7 @@ class Components:
         settings: Settings,
         clock: Clock,
         *,
+        plan: CheckPlan | None = None,
         watchdog: DaemonWatchdog | None = None,
         problems: Sequence[Callable[[], str]] = (),
         reload: Callable[[], str] = no_reload,
@@ -66,7 +68,7 @@ class Components:
     ) -> None:
         self.clock, self.boot_id = clock, uuid.uuid4().hex[:12]
         started = clock.stamp()
-        self.plan = build_plan(settings, registry.checks())
+        self.plan = plan or build_plan(settings, registry.checks())
         self.bus = Bus(clock)
         tracker = Tracker(self.plan.tracked, self.plan.graph, started, fault_prefix=f"{self.boot_id[:4]}-")
         self.pipeline = Pipeline(tracker, self.bus, clock, self.plan.pass_limit_s)

@@ -15,13 +15,14 @@ import pytest
 from click.testing import CliRunner, Result
 
 import phm
+from phm import api
+from phm.checking.plan import build_plan
 from phm.cli import VERBS, group
-from phm.cli.reading import Read
 from phm.core.clock import SystemClock
-from phm.core.dependency_graph import DependencyCycle
 from phm.core.model import Level, Outcome, Slot, UnitState
 from phm.core.settings import Settings
 from phm.reporters.status import StatusReporter
+from phm.runtime.configuration import Configuration
 from tests.fakes.records import closed, context, opened, unit
 
 ROOT = Path(phm.__file__).parents[1]
@@ -330,7 +331,6 @@ def test_without_a_daemon_status_says_so(tmp_path: Path) -> None:
 
 DAEMON = """
 import sys, time
-from phm.cli.reading import Read
 from phm.core.clock import SystemClock
 from phm.reporters.base import ReporterContext
 from phm.reporters.status import StatusReporter
@@ -397,14 +397,15 @@ def test_the_ways_to_show_exclude_each_other(tmp_path: Path) -> None:
 
 def with_daemon(monkeypatch: pytest.MonkeyPatch, **functions: Any) -> None:
     """Settings without a file, and the daemon's functions replaced."""
-    monkeypatch.setattr("phm.cli.reading.read", lambda path: Read("phm.yaml", Settings(), {}))
+    nothing = Configuration("phm.yaml", Settings(), {}, build_plan(Settings(), {}))
+    monkeypatch.setattr("phm.runtime.configuration.read", lambda path, **more: nothing)
     for name, function in functions.items():
         monkeypatch.setattr(f"phm.runtime.single_pass.{name}", function)
 
 
 def test_once_prints_the_report_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
     """The keys of the issue, first of all; exit code 1 since a check says ERROR."""
-    with_daemon(monkeypatch, run_once=lambda settings: (DEAD, BLOCKED, WELL))
+    with_daemon(monkeypatch, run_once=lambda configuration: (DEAD, BLOCKED, WELL))
     result = invoke("once", "--json")
     assert result.exit_code == 1
     seen = json.loads(result.stdout)
@@ -417,7 +418,7 @@ def test_once_prints_the_report_as_json(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
     """Slots in order, level words, array; exit code 0 when nothing says ERROR, though something is not known."""
-    with_daemon(monkeypatch, run_once=lambda settings: (WELL, BLOCKED))
+    with_daemon(monkeypatch, run_once=lambda configuration: (WELL, BLOCKED))
     result = invoke("once")
     assert result.exit_code == 0, result.output
     assert result.stdout.index("blocked by") < result.stdout.index("Host is calm")
@@ -427,7 +428,7 @@ def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_run_ends_with_the_daemons_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """What `phm.runtime.service.run` returns is the exit code."""
     with_daemon(monkeypatch)
-    monkeypatch.setattr("phm.runtime.service.run", lambda settings, read: 3)
+    monkeypatch.setattr("phm.runtime.service.run", lambda configuration, read: 3)
     monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process stays
     assert invoke("run").exit_code == 3
 
@@ -455,17 +456,30 @@ def test_once_makes_a_real_pass(plugin: Path) -> None:
     assert done.returncode == int("ERROR" in levels.values())
 
 
-@pytest.mark.parametrize("verb", ["run", "once"])
-def test_needs_in_a_circle_end_like_a_bad_configuration(verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They show only when the checks are known: one sentence that names the circle, exit code 78."""
+class CyclicUnits(api.Check):
+    """A plug-in whose units need each other."""
 
-    def loop(settings: Settings, read: object = None) -> int:
-        raise DependencyCycle(["a", "b", "a"])
+    name, slot, layer = "cyclic", api.Slot.USER_1, api.Layer.CUSTOM
 
-    with_daemon(monkeypatch, run_once=loop)
-    monkeypatch.setattr("phm.runtime.service.run", loop)
-    result = invoke(verb)
-    assert (result.exit_code, result.stderr) == (78, "checks: dependency cycle: a -> b -> a\n")
+    @property
+    def units(self) -> tuple[api.Unit, ...]:
+        return api.Unit("cyclic/a", needs=("cyclic/b",)), api.Unit("cyclic/b", needs=("cyclic/a",))
+
+    def run(self, world: api.World) -> api.Result:
+        return api.ok("never reached")
+
+
+@pytest.mark.parametrize("verb", [("run",), ("once",), ("validate",), ("checks", "--graph")])
+def test_a_dependency_cycle_of_units_is_a_configuration_error(
+    verb: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """One sentence that names the cycle, exit code 78."""
+    monkeypatch.setattr("phm.runtime.configuration.checks", lambda: {"cyclic": CyclicUnits})
+    file = tmp_path / "phm.yaml"
+    file.write_text("agent: {id: 3}\n")
+    result = invoke(*verb, "-c", str(file))
+    assert result.exit_code == 78
+    assert result.stderr.startswith(f"{file}: checks: dependency cycle: cyclic/")
 
 
 # ---------------------------------------------------------------- the page about it

@@ -10,10 +10,10 @@ from click.testing import CliRunner
 
 from phm import api
 from phm.checking import registry
-from phm.cli import reading
-from phm.cli.reading import read
 from phm.cli.validate import command
 from phm.config import ConfigError
+from phm.runtime import configuration
+from phm.runtime.configuration import read
 
 GOOD = "containers: [{name: app}]\nros: {nodes: [{name: /a/one}]}\n"
 
@@ -93,7 +93,7 @@ def test_a_check_that_cannot_be_built_is_named(file: Path, monkeypatch: pytest.M
             return api.ok("never reached")
 
     installed = {**registry.checks(), "picky": Picky}
-    monkeypatch.setattr(reading, "checks", lambda: installed)
+    monkeypatch.setattr(configuration, "checks", lambda: installed)
     with pytest.raises(ConfigError, match=r"checks\.picky: the check cannot be built: ValueError: option 'volts'"):
         read(str(file), {})
     file.write_text(GOOD + "checks: {picky: {enabled: false}}\n")
