@@ -185,7 +185,10 @@ class Check(ABC):
 
     @classmethod
     def build(cls, settings: Settings) -> Iterable[Check]:
-        """The instances for this configuration; each gets a thread. Default: one."""
+        """The instances for this configuration; each gets a thread. Default: one.
+
+        settings: all of the configuration, because a check may need any section of it.
+        """
         return [cls()]
 
     @property

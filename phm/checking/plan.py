@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from phm.api import Check
@@ -54,25 +54,27 @@ def plan_checks(settings: Settings, built: Mapping[str, Sequence[Check]]) -> Che
     by_check: dict[str, list[str]] = {}
     for check, _ in instances:
         by_check.setdefault(check.name, []).extend(unit.id for unit in check.units)
-    scheduled = tuple(_schedule(check, override, settings) for check, override in instances)
+    scheduled = tuple(_schedule(check, override, settings.interval) for check, override in instances)
     tracked = tuple(entry for check, override in instances for entry in _track(check, override, by_check))
     graph = graph_of(tracked)
-    return CheckPlan(scheduled, _with_starved_by(tracked, graph, settings), graph)
+    critical = (entry.key for entry in settings.containers if entry.flight_critical)
+    relieved = frozenset(critical if settings.recovery.relieve else ())
+    return CheckPlan(scheduled, _with_starved_by(tracked, graph, relieved), graph)
 
 
 def _with_starved_by(
-    tracked: Sequence[TrackedUnit], graph: DependencyGraph, settings: Settings
+    tracked: Sequence[TrackedUnit], graph: DependencyGraph, relieved: Collection[str]
 ) -> tuple[TrackedUnit, ...]:
     """Add to each unit the pressure units that can explain its symptoms: of its container, of its dependencies, of the host.
 
-    The pressure of a container may follow from that of the host. A container that recovery can relieve always has its own fault.
+    The pressure of a container may follow from that of the host. A container that recovery can relieve, in `relieved`, always has
+    its own fault.
     """
     targets = {entry.unit.id: entry.unit.target for entry in tracked}
-    critical = {entry.key for entry in settings.containers if entry.flight_critical}
-    relieved = {f"{PRESSURE}{key}" for key in critical} if settings.recovery.relieve else set()
+    own_faults = {f"{PRESSURE}{key}" for key in relieved}
 
     def starved_by(unit: str) -> tuple[str, ...]:
-        if unit in HOST_PRESSURE or unit in relieved:
+        if unit in HOST_PRESSURE or unit in own_faults:
             return ()
         homes = () if unit.startswith(PRESSURE) else (targets[unit], *(targets[name] for name in graph.upstream(unit)))
         names = (*(f"{PRESSURE}{home}" for home in dict.fromkeys(homes)), *HOST_PRESSURE)
@@ -81,9 +83,9 @@ def _with_starved_by(
     return tuple(replace(entry, starved_by=starved_by(entry.unit.id)) for entry in tracked)
 
 
-def _schedule(check: Check, override: CheckSettings, settings: Settings) -> ScheduledCheck:
+def _schedule(check: Check, override: CheckSettings, interval_s: float) -> ScheduledCheck:
     """A check without a period runs at each pass, and after twice the report interval at the latest."""
-    period_s = override.period or check.period_s or 2.0 * settings.interval
+    period_s = override.period or check.period_s or 2.0 * interval_s
     return ScheduledCheck(check, period_s, override.deadline or check.deadline_s)
 
 

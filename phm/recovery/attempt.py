@@ -101,12 +101,15 @@ class Attempt:
         generations: GenerationTracker,
         guard: FlightCriticalGuard,
         verifier: Verifier,
+        verify_s: float,
     ) -> None:
-        """last: no step of the ladder follows. approved_at: the armed state at which an operator approved it; None: not."""
+        """last: no step of the ladder follows. approved_at: the armed state at which an operator approved it; None: not.
+        verify_s: limit of the verification.
+        """
         self._target, self._fault, self._last, self._approved_at = target, fault, last, approved_at
         self._type, self._action = action_type, action_type()
         self._context, self._pipeline, self._clock, self._locks = context, pipeline, clock, locks
-        self._generations, self._guard, self._verifier = generations, guard, verifier
+        self._generations, self._guard, self._verifier, self._verify_s = generations, guard, verifier, verify_s
         self._engine = GuardedEngine(context.engine, guard, self._forbids)
         # An action that does not disturb its target does not suppress the target's faults either.
         name = target.name
@@ -138,7 +141,7 @@ class Attempt:
         if not threads.start_now(thread):
             self._unlock()
             return False
-        at_most_s = self._type.deadline_s + self._context.settings.recovery.verify + MARGIN_S
+        at_most_s = self._type.deadline_s + self._verify_s + MARGIN_S
         proving = self._held == name
         self._locks.start_hold(self._held, self, self._fault.unit, self._type.name, at_most_s, proving=proving)
         return True

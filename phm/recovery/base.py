@@ -67,7 +67,7 @@ def _no_hold(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractC
 
 @dataclass(frozen=True)
 class ActionContext:
-    """What an action may use.
+    """What an action may use. Actions are plug-ins and may read any section of the configuration, so `settings` is all of it.
 
     engine:     refuses calls that would disturb something flight-critical while armed (`phm.recovery.safety.guarded_engine`).
     container:  the engine's view of a configured container now, or None when there is none.

@@ -61,12 +61,13 @@ class Executor:
     ) -> None:
         self._pipeline, self._publish, self._clock, self._context = pipeline, publish, clock, context
         self._armed, self._grace_s, self._below = armed, grace_s, below
-        self._settings = context.settings
-        verify_s = self._settings.recovery.verify
+        settings = context.settings
+        self._rules, self._containers, self._start_s = settings.recovery, settings.containers, settings.ros.grace
+        verify_s = self._rules.verify
         self.holds = holds if holds is not None else HoldRegistry()
-        self.catalog = ActionCatalog(actions, self._settings)
+        self.catalog = ActionCatalog(actions, settings)
         self.locks = TargetLocks(pipeline, clock)
-        self._guard = FlightCriticalGuard(self._settings, context.container, context.own_container, armed)
+        self._guard = FlightCriticalGuard(self._containers, context.container, context.own_container, armed)
         self._generations = GenerationTracker(context.container, clock, verify_s)
         self._new_attempt = partial(
             Attempt,
@@ -77,6 +78,7 @@ class Executor:
             generations=self._generations,
             guard=self._guard,
             verifier=Verifier(pipeline, clock, self._generations, grace_s, verify_s),
+            verify_s=verify_s,
         )
         self._workers: dict[str, TargetWorker] = {}
         self._histories: dict[str, History] = {}
@@ -125,7 +127,7 @@ class Executor:
 
     def _recovered(self, fault: Fault) -> None:
         """Inform the targets that need what has recovered; the verification of one attempt reaches that far back."""
-        down_from = fault.opened.mono - self._settings.recovery.verify
+        down_from = fault.opened.mono - self._rules.verify
         for target, units in self._below(fault.unit).items():
             if target in self._histories:
                 self._worker(target).dependency_recovered(units, down_from)
@@ -140,27 +142,28 @@ class Executor:
         with self._lock:
             worker = self._workers.get(name)
             if worker is None:
-                worker = self._workers[name] = self._new_worker(Target.parse(name, self._settings))
+                worker = self._workers[name] = self._new_worker(Target.parse(name, self._containers))
             return worker
 
     def _new_worker(self, target: Target) -> TargetWorker:
-        name, pipeline, clock, recovery = target.name, self._pipeline, self._clock, self._settings.recovery
+        name, pipeline, clock, rules = target.name, self._pipeline, self._clock, self._rules
         history = self._histories.setdefault(name, History())
         reporter = ActionReporter(name, clock, self._publish)
         limits = ActionLimits(name, self.catalog, self.holds, self._guard, clock)
-        approvals = Approvals(name, clock, self._generations, self._armed, recovery.approval, reporter)
+        approvals = Approvals(name, clock, self._generations, self._armed, rules.approval, reporter)
         return TargetWorker(
             target,
             history,
             FaultCases(name),
-            settings=self._settings,
+            rules=rules,
+            start_s=self._start_s,
             catalog=self.catalog,
             limits=limits,
             changes=ExternalChanges(
                 name, history, pipeline, clock, self._generations, self.locks, limits, self._grace_s
             ),
             approvals=approvals,
-            manual_restart=ManualRestart(target, history, recovery, limits, approvals, reporter, pipeline, clock),
+            manual_restart=ManualRestart(target, history, rules, limits, approvals, reporter, pipeline, clock),
             reporter=reporter,
             new_attempt=self._new_attempt,
             pipeline=pipeline,
@@ -255,7 +258,7 @@ class Executor:
 
     def restart(self, container: str, by: str) -> str:
         """An operator requests a restart of a container; what will be done. Raises NotAllowed, and NotNow when it may be later."""
-        target = Target.parse(container, self._settings)
+        target = Target.parse(container, self._containers)
         if target.kind is not TargetKind.CONTAINER or not target.configured:
             raise NotAllowed(f"there is no container {container!r} in the configuration")
         return self._worker(container).restart(by)

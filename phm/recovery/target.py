@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-from phm.core.settings import ContainerSettings, Settings
+from phm.core.settings import ContainerSettings
 
 
 class TargetKind(str, Enum):
@@ -32,13 +33,13 @@ class Target:
     container: ContainerSettings | None = None
 
     @classmethod
-    def parse(cls, name: str, settings: Settings) -> Target:
-        """The target that a result names (`Result.target`)."""
+    def parse(cls, name: str, containers: Iterable[ContainerSettings]) -> Target:
+        """The target that a result names (`Result.target`). containers: those of the configuration."""
         for kind in (TargetKind.DISK, TargetKind.LINK):
             key = name.removeprefix(f"{kind.value}:")
             if key and key != name:
                 return cls(kind, key, opted_in=kind is TargetKind.DISK)
-        container = settings.container(name)
+        container = next((entry for entry in containers if entry.key == name), None)
         return cls.of(container) if container is not None else cls(TargetKind.CONTAINER, name)
 
     @classmethod

@@ -17,7 +17,7 @@ from phm.checking.pipeline import Pipeline
 from phm.core import threads
 from phm.core.clock import Clock
 from phm.core.model import Fault, Phase
-from phm.core.settings import Settings
+from phm.core.settings import RecoverySettings
 from phm.recovery.actions.catalog import ActionCatalog
 from phm.recovery.attempt import Attempt
 from phm.recovery.containers.container_generation import GenerationTracker
@@ -53,7 +53,7 @@ class TargetWorker:
     """The thread of one target. Invariant: at most one action on the target at any time.
 
     `history` is changed by the thread alone. new_attempt: makes an `Attempt` for a target, a fault and an action.
-    grace_s: of a unit, seconds.
+    grace_s: of a unit, seconds. start_s: how long a start may take (`ros.grace`).
     """
 
     def __init__(
@@ -62,7 +62,8 @@ class TargetWorker:
         history: History,
         cases: FaultCases,
         *,
-        settings: Settings,
+        rules: RecoverySettings,
+        start_s: float,
         catalog: ActionCatalog,
         limits: ActionLimits,
         changes: ExternalChanges,
@@ -77,7 +78,8 @@ class TargetWorker:
         grace_s: Callable[[str], float],
     ) -> None:
         self._target, self._name, self._history, self._cases = target, target.name, history, cases
-        self._settings, self._catalog, self._limits, self._changes = settings, catalog, limits, changes
+        self._rules, self._start_s = rules, start_s
+        self._catalog, self._limits, self._changes = catalog, limits, changes
         self._approvals, self._manual_restart, self._reporter = approvals, manual_restart, reporter
         self._new_attempt, self._pipeline, self._generations = new_attempt, pipeline, generations
         self._locks, self._clock, self._grace_s = locks, clock, grace_s
@@ -260,10 +262,10 @@ class TargetWorker:
             now.mono,
             target=self._target,
             forbids=self._limits.forbids,
-            settings=self._settings.recovery,
+            settings=self._rules,
             unrestricted=self._catalog.unrestricted,
             usable=self._catalog.usable(self._target, fault),
-            start_s=self._settings.ros.grace,
+            start_s=self._start_s,
             approved=approved,
             given_up=given_up,
             container_wide=self._catalog.container_wide,

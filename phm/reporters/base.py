@@ -57,7 +57,7 @@ class DiagnosticsPublisher(Protocol):
 
 @dataclass(frozen=True)
 class ReporterContext:
-    """What a reporter may use.
+    """What a reporter may use. Reporters are plug-ins and may read any section of the configuration, so `settings` is all of it.
 
     states: the units as the tracker publishes them, in configuration order.
     alive:  False when the check scheduler hangs; then a reporter must not report that all is OK.

@@ -48,7 +48,7 @@ class DiagnosticsReporter(Reporter):
     kinds = (Transition, FaultOpened, FaultClosed, ActionEvent)
 
     def __init__(self, context: ReporterContext, port: DiagnosticsPublisher) -> None:
-        self._context = context
+        self._context, self._agent = context, context.settings.agent
         self._port = port
         self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
         self._actions: dict[str, str] = {}
@@ -80,7 +80,7 @@ class DiagnosticsReporter(Reporter):
     def close(self) -> None:
         """Publish a last array in which all is STALE, so that subscribers need not wait for their timeouts."""
         last = self._statuses(self._context.states())
-        gone = DiagnosticFact(0.0, int(Level.STALE), "PHM has stopped", self._context.settings.agent.name)
+        gone = DiagnosticFact(0.0, int(Level.STALE), "PHM has stopped", self._agent.name)
         self._send(dict.fromkeys(last, gone))
 
     def hand_over(self) -> None:
@@ -102,7 +102,7 @@ class DiagnosticsReporter(Reporter):
         self._actions.pop(fault, None)
 
     def _statuses(self, states: Sequence[UnitState]) -> dict[str, DiagnosticFact]:
-        prefix = f"phm/{self._context.settings.agent.name}"
+        prefix = f"phm/{self._agent.name}"
         statuses = {f"{prefix}: summary": self._summary(states)}
         statuses |= {f"{prefix}/{state.layer.value}: {state.unit}": self._unit(state) for state in states[:MAX_UNITS]}
         return statuses
@@ -129,7 +129,7 @@ class DiagnosticsReporter(Reporter):
         level = max((state.level for state in states), key=_RANK.__getitem__, default=Level.STALE)
         count = {kind: sum(1 for state in states if state.level is kind) for kind in Level}
         values = {
-            "agent_id": self._context.settings.agent.id,
+            "agent_id": self._agent.id,
             "version": __version__,
             "boot_id": self._context.boot_id,
             "status_array": array_text(status_array(states)),
@@ -147,7 +147,7 @@ class DiagnosticsReporter(Reporter):
 
     @property
     def _hardware(self) -> str:
-        return self._context.settings.agent.name
+        return self._agent.name
 
     @staticmethod
     def _cut(text: str) -> str:

@@ -41,7 +41,8 @@ class FleetReporter(Reporter):
     kinds = (Transition, FaultOpened, FaultClosed, Report)
 
     def __init__(self, context: ReporterContext, link: FleetLink) -> None:
-        self._context, self._settings, self._link = context, context.settings.fleet, link
+        self._context, self._link = context, link
+        self._settings, self._agent = context.settings.fleet, context.settings.agent
         self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
         self._sequence = 0
         self._complete = self._changed = False
@@ -95,7 +96,7 @@ class FleetReporter(Reporter):
     def problem(self) -> str:
         fact = self._link.fact()
         if fact.namesakes:
-            key = fleet_status.key(self._settings.name, self._context.settings.agent.name)
+            key = fleet_status.key(self._settings.name, self._agent.name)
             return f"another PHM is present as {key}: give each agent a unique name (agent.name)"
         if fact.connected or fact.since_s < _ATTEMPTS * self._settings.deadline:
             return ""
@@ -116,8 +117,7 @@ class FleetReporter(Reporter):
 
     def _status(self, state: str = "") -> bytes:
         self._sequence += 1
-        context, states = self._context, self._context.states()
-        agent = context.settings.agent
+        context, states, agent = self._context, self._context.states(), self._agent
         state = state or fleet_status.STATES[status_word.system_status(states, complete=self._complete)]
         faults = list(self._open.values())
         return fleet_status.encode(

@@ -46,7 +46,7 @@ class StatusReporter(Reporter):
     kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, HoldChanged, Report)
 
     def __init__(self, context: ReporterContext) -> None:
-        self._context = context
+        self._context, self._agent, self._interval_s = context, context.settings.agent, context.settings.interval
         self._path = os.path.join(context.settings.run_dir, NAME)
         self._place = place()
         self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
@@ -102,7 +102,7 @@ class StatusReporter(Reporter):
         context = self._context
         states = context.states()
         now = context.clock.stamp()
-        agent = context.settings.agent
+        agent = self._agent
         blocked: dict[str, list[str]] = {}
         for state in states:
             if state.blocked_by:
@@ -124,7 +124,7 @@ class StatusReporter(Reporter):
             "version": __version__,
             "written_utc": iso(now.utc),
             "written_mono": now.mono,
-            "interval_s": context.settings.interval,
+            "interval_s": self._interval_s,
             "alive": context.alive(),
             "status_word": status_word.encode(worst_by_slot(states)),
             "holds": context.holds(),

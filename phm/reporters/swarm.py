@@ -41,7 +41,7 @@ class SwarmReporter(Reporter):
 
     def __init__(self, context: ReporterContext, port: MavlinkSender, probe: SwarmProbe) -> None:
         self._context, self._port, self._probe = context, port, probe
-        self._agent = context.settings.agent.id
+        self._agent, self._settings = context.settings.agent.id, context.settings.mavlink
         self._sequence = 0
         self._viewed: object = None
         self._again = False
@@ -50,7 +50,7 @@ class SwarmReporter(Reporter):
         self._relayed: dict[int, tuple[object, float]] = {}
         """The report sent for each agent that cannot reach the ground, by this or another leader, and when it became so."""
         self._spoke, self._damper = False, FlapDamper()
-        self._stations = GcsPresence(self._agent, context.settings.mavlink.gcs_timeout)
+        self._stations = GcsPresence(self._agent, self._settings.gcs_timeout)
         self._appeared = threading.Event()
         port.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
 
@@ -91,7 +91,7 @@ class SwarmReporter(Reporter):
             self._appeared.set()
 
     def _heartbeat_s(self) -> float:
-        return self._context.settings.mavlink.heartbeat or default_periods(self._port.agents)[0]
+        return self._settings.heartbeat or default_periods(self._port.agents)[0]
 
     # ------------------------------------------------------------ to the agents
 
@@ -123,7 +123,7 @@ class SwarmReporter(Reporter):
         levels = digest.member_levels(agreed, word, fact.no_gcs)
         self._send_lines(self._relay(fact, now), fact, now)
         line = digest.digest_line(levels)
-        refresh_s = self._context.settings.mavlink.refresh or default_periods(self._port.agents)[1]
+        refresh_s = self._settings.refresh or default_periods(self._port.agents)[1]
         since_s = now - self._line_at
         if since_s < CALM_S or (line == self._sent_line and since_s < refresh_s):
             return

@@ -182,7 +182,11 @@ def build_probes(
         lambda: wake("swarm"),
         links.deaf,
     )
-    ros = RosSupervisor(settings, clock, lambda: wake("ros"), note) if settings.ros.used else None
+    ros = (
+        RosSupervisor(settings.ros, settings.agent.name, clock, lambda: wake("ros"), note)
+        if settings.ros.used
+        else None
+    )
     probe: RosProbe = ros if ros is not None else RosNotConfigured()
     world = World(
         clock=clock,

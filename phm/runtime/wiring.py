@@ -112,7 +112,7 @@ class Components:
             self.probes,
             self.reporters,
             self.armed,
-            critical_containers(settings),
+            critical_containers(settings.containers),
             (*own, *guard, *problems),
         )
         self.reporter_context = self._reporter_context(settings)
@@ -125,9 +125,11 @@ class Components:
         self.armed = ArmedMonitor(self.probes.world.links.autopilot, settings.mavlink.autopilot_timeout, clock)
         held = HoldRegistry()
         world = HoldInputs(self.armed.now, docker.container, self._acting_on, self.probes.event_stream)
-        self.holds = HoldService(settings, held, pipeline, self.bus.publish, clock, world)
+        self.holds = HoldService(settings.recovery, settings.containers, held, pipeline, self.bus.publish, clock, world)
         self.relief = CpuWeights(self.probes.engine, docker.container, pipeline, clock)
-        self.memory = PersistenceService(settings, pipeline, self.bus, clock, self.armed)
+        self.memory = PersistenceService(
+            settings.state_dir, settings.recovery.window, pipeline, self.bus, clock, self.armed
+        )
         self.action_context = ActionContext(
             self.probes.engine,
             settings,

@@ -97,7 +97,14 @@ class Bench:
         settings = Settings.model_validate({"ros": {"topics": list(topics), "domain": self.domain, **ros}})
         merged = {**self.environ, **(environ or {})}
         probe = RosSupervisor(
-            settings, SystemClock(), self._changed, self.notes.append, merged, command=command, limits=limits
+            settings.ros,
+            settings.agent.name,
+            SystemClock(),
+            self._changed,
+            self.notes.append,
+            merged,
+            command=command,
+            limits=limits,
         )
         self._probes.append(probe)
         self._closing.callback(probe.close)

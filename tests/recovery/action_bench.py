@@ -52,7 +52,7 @@ class Bench:
         return Target.of(found)
 
     def context(self) -> ActionContext:
-        flight_critical_guard = FlightCriticalGuard(self.settings, self.fact, lambda: None, self._armed)
+        flight_critical_guard = FlightCriticalGuard(self.settings.containers, self.fact, lambda: None, self._armed)
         return ActionContext(
             guarded(self.engine, flight_critical_guard, flight_critical_guard.forbids),
             self.settings,

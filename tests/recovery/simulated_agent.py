@@ -136,7 +136,10 @@ class Agent:
         self.units = tuple(units)
         self.bus = Bus(clock)
         self.pipeline = Pipeline(Tracker(tracked, graph_of(tracked), clock.stamp()), self.bus, clock)
-        self.memory = PersistenceService(self.settings, self.pipeline, self.bus, clock, monitor) if folder else None
+        window_s = self.settings.recovery.window
+        self.memory = (
+            PersistenceService(str(folder), window_s, self.pipeline, self.bus, clock, monitor) if folder else None
+        )
         if self.memory is not None:
             self.memory.restore()
         self.bus.subscribe("test", self.events.append)

@@ -178,9 +178,10 @@ def test_a_leaking_child_is_replaced(bench: Bench) -> None:
 def test_the_child_ends_with_its_parent(bench: Bench) -> None:
     """A daemon that is killed leaves no child behind: neither a running nor a stopped one."""
     code = (
-        "import sys, time; from phm.core.clock import SystemClock; from phm.core.settings import Settings\n"
+        "import sys, time; from phm.core.clock import SystemClock; from phm.core.settings import RosSettings\n"
         "from phm.probes.ros.supervisor import RosSupervisor\n"
-        "p = RosSupervisor(Settings(), SystemClock(), lambda: print(p.pid, flush=True), print); p.start(); time.sleep(60)"
+        "p = RosSupervisor(RosSettings(), 'a', SystemClock(), lambda: print(p.pid, flush=True), print)\n"
+        "p.start(); time.sleep(60)"
     )
     daemon = subprocess.Popen([sys.executable, "-c", code], env=bench.environ, stdout=subprocess.PIPE)
     assert daemon.stdout is not None

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.core.settings import Settings
+from phm.core.settings import RosSettings
 from phm.probes.ros import sandbox
 from phm.probes.ros.supervisor import child_environ
 from tests.fakes.ros_bench import ROOT, Bench, seen, stale, until
@@ -122,7 +122,7 @@ def test_tcp_is_open_only_to_a_middleware_that_uses_it(variables: dict[str, str]
 def test_the_daemons_environment_stays_with_the_daemon() -> None:
     """The child gets what ROS and Python read, and nothing else."""
     environ = {"ROS_DOMAIN_ID": "3", "LD_LIBRARY_PATH": "/opt/ros/lib", "MAVLINK_KEY": "secret", "AWS_TOKEN": "secret"}
-    passed = child_environ(Settings(), environ)
+    passed = child_environ(RosSettings(), environ)
     assert passed["ROS_DOMAIN_ID"] == "3"
     assert passed["LD_LIBRARY_PATH"] == "/opt/ros/lib"
     assert "secret" not in passed.values()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.core.settings import Settings
+from phm.core.settings import RosSettings
 from phm.probes.ros.protocol import INSTALLS
 from phm.probes.ros.supervisor import NOT_INSTALLED, SupervisorLimits, child_environ, wanted
 from tests.fakes.ros_bench import ROOT, Bench, gone, seen, stale, until
@@ -153,7 +153,7 @@ def test_before_the_start_it_cannot_tell() -> None:
     from phm.core.clock import SystemClock
     from phm.probes.ros.supervisor import RosSupervisor
 
-    probe = RosSupervisor(Settings(), SystemClock(), lambda: None, lambda _: None, {})
+    probe = RosSupervisor(RosSettings(), "a", SystemClock(), lambda: None, lambda _: None, {})
     assert "not been started" in stale(probe)
     probe.close()
 
@@ -169,16 +169,16 @@ def test_the_first_picture_and_its_loss_are_changes(bench: Bench) -> None:
 
 def test_the_environment_of_the_child() -> None:
     """UDP by default, the user's own choice first, and the configured domain over both."""
-    settings = Settings.model_validate({"ros": {"domain": 7}})
+    settings = RosSettings.model_validate({"domain": 7})
     assert child_environ(settings, {})["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
     assert child_environ(settings, {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"})["FASTDDS_BUILTIN_TRANSPORTS"] == "DEFAULT"
     assert child_environ(settings, {"ROS_DOMAIN_ID": "3"})["ROS_DOMAIN_ID"] == "7"
-    assert child_environ(Settings(), {"ROS_DOMAIN_ID": "3"})["ROS_DOMAIN_ID"] == "3"
-    installs = Settings.model_validate({"ros": {"installs": ["/a/install", "/b"]}})
+    assert child_environ(RosSettings(), {"ROS_DOMAIN_ID": "3"})["ROS_DOMAIN_ID"] == "3"
+    installs = RosSettings.model_validate({"installs": ["/a/install", "/b"]})
     assert child_environ(installs, {})[INSTALLS] == "/a/install:/b"
 
 
 def test_topics_are_asked_for_by_their_full_names() -> None:
     """A missing first slash is added, as the configuration promises."""
-    settings = Settings.model_validate({"ros": {"topics": [{"name": "a/b", "rate": 5}, {"name": "/c"}], "silence": 2}})
-    assert [(t.name, t.rate_hz, t.silence_s) for t in wanted(settings).topics] == [("/a/b", 5, 2), ("/c", None, 2)]
+    settings = RosSettings.model_validate({"topics": [{"name": "a/b", "rate": 5}, {"name": "/c"}], "silence": 2})
+    assert [(t.name, t.rate_hz, t.silence_s) for t in wanted(settings, "a").topics] == [("/a/b", 5, 2), ("/c", None, 2)]

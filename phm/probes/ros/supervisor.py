@@ -20,7 +20,7 @@ from phm.core import threads
 from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.scheduling_delay import NOISE_S, ProcessStallMeter, SchedulingDelay
-from phm.core.settings import Settings
+from phm.core.settings import RosSettings
 from phm.facts import CannotTell, RosFact
 from phm.facts.ros import DiagnosticFact
 from phm.probes.ros.child_process import ChildProcess
@@ -126,7 +126,8 @@ class RosSupervisor:
 
     def __init__(
         self,
-        settings: Settings,
+        ros: RosSettings,
+        agent: str,
         clock: Clock,
         on_change: Callable[[], None],
         on_note: Callable[[str], None],
@@ -135,17 +136,18 @@ class RosSupervisor:
         command: Sequence[str] = COMMAND,
         limits: SupervisorLimits = SupervisorLimits(),
     ) -> None:
+        """agent: name of this agent, for its statuses on /diagnostics."""
         self._clock = clock
         self._on_change = on_change
         self._on_note = on_note
-        self._environ = child_environ(settings, os.environ if environ is None else environ)
-        looked_for = wanted(settings)
+        self._environ = child_environ(ros, os.environ if environ is None else environ)
+        looked_for = wanted(ros, agent)
         self._first_line = encode_wanted(looked_for)
         self._nodes = frozenset(looked_for.nodes)
         self._blank = GraphSnapshot(
-            self_reports=SelfReports(own=Own(self._nodes, looked_for.watch)), again_s=again_s(settings.ros.grace)
+            self_reports=SelfReports(own=Own(self._nodes, looked_for.watch)), again_s=again_s(ros.grace)
         )
-        self._max_memory = settings.ros.max_memory
+        self._max_memory = ros.max_memory
         self._command = tuple(command)
         self._limits = limits
         self._stale_nodes = StaleNodes(limits.doubt_s)
@@ -420,9 +422,8 @@ class RosSupervisor:
             os.eventfd_read(self._wake)
 
 
-def wanted(settings: Settings) -> Wanted:
+def wanted(ros: RosSettings, agent: str) -> Wanted:
     """What the child is asked for: full names of topics, and which of them have a rate to be measured."""
-    ros = settings.ros
     topics = tuple(
         WantedTopic(f"/{topic.name.lstrip('/')}", topic.rate, ros.silence if topic.silence is None else topic.silence)
         for topic in ros.topics
@@ -430,25 +431,21 @@ def wanted(settings: Settings) -> Wanted:
     names = [node.name for node in ros.nodes]
     names += [node for topic in ros.topics for node in (*topic.publishers, *topic.subscribers)]
     return Wanted(
-        agent=settings.agent.name,
+        agent=agent,
         domain=ros.domain,
         topics=topics,
-        listen=_listen(settings),
+        listen=tuple(f"/{name.lstrip('/')}" for name in ros.diagnostics.listen),
         nodes=tuple(dict.fromkeys(f"/{name.lstrip('/')}" for name in names)),
         watch=tuple(entry.name for entry in ros.diagnostics.watch),
     )
 
 
-def _listen(settings: Settings) -> tuple[str, ...]:
-    return tuple(f"/{name.lstrip('/')}" for name in settings.ros.diagnostics.listen)
-
-
-def child_environ(settings: Settings, environ: Mapping[str, str]) -> dict[str, str]:
+def child_environ(ros: RosSettings, environ: Mapping[str, str]) -> dict[str, str]:
     """What the child needs of the daemon's environment, which may hold secrets; variables that are set already win."""
     merged = {**_ENVIRONMENT, **{name: value for name, value in environ.items() if _needed(name)}}
-    if settings.ros.domain is not None:
-        merged["ROS_DOMAIN_ID"] = str(settings.ros.domain)
-    merged[INSTALLS] = os.pathsep.join(settings.ros.installs)
+    if ros.domain is not None:
+        merged["ROS_DOMAIN_ID"] = str(ros.domain)
+    merged[INSTALLS] = os.pathsep.join(ros.installs)
     # The child must run this very PHM, wherever the daemon found it.
     home = str(Path(phm.__file__).resolve().parent.parent)
     merged["PYTHONPATH"] = os.pathsep.join(part for part in (merged.get("PYTHONPATH", ""), home) if part)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from phm.checking.pipeline import Pipeline
 from phm.core import threads
 from phm.core.clock import Clock
 from phm.core.model import Event, HoldChanged, Stamp
-from phm.core.settings import Settings
+from phm.core.settings import ContainerSettings, RecoverySettings
 from phm.facts import COMPLETE, CannotTell, ContainerFact, EventStreamFact
 from phm.recovery.holds.flight_rules import FlightRules
 from phm.recovery.holds.hold_registry import ALL, MAX_TEXT, OPERATOR, STOP, WINDOW, Hold, HoldRegistry
@@ -70,25 +70,26 @@ class HoldService:
 
     def __init__(
         self,
-        settings: Settings,
+        rules: RecoverySettings,
+        containers: Sequence[ContainerSettings],
         holds: HoldRegistry,
         pipeline: Pipeline,
         publish: Callable[[Event], None],
         clock: Clock,
         world: HoldInputs,
     ) -> None:
-        self._settings, self._rules, self._holds, self._pipeline = settings, settings.recovery, holds, pipeline
+        self._rules, self._holds, self._pipeline = rules, holds, pipeline
         self._publish, self._clock, self._world = publish, clock, world
-        self._keys = tuple(entry.key for entry in settings.containers)
+        self._keys = tuple(entry.key for entry in containers)
         self._stops = ManualStopDetector()
-        self._windows = MaintenanceWindows(self._rules.maintenance, holds, lambda text: pipeline.note("HOLD", text))
+        self._windows = MaintenanceWindows(rules.maintenance, holds, lambda text: pipeline.note("HOLD", text))
         holds.explained_until = self._explained_until
         self._was_armed: bool | None = None
         self._windows_at = self._labels_at = float("-inf")
         self._labels: dict[str, str] = {}
         self._facts: dict[str, ContainerFact] = {}
         """The newest of each container, also of one that was removed: containers in its namespaces depend on it."""
-        self._flight = FlightRules(settings.containers, world.armed, self._facts)
+        self._flight = FlightRules(containers, world.armed, self._facts)
         self._seen: set[str] = set()
         self._lock = threading.RLock()
         self._wake, self._stopping = threading.Event(), False

@@ -8,7 +8,6 @@ from phm.checking.pipeline import Pipeline
 from phm.core.bus import Bus
 from phm.core.clock import Clock
 from phm.core.model import Event
-from phm.core.settings import Settings
 from phm.recovery.executor import Executor
 from phm.recovery.persistence.state import PersistedState, RecoveryState
 from phm.recovery.persistence.state_file import StateFile, StateWriter
@@ -19,12 +18,19 @@ class PersistenceService:
     """`restore` goes before the reporters start, `resume` after them and before the first result."""
 
     def __init__(
-        self, settings: Settings, pipeline: Pipeline, bus: Bus, clock: Clock, armed: ArmedMonitor | None = None
+        self,
+        state_dir: str,
+        window_s: float,
+        pipeline: Pipeline,
+        bus: Bus,
+        clock: Clock,
+        armed: ArmedMonitor | None = None,
     ) -> None:
+        """window_s: age from which attempts no longer count (`recovery.window`)."""
         self._armed = armed
         self._pipeline, self._bus, self._clock = pipeline, bus, clock
-        self._window_s = settings.recovery.window
-        self._file = StateFile(settings.state_dir, clock)
+        self._window_s = window_s
+        self._file = StateFile(state_dir, clock)
         self._state, self._warning = PersistedState(), ""
         self._events: tuple[Event, ...] = ()
         self._keeper: StateWriter | None = None

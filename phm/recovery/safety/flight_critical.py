@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 
-from phm.core.settings import Settings
+from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact
 from phm.recovery.containers.dependents import dependents
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
@@ -30,9 +30,9 @@ class FlightCriticalError(CannotTell):
     """Not done, because something flight-critical would be disturbed while the vehicle may be armed."""
 
 
-def critical_containers(settings: Settings) -> tuple[str, ...]:
+def critical_containers(containers: Sequence[ContainerSettings]) -> tuple[str, ...]:
     """Keys of the containers that are not acted on unless the vehicle is disarmed."""
-    return tuple(entry.key for entry in settings.containers if entry.flight_critical and entry.when_armed == "advise")
+    return tuple(entry.key for entry in containers if entry.flight_critical and entry.when_armed == "advise")
 
 
 class FlightCriticalGuard:
@@ -40,13 +40,13 @@ class FlightCriticalGuard:
 
     def __init__(
         self,
-        settings: Settings,
+        containers: Sequence[ContainerSettings],
         container: Callable[[str], ContainerFact | None],
         myself: Callable[[], ContainerFact | None],
         armed: Callable[[], ArmedStatus],
     ) -> None:
-        self._settings, self._container, self._myself, self.armed = settings, container, myself, armed
-        self._critical = critical_containers(settings)
+        self._containers, self._container, self._myself, self.armed = containers, container, myself, armed
+        self._critical = critical_containers(containers)
 
     def forbids(self, target: str, impact: Impact, approved_at: ArmedState | None = None) -> str:
         """Why nothing of this impact may be done to `target` now; empty: it may.
@@ -77,7 +77,7 @@ class FlightCriticalGuard:
         me = self._myself()
         if me is not None and ref in (me.id, me.name):
             return ""
-        for entry in self._settings.containers:
+        for entry in self._containers:
             fact = self._container(entry.key)
             if fact is not None and ref in (fact.id, fact.name):
                 return entry.key
@@ -89,6 +89,6 @@ class FlightCriticalGuard:
         return not self._critical or not self.armed().restricts
 
     def _below(self, target: str, *, network_only: bool) -> list[str]:
-        facts = {entry.key: self._container(entry.key) for entry in self._settings.containers}
+        facts = {entry.key: self._container(entry.key) for entry in self._containers}
         seen = {key: fact for key, fact in facts.items() if fact is not None}
-        return dependents(target, seen, self._settings.containers, network_only=network_only)
+        return dependents(target, seen, self._containers, network_only=network_only)

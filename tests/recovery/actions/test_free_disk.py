@@ -62,7 +62,7 @@ def settings_of(disk: Path, *rooms: dict[str, Any]) -> Settings:
 
 def ask(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> tuple[FreeDisk, tuple[Any, ...]]:
     settings = settings_of(disk, *rooms)
-    target = Target.parse(f"disk:{disk}", settings)
+    target = Target.parse(f"disk:{disk}", settings.containers)
     return FreeDisk(), (target, None, SimpleNamespace(settings=settings, clock=clock or watched()))
 
 
@@ -247,7 +247,7 @@ def test_free_disk_applies_to_disks_with_configured_files() -> None:
     without = Settings.model_validate({"agent": {"name": "a", "id": 1}})
     room = FreeDiskSettings(path="/data", files=["*.log"])
     allowed = without.model_copy(update={"host": without.host.model_copy(update={"free_disk": [room]})})
-    full, other = Target.parse("disk:/data", without), Target.parse("ros_app", without)
+    full, other = Target.parse("disk:/data", without.containers), Target.parse("ros_app", without.containers)
     assert full.opted_in and full.key == "/data" and not other.configured
     assert not FreeDisk.applies(other, None, allowed)  # type: ignore[arg-type]
     assert FreeDisk.applies(full, None, allowed) and not FreeDisk.applies(full, None, without)  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ from phm.recovery.policy import Act, Skip, decide
 from phm.recovery.target import Target, TargetKind
 from phm.testing import settings
 
-GROUND = Target.parse("link:ground", settings())
+GROUND = Target.parse("link:ground", ())
 APP = Target.of(ContainerSettings(name="ros_1", alias="ros_app", recover=True))
 
 
@@ -41,7 +41,7 @@ def run(target: Target, opened: bool = True) -> tuple[str, list[str]]:
 def test_reopen_opens_the_link_of_the_target() -> None:
     """By its name, whatever characters a url has."""
     assert run(GROUND) == ("reopened the MAVLink endpoint ground", ["ground"])
-    assert run(Target.parse("link:tcp:10.0.0.1:5760", settings()))[1] == ["tcp:10.0.0.1:5760"]
+    assert run(Target.parse("link:tcp:10.0.0.1:5760", ()))[1] == ["tcp:10.0.0.1:5760"]
 
 
 def test_a_link_that_does_not_open_again_is_a_failure() -> None:

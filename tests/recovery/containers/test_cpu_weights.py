@@ -148,7 +148,7 @@ def test_relieve_does_not_hold_the_starved_container(kind: type[Action], held: s
     pipeline = SimpleNamespace(is_stopping=lambda target: False)
     named = settings(containers=[{"name": "app", "flight_critical": True}], recovery={"relieve": []})
     context = SimpleNamespace(settings=named, engine=None)
-    others = {"generations": None, "guard": None, "verifier": None}
+    others = {"generations": None, "guard": None, "verifier": None, "verify_s": 30.0}
     attempt = Attempt(
         Target.of(named.containers[0]),
         STARVED,

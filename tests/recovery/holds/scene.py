@@ -52,7 +52,13 @@ class Scene:
             lambda: self.stream,
         )
         self.service = HoldService(
-            self.agent.settings, self.holds, self.agent.pipeline, self.agent.bus.publish, self.clock, world
+            self.agent.settings.recovery,
+            self.agent.settings.containers,
+            self.holds,
+            self.agent.pipeline,
+            self.agent.bus.publish,
+            self.clock,
+            world,
         )
         self.service._apply(("app", "cam"))
         look = self.agent.look

@@ -116,8 +116,15 @@ def test_only_a_take_off_ends_a_respected_stop(scene: Scene, before: bool, left:
     scene.holds.put(Hold("cam", "stop", scene.clock.mono() + 600.0, "an operator"))
     scene.armed = ArmedState.ARMED
     world = HoldInputs(lambda: ArmedStatus(scene.armed, "armed"), lambda key: None, scene.agent.executor.action_on)
+    agent = scene.agent
     following = HoldService(
-        scene.agent.settings, scene.holds, scene.agent.pipeline, scene.agent.bus.publish, scene.clock, world
+        agent.settings.recovery,
+        agent.settings.containers,
+        scene.holds,
+        agent.pipeline,
+        agent.bus.publish,
+        scene.clock,
+        world,
     )
     following.tick()
     assert [hold["container"] for hold in following.snapshot()] == left

@@ -42,7 +42,7 @@ class Life:
         self.bus = Bus(clock)
         self.pipeline = Pipeline(Tracker(tracked, graph_of(tracked), clock.stamp()), self.bus, clock)
         self.units = units
-        self.memory = PersistenceService(settings, self.pipeline, self.bus, clock)
+        self.memory = PersistenceService(str(folder), settings.recovery.window, self.pipeline, self.bus, clock)
         self.memory.restore()
         self.bus.subscribe("test", self.events.append)
         context = ActionContext(cast(Any, None), settings, lambda key: None, lambda: None, lambda a, b: None)

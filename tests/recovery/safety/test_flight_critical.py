@@ -45,7 +45,7 @@ class Scene:
             mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14550"}]},
         )
         self.flight_critical_guard = FlightCriticalGuard(
-            self.settings, self.fact, lambda: self.me, lambda: ArmedStatus(self.state, "it is armed")
+            self.settings.containers, self.fact, lambda: self.me, lambda: ArmedStatus(self.state, "it is armed")
         )
 
     def fact(self, key: str) -> ContainerFact | None:
