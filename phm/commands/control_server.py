@@ -1,20 +1,19 @@
 """The daemon's side of the control socket (`phm.wire.control`): approvals, notes, holds and reloads from this machine.
 
-One thread, few connections, small requests, short deadlines: a client that sends something else, or nothing, gets an error and is
-disconnected. The socket belongs to PHM's user alone (mode 0600), and the kernel reports the user id of the client.
+One thread with an event loop, few connections, small requests, short deadlines: a client that sends something else, or nothing, gets
+an error and is disconnected. The socket belongs to PHM's user alone (mode 0600), and the kernel reports the user id of the client.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import logging
 import os
-import selectors
 import socket
 import struct
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -31,8 +30,6 @@ BACKLOG = 16
 """With a full backlog, the kernel refuses further clients."""
 RETRY_S = 5.0
 CLOSING_S = 2.0
-TOO_LONG = f"a request has at most {MAX_REQUEST} bytes"
-_POLL_S = 0.5
 _CREDENTIALS = struct.Struct("3i")
 
 Execute = Callable[[OperatorRequest, str], Reply]
@@ -50,19 +47,13 @@ class ControlServer:
         self._run_dir = run_dir
         self.execute = execute
         """Replaced when the configuration is reloaded."""
-        self._connections: dict[socket.socket, tuple[bytearray, float]] = {}
-        self._listener: socket.socket | None = None
-        self._inode = 0
-        self._started = False
+        self._connections = self._inode = 0
         self._problem = ""
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="phm-control", daemon=True)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._closing, self._closed = threading.Event(), asyncio.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="phm-control", daemon=True)
 
     def start(self) -> None:
-        self._selector = selectors.DefaultSelector()
-        self._waker, self._woken = socket.socketpair()
-        self._selector.register(self._woken, selectors.EVENT_READ)
-        self._started = True
         threads.start(self._thread)
 
     def problem(self) -> str:
@@ -70,13 +61,11 @@ class ControlServer:
 
     def close(self) -> None:
         """End the thread and remove the socket; waits at most CLOSING_S."""
-        if not self._started:
-            return
-        self._stop.set()
-        with contextlib.suppress(OSError):  # closed before
-            self._waker.send(b"x")
+        self._closing.set()
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # ended before
+                self._loop.call_soon_threadsafe(self._closed.set)
         threads.join(self._thread, CLOSING_S)
-        self._waker.close()
         path = os.path.join(self._run_dir, NAME)
         with contextlib.suppress(OSError):
             if os.stat(path).st_ino == self._inode:
@@ -84,26 +73,22 @@ class ControlServer:
 
     # ------------------------------------------------------------ the thread
 
-    def _serve(self) -> None:
-        while not self._stop.is_set() and not self._listen():
-            self._stop.wait(RETRY_S)
-        while not self._stop.is_set():
-            try:
-                self._turn()
-            except Exception:  # whatever one client does, the next one is served
-                logger.exception("serving the control socket failed")
-                self._stop.wait(_POLL_S)
-        for peer in list(self._connections):
-            self._drop(peer)
-        if self._listener is not None:
-            self._listener.close()
-        self._woken.close()
-        self._selector.close()
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        while (listener := self._listen()) is None and not self._closing.is_set():
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._closed.wait(), RETRY_S)
+        if listener is None:
+            return
+        server = await asyncio.start_server(self._connected, sock=listener, limit=MAX_REQUEST - 1, backlog=BACKLOG)
+        if not self._closing.is_set():  # `close` may have been called before there was a loop
+            await self._closed.wait()
+        server.close()
 
-    def _listen(self) -> bool:
+    def _listen(self) -> socket.socket | None:
         """Bind under another name, restrict its mode, and only then rename it: it is never open to other users."""
         name = f"{NAME}.{os.getpid()}"
-        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             os.makedirs(self._run_dir, exist_ok=True)
             with address(self._run_dir, name) as path:
@@ -117,85 +102,64 @@ class ControlServer:
         except OSError as error:
             listener.close()
             self._problem = f"cannot create {os.path.join(self._run_dir, NAME)}: {error.strerror or error}; `phm approve` does not work"
-            return False
-        self._listener, self._problem = listener, ""
-        self._selector.register(listener, selectors.EVENT_READ)
-        return True
+            return None
+        self._problem = ""
+        return listener
 
-    def _turn(self) -> None:
-        for ready, _events in self._selector.select(_POLL_S):
-            peer = ready.fileobj
-            assert isinstance(peer, socket.socket)
-            if peer is self._listener:
-                self._accept(peer)
-            elif peer in self._connections:
-                self._receive(peer)
-        now = time.monotonic()
-        for peer in [peer for peer, (_data, end) in self._connections.items() if now >= end]:
-            self._refuse(peer, f"no complete request within {DEADLINE_S:g} s")
-
-    def _accept(self, listener: socket.socket) -> None:
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            peer, _address = listener.accept()
-            peer.setblocking(False)
-            self._connections[peer] = (bytearray(), time.monotonic() + DEADLINE_S)
-            self._selector.register(peer, selectors.EVENT_READ)
-            if len(self._connections) > MAX_CONNECTIONS:
-                self._refuse(peer, f"at most {MAX_CONNECTIONS} connections at a time")
-            elif not may_use_socket(_user(peer), os.geteuid()):
-                self._refuse(peer, "only root and PHM's own user may use the control socket")
-
-    def _receive(self, peer: socket.socket) -> None:
-        data, _end = self._connections[peer]
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._connections += 1
         try:
-            chunk = peer.recv(MAX_REQUEST)
-        except BlockingIOError:
-            return
+            await self._converse(reader, writer)
         except OSError:
-            chunk = b""
-        if not chunk:
-            self._drop(peer)
+            pass  # the client is gone
+        except Exception:  # whatever one client does, the next one is served
+            logger.exception("serving the control socket failed")
+        finally:
+            self._connections -= 1
+            writer.transport.abort()
+
+    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer one request after the other, until the client ends, is refused, or does not read its answers."""
+        uid = _user(writer.get_extra_info("socket"))
+        if self._connections > MAX_CONNECTIONS:
+            _send(writer, _error(f"at most {MAX_CONNECTIONS} connections at a time"))
             return
-        data += chunk
-        while b"\n" in data and peer in self._connections:
-            line, _newline, rest = bytes(data).partition(b"\n")
-            data[:] = rest
-            self._connections[peer] = (data, time.monotonic() + DEADLINE_S)
-            if len(line) < MAX_REQUEST:
-                self._answer(peer, line)
-            else:
-                self._refuse(peer, TOO_LONG)
-        if peer in self._connections and len(data) >= MAX_REQUEST:
-            self._refuse(peer, TOO_LONG)
-
-    def _answer(self, peer: socket.socket, line: bytes) -> None:
-        try:
-            request = parse(json.loads(line))
-        except (ValueError, RecursionError):
-            self._refuse(peer, "not a request: write one JSON object a line, with `do`")
+        if not may_use_socket(uid, os.geteuid()):
+            _send(writer, _error("only root and PHM's own user may use the control socket"))
             return
-        reply = self.execute(request, f"operator (uid {_user(peer)})")
-        self._send(
-            peer, {"ok": True, "text": reply.text, **reply.data} if reply.ok else {"ok": False, "error": reply.text}
-        )
-
-    def _refuse(self, peer: socket.socket, reason: str) -> None:
-        self._send(peer, {"ok": False, "error": reason})
-        self._drop(peer)
-
-    def _send(self, peer: socket.socket, answer: dict[str, Any]) -> None:
-        data = json.dumps(answer).encode("ascii") + b"\n"
         try:
-            complete = peer.send(data) == len(data)
-        except OSError:
-            complete = False
-        if not complete:  # a client that does not read its answers
-            self._drop(peer)
+            while (line := await asyncio.wait_for(reader.readline(), DEADLINE_S)).endswith(b"\n"):
+                reply = self.execute(_request(line), f"operator (uid {uid})")
+                answer = {"ok": True, "text": reply.text, **reply.data} if reply.ok else _error(reply.text)
+                if not _send(writer, answer):
+                    return
+        except asyncio.TimeoutError:
+            _send(writer, _error(f"no complete request within {DEADLINE_S:g} s"))
+        except _NotARequest as error:
+            _send(writer, _error(str(error)))
+        except ValueError:  # of readline
+            _send(writer, _error(f"a request has at most {MAX_REQUEST} bytes"))
 
-    def _drop(self, peer: socket.socket) -> None:
-        if self._connections.pop(peer, None) is not None:
-            self._selector.unregister(peer)
-            peer.close()
+
+class _NotARequest(Exception):
+    """The message says what a request is."""
+
+
+def _request(line: bytes) -> OperatorRequest:
+    try:
+        return parse(json.loads(line))
+    except (ValueError, RecursionError):
+        raise _NotARequest("not a request: write one JSON object a line, with `do`") from None
+
+
+def _error(reason: str) -> dict[str, Any]:
+    return {"ok": False, "error": reason}
+
+
+def _send(writer: asyncio.StreamWriter, answer: dict[str, Any]) -> bool:
+    """Whether the client took all of it: one that does not read its answers is disconnected."""
+    writer.write(json.dumps(answer).encode("ascii") + b"\n")
+    return writer.transport.get_write_buffer_size() == 0
 
 
 def _user(peer: socket.socket) -> int:

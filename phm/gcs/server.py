@@ -6,12 +6,13 @@ the station: one that does not read is dropped, and everything else has a deadli
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
-import selectors
 import socket
 import threading
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 
 from phm.core import threads
 from phm.core.clock import Clock
@@ -42,33 +43,54 @@ _HEAD = "HTTP/1.1 {status}\r\nContent-Type: {type}\r\nCache-Control: no-store\r\
 _EVENTS, _TEXT = "application/x-ndjson", "text/plain"
 
 
-@dataclass(slots=True)
-class _Client:
-    """seen: number of the last event that was sent to it; None: it has not made a request. `ends`: close it when all is sent."""
+class _Refused(Exception):
+    """The request is refused: HTTP status and text of the answer."""
 
-    sock: socket.socket
-    since: float
+    def __init__(self, status: str, text: str) -> None:
+        super().__init__(status)
+        self.answer = (_HEAD.format(status=status, type=_TEXT) + text).encode("ascii")
+
+
+@dataclass(slots=True, eq=False)
+class _Client:
+    """seen: number of the last event that was sent to it; None: it gets no events. moved: when it last took data, or none waited."""
+
+    writer: asyncio.StreamWriter
+    host: str
     moved: float
-    host: str = ""
-    asked: bytearray = field(default_factory=bytearray)
-    pending: bytearray = field(default_factory=bytearray)
     seen: int | None = None
-    ends: bool = False
+    written: int = 0
+    taken: int = 0
     half: bool = False
     """It has closed its side; it may still read, or be gone."""
 
+    @property
+    def waiting(self) -> int:
+        """Bytes that wait for it."""
+        return self.writer.transport.get_write_buffer_size()
+
+    def write(self, data: bytes) -> None:
+        self.written += len(data)
+        self.writer.write(data)
+
+    def stuck(self, now: float) -> bool:
+        """Whether too much waits for it, or for too long. To be called often."""
+        taken = self.written - self.waiting
+        if taken != self.taken or not self.waiting:
+            self.taken, self.moved = taken, now
+        return self.waiting > MAX_BACKLOG or now - self.moved > STUCK_S
+
 
 class _Feed(SubscriberQueue):
-    """A queue that wakes the server's selector through a socket."""
+    """A queue that wakes the server."""
 
-    def __init__(self, clock: Clock, bell: socket.socket) -> None:
+    def __init__(self, clock: Clock, wake: Callable[[], None]) -> None:
         super().__init__(clock)
-        self._bell = bell
+        self._wake = wake
 
     def put(self, item: QueuedEvent) -> bool:
         kept = super().put(item)
-        with contextlib.suppress(OSError):  # full: it rings already; closed: the server has ended
-            self._bell.send(b"x")
+        self._wake()
         return kept
 
 
@@ -79,21 +101,17 @@ class GcsServer:
         self._station, self._clock = station, clock
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self._listener = socket.create_server((host, port), family=family, backlog=MAX_CLIENTS)
-        self._listener.setblocking(False)
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
-        bell, self._bell = socket.socketpair()
-        bell.setblocking(False)
-        self._bell.setblocking(False)
-        self._ringer, self._feed = bell, _Feed(clock, bell)
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listener, selectors.EVENT_READ)
-        self._selector.register(self._bell, selectors.EVENT_READ)
-        self._clients: dict[socket.socket, _Client] = {}
+        self._clients: set[_Client] = set()
         self._alive_at = clock.mono() + ALIVE_S
         self.dropped = 0
         """Clients that did not keep up."""
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="phm-gcs-serve", daemon=True)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._closing = threading.Event()
+        self._wanted = asyncio.Event()
+        """Something is to be done: there are events, or the server closes."""
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="phm-gcs-serve", daemon=True)
+        self._feed = _Feed(clock, self._wake)
         station.subscribe(self._feed)
 
     def start(self) -> None:
@@ -106,41 +124,34 @@ class GcsServer:
         )
 
     def close(self) -> None:
-        self._stop.set()
-        with contextlib.suppress(OSError):  # it rings already
-            self._ringer.send(b"x")
-        if self._thread.ident is not None:
-            self._thread.join(CLOSE_LIMIT_S)
+        self._closing.set()
+        self._wake()
+        threads.join(self._thread, CLOSE_LIMIT_S)
+
+    def _wake(self) -> None:
+        """From any thread."""
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # it has ended
+                self._loop.call_soon_threadsafe(self._wanted.set)
 
     # ------------------------------------------------------------ the thread
 
-    def _loop(self) -> None:
-        while not self._stop.is_set():
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        server = await asyncio.start_server(
+            self._connected, sock=self._listener, limit=MAX_REQUEST, backlog=MAX_CLIENTS
+        )
+        while not self._closing.is_set():
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._wanted.wait(), _POLL_S)
+            self._wanted.clear()
             try:
                 self._turn()
             except Exception:  # a failure with one client must not affect the others
                 logger.exception("serving events failed")
-                self._clock.wait(self._stop, _POLL_S)
-        for client in list(self._clients.values()):
-            self._drop(client)
-        self._selector.close()
-        for sock in (self._listener, self._bell, self._ringer):
-            sock.close()
+        server.close()
 
     def _turn(self) -> None:
-        for key, events in self._selector.select(_POLL_S):
-            sock = key.fileobj
-            assert isinstance(sock, socket.socket)
-            if sock is self._listener:
-                self._accept()
-            elif sock is self._bell:
-                with contextlib.suppress(BlockingIOError):
-                    sock.recv(4096)
-            elif (client := self._clients.get(sock)) is not None:
-                if events & selectors.EVENT_READ:
-                    self._receive(client)
-                if events & selectors.EVENT_WRITE and sock in self._clients:
-                    self._flush(client)
         items = self._feed.take(0.0)
         now = self._clock.mono()
         if now >= self._alive_at:
@@ -149,137 +160,116 @@ class GcsServer:
             self._broadcast(self._station.line(number, GcsEvent(at, "alive", {})))
         for item in items:
             self._broadcast(item.line, item.number)
-        for client in list(self._clients.values()):
-            self._judge(client, now)
-
-    def _accept(self) -> None:
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            sock, address = self._listener.accept()
-            sock.setblocking(False)
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-            now = self._clock.mono()
-            neighbours = sum(other.host == address[0] for other in self._clients.values())
-            client = self._clients[sock] = _Client(sock, now, now, address[0])
-            self._selector.register(sock, selectors.EVENT_READ)
-            if neighbours >= PER_HOST and address[0] not in _LOOPBACK:
-                self._answer(client, "503 Service Unavailable", f"at most {PER_HOST} clients of one host are served\n")
-            elif len(self._clients) > MAX_CLIENTS and not self._make_room():
-                self._answer(client, "503 Service Unavailable", f"at most {MAX_CLIENTS} clients are served\n")
-
-    def _make_room(self) -> bool:
-        gone = next((client for client in self._clients.values() if client.half), None)
-        if gone is not None:
-            self._drop(gone)
-        return gone is not None
-
-    def _receive(self, client: _Client) -> None:
-        try:
-            data = client.sock.recv(MAX_REQUEST)
-        except BlockingIOError:
-            return
-        except OSError:
-            self._drop(client)
-            return
-        if not data:
-            # It has said all that it wants to say, and may still read: a client that is gone shows when it is written to.
-            client.half = True
-            self._listen(client)
-            if client.seen is None and not client.ends:
-                self._drop(client) if client.asked else self._begin(client)
-            return
-        if client.seen is not None or client.ends:
-            return
-        client.asked += data
-        if b"\n\r\n" in client.asked or b"\n\n" in client.asked:
-            self._asked(client)
-        elif len(client.asked) >= MAX_REQUEST:
-            self._answer(client, "431 Request Header Fields Too Large", "the request is too long\n")
-
-    def _asked(self, client: _Client) -> None:
-        words = bytes(client.asked.partition(b"\n")[0]).split()
-        method, path = (words[0], words[1].partition(b"?")[0]) if len(words) == 3 else (b"", b"")
-        if not self._named_rightly(client):
-            self._answer(client, "403 Forbidden", "ask for this machine by its own name or address\n")
-        elif method != b"GET":
-            self._answer(client, "405 Method Not Allowed", "only GET is served\n")
-        elif path in (b"/", b"/news"):
-            client.pending += _HEAD.format(status="200 OK", type=_EVENTS).encode("ascii")
-            self._begin(client)
-        elif path == b"/snapshot":
-            client.pending += _HEAD.format(status="200 OK", type="application/json").encode("ascii")
-            self._begin(client)
-            client.ends = True
-        else:
-            self._answer(client, "404 Not Found", "there are / and /snapshot\n")
-
-    def _named_rightly(self, client: _Client) -> bool:
-        """On loopback, a web page of anywhere can have its own name point here: then the Host header has that name."""
-        if self.address[0] not in _LOOPBACK:
-            return True
-        hosts = [line[5:].strip() for line in bytes(client.asked).splitlines() if line[:5].lower() == b"host:"]
-        return all(host.rpartition(b":")[0].strip(b"[]") in _NAMES or host in _NAMES for host in hosts)
-
-    def _begin(self, client: _Client) -> None:
-        number, event = self._station.snapshot()
-        client.seen, client.moved = number, self._clock.mono()
-        client.pending += self._station.line(number, event) + b"\n"
-        self._flush(client)
-
-    def _answer(self, client: _Client, status: str, text: str) -> None:
-        client.pending += (_HEAD.format(status=status, type=_TEXT) + text).encode("ascii")
-        client.ends, client.moved = True, self._clock.mono()
-        self._flush(client)
+        for client in tuple(self._clients):
+            if client.stuck(now):
+                self.dropped += 1
+                self._drop(client)
 
     def _broadcast(self, line: bytes, number: int | None = None) -> None:
         """A line to all that listen; one with a number to those who do not have it yet."""
-        for client in list(self._clients.values()):
-            if client.seen is None or client.ends or (number is not None and number <= client.seen):
-                continue
-            client.seen = client.seen if number is None else number
-            if not client.pending:
-                client.moved = self._clock.mono()
-            client.pending += line + b"\n"
-            self._flush(client)
-
-    def _judge(self, client: _Client, now: float) -> None:
-        """Deadlines."""
-        if client.pending and (len(client.pending) > MAX_BACKLOG or now - client.moved > STUCK_S):
-            self.dropped += 1
-            self._drop(client)
-        elif client.ends and not client.pending:
-            self._drop(client)
-        elif client.seen is None and not client.ends:
-            if not client.asked and now - client.since >= GREET_S:
-                self._begin(client)
-            elif now - client.since >= REQUEST_S:
-                self._answer(client, "408 Request Timeout", "no complete request came\n")
-
-    def _flush(self, client: _Client) -> None:
-        try:
-            while client.pending:
-                sent = client.sock.send(memoryview(client.pending)[:SEND_BUFFER_BYTES])
-                del client.pending[:sent]
-                client.moved = self._clock.mono()
-        except BlockingIOError:
-            pass
-        except OSError:
-            self._drop(client)
-            return
-        self._listen(client)
-
-    def _listen(self, client: _Client) -> None:
-        """Wait for what the client can do next."""
-        wanted = (0 if client.half else selectors.EVENT_READ) | (selectors.EVENT_WRITE if client.pending else 0)
-        known = client.sock in self._selector.get_map()
-        if not wanted and known:
-            self._selector.unregister(client.sock)
-        elif wanted and not known:
-            self._selector.register(client.sock, wanted)
-        elif wanted:
-            self._selector.modify(client.sock, wanted)
+        for client in self._clients:
+            if client.seen is not None and (number is None or number > client.seen):
+                client.seen = client.seen if number is None else number
+                client.write(line + b"\n")
 
     def _drop(self, client: _Client) -> None:
-        if self._clients.pop(client.sock, None) is not None:
-            if client.sock in self._selector.get_map():
-                self._selector.unregister(client.sock)
-            client.sock.close()
+        self._clients.discard(client)
+        client.writer.transport.abort()
+
+    # ------------------------------------------------------------ one client
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        client = _Client(writer, writer.get_extra_info("peername")[0], self._clock.mono())
+        try:
+            self._admit(client)
+            if await self._begin(client, reader):
+                await _read_to_end(client, reader)
+            else:
+                writer.close()
+            await writer.wait_closed()
+        except _Refused as refusal:
+            client.write(refusal.answer)
+            writer.close()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+        except OSError:
+            pass  # the client is gone
+        except Exception:
+            logger.exception("serving a client failed")
+        finally:
+            self._drop(client)
+
+    def _admit(self, client: _Client) -> None:
+        neighbours = sum(other.host == client.host for other in self._clients)
+        self._clients.add(client)
+        if neighbours >= PER_HOST and client.host not in _LOOPBACK:
+            raise _Refused("503 Service Unavailable", f"at most {PER_HOST} clients of one host are served\n")
+        if len(self._clients) > MAX_CLIENTS:
+            gone = next((other for other in self._clients if other.half), None)
+            if gone is None:
+                raise _Refused("503 Service Unavailable", f"at most {MAX_CLIENTS} clients are served\n")
+            self._drop(gone)
+
+    async def _begin(self, client: _Client, reader: asyncio.StreamReader) -> bool:
+        """Send what it asks for, the snapshot first; whether it is to get events from now on."""
+        request = await _request(reader)
+        path = b"/" if request is None else self._path(request)
+        number, event = self._station.snapshot()
+        if request is not None:
+            kind = _EVENTS if path == b"/" else "application/json"
+            client.write(_HEAD.format(status="200 OK", type=kind).encode("ascii"))
+        client.write(self._station.line(number, event) + b"\n")
+        client.seen = number if path == b"/" else None
+        return client.seen is not None
+
+    def _path(self, request: bytes) -> bytes:
+        """The path that an HTTP request is for: `/` or `/snapshot`. Raises _Refused."""
+        words = request.partition(b"\n")[0].split()
+        method, path = (words[0], words[1].partition(b"?")[0]) if len(words) == 3 else (b"", b"")
+        if not self._named_rightly(request):
+            raise _Refused("403 Forbidden", "ask for this machine by its own name or address\n")
+        if method != b"GET":
+            raise _Refused("405 Method Not Allowed", "only GET is served\n")
+        if path not in (b"/", b"/news", b"/snapshot"):
+            raise _Refused("404 Not Found", "there are / and /snapshot\n")
+        return b"/" if path == b"/news" else path
+
+    def _named_rightly(self, request: bytes) -> bool:
+        """On loopback, a web page of anywhere can have its own name point here: then the Host header has that name."""
+        if self.address[0] not in _LOOPBACK:
+            return True
+        hosts = [line[5:].strip() for line in request.splitlines() if line[:5].lower() == b"host:"]
+        return all(host.rpartition(b":")[0].strip(b"[]") in _NAMES or host in _NAMES for host in hosts)
+
+
+async def _request(reader: asyncio.StreamReader) -> bytes | None:
+    """What an HTTP client asks, up to the empty line; None: it has asked nothing. Raises _Refused and ConnectionError."""
+    try:
+        request = await asyncio.wait_for(reader.read(MAX_REQUEST), GREET_S)
+    except asyncio.TimeoutError:
+        return None
+    if not request:
+        return None
+    try:
+        return await asyncio.wait_for(_head(reader, request), REQUEST_S)
+    except asyncio.TimeoutError:
+        raise _Refused("408 Request Timeout", "no complete request came\n") from None
+
+
+async def _head(reader: asyncio.StreamReader, request: bytes) -> bytes:
+    while b"\n\r\n" not in request and b"\n\n" not in request:
+        if len(request) >= MAX_REQUEST:
+            raise _Refused("431 Request Header Fields Too Large", "the request is too long\n")
+        more = await reader.read(MAX_REQUEST)
+        if not more:
+            raise ConnectionError("the client has ended before its request")
+        request += more
+    return request
+
+
+async def _read_to_end(client: _Client, reader: asyncio.StreamReader) -> None:
+    """A client that has closed its side may still read; one that is gone shows when it is written to."""
+    while await reader.read(MAX_REQUEST):
+        pass
+    client.half = True
