@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     if target.is_file() and target.read_text(encoding="utf-8") == text():
         return 0
-    sys.stderr.write(f"{target.name} does not match phm/core/settings.py: run 'python -m phm.config.schema'\n")
+    sys.stderr.write(f"{target.name} does not match phm/core/settings: run 'python -m phm.config.schema'\n")
     return 1
 
 
