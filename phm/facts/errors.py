@@ -1,0 +1,11 @@
+"""Why a probe cannot answer."""
+
+from __future__ import annotations
+
+
+class CannotTell(Exception):
+    """The probe could not find out; the message says why and what to do."""
+
+
+class NotPermitted(CannotTell):
+    """The other side refused the request for lack of permission (HTTP 403, EACCES)."""

@@ -1,0 +1,58 @@
+"""Files and devices that containers need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class FileFact:
+    """One path, as `lstat` reports it after links were followed. `sha256` is empty unless it was requested."""
+
+    path: str
+    kind: str
+    """file, directory or other."""
+    size: int
+    mode: int
+    executable: bool
+    sha256: str = ""
+    seen_through: str = ""
+    """volume or engine: how the file was accessed."""
+
+
+class FileProbe(Protocol):
+    def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
+        """Return the file at `path` inside the container, or None if it does not exist.
+
+        Reads a volume mounted into PHM if one contains the path, else asks the engine. With `digest`
+        the SHA-256 is calculated, too (cached until size, mtime or inode change).
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceFact:
+    """One device file of the host. `openable` is None if opening it was not tried or proves nothing."""
+
+    path: str
+    character: bool
+    major: int
+    minor: int
+    openable: bool | None
+    reason: str = ""
+    description: str = ""
+    """For serial ports, the description from pyserial: product, manufacturer, serial number, USB ids."""
+    inode: int = 0
+    """Inode of the device file, which changes when the device was removed and is back; 0 when unknown."""
+
+
+class DeviceProbe(Protocol):
+    def look(self, path: str, *, open_it: bool) -> DeviceFact | None:
+        """Return the host's device at `path`, or None if it does not exist.
+
+        If `open_it` is false, only the permission bits are checked: opening an idle serial port raises
+        DTR, which resets some autopilots and radios.
+        """
+
+    def serial_ports(self) -> tuple[DeviceFact, ...]:
+        """Return the serial ports that exist now, to be named when an expected one is missing."""
