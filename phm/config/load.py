@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from phm.config import semantic_rules
+from phm.config import rules
 from phm.config.env_expansion import Expander
 from phm.config.error_messages import sentence
 from phm.config.node import ConfigNode
@@ -90,19 +90,19 @@ def loads(
     settings, wrong = _validate(tree, file)
     problems += wrong
     root = ConfigNode(tree, file, problems, value=tree.data)
-    semantic_rules.check_all(root)
+    rules.check_all(root)
     if known_checks is not None:
-        semantic_rules.names_of_checks(root, known_checks, None)
-    semantic_rules.names_of_recovery(root, known_actions, known_conditions)
-    semantic_rules.needs_have_no_loop(root, {})
+        rules.names_of_checks(root, known_checks, None)
+    rules.names_of_recovery(root, known_actions, known_conditions)
+    rules.needs_have_no_loop(root, {})
     if problems or settings is None:
         raise ConfigError(problems)
     if interval is not None:
         settings = settings.model_copy(update={"interval": interval})
     if units_of is not None:
         units, needs = units_of(settings)
-        semantic_rules.names_of_checks(root, known_checks or (), units)
-        semantic_rules.needs_have_no_loop(root, {name: set(names) for name, names in needs.items()})
+        rules.names_of_checks(root, known_checks or (), units)
+        rules.needs_have_no_loop(root, {name: set(names) for name, names in needs.items()})
         if problems:
             raise ConfigError(problems)
     return settings

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from phm.config import ConfigError, fleet_rules, loads
+from phm.config import ConfigError, loads
+from phm.config.rules import fleet
 from phm.core.settings import Settings
 
 ON = "fleet:\n  enabled: true\n"
@@ -54,7 +55,7 @@ def test_a_missing_package_is_said_with_its_remedy(monkeypatch: pytest.MonkeyPat
     def without(name: str, *rest: Any) -> Any:
         return None if name == "zenoh" else real(name, *rest)
 
-    monkeypatch.setattr(fleet_rules, "find_spec", without)
+    monkeypatch.setattr(fleet, "find_spec", without)
     line, message = refused(ON + ROUTER)["fleet.enabled"]
     assert line == 2
     assert "pip install 'phm-sidecar[fleet]'" in message

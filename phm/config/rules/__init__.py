@@ -1,0 +1,62 @@
+"""Rules between keys: names that must exist, names that must be unique, pairs in order. One module for each subject.
+
+One function per rule; each reads the raw tree through `ConfigNode`, so it works although other parts are invalid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from phm.config.node import ConfigNode
+from phm.config.rules.containers import (
+    absent_files_have_no_copy,
+    container_parts_are_unique,
+    containers_are_unique,
+    containers_have_one_identity,
+    containers_start_in_order,
+    named_containers_exist,
+    recovery_keys_need_opt_in,
+)
+from phm.config.rules.fleet import fleet_certificates_are_used, fleet_has_endpoints, fleet_modes_match
+from phm.config.rules.limits import disks_are_unique, limits_are_in_order
+from phm.config.rules.mavlink import endpoints_are_unique, flight_critical_needs_autopilot, link_ids_are_unique
+from phm.config.rules.names import names_of_checks, names_of_recovery, needs_have_no_loop
+from phm.config.rules.ros import (
+    diagnostics_are_known,
+    own_topics_have_no_rate,
+    relaunch_has_a_container,
+    ros_names_are_unique,
+    topic_nodes_exist,
+)
+
+__all__ = ["check_all", "names_of_checks", "names_of_recovery", "needs_have_no_loop"]
+
+
+def check_all(root: ConfigNode) -> None:
+    """Apply every rule that needs only the file."""
+    for rule in RULES:
+        rule(root)
+
+
+RULES: tuple[Callable[[ConfigNode], None], ...] = (
+    containers_have_one_identity,
+    containers_are_unique,
+    container_parts_are_unique,
+    containers_start_in_order,
+    absent_files_have_no_copy,
+    recovery_keys_need_opt_in,
+    flight_critical_needs_autopilot,
+    ros_names_are_unique,
+    named_containers_exist,
+    relaunch_has_a_container,
+    topic_nodes_exist,
+    diagnostics_are_known,
+    own_topics_have_no_rate,
+    endpoints_are_unique,
+    link_ids_are_unique,
+    limits_are_in_order,
+    disks_are_unique,
+    fleet_has_endpoints,
+    fleet_modes_match,
+    fleet_certificates_are_used,
+)

@@ -1,0 +1,69 @@
+"""Rules for `ros`."""
+
+from __future__ import annotations
+
+from phm.config.node import ConfigNode
+from phm.config.problems import unknown
+from phm.config.rules.common import bare, configured, container_key, report_duplicates
+
+
+def relaunch_has_a_container(root: ConfigNode) -> None:
+    """The container in which to run the command or to search for the process must be known."""
+    if len(list(root.get("containers").entries())) == 1:
+        return
+    for node in root.get("ros", "nodes").records():
+        if node.get("relaunch").value and not node.get("container").given:
+            node.get("relaunch").add_problem("has no container to run in: add 'container' to this node")
+        if node.get("process").value and not node.get("container").given:
+            node.get("process").add_problem("has no container to search: add 'container' to this node")
+
+
+def ros_names_are_unique(root: ConfigNode) -> None:
+    for key, what in (("nodes", "node"), ("topics", "topic")):
+        entries = (entry.get("name") for entry in root.get("ros", key).records())
+        report_duplicates(what, ((bare(place.text), place) for place in entries))
+    for topic in root.get("ros", "topics").records():
+        for key in ("publishers", "subscribers"):
+            report_duplicates("node", ((bare(place.text), place) for place in topic.get(key).texts))
+
+
+def topic_nodes_exist(root: ConfigNode) -> None:
+    known = {bare(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
+    if not root.get("ros", "nodes").value:
+        return
+    for topic in root.get("ros", "topics").records():
+        for key in ("publishers", "subscribers"):
+            for place in topic.get(key).texts:
+                if bare(place.text) not in known:
+                    place.add_problem(unknown("node", place.text, known.values()) + " (or add it to 'ros.nodes')")
+
+
+def diagnostics_are_known(root: ConfigNode) -> None:
+    """Each watched pattern is unique, its container and node are configured, and a topic is read."""
+    known = {container_key(container): container for container in root.get("containers").records()}
+    known.pop("", None)
+    nodes = {bare(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
+    watched = list(root.get("ros", "diagnostics", "watch").records())
+    report_duplicates("status", ((entry.get("name").text, entry.get("name")) for entry in watched))
+    listen = root.get("ros", "diagnostics", "listen")
+    if watched and listen.given and not listen.value:
+        listen.add_problem("is empty, but 'watch' needs a topic: remove this key, or name a topic")
+    for entry in watched:
+        container, node = entry.get("container"), entry.get("node")
+        if container.text:
+            configured(container, known)
+        if node.text and bare(node.text) not in nodes:
+            node.add_problem(unknown("node", node.text, nodes.values()) + " (or add it to 'ros.nodes')")
+
+
+def own_topics_have_no_rate(root: ConfigNode) -> None:
+    """PHM publishes on /diagnostics itself once a second, which would be counted with the application's messages."""
+    if root.get("ros", "diagnostics", "publish").value is False:
+        return
+    for topic in root.get("ros", "topics").records():
+        rate = topic.get("rate")
+        if bare(topic.get("name").text) == "diagnostics" and rate.given and rate.value is not None:
+            rate.add_problem(
+                "cannot be measured while PHM publishes on /diagnostics itself: leave it out, or set ros.diagnostics.publish to "
+                "false; monitor the application's statuses with ros.diagnostics.watch"
+            )
