@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from phm.core.settings import ContainerSettings, FileSettings, Settings
-from phm.probes.docker_events import FILTERS
+from phm.probes.docker_event import FILTERS
 from phm.probes.docker_processes import FORMS
 from phm.probes.volume_path import normal
 from phm.transport import docker_bodies

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from phm.checking.pipeline import Pipeline
 from phm.checking.scheduler import CheckScheduler
-from phm.probes.docker_events import DockerEvent
+from phm.probes.docker_event import DockerEvent
 from phm.recovery.holds.hold_service import HoldService
 
 

@@ -13,9 +13,10 @@ from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.facts import COMPLETE, Attachment, CannotTell, EventStreamFact, LinkFact, RosFact, RosProbe, SelfFact, World
 from phm.probes.attachment_cache import AttachmentCache
+from phm.probes.container_watcher import ContainerWatcher
 from phm.probes.devices import Devices
 from phm.probes.docker import Docker
-from phm.probes.docker_events import ContainerWatcher, DockerEvent
+from phm.probes.docker_event import DockerEvent
 from phm.probes.files import Files
 from phm.probes.host import Host, clock_synchronized
 from phm.probes.inotify import FileWatcher

@@ -24,7 +24,7 @@ from phm.core.model import ActionEvent, Event, Phase, Stamp
 from phm.core.settings import Settings
 from phm.core.watchdog import DaemonWatchdog
 from phm.facts import SelfFact
-from phm.probes.docker_events import DockerEvent
+from phm.probes.docker_event import DockerEvent
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.containers.cpu_weights import CpuWeights
 from phm.recovery.executor import Executor, NotNow

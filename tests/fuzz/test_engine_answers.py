@@ -16,7 +16,8 @@ import pytest
 from hypothesis import strategies as st
 
 from phm.facts import CannotTell, ContainerFact
-from phm.probes.docker_events import ContainerWatcher, DockerEvent
+from phm.probes.container_watcher import ContainerWatcher
+from phm.probes.docker_event import DockerEvent
 from phm.probes.docker_facts import container_fact
 from phm.probes.docker_processes import processes
 from phm.probes.docker_reconcile import ExpectedState, differences
@@ -119,7 +120,7 @@ def test_any_event_is_told_or_passed_over(said: list[Any]) -> None:
     )
     for raw in said:
         if isinstance(raw, dict):
-            event = watch._understand(raw)
+            event = watch._decoder.decode(raw)
             assert event is None or (isinstance(str(event), str) and event.subjects)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from phm.probes.docker_events import FILTERS
+from phm.probes.docker_event import FILTERS
 from phm.probes.docker_processes import FORMS
 from phm.testing import settings
 from phm.transport import docker_bodies

@@ -41,7 +41,7 @@ CLOSED_S = 3.0
 LOOK_S = 0.1
 """While the event stream is closed, it is checked this often."""
 STOP_MAX_S = 121.0
-"""The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.docker_events.STOP_S`)."""
+"""The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.event_decoder.STOP_S`)."""
 _DONE = {StopVerdict.STOPPED: "stopped", StopVerdict.REMOVED: "removed"}
 
 
@@ -148,7 +148,7 @@ class HoldService:
     # ------------------------------------------------------------ the engine's events
 
     def happened(self, container: str, action: str, detail: str, container_id: str = "") -> None:
-        """An event of a configured container, before a check runs for it; actions as in `phm.probes.docker_events`."""
+        """An event of a configured container, before a check runs for it; actions as in `phm.probes.docker_event`."""
         with self._lock:
             now, own = self._clock.mono(), self._world.own(container)
             late = own and not self._pipeline.action_on(container)

@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 
 from phm.core.clock import SystemClock
-from phm.probes.docker_events import ENDLESS_STOP_S, KILL_S, STOP_S, ContainerWatcher, DockerEvent
+from phm.probes.container_watcher import ContainerWatcher
+from phm.probes.docker_event import DockerEvent
 from phm.probes.docker_reconcile import ExpectedState, after, differences
+from phm.probes.event_decoder import ENDLESS_STOP_S, KILL_S, STOP_S
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, container
@@ -455,7 +457,7 @@ def test_the_stream_says_since_when_nothing_was_missed(
     complete: bool,
 ) -> None:
     """A short interruption is replayed; after a long one, and at the start, something may be missing."""
-    monkeypatch.setattr("phm.probes.docker_events.MISSED_S", missed_s)
+    monkeypatch.setattr("phm.probes.container_watcher.MISSED_S", missed_s)
     fake.containers["app"] = container("app")
     made, _ = watch({"name": "app"})
     until(lambda: made.fact.open, "the stream")

@@ -10,7 +10,8 @@ import pytest
 
 from phm.checking.scheduler import CheckRun
 from phm.core.clock import SystemClock
-from phm.probes.docker_events import ContainerWatcher, DockerEvent
+from phm.probes.container_watcher import ContainerWatcher
+from phm.probes.docker_event import DockerEvent
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.docker import DockerEngine

@@ -11,8 +11,9 @@ import pytest
 
 from phm.core.clock import SystemClock
 from phm.facts import CannotTell, ContainerFact
+from phm.probes.container_watcher import ContainerWatcher
 from phm.probes.docker import Docker
-from phm.probes.docker_events import ContainerWatcher, DockerEvent
+from phm.probes.docker_event import DockerEvent
 from phm.probes.files import Files
 from phm.testing import settings
 from phm.transport.docker import DockerEngine, EngineConflict, EngineError, EngineMissing

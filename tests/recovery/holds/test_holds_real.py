@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from phm.cli import group
 from phm.core.model import ActionEvent, Event, FaultOpened, HoldChanged, Level, Phase
-from phm.probes.docker_events import FILTERS
+from phm.probes.docker_event import FILTERS
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.docker import EngineNotConnected
@@ -213,7 +213,7 @@ def test_an_end_whose_kill_was_missed_is_acted_on_when_no_stop_follows(
 ) -> None:
     """PHM was started between the `kill` and the `die`; only with a `stop` was it stopped by hand."""
     actions = tuple(action for action in FILTERS["event"] if action != "kill")
-    monkeypatch.setattr("phm.probes.docker_events.FILTERS", {**FILTERS, "event": actions})
+    monkeypatch.setattr("phm.probes.container_watcher.FILTERS", {**FILTERS, "event": actions})
     if stops:
         monkeypatch.setattr("phm.recovery.holds.manual_stop.UNSURE_S", 10 * LIMIT_S)
     agent = phm(**RESPECT)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from phm.core.model import Phase, Stamp
-from phm.probes.docker_events import DockerEvent
+from phm.probes.docker_event import DockerEvent
 from phm.recovery.holds.hold_registry import Hold, HoldRegistry
 from phm.recovery.holds.hold_service import HoldInputs, HoldService
 from phm.recovery.persistence.state import PersistedState, RecoveryState
