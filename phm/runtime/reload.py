@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
+from phm.checking.plan import CheckPlan
 from phm.config import ConfigError, Problem
 from phm.core.dependency_graph import DependencyCycle
 from phm.runtime.configuration import Configuration
@@ -114,7 +115,8 @@ class Reloader:
             return daemon, ReloadOutcome(
                 False, why=f"an action is in progress ({busy}): reload again when it is finished"
             )
-        usable, plan = wanted.settings, wanted.plan
+        usable = wanted.settings
+        plan: CheckPlan | None = wanted.plan
         if restart:  # the checks of the file are those after the restart: others are built for what applies now
             usable, plan = usable.model_copy(update={name: getattr(old, name) for name in FIXED}), None
         try:
