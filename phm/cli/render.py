@@ -59,6 +59,17 @@ def checks(rows: Sequence[Json]) -> None:
     console().print(table)
 
 
+def doctor(rows: Sequence[tuple[str, str, str, str, str]], styles: Mapping[str, str]) -> None:
+    """What `phm doctor` prints: group, name, state, text and remedy of each row; styles by state."""
+    table = _table("group", "what", "state", "result")
+    for group, name, state, text, remedy in rows:
+        result = _plain(text)
+        if remedy:
+            result.append("\n" + one_line(f"-> {remedy}"), "bold")
+        table.add_row(_plain(group), _plain(name), _plain(state, styles.get(state, "")), result)
+    console().print(table)
+
+
 def faults(episodes: Sequence[Json], running: bool) -> None:
     """What `phm faults` prints: one row per fault, open ones last."""
     target = console()

@@ -22,6 +22,9 @@ from phm.core.settings import Settings
 INSTALLED = FilePath("/etc/phm/phm.yaml")
 IN_REPOSITORY = FilePath("config/phm.yaml")
 INTERVAL_VARIABLE = "PHM_INTERVAL"
+NO_CONFIGURATION = (
+    f"file not found, nor {INSTALLED}: `phm init` writes a configuration for this machine; --config names another file"
+)
 
 
 def find(path: str | os.PathLike[str] | None = None) -> FilePath:
@@ -140,6 +143,8 @@ def _read(path: FilePath) -> str:
     try:
         handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except (OSError, ValueError) as error:
+        if path == IN_REPOSITORY and isinstance(error, FileNotFoundError):
+            raise _refused(path, NO_CONFIGURATION) from error
         raise _refused(path, _why(error)) from error
     try:
         mode = os.fstat(handle).st_mode
@@ -167,7 +172,7 @@ def _read(path: FilePath) -> str:
 def _why(error: OSError | ValueError) -> str:
     number = error.errno if isinstance(error, OSError) else None
     if number in (errno.ENOENT, errno.ENOTDIR):
-        return "file not found: name one with --config (default: /etc/phm/phm.yaml, else config/phm.yaml)"
+        return "file not found: correct the name; `phm init` writes a configuration for this machine"
     if number in (errno.EACCES, errno.EPERM):
         return f"permission denied for user {os.getuid()}: change its permissions"
     reason = os.strerror(number) if number is not None else str(error)

@@ -35,7 +35,9 @@ def read(run_dir: str) -> dict[str, Any]:
             # Half a character, which no output takes: of a file name that is not UTF-8, or of damage.
             document = json.loads(json.dumps(document, ensure_ascii=False).encode("utf-8", "replace"))
     except FileNotFoundError:
-        raise NoStatus(f"there is no {path}: PHM is not running, or its run_dir is another (see --run-dir)") from None
+        raise NoStatus(
+            f"there is no {path}: PHM is not running (set it up with `phm init`), or its run_dir is another (see --run-dir)"
+        ) from None
     except OSError as error:
         raise NoStatus(f"cannot read {path}: {error.strerror}") from None
     except (ValueError, RecursionError):

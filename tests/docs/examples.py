@@ -13,6 +13,7 @@ import json
 import os
 import re
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,13 @@ from typing import Any
 from click.testing import CliRunner
 from rich.console import Console
 
-from phm.cli import group, render
+from phm.cli import group, init, render
 from phm.core.model import Level, Slot
 from phm.gcs import table
 from phm.wire import fault_timeline
 from phm.wire.tunnel import PeerState, PeerView
 from tests.docs.story import ROOT as ROOT, play
+from tests.fakes.engine import FakeEngine, container
 from tests.gcs.bench import Ground, beat, pilot, said, told
 
 MARK = re.compile(r"(<!-- example: ([\w-]+) -->\n+ *```\w*\n)(.*?)(^ *```$)", re.MULTILINE | re.DOTALL)
@@ -68,6 +70,22 @@ def _run(command: str) -> str:
     with _from_root():
         result = CliRunner().invoke(group, command.split()[1:], prog_name="phm", env={"COLUMNS": str(WIDTH)})
     return "\n".join([f"$ {command}", *(line.rstrip() for line in result.output.splitlines())])
+
+
+def _init() -> str:
+    """`phm init` on a terminal: one container, Enter at each question."""
+    app = container("ros_app", health="healthy", networks=["swarm_net"])
+    app["HostConfig"]["NetworkMode"] = "swarm_net"
+    app["Config"]["Image"] = "my_ros_app:1.4"
+    before, init.on_terminal = init.on_terminal, lambda: True
+    try:
+        with tempfile.TemporaryDirectory() as place, FakeEngine(f"{place}/engine.sock") as fake:
+            fake.containers["ros_app"] = app
+            words = ["init", f"{place}/phm", "--no-ros", "--socket", fake.url]
+            output = CliRunner().invoke(group, words, input="\n" * 5).output.replace(f"{place}/", "~/")
+    finally:
+        init.on_terminal = before
+    return "\n".join(["$ .venv/bin/phm init ~/phm", *(line.rstrip() for line in output.splitlines())])
 
 
 def _faults() -> list[dict[str, Any]]:
@@ -123,6 +141,7 @@ EXAMPLES: dict[str, Callable[[], str]] = {
     "validate": lambda: _run("phm validate -c config/phm.yaml"),
     "checks": lambda: _run("phm checks"),
     "graph": lambda: _run("phm checks --graph -c config/phm.yaml"),
+    "init": _init,
     "help": lambda: _run("phm --help"),
     "once": lambda: _text(lambda: render.report(play().during), "phm once"),
     "once-json": _once_json,

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.fakes.engine import FakeEngine, container
+
 ROOT = Path(__file__).resolve().parents[2]
 PLUGIN = Path(__file__).resolve().parent / "plugin"
 LOCKS = ROOT / "scripts" / "locks"
@@ -93,6 +95,15 @@ def test_the_command_runs_from_the_wheel_alone(clean: Path) -> None:
     text = run(clean / "phm", "--help", cwd=clean)
     assert {"run", "once", "validate", "checks", "status"} <= set(text.split())
     run(clean / "python", "-m", "pip", "check", cwd=clean)
+
+
+def test_a_folder_is_made_from_the_wheel_alone(clean: Path, tmp_path: Path) -> None:
+    """The templates of `phm init` are in the wheel, and what it writes is valid."""
+    with FakeEngine(tmp_path / "engine.sock") as fake:
+        fake.containers["app"] = container("app", networks=["swarm"])
+        run(clean / "phm", "init", "agent", "--yes", "--socket", fake.url, cwd=tmp_path)
+    assert "1 containers" in run(clean / "phm", "validate", "agent/phm.yaml", cwd=tmp_path)
+    assert (tmp_path / "agent" / "compose.yaml").exists()
 
 
 def test_without_rclpy_everything_still_loads(clean: Path) -> None:

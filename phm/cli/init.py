@@ -1,0 +1,183 @@
+"""`phm init`: writes a folder to start PHM from, for the application that runs on this machine."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+if TYPE_CHECKING:
+    from phm.setup.answers import Answers
+    from phm.setup.machine import Machine
+    from phm.setup.questions import Interview, Question
+    from phm.transport.docker import DockerEngine
+
+SOCKET = "unix:///var/run/docker.sock"
+
+
+@click.command(epilog="Example: phm init /opt/phm --id 7 --container ros_app --recover --mavlink udpout:10.0.0.5:14550")
+@click.argument("directory", metavar="[DIR]", default="phm-agent", type=click.Path(file_okay=False, path_type=Path))
+@click.option("--yes", is_flag=True, help="Ask nothing: use the defaults for what no option answers.")
+@click.option("--force", is_flag=True, help="Replace files that exist.")
+@click.option("--id", "agent_id", type=int, help="MAVLink system id of the vehicle.  [default: 1]")
+@click.option("--name", help="Name of the agent in logs.  [default: agent_ID]")
+@click.option(
+    "--container",
+    "containers",
+    multiple=True,
+    metavar="NAME",
+    help="Container to watch; repeat for several.  [default: all]",
+)
+@click.option("--recover/--no-recover", default=None, help="Whether PHM may restart the containers.  [default: no]")
+@click.option(
+    "--flight-critical", multiple=True, metavar="NAME", help="Container not to restart in flight; repeat for several."
+)
+@click.option("--mavlink", metavar="URL", help="MAVLink endpoint, or none.  [default: port 14550 of this machine]")
+@click.option("--network", type=click.Choice(["bridge", "host"]), help="Network of PHM.  [default: as the containers]")
+@click.option("--logs", metavar="DIR", help="Folder of the log.  [default: logs, beside the compose file]")
+@click.option("--image", help="Image of PHM.  [default: phm-sidecar:dev]")
+@click.option("--no-ros", is_flag=True, help="Do not look for ROS nodes.")
+@click.option("--socket", default=SOCKET, show_default=True, help="Address of the Docker Engine.")
+def command(directory: Path, socket: str, yes: bool, force: bool, no_ros: bool, **given: Any) -> None:
+    """Write a folder to start PHM from.
+
+    Looks at the running containers, asks at most five questions, and writes phm.yaml, compose.yaml, agent.env and
+    fastdds.xml to DIR (default: phm-agent). Then `docker compose up -d` in that folder starts PHM.
+    Changes no container. Exit code 0; 1: nothing was written.
+    """
+    from phm.facts import CannotTell
+    from phm.setup import discovery, folder
+    from phm.setup.questions import Interview
+    from phm.transport.docker import DockerEngine
+
+    engine = DockerEngine(socket)
+    try:
+        machine = discovery.look(engine, Path(os.environ.get("PHM_DEV_ROOT", "/dev")))
+    except CannotTell as error:
+        _fail(str(error))
+    _show(machine)
+    interview = Interview(machine, _given(given))
+    answers = _ask(interview, yes=yes)
+    if not no_ros:
+        answers = _with_nodes(machine, answers, engine)
+    texts = _checked(machine, answers, directory)
+    try:
+        folder.write(directory, texts, force=force)
+        folder.make_log_folder(directory / answers.logs)
+    except folder.FilesExist as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename or directory} cannot be written: {error.strerror or error}")
+    _finish(directory, sorted(texts), answers)
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    """Answers by the keys of `Interview`; None for what is to be asked."""
+    renamed = {"id": options["agent_id"], "flight_critical": options["flight_critical"] or None}
+    same = {key: options[key] for key in ("name", "recover", "mavlink", "network", "logs", "image")}
+    return {**same, **renamed, "containers": options["containers"] or None}
+
+
+def _ask(interview: Interview, *, yes: bool) -> Answers:
+    from phm.setup.questions import InvalidAnswer
+
+    try:
+        interview.check()
+        terminal = on_terminal()
+        while question := interview.next():
+            if not yes and not terminal:
+                flags = ", ".join(interview.open_flags())
+                _fail(f"there is no terminal to ask on: answer with {flags}, or take the defaults with --yes")
+            if yes:
+                interview.answer(question, question.default)
+            else:
+                _prompt(interview, question)
+        return interview.answers()
+    except InvalidAnswer as error:
+        _fail(str(error))
+
+
+def on_terminal() -> bool:
+    """Whether questions can be answered."""
+    return sys.stdin.isatty()
+
+
+def _prompt(interview: Interview, question: Question) -> None:
+    """Ask until the answer is possible."""
+    from phm.setup.questions import InvalidAnswer
+
+    while True:
+        try:
+            if isinstance(question.default, bool):
+                interview.answer(question, click.confirm(question.text, default=question.default))
+            else:
+                shown = (
+                    " ".join(question.default) or "none" if isinstance(question.default, tuple) else question.default
+                )
+                interview.answer(question, click.prompt(question.text, default=shown))
+            return
+        except InvalidAnswer as error:
+            click.echo(str(error), err=True)
+
+
+def _with_nodes(machine: Machine, answers: Answers, engine: DockerEngine) -> Answers:
+    """The answers with the nodes of the ROS graph, where that can be read."""
+    from dataclasses import replace
+
+    from phm.setup import answers as decided, ros_nodes
+    from phm.setup.ros_settings import source
+
+    watched = decided.containers(machine, answers.containers) if answers.containers else ()
+    application = source(watched)
+    try:
+        names = ros_nodes.nodes(application.environment if application is not None else {})
+    except ros_nodes.NoGraph as error:
+        click.echo(f"ROS nodes are not listed: {error}")
+        return answers
+    click.echo(f"ROS nodes: {', '.join(names) or 'none found'}")
+    return replace(answers, nodes=ros_nodes.placed(names, watched, engine))
+
+
+def _checked(machine: Machine, answers: Answers, directory: Path) -> dict[str, str]:
+    """The files, of which phm.yaml is valid: a defect of PHM is reported here and not when the container starts."""
+    from phm.config import ConfigError
+    from phm.config.load import loads
+    from phm.setup.render import CONFIGURATION, render
+
+    texts = render(machine, answers)
+    try:
+        loads(texts[CONFIGURATION], str(directory / CONFIGURATION), environ={})
+    except ConfigError as error:
+        _fail(f"the configuration would not be valid, which is a defect of PHM; nothing was written\n{error}")
+    return texts
+
+
+def _show(machine: Machine) -> None:
+    from phm.wire.text import one_line
+
+    click.echo(f"Docker Engine {machine.engine}")
+    for one in machine.applications:
+        network = ", ".join(one.networks) or one.fact.network_mode
+        devices = f", devices {', '.join(device.host_path for device in one.fact.devices)}" if one.fact.devices else ""
+        click.echo(one_line(f"  {one.name}: {one.fact.status}, image {one.image}, network {network}{devices}"))
+    if not machine.applications:
+        click.echo("  no application container is running: start yours first, or add it to phm.yaml later")
+    if machine.sidecars:
+        click.echo(one_line(f"  PHM is already running as {', '.join(machine.sidecars)}"))
+
+
+def _finish(directory: Path, names: list[str], answers: Answers) -> None:
+    click.echo(f"wrote {', '.join(names)} to {directory}")
+    click.echo("Next:")
+    click.echo(f"  cd {directory} && docker compose up -d")
+    click.echo("  docker compose exec phm phm status")
+    if answers.name and not answers.recover:
+        click.echo("PHM reports faults and restarts nothing: `recover: true` in phm.yaml allows it.")
+
+
+def _fail(text: str) -> NoReturn:
+    click.echo(f"phm init: {text}", err=True)
+    raise click.exceptions.Exit(1)

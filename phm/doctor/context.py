@@ -1,0 +1,73 @@
+"""What the groups of `phm doctor` look at: the configuration, the engine, and the places of the kernel's files."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from phm.core.settings import Settings
+from phm.facts import CannotTell
+from phm.probes.docker import own_ids
+from phm.setup import discovery
+from phm.setup.machine import Machine
+from phm.transport.docker import DockerEngine, EngineMissing
+
+
+@dataclass(slots=True)
+class Surroundings:
+    """Thread-safe. Tests set the places.
+
+    settings:      those of a valid configuration, else the defaults.
+    configuration: the file they come from, empty for the defaults.
+    problem:       why there is no valid configuration, else empty.
+    """
+
+    settings: Settings
+    configuration: str = ""
+    problem: str = ""
+    environ: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
+    proc: Path = Path("/proc")
+    sysfs: Path = Path("/sys")
+    container_mark: Path = Path("/.dockerenv")
+    engine: DockerEngine = field(init=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _machine: Machine | CannotTell | None = None
+
+    def __post_init__(self) -> None:
+        self.engine = DockerEngine(self.settings.docker.socket)
+
+    @property
+    def dev(self) -> Path:
+        """Where the host's /dev is."""
+        return Path(self.environ.get("PHM_DEV_ROOT") or self.settings.host.dev_root)
+
+    @property
+    def in_container(self) -> bool:
+        return self.container_mark.exists()
+
+    def machine(self) -> Machine:
+        """What `phm init` finds, looked up once. Raises CannotTell."""
+        with self._lock:
+            if self._machine is None:
+                try:
+                    self._machine = discovery.look(self.engine, self.dev)
+                except CannotTell as error:
+                    self._machine = error
+        if isinstance(self._machine, CannotTell):
+            raise self._machine.with_traceback(None)
+        return self._machine
+
+    def own_network_mode(self) -> str:
+        """Docker's network mode of the container that this process runs in; empty when it is not known."""
+        for ref in own_ids(self.proc / "self"):
+            try:
+                answer = self.engine.inspect(ref)
+            except EngineMissing:
+                continue
+            except CannotTell:
+                return ""
+            return str((answer.get("HostConfig") or {}).get("NetworkMode") or "")
+        return ""

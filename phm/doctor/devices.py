@@ -1,0 +1,30 @@
+"""Serial ports, and the devices that the configuration names."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+from phm.doctor.context import Surroundings
+from phm.doctor.row import Row, limited, missing, ok
+from phm.probes.serial_port_users import users
+from phm.setup.discovery import serial_ports
+
+
+def rows(surroundings: Surroundings) -> Iterator[Row]:
+    dev = surroundings.dev
+    if not dev.is_dir():
+        yield missing("folder", f"{dev} does not exist", "mount the host's /dev there, or correct host.dev_root")
+        return
+    ports = [port.path for port in serial_ports(dev)]
+    if not ports:
+        yield ok("serial ports", "none")
+    for path in ports:
+        taken = users(str(dev / path.removeprefix("/dev/")), surroundings.proc)
+        yield ok(path, f"in use by {', '.join(taken)}" if taken else "present")
+    for entry in surroundings.settings.containers:
+        for device in entry.devices:
+            there = dev / os.path.relpath(device.path, "/dev")
+            if device.path.startswith("/dev/") and not os.path.exists(there):
+                text = f"{device.path} of container {entry.key} does not exist"
+                yield limited(device.path, text, "connect the device, or correct its path: ls /dev/serial/by-id")

@@ -1,0 +1,59 @@
+"""The Docker Engine, and what PHM may do there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from phm.doctor.context import Surroundings
+from phm.doctor.row import Row, limited, missing, ok
+from phm.facts import CannotTell, NotPermitted
+
+OLDEST_API = (1, 41)
+"""Docker 20.10."""
+_PROXY = "allow GET requests at the socket proxy: docs/reference/security.md"
+
+
+def rows(surroundings: Surroundings) -> Iterator[Row]:
+    engine = surroundings.engine
+    try:
+        version = engine.version()
+    except NotPermitted as error:
+        yield limited("version", str(error), _PROXY)
+    except CannotTell as error:
+        yield missing("version", *_remedied(str(error)))
+        return
+    else:
+        yield _version(str(version.get("Version") or "of unknown version"), str(version.get("ApiVersion") or ""))
+    try:
+        machine = surroundings.machine()
+    except NotPermitted as error:
+        yield limited("rights", str(error), _PROXY)
+        return
+    except CannotTell as error:
+        yield missing("rights", *_remedied(str(error)))
+        return
+    running = [one.name for one in machine.applications if one.fact.running]
+    yield ok("rights", "PHM may list and inspect containers")
+    yield ok("containers", f"{len(running)} running: {', '.join(running)}" if running else "no application is running")
+    yield from _configured(surroundings)
+
+
+def _version(version: str, api: str) -> Row:
+    numbers = tuple(int(part) for part in api.split(".") if part.isdecimal())
+    text = f"Docker Engine {version}, API {api or 'unknown'}"
+    if numbers and numbers < OLDEST_API:
+        return limited("version", text, "update Docker to 20.10 or later")
+    return ok("version", text)
+
+
+def _configured(surroundings: Surroundings) -> Iterator[Row]:
+    for entry in surroundings.settings.containers:
+        if entry.name and surroundings.machine().application(entry.name) is None:
+            text = f"container {entry.name} of the configuration does not exist"
+            yield missing(f"container {entry.key}", text, "start it, or correct its name: `docker ps` lists the names")
+
+
+def _remedied(text: str) -> tuple[str, str]:
+    """The sentence of an error of the engine, and its last part, which says what to do."""
+    what, _, remedy = text.rpartition(": ")
+    return (what, remedy) if what else (text, "see `docker version`")

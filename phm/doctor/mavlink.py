@@ -1,0 +1,89 @@
+"""The MAVLink endpoints of the configuration: free ports, reachable addresses, serial ports that can be opened."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import os
+import socket
+from collections.abc import Iterator
+
+from phm.core.settings import EndpointSettings
+from phm.doctor.context import Surroundings
+from phm.doctor.row import Row, limited, missing, ok
+from phm.probes.serial_port_users import users
+from phm.wire import status_file
+
+
+def rows(surroundings: Surroundings) -> Iterator[Row]:
+    endpoints = surroundings.settings.mavlink.endpoints
+    if not endpoints:
+        yield ok("endpoints", "none configured: nothing is sent to the ground")
+    for endpoint in endpoints:
+        if endpoint.serial:
+            yield _serial(endpoint, surroundings)
+        elif endpoint.url.startswith(("udpin", "tcpin")):
+            yield _listening(endpoint, surroundings)
+        else:
+            yield _sending(endpoint, surroundings)
+
+
+def _serial(endpoint: EndpointSettings, surroundings: Surroundings) -> Row:
+    path = endpoint.url
+    if not os.path.exists(path):
+        remedy = f"connect it; in a container, add `devices: [{path}]` to the compose file"
+        return missing(endpoint.key, f"{path} does not exist", remedy)
+    if not os.access(path, os.R_OK | os.W_OK):
+        return missing(endpoint.key, f"{path} may not be opened", "add the group of the port: `phm doctor` lists it")
+    taken = [user for user in users(path, surroundings.proc) if not _running(surroundings)]
+    if taken:
+        text = f"{path} is in use by {', '.join(taken)}"
+        return limited(endpoint.key, text, "only one program can use a serial port: stop it, or use a MAVLink router")
+    return ok(endpoint.key, f"{path} at {endpoint.baud} bit/s")
+
+
+def _listening(endpoint: EndpointSettings, surroundings: Surroundings) -> Row:
+    scheme, host, port = _parts(endpoint)
+    kind = socket.SOCK_DGRAM if scheme == "udpin" else socket.SOCK_STREAM
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.socket(family, kind) as probe:
+            if kind == socket.SOCK_STREAM:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((host.strip("[]"), port))
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE and _running(surroundings):
+            return ok(endpoint.key, f"{endpoint.url}: port in use while PHM is running")
+        remedy = f"find the other program: ss -lntup 'sport = :{port}'; or use another port"
+        return missing(endpoint.key, f"{endpoint.url}: {error.strerror or error}", remedy)
+    return ok(endpoint.key, f"{endpoint.url}: the port is free")
+
+
+def _sending(endpoint: EndpointSettings, surroundings: Surroundings) -> Row:
+    _, host, port = _parts(endpoint)
+    try:
+        address = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_DGRAM)[0][4][0]
+    except OSError as error:
+        return missing(
+            endpoint.key, f"{host} cannot be resolved: {error.strerror or error}", "correct the host in the url"
+        )
+    if not ipaddress.ip_address(str(address).partition("%")[0]).is_loopback:
+        return ok(endpoint.key, f"{endpoint.url} resolves to {address}")
+    if surroundings.in_container and surroundings.own_network_mode() != "host":
+        text = f"{endpoint.url} is the loopback of PHM's own container, where no ground station listens"
+        return limited(endpoint.key, text, "use the address of the host or of the ground station")
+    return ok(endpoint.key, f"{endpoint.url}: a program on this machine")
+
+
+def _parts(endpoint: EndpointSettings) -> tuple[str, str, int]:
+    scheme, _, rest = endpoint.url.partition(":")
+    host, _, port = rest.rpartition(":")
+    return scheme, host, int(port)
+
+
+def _running(surroundings: Surroundings) -> bool:
+    """Whether a healthy PHM of this configuration has the port."""
+    try:
+        return not status_file.unhealthy(status_file.read(surroundings.settings.run_dir))
+    except status_file.NoStatus:
+        return False

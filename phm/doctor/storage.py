@@ -1,0 +1,32 @@
+"""The folders that PHM writes to."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+
+from phm.doctor.context import Surroundings
+from phm.doctor.row import Row, limited, missing, ok
+
+
+def rows(surroundings: Surroundings) -> Iterator[Row]:
+    settings = surroundings.settings
+    needed = 2 * settings.log.files * settings.log.max_size
+    for name, path, least in (("log", settings.log.directory, needed), ("state", settings.state_dir, 1e6)):
+        yield _folder(name, path, least, configured=bool(surroundings.configuration))
+
+
+def _folder(name: str, path: str, least_bytes: float, *, configured: bool) -> Row:
+    if not os.path.isdir(path):
+        text = f"{path} does not exist"
+        if configured:
+            return missing(name, text, "create it, or mount a volume there")
+        return limited(name, text, "`phm init` sets up folders for a container; else create it")
+    if not os.access(path, os.W_OK | os.X_OK):
+        return missing(name, f"{path} cannot be written by uid {os.geteuid()}", f"chown {os.geteuid()} {path}")
+    free = shutil.disk_usage(path).free
+    text = f"{path} is writable, {free / 1e6:.0f} MB free"
+    if free < least_bytes:
+        return limited(name, text, f"free {least_bytes / 1e6:.0f} MB, or lower log.max_size and log.files")
+    return ok(name, text)

@@ -1,0 +1,5 @@
+"""`phm init`: looks at this machine, takes the answers of the operator, and writes a folder to start PHM from.
+
+`machine` is what was found, `discovery` finds it, `answers` and `questions` are what the operator decides, `render` makes the
+files and `folder` writes them.
+"""

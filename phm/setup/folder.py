@@ -1,0 +1,51 @@
+"""Writes the folder of `phm init`; files that exist are replaced only on request."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+PHM_USER = 10001
+"""Of PHM's image, and of its group."""
+
+
+class FilesExist(Exception):
+    """Files that would be overwritten. `names` lists them."""
+
+    def __init__(self, folder: Path, names: list[str]) -> None:
+        self.names = names
+        super().__init__(f"{folder} already has {', '.join(names)}: nothing was written; --force replaces these files")
+
+
+def existing(folder: Path, names: Mapping[str, str]) -> list[str]:
+    """Those of `names` that are in the folder."""
+    return sorted(name for name in names if os.path.lexists(folder / name))
+
+
+def write(folder: Path, texts: Mapping[str, str], *, force: bool) -> None:
+    """Write all files, readable for PHM's user whatever the umask is. Raises FilesExist before anything is written, and OSError."""
+    found = existing(folder, texts)
+    if found and not force:
+        raise FilesExist(folder, found)
+    if not folder.is_dir():
+        folder.mkdir(parents=True)
+        folder.chmod(0o755)
+    for name, text in texts.items():
+        beside = folder / f".{name}.new"
+        beside.write_text(text, encoding="utf-8")
+        beside.chmod(0o644)
+        os.replace(beside, folder / name)
+
+
+def make_log_folder(path: Path) -> None:
+    """A folder that PHM's user may write to: its own where this process may say so, else one that everyone may write to,
+    as /tmp. Raises OSError."""
+    path.mkdir(parents=True, exist_ok=True)
+    try:
+        os.chown(path, PHM_USER, PHM_USER)
+        path.chmod(0o755)
+    except PermissionError:
+        with contextlib.suppress(PermissionError):
+            path.chmod(0o1777)

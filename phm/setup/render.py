@@ -1,0 +1,164 @@
+"""Makes the files of the folder from what was found and decided. Pure: the templates are in `phm/templates`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.resources import files
+from string import Template
+
+from phm.setup import answers as decided
+from phm.setup.answers import NO_MAVLINK, Answers
+from phm.setup.machine import Application, Machine
+from phm.setup.ros_settings import APPLICATION_PROFILE, ros_settings
+from phm.setup.yaml_text import compose_quoted, quoted
+
+CONFIGURATION, COMPOSE, ENVIRONMENT, PROFILE = "phm.yaml", "compose.yaml", "agent.env", "fastdds.xml"
+_SERIAL_MAJORS = (
+    ("c 166:* rw", "/dev/ttyACM*, flight controllers on USB"),
+    ("c 188:* rw", "/dev/ttyUSB*, USB adapters and telemetry radios"),
+    ("c 204:* rw", "/dev/ttyAMA*, serial ports of a Raspberry Pi"),
+)
+_EMPTY = " []"
+
+
+def render(machine: Machine, answers: Answers) -> dict[str, str]:
+    """The text of each file, by name. The containers of `answers` must be among those of `machine`."""
+    watched = decided.containers(machine, answers.containers) if answers.containers else ()
+    keys = decided.keys(watched)
+    ros = ros_settings(watched, _template(PROFILE))
+    made = {
+        CONFIGURATION: Template(_template(CONFIGURATION)).substitute(
+            agent=answers.name,
+            id=answers.id,
+            containers=_containers(watched, keys, answers),
+            ros=_ros(answers, keys),
+            mavlink=_mavlink(answers),
+            docker="" if machine.socket else f"\ndocker:\n  socket: {quoted(machine.url)}\n",
+        ),
+        COMPOSE: Template(_template(COMPOSE)).substitute(
+            image=answers.image,
+            groups=_groups(machine),
+            network=_network(answers),
+            devices=_devices(answers),
+            socket=f"      - {compose_quoted(f'{machine.socket}:/var/run/docker.sock')}\n" if machine.socket else "",
+            profile=f"      - {compose_quoted(f'./{APPLICATION_PROFILE}:{ros.mount}:ro')}\n" if ros.mount else "",
+            logs=compose_quoted(f"{answers.logs}:/var/log/phm"),
+        ),
+        ENVIRONMENT: Template(_template(ENVIRONMENT)).substitute(agent=answers.name, id=answers.id, ros=ros.lines),
+        PROFILE: _template(PROFILE),
+    }
+    return {**made, **({APPLICATION_PROFILE: ros.profile} if ros.profile else {})}
+
+
+def _template(name: str) -> str:
+    return (files("phm") / "templates" / name).read_text(encoding="utf-8")
+
+
+# ------------------------------------------------------------ phm.yaml
+
+
+def _containers(watched: Sequence[Application], keys: dict[str, str], answers: Answers) -> str:
+    if not watched:
+        return f"{_EMPTY}\n  #- name: ros_app            # as in `docker ps`"
+    return "".join(
+        "\n" + "\n".join(_container(one, keys[one.name], answers, first=one is watched[0])) for one in watched
+    )
+
+
+def _container(one: Application, key: str, answers: Answers, *, first: bool) -> list[str]:
+    lines = [f"  - name: {quoted(one.name)}"]
+    if key != one.name:
+        lines.append(f"    alias: {quoted(key)}")
+    why = "  # PHM may start, restart, unpause and reconnect it" if first else ""
+    lines.append(f"    recover: {'true' if answers.recover else 'false'}{why}")
+    if one.name in answers.flight_critical:
+        lines.append(
+            "    flight_critical: true  # restarted only while the autopilot reports disarmed, or after `phm approve`"
+        )
+    if one.fact.healthcheck is None:
+        lines.append("    # Its image has no HEALTHCHECK, so its health is not judged.")
+    if one.networks:
+        lines.append(f"    networks: [{', '.join(map(quoted, one.networks))}]")
+    elif one.fact.network_mode == "host":
+        lines.append("    # It uses the host's network, as PHM does.")
+    if one.fact.devices:
+        lines.append("    devices:")
+        for device in one.fact.devices:
+            inside = device.container_path
+            mapped = f", in_container: {quoted(inside)}" if inside and inside != device.host_path else ""
+            lines.append(f"      - {{path: {quoted(device.host_path)}{mapped}}}")
+    lines.append("    # files: [{path: /ws/install/setup.bash}]")
+    return lines
+
+
+def _ros(answers: Answers, keys: dict[str, str]) -> str:
+    if not answers.nodes:
+        return (
+            "\n  # Nodes that must run, and topics that must have data:\n  nodes: []\n"
+            "    # - {name: /agent_1/planner}\n  topics: []\n"
+            "    # - {name: /agent_1/state, rate: 10Hz, publishers: [/agent_1/planner]}"
+        )
+    lines = [
+        "",
+        "  # Nodes that were running when `phm init` looked. Remove those that are not always needed.",
+        "  nodes:",
+    ]
+    for name, container in answers.nodes:
+        where = f", container: {quoted(keys[container])}" if container in keys and len(keys) > 1 else ""
+        lines.append(f"    - {{name: {quoted(name)}{where}}}")
+    lines += ["  topics: []", "    # - {name: /agent_1/state, rate: 10Hz, publishers: [/agent_1/planner]}"]
+    return "\n".join(lines)
+
+
+def _mavlink(answers: Answers) -> str:
+    if answers.mavlink == NO_MAVLINK:
+        return (
+            "\n  # Where to report: a ground station, a MAVLink router, or the serial port of the autopilot.\n"
+            '  endpoints: []\n    # - {name: ground, url: "udpout:192.168.1.10:14550", leads_to: ground}'
+        )
+    name = "autopilot" if answers.mavlink.startswith("/") else "ground"
+    return (
+        "\n  endpoints:\n"
+        f"    - name: {name}\n"
+        f"      url: {quoted(answers.mavlink)}\n"
+        "      # ground, autopilot, router (to which both are connected), or both: an autopilot that passes frames to the ground\n"
+        "      leads_to: both"
+    )
+
+
+# ------------------------------------------------------------ compose.yaml
+
+
+def _groups(machine: Machine) -> str:
+    """Groups that own the engine's socket and the serial ports, each once."""
+    found: dict[int, str] = {}
+    if machine.socket_group_id is not None:
+        found[machine.socket_group_id] = machine.socket
+    for port in machine.serial_ports:
+        found.setdefault(port.group_id, port.path)
+    found.pop(0, None)
+    return "".join(f'\n      - "{number}" # owner of {path}' for number, path in found.items()) or _EMPTY
+
+
+def _network(answers: Answers) -> str:
+    if answers.network == "host":
+        return "    # The application uses the host's network, and ROS 2 discovery does not cross from there to a bridge.\n    network_mode: host"
+    lines = ["    # PHM connects itself to the networks that phm.yaml names."]
+    if decided.HOST_NAME in answers.mavlink:
+        lines += ["    extra_hosts:", f'      - "{decided.HOST_NAME}:host-gateway" # this machine, for MAVLink']
+    else:
+        lines += [
+            "    # extra_hosts:",
+            f'    #   - "{decided.HOST_NAME}:host-gateway" # this machine, e.g. for MAVLink',
+        ]
+    return "\n".join(lines)
+
+
+def _devices(answers: Answers) -> str:
+    """The serial port of a MAVLink endpoint; for other ports the rules that `open: always` needs, as comments."""
+    if answers.mavlink.startswith("/"):
+        port = compose_quoted(f"{answers.mavlink}:{answers.mavlink}")
+        return f"    # The serial port must exist when the container is created.\n    devices:\n      - {port}\n"
+    lines = ["    # PHM looks at devices in /host/dev. To open them (`open: always`), one rule for each kind:"]
+    lines += ["    # device_cgroup_rules:", *(f'    #   - "{rule}" # {what}' for rule, what in _SERIAL_MAJORS)]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,114 @@
+"""`phm init`: a folder for this machine, with and without questions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner, Result
+
+from phm.cli import group
+from phm.setup import ros_nodes
+from tests.fakes.engine import FakeEngine
+from tests.setup.machines import described
+
+FILES = ["agent.env", "compose.yaml", "fastdds.xml", "logs", "phm.yaml"]
+
+
+@pytest.fixture
+def fake(tmp_path: Path) -> Iterator[FakeEngine]:
+    with FakeEngine(tmp_path / "engine.sock") as fake:
+        fake.containers["ros_app"] = described("ros_app", env={"ROS_DOMAIN_ID": "7"})
+        yield fake
+
+
+def init(fake: FakeEngine, folder: Path, *options: str, typed: str = "", nodes: bool = False) -> Result:
+    more = [] if nodes else ["--no-ros"]
+    return CliRunner().invoke(group, ["init", str(folder), "--socket", fake.url, *more, *options], input=typed)
+
+
+def test_yes_asks_nothing_and_the_result_is_valid(fake: FakeEngine, tmp_path: Path) -> None:
+    """All files are there, `phm validate` accepts the configuration, and the next commands are printed."""
+    done = init(fake, tmp_path / "phm", "--yes")
+    assert done.exit_code == 0, done.output
+    assert sorted(path.name for path in (tmp_path / "phm").iterdir()) == FILES
+    assert "docker compose up -d" in done.output and "PHM reports faults and restarts nothing" in done.output
+    checked = CliRunner().invoke(group, ["validate", str(tmp_path / "phm" / "phm.yaml")])
+    assert checked.exit_code == 0 and "1 containers" in checked.output
+    assert "ROS_DOMAIN_ID=7" in (tmp_path / "phm" / "agent.env").read_text()
+
+
+def test_options_answer_the_questions(fake: FakeEngine, tmp_path: Path) -> None:
+    options = ["--id", "9", "--container", "ros_app", "--recover", "--mavlink", "none", "--image", "phm:2"]
+    done = init(fake, tmp_path, *options)
+    assert done.exit_code == 0, done.output
+    written = yaml.safe_load((tmp_path / "phm.yaml").read_text())
+    assert written["containers"][0]["recover"] is True and "9" in written["agent"]["name"]
+    assert "PHM_IMAGE:-phm:2" in (tmp_path / "compose.yaml").read_text()
+
+
+def test_without_a_terminal_the_missing_options_are_named(fake: FakeEngine, tmp_path: Path) -> None:
+    """Nothing is written, and nothing waits for input."""
+    done = init(fake, tmp_path / "phm", "--id", "3")
+    assert done.exit_code == 1
+    assert "--container, --recover or --no-recover, --mavlink" in done.stderr and "--yes" in done.stderr
+    assert not (tmp_path / "phm").exists()
+
+
+def test_a_terminal_asks_until_the_answer_is_possible(
+    fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Enter takes the default."""
+    monkeypatch.setattr("phm.cli.init.on_terminal", lambda: True)
+    done = init(fake, tmp_path, typed="51\n5\nros_ap\nros_app\ny\n\nros_app\n")
+    assert done.exit_code == 0, done.output
+    assert "SiK radios" in done.stderr and "there is no container ros_ap;" in done.stderr
+    (entry,) = yaml.safe_load((tmp_path / "phm.yaml").read_text())["containers"]
+    assert entry["recover"] and entry["flight_critical"]
+    assert "host.docker.internal:14550" in (tmp_path / "phm.yaml").read_text()
+
+
+def test_files_that_exist_are_kept(fake: FakeEngine, tmp_path: Path) -> None:
+    (tmp_path / "phm.yaml").write_text("mine")
+    done = init(fake, tmp_path, "--yes")
+    assert done.exit_code == 1 and "--force replaces" in done.stderr
+    assert (tmp_path / "phm.yaml").read_text() == "mine"
+    assert init(fake, tmp_path, "--yes", "--force").exit_code == 0
+    assert (tmp_path / "phm.yaml").read_text() != "mine"
+
+
+def test_without_an_engine_the_remedy_is_printed(tmp_path: Path) -> None:
+    done = CliRunner().invoke(group, ["init", str(tmp_path), "--yes", "--socket", f"unix://{tmp_path}/none"])
+    assert done.exit_code == 1 and "start the Docker Engine" in done.stderr
+
+
+def test_nodes_of_the_graph_are_written(fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are looked for with the application's ROS variables."""
+    seen = []
+
+    def nodes(environment: dict[str, str]) -> tuple[str, ...]:
+        seen.append(dict(environment))
+        return ("/agent_1/planner",)
+
+    monkeypatch.setattr(ros_nodes, "nodes", nodes)
+    assert init(fake, tmp_path, "--yes", nodes=True).exit_code == 0
+    assert seen == [{"ROS_DOMAIN_ID": "7"}]
+    assert yaml.safe_load((tmp_path / "phm.yaml").read_text())["ros"]["nodes"] == [{"name": "/agent_1/planner"}]
+
+
+def test_a_graph_that_cannot_be_read_is_said(fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nodes(environment: dict[str, str]) -> tuple[str, ...]:
+        raise ros_nodes.NoGraph("rclpy is not installed here")
+
+    monkeypatch.setattr(ros_nodes, "nodes", nodes)
+    done = init(fake, tmp_path, "--yes", nodes=True)
+    assert done.exit_code == 0 and "ROS nodes are not listed: rclpy is not installed here" in done.output
+
+
+def test_a_machine_without_an_application_gets_a_folder_too(fake: FakeEngine, tmp_path: Path) -> None:
+    fake.containers.clear()
+    done = init(fake, tmp_path, "--yes")
+    assert done.exit_code == 0 and "start yours first" in done.output
+    assert yaml.safe_load((tmp_path / "phm.yaml").read_text())["containers"] == []

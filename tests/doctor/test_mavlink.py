@@ -1,0 +1,47 @@
+"""`phm doctor`: endpoints of the configuration."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+from typing import Any
+
+from phm.doctor.context import Surroundings
+from phm.doctor.mavlink import rows
+from phm.doctor.row import Row
+from tests.doctor.places import surroundings
+
+
+def judged(there: Path, url: str, **more: Any) -> tuple[Row, Surroundings]:
+    found = surroundings(there, mavlink={"endpoints": [{"url": url}]}, **more)
+    (only,) = rows(found)
+    return only, found
+
+
+def test_a_port_in_use_is_missing_with_the_command_that_finds_the_program(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        url = f"udpin:127.0.0.1:{taken.getsockname()[1]}"
+        used, _ = judged(tmp_path, url)
+    free, _ = judged(tmp_path, url)
+    assert (used.state, free.state) == ("missing", "ok") and "ss -lntup" in used.remedy
+
+
+def test_the_loopback_of_a_bridged_container_leads_nowhere(tmp_path: Path) -> None:
+    """Outside of a container it is another program of the machine."""
+    outside, there = judged(tmp_path, "udpout:127.0.0.1:14550")
+    there.container_mark.touch()
+    (inside,) = rows(there)
+    assert (outside.state, inside.state) == ("ok", "limited") and "own container" in inside.text
+
+
+def test_a_serial_port_must_exist(tmp_path: Path) -> None:
+    absent, _ = judged(tmp_path, str(tmp_path / "ttyACM0"))
+    assert absent.state == "missing" and "devices:" in absent.remedy
+    (tmp_path / "ttyACM0").touch()
+    assert judged(tmp_path, str(tmp_path / "ttyACM0"))[0].state == "ok"
+
+
+def test_no_endpoint_is_said(tmp_path: Path) -> None:
+    (only,) = rows(surroundings(tmp_path))
+    assert only.state == "ok" and "none configured" in only.text

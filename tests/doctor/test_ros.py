@@ -1,0 +1,54 @@
+"""`phm doctor`: ROS of PHM and of the application."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.doctor.ros import rows
+from tests.doctor.places import row, states, surroundings
+from tests.fakes.engine import FakeEngine
+from tests.setup.machines import described
+
+JAZZY = {"distribution": "jazzy", "rclpy": "7.1.4", "middleware": "rmw_fastrtps_cpp"}
+
+
+def installed(monkeypatch: pytest.MonkeyPatch, found: dict[str, str] | None) -> None:
+    """What the child process prints; None: there is no rclpy."""
+
+    def run(*_: Any, **__: Any) -> subprocess.CompletedProcess[bytes]:
+        text = json.dumps(found).encode() if found else b""
+        return subprocess.CompletedProcess([], 0 if found else 1, text, b"")
+
+    monkeypatch.setattr(subprocess, "run", run)
+
+
+def test_the_installation_of_phm_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    installed(monkeypatch, JAZZY)
+    found = list(rows(surroundings(tmp_path, ros={"domain": 7})))
+    assert row(found, "PHM").text == "jazzy, rclpy 7.1.4, rmw_fastrtps_cpp"
+    assert "ROS_DOMAIN_ID 7" in row(found, "domain").text
+
+
+def test_no_rclpy_is_missing_where_nodes_are_configured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Elsewhere it only limits."""
+    installed(monkeypatch, None)
+    assert states(list(rows(surroundings(tmp_path))))["PHM"] == "limited"
+    assert states(list(rows(surroundings(tmp_path, ros={"nodes": [{"name": "/a"}]}))))["PHM"] == "missing"
+
+
+def test_an_application_with_other_variables_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The row names the difference and the line to change."""
+    installed(monkeypatch, JAZZY)
+    with FakeEngine(tmp_path / "engine.sock") as fake:
+        fake.containers["same"] = described("same", env={"ROS_DOMAIN_ID": "7", "ROS_DISTRO": "jazzy"})
+        fake.containers["other"] = described("other", env={"ROS_DOMAIN_ID": "8"})
+        there = surroundings(tmp_path, docker={"socket": fake.url}, environ={"ROS_DOMAIN_ID": "7"})
+        found = list(rows(there))
+    assert row(found, "container same").state == "ok"
+    assert row(found, "container other").state == "limited"
+    assert "ROS_DOMAIN_ID" in row(found, "container other").text

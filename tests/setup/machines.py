@@ -1,0 +1,50 @@
+"""Machines for tests of `phm init`: applications as the engine describes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from phm.probes.docker_facts import container_fact
+from phm.setup.machine import Application, Machine, SerialPort
+from tests.fakes.engine import container
+
+SOCKET = "unix:///var/run/docker.sock"
+
+
+def described(
+    name: str,
+    *,
+    mode: str = "swarm",
+    env: Mapping[str, str] | None = None,
+    devices: Sequence[str] = (),
+    entrypoint: Sequence[str] = (),
+    **more: Any,
+) -> dict[str, Any]:
+    """A container as `tests.fakes.engine.container`, with network mode, environment, devices and image."""
+    networks = () if mode in ("host", "none") or mode.startswith("container:") else (mode,)
+    answer = container(name, networks=networks, **more)
+    answer["HostConfig"]["NetworkMode"] = mode
+    answer["HostConfig"]["Devices"] = [
+        {"PathOnHost": path, "PathInContainer": path, "CgroupPermissions": "rwm"} for path in devices
+    ]
+    answer["Config"]["Image"] = f"{name}:1"
+    answer["Config"]["Env"] = [f"{key}={value}" for key, value in {"SECRET": "1", **(env or {})}.items()]
+    answer["Config"]["Entrypoint"] = list(entrypoint)
+    return answer
+
+
+def application(name: str, *, service: str = "", owner: str = "", profile: str = "", **more: Any) -> Application:
+    environment = dict(more.get("env") or {})
+    return Application(
+        fact=container_fact(described(name, **more)),
+        image=f"{name}:1",
+        service=service,
+        owner=owner,
+        environment=environment,
+        profile=profile,
+    )
+
+
+def machine(*applications: Application, url: str = SOCKET, ports: Sequence[SerialPort] = ()) -> Machine:
+    return Machine("27.0", url, 998, tuple(applications), (), tuple(ports))

@@ -1,0 +1,46 @@
+"""Writing the folder of `phm init`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from phm.setup.folder import FilesExist, make_log_folder, write
+
+
+def test_files_are_readable_whatever_the_umask(tmp_path: Path) -> None:
+    """PHM's user in the container is another one."""
+    old = os.umask(0o077)
+    try:
+        write(tmp_path / "new" / "folder", {"phm.yaml": "a", "compose.yaml": "b"}, force=False)
+    finally:
+        os.umask(old)
+    folder = tmp_path / "new" / "folder"
+    assert sorted(path.name for path in folder.iterdir()) == ["compose.yaml", "phm.yaml"]
+    assert [(folder / name).stat().st_mode & 0o777 for name in ("compose.yaml", "phm.yaml")] == [0o644, 0o644]
+    assert folder.stat().st_mode & 0o555 == 0o555
+
+
+def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
+    """One file that exists keeps all others from being written."""
+    (tmp_path / "phm.yaml").write_text("mine")
+    with pytest.raises(FilesExist, match=r"already has phm\.yaml.*--force"):
+        write(tmp_path, {"compose.yaml": "b", "phm.yaml": "a"}, force=False)
+    assert not (tmp_path / "compose.yaml").exists()
+    write(tmp_path, {"compose.yaml": "b", "phm.yaml": "a"}, force=True)
+    assert (tmp_path / "phm.yaml").read_text() == "a"
+
+
+def test_the_log_folder_can_be_written_by_the_user_of_the_image(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where this process may not change the owner, everyone may write."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "chown", refuse)
+    make_log_folder(tmp_path / "logs")
+    assert (tmp_path / "logs").stat().st_mode & 0o7777 == 0o1777

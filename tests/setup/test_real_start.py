@@ -1,0 +1,112 @@
+"""`phm init`, then `docker compose up -d` in its folder: PHM monitors the application, on a bridge and on the host's network."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from docker import DockerClient
+from docker.errors import APIError, NotFound
+
+from tests.docs.examples import ROOT
+
+APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
+LIMIT_S = 90.0
+Start = Callable[..., str]
+
+
+def run(*words: str, cwd: Path, check: bool = True) -> str:
+    done = subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
+    assert not check or done.returncode == 0, f"{words}: {done.stdout}{done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture
+def start() -> Iterator[Start]:
+    """Starts the demo's application and returns the container's name; removes it with its network."""
+    client, name = DockerClient.from_env(timeout=60), f"phm-init-{uuid.uuid4().hex[:8]}"
+    domain = str(100 + uuid.uuid4().int % 100)
+
+    def app(network: str) -> str:
+        # Loopback alone: on the host's network nothing of this test may reach another machine.
+        environment = {
+            "ROS_DOMAIN_ID": domain,
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST" if network == "host" else "SUBNET",
+        }
+        if network != "host":
+            client.networks.create(name, labels={"phm.test": "1"})
+        client.containers.run(
+            APP_IMAGE,
+            ["python", "-m", "sitl.application.app", "--nodes", "1"],
+            name=name,
+            detach=True,
+            network="host" if network == "host" else name,
+            environment=environment,
+            labels={"phm.test": "1"},
+            mem_limit="300m",
+        )
+        return name
+
+    yield app
+    with contextlib.suppress(NotFound, APIError):
+        client.containers.get(name).remove(force=True)
+    with contextlib.suppress(NotFound, APIError):
+        client.networks.get(name).remove()
+    client.close()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    """The folder that `phm init` writes; what was started from it is removed."""
+    place = tmp_path / f"phm-{uuid.uuid4().hex[:8]}"
+    yield place
+    if (place / "compose.yaml").exists():
+        run("docker", "compose", "down", "--volumes", "--timeout", "3", cwd=place)
+
+
+def status(folder: Path) -> dict[str, str]:
+    """The level of each unit, by id, as the sidecar prints it; empty before it answers."""
+    text = run("docker", "compose", "exec", "-T", "phm", "phm", "status", "--json", cwd=folder, check=False)
+    try:
+        document: dict[str, Any] = json.loads(text)
+    except ValueError:
+        return {}
+    return {unit["id"]: unit["level"] for unit in document.get("checks", ())}
+
+
+@pytest.mark.parametrize("network", ["bridge", "host"])
+def test_the_written_folder_starts_a_sidecar_that_sees_the_application(
+    network: str, start: Start, folder: Path
+) -> None:
+    """Container, health and network are OK; its ROS settings are the application's."""
+    app = start(network)
+    options = ("--yes", "--no-ros", "--container", app, "--mavlink", "none")
+    run(sys.executable, "-m", "phm.cli", "init", str(folder), *options, cwd=ROOT)
+    run(sys.executable, "-m", "phm.cli", "validate", str(folder / "phm.yaml"), cwd=ROOT)
+    run("docker", "compose", "up", "--detach", cwd=folder)
+    wanted = {f"container/{app}", f"health/{app}", "engine", *([f"network/{app}"] if network == "bridge" else [])}
+    end, levels = time.monotonic() + LIMIT_S, {}
+    while any(levels.get(unit) != "OK" for unit in wanted):
+        assert time.monotonic() < end, f"{levels}\n{run('docker', 'compose', 'logs', cwd=folder)}"
+        time.sleep(0.5)
+        levels = status(folder)
+    settings = run("docker", "compose", "exec", "-T", "phm", "env", cwd=folder)
+    expected = client_environment(app)
+    assert {line for line in expected if line.startswith("ROS_")} <= set(settings.splitlines())
+    assert (folder / "logs" / "phm.jsonl").stat().st_size > 0
+
+
+def client_environment(name: str) -> list[str]:
+    """The configured environment of a container."""
+    with contextlib.closing(DockerClient.from_env(timeout=60)) as client:
+        found: list[str] = client.containers.get(name).attrs["Config"]["Env"]
+    return [line for line in found if not line.startswith("ROS_LOG_DIR")]

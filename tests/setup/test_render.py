@@ -1,0 +1,144 @@
+"""The files of `phm init`: valid for the programs that read them, and right for this machine."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given, strategies as st
+
+from phm.config.load import loads
+from phm.core.settings import Settings
+from phm.setup.answers import Answers
+from phm.setup.machine import Application, SerialPort
+from phm.setup.render import render
+from phm.setup.yaml_text import quoted
+from tests.docs.examples import ROOT
+from tests.setup.machines import application, machine
+
+PORT = SerialPort("/dev/serial/by-id/usb-Pixhawk", 20)
+
+
+def answers(*containers: str, **more: Any) -> Answers:
+    given = {"recover": False, "mavlink": "none", "network": "bridge", **more}
+    return Answers("agent_7", 7, containers, **given)
+
+
+def made(*applications: Application, **more: Any) -> dict[str, str]:
+    return render(machine(*applications, ports=(PORT,)), answers(*(one.name for one in applications), **more))
+
+
+def settings(texts: dict[str, str], **environ: str) -> Settings:
+    return loads(texts["phm.yaml"], environ=environ)
+
+
+def service(texts: dict[str, str]) -> dict[str, Any]:
+    found: dict[str, Any] = yaml.safe_load(texts["compose.yaml"])["services"]["phm"]
+    return found
+
+
+def variables(texts: dict[str, str]) -> dict[str, str]:
+    lines = [line for line in texts["agent.env"].splitlines() if line and not line.startswith("#")]
+    return dict(line.split("=", 1) for line in lines)
+
+
+@pytest.mark.parametrize("mavlink", ["none", "udpout:host.docker.internal:14550", "tcp:10.0.0.1:5760", "/dev/ttyACM0"])
+@pytest.mark.parametrize("recover", [True, False])
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_every_variant_is_valid(mavlink: str, recover: bool, count: int) -> None:
+    """phm.yaml passes the loader with and without agent.env."""
+    applications = [application(f"app_{number}", devices=["/dev/ttyACM0"]) for number in range(count)]
+    critical = ("app_0",) if recover and mavlink != "none" and count else ()
+    texts = made(*applications, mavlink=mavlink, recover=recover, flight_critical=critical)
+    assert settings(texts) == settings(texts, **variables(texts))
+    assert len(settings(texts).containers) == count
+    assert service(texts)["image"].endswith("phm-sidecar:dev}")
+
+
+def test_a_bridged_application_has_its_networks_and_devices() -> None:
+    """PHM joins the networks itself; the host is reachable for MAVLink."""
+    app = application("demo-autonomy-1", service="autonomy", devices=["/dev/ttyACM0"])
+    texts = made(app, recover=True, mavlink="udpout:host.docker.internal:14550")
+    (entry,) = settings(texts).containers
+    assert (entry.name, entry.key, entry.networks, entry.recover) == ("demo-autonomy-1", "autonomy", ["swarm"], True)
+    assert [device.path for device in entry.devices] == ["/dev/ttyACM0"]
+    assert "network_mode" not in service(texts)
+    assert service(texts)["extra_hosts"] == ["host.docker.internal:host-gateway"]
+
+
+def test_an_application_on_the_hosts_network_has_phm_there_too() -> None:
+    texts = made(application("app", mode="host"), network="host", mavlink="udpout:127.0.0.1:14550")
+    assert service(texts)["network_mode"] == "host"
+    assert settings(texts).containers[0].networks == []
+
+
+def test_phm_is_in_the_groups_that_own_socket_and_serial_ports() -> None:
+    assert service(made())["group_add"] == ["998", "20"]
+
+
+def test_a_serial_endpoint_is_mapped_into_the_container() -> None:
+    texts = made(mavlink="/dev/ttyACM0")
+    assert service(texts)["devices"] == ["/dev/ttyACM0:/dev/ttyACM0"]
+    assert settings(texts).mavlink.endpoints[0].serial
+
+
+def test_an_engine_reached_over_tcp_needs_no_socket() -> None:
+    texts = render(machine(url="tcp://10.0.0.1:2375"), answers())
+    assert settings(texts).docker.socket == "tcp://10.0.0.1:2375"
+    assert not [volume for volume in service(texts)["volumes"] if "docker.sock" in volume]
+
+
+def test_nodes_name_their_container_where_there_are_several() -> None:
+    nodes = (("/agent_7/camera", "b"), ("/agent_7/planner", ""))
+    texts = made(application("a"), application("b"), nodes=nodes)
+    assert [(node.name, node.container) for node in settings(texts).ros.nodes] == [
+        ("/agent_7/camera", "b"),
+        ("/agent_7/planner", None),
+    ]
+
+
+# ------------------------------------------------------------ ROS
+
+
+def test_ros_variables_are_those_of_the_application() -> None:
+    env = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.1;x y"}
+    found = variables(made(application("web"), application("app", env={**env, "ROS_DISTRO": "jazzy"})))
+    assert found["PHM_AGENT_ID"] == "7" and found["ROS_DOMAIN_ID"] == "7" and "ROS_DISTRO" not in found
+    assert found["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert found["ROS_STATIC_PEERS"] == "'10.0.0.1;x y'"
+
+
+def test_an_application_of_another_domain_is_named() -> None:
+    one, other = application("one", env={"ROS_DOMAIN_ID": "1"}), application("two", env={"ROS_DOMAIN_ID": "2"})
+    assert "Other values are set in two" in made(one, other)["agent.env"]
+
+
+def test_a_profile_of_the_application_is_copied_and_seen_at_its_path() -> None:
+    """That which PHM ships is not: it only shortens leases."""
+    env = {"FASTDDS_DEFAULT_PROFILES_FILE": "/opt/dds.xml"}
+    texts = made(application("app", env=env, profile="<dds/>"))
+    assert texts["application-fastdds.xml"] == "<dds/>"
+    assert variables(texts)["FASTRTPS_DEFAULT_PROFILES_FILE"] == "/opt/dds.xml"
+    assert "./application-fastdds.xml:/opt/dds.xml:ro" in service(texts)["volumes"]
+    shipped = (ROOT / "config" / "fastdds.xml").read_text("utf-8")
+    assert "application-fastdds.xml" not in made(application("app", env=env, profile=shipped))
+
+
+def test_a_profile_below_the_folder_of_phm_is_not_mounted_over_it() -> None:
+    env = {"FASTDDS_DEFAULT_PROFILES_FILE": "/etc/phm/dds.xml"}
+    texts = made(application("app", env=env, profile="<dds/>"))
+    assert variables(texts)["FASTDDS_DEFAULT_PROFILES_FILE"] == "/etc/phm/application-fastdds.xml"
+    assert not [volume for volume in service(texts)["volumes"] if "application-fastdds" in volume]
+
+
+def test_the_shipped_profile_is_the_documented_one() -> None:
+    """config/fastdds.xml is what the documents name."""
+    assert made()["fastdds.xml"] == (ROOT / "config" / "fastdds.xml").read_text("utf-8")
+
+
+@given(st.text())
+def test_text_from_outside_stays_one_value(text: str) -> None:
+    """Whatever a name contains, YAML reads it back."""
+    plain = text.encode("utf-8", "replace").decode()
+    assert yaml.safe_load(f"[{quoted(plain)}]") == [plain.replace("${", "$${")]
