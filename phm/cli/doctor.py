@@ -44,10 +44,10 @@ def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
 
 def _surroundings(config: str | None) -> Surroundings:
     """With the configuration where there is a valid one, else with the defaults."""
-    from phm.cli.reading import read
     from phm.config import ConfigError, find
     from phm.core.settings import Settings
     from phm.doctor.context import Surroundings
+    from phm.runtime.configuration import read
 
     if config is None and not find(None).exists():
         return Surroundings(Settings())
