@@ -22,7 +22,7 @@ TOGETHER_S = 1.5
 """Beacons send five times a second and 1 Hz topics once: the last signs of life of nodes that are cut off at the same moment may be this
 far apart."""
 ASLEEP, AWAKE = "asleep", "awake"
-OLD_PICTURE_S = 2.0
+OLD_SNAPSHOT_S = 2.0
 SOON_S, SOON_PERIODS = 1.0, 5.0
 """The limit if beacons, which have their own threads, are among the silent and all processes sleep, so that none of them waits for a
 CPU: one second of silence, or this many beacon periods, confirmed by a second look."""
@@ -94,7 +94,7 @@ class DataPath:
             fact = world.ros.look()
         except api.CannotTell:
             return ""
-        if fact.age_s > OLD_PICTURE_S:
+        if fact.age_s > OLD_SNAPSHOT_S:
             return ""
         silent = [found for node in self._wanted if (found := self._silent_s(node, fact)) is not None]
         # Data from before this generation came from other processes, whose names may stay listed until their lease ends.
@@ -153,7 +153,7 @@ class DataPath:
             return ""
         heard = [age_s for node in self._wanted for age_s in self._signs(node, fact)]
         listed_ones = [node.name for node in self._wanted if fact.nodes.get(node.name)]
-        if fact.age_s > OLD_PICTURE_S or fact.up_s < self._grace_s or listed_ones or not heard:
+        if fact.age_s > OLD_SNAPSHOT_S or fact.up_s < self._grace_s or listed_ones or not heard:
             return ""
         silent_s = min(heard) - fact.age_s
         if silent_s < ABSENT_S or now - silent_s < self._met_at or self._run(world) != ASLEEP:

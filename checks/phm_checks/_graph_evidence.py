@@ -50,7 +50,7 @@ class NodeTopics:
 
 
 class GraphEvidence:
-    """One node in the graph snapshots. `doubts` (why it may not be healthy) and `count` (how often it is listed) are those of the last
+    """One node in the graph snapshots. `suspicions` (why it may not be healthy) and `count` (how often it is listed) are those of the last
     snapshot."""
 
     def __init__(self, node: str, ends: NodeTopics, grace_s: float) -> None:
@@ -66,22 +66,22 @@ class GraphEvidence:
         self.count = 0
         self.rivals = 0
         """Other processes that send beacons under its name."""
-        self.twofold = False
+        self.duplicated = False
         """The node is listed more than once, and so is one of its endpoints. A name alone may remain in the graph permanently; this was
         observed after the node's interface had been down for seconds."""
-        self.doubts: set[str] = set()
+        self.suspicions: set[str] = set()
         self.blind = True
         """The graph is the only source: the node has neither a beacon nor a topic with a rate."""
 
     def look(self, fact: api.RosFact | None, now: float, began_at: float) -> list[Evidence]:
         """Evidence from the newest snapshot; None if there is none. began_at: older data belongs to an earlier node of this name."""
         if fact is None:
-            self.doubts, self.blind = {"no picture"}, True
+            self.suspicions, self.blind = {"no snapshot"}, True
             return []
         if fact.up_s < self._up_s:
             self._listed_by_this_child = False
         self._up_s = fact.up_s
-        self.doubts = set()
+        self.suspicions = set()
         name = self._name(fact, now)
         self._count_ends(fact, now)
         beacon = self._beacon(fact, now, max(began_at, self.appeared_at))
@@ -101,17 +101,17 @@ class GraphEvidence:
         if beacon is None or now - beacon.age_s < began_at:
             return None
         if self.rivals:
-            self.doubts.add("rivals")
+            self.suspicions.add("rivals")
         # While PHM's own child process is late, nothing is received from any node: that does not count as silence.
         silent_s = max(0.0, beacon.silent_s - fact.age_s)
         if silent_s > WAVER_PERIODS * beacon.period_s:
-            self.doubts.add("beacon wavers")
+            self.suspicions.add("beacon irregular")
         if silent_s > max(SILENT_PERIODS * beacon.period_s, SILENT_S):
-            self.doubts.add("beacon silent")
+            self.suspicions.add("beacon silent")
             words = f"its beacon has been silent for {span(silent_s)}"
             return Evidence(Kind.BEACON, Observation.SILENT, words, fact.age_s, silent_s)
         if beacon.turns and beacon.late_s > LATE_S:
-            self.doubts.add("executor late")
+            self.suspicions.add("executor late")
             words = f"its executor has been blocked for {span(beacon.late_s)}, according to its beacon"
             return Evidence(Kind.BEACON, Observation.LATE, words, beacon.age_s, beacon.late_s)
         return Evidence(Kind.BEACON, Observation.ALIVE, f"its last beacon was {span(beacon.age_s)} ago", beacon.age_s)
@@ -135,7 +135,7 @@ class GraphEvidence:
         if not silent:
             return None
         shortest_s = min(silent)[0]
-        self.doubts |= {"topics waver"} if shortest_s <= max(limits) else {"topics waver", "topics silent"}
+        self.suspicions |= {"topics irregular"} if shortest_s <= max(limits) else {"topics irregular", "topics silent"}
         words = f"silent for {span(shortest_s)}: {listed([last(topic) for _, topic in silent], 3)}"
         return Evidence(Kind.TOPICS, Observation.SILENT, words, fact.age_s, shortest_s)
 
@@ -151,13 +151,13 @@ class GraphEvidence:
         if self._unnamed(fact):
             return None
         self._bare_since = now if self._bare_since is None else self._bare_since
-        self.doubts.add("no endpoints")
+        self.suspicions.add("no endpoints")
         lasted_s = now - self._bare_since
         return Evidence(Kind.ENDPOINTS, Observation.GONE, "none of its endpoints is in the graph", fact.age_s, lasted_s)
 
     def _count_ends(self, fact: api.RosFact, now: float) -> None:
-        self.twofold = self.count > 1 and self._most_ends(fact) != 1
-        self._twice_since = (self._twice_since or now) if self.twofold else None
+        self.duplicated = self.count > 1 and self._most_ends(fact) != 1
+        self._twice_since = (self._twice_since or now) if self.duplicated else None
 
     def _most_ends(self, fact: api.RosFact) -> int:
         """The highest number of times that one endpoint of a topic is listed for this node; 0 if none of its endpoints is listed."""
@@ -170,14 +170,14 @@ class GraphEvidence:
         count = fact.nodes.get(self._node, 0)
         if count > self.count:
             self.appeared_at = now
-            self.doubts.add("listed again")
+            self.suspicions.add("listed again")
         self.count = count
         if count > 1:
-            self.doubts.add("listed twice")
+            self.suspicions.add("listed twice")
         if count:
             self._listed_by_this_child, self._gone_since = True, None
             return Evidence(Kind.NAME, Observation.ALIVE, "it is listed in the graph", fact.age_s)
-        self.doubts.add("not listed")
+        self.suspicions.add("not listed")
         if not fact.names_known:
             return None
         if fact.up_s < self._grace_s and not self._listed_by_this_child:
@@ -185,7 +185,7 @@ class GraphEvidence:
             return None
         self._gone_since = now if self._gone_since is None else self._gone_since
         if self._listed_by_this_child and now - self._gone_since < UNNAMED_S and self._unnamed(fact):
-            self.doubts.add("unnamed")
+            self.suspicions.add("name unknown")
             return None
         return Evidence(Kind.NAME, Observation.GONE, "it is not in the graph", fact.age_s, now - self._gone_since)
 

@@ -37,7 +37,7 @@ class Opinion:
     node: str
     verdict: Verdict
     heard_by: tuple[str, ...] = ()
-    unheard_by: tuple[str, ...] = ()
+    not_heard_by: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,13 +61,15 @@ class Agreement:
     @property
     def dissents(self) -> tuple[Opinion, ...]:
         """Nodes on which the observers disagree, except those that the split explains."""
-        return tuple(item for item in self.opinions if item.heard_by and item.unheard_by and not self._explained(item))
+        return tuple(
+            item for item in self.opinions if item.heard_by and item.not_heard_by and not self._explained(item)
+        )
 
     def _explained(self, opinion: Opinion) -> bool:
-        if not self.split or PHM in opinion.unheard_by:
+        if not self.split or PHM in opinion.not_heard_by:
             return False
         own = next((side for side in self.sides if opinion.node in side), ())
-        return not any(observer in own for observer in opinion.unheard_by)
+        return not any(observer in own for observer in opinion.not_heard_by)
 
 
 def agree(beacons: Mapping[str, api.BeaconFact], others: Mapping[str, bool], late_s: float = 0.0) -> Agreement:
@@ -97,7 +99,7 @@ def _opinion(
     node: str, beacons: Mapping[str, api.BeaconFact], heard: Mapping[str, bool], nodes_of: Mapping[str, list[str]]
 ) -> Opinion:
     votes = {
-        observer: _hears(beacons[observer], beacons[node], node)
+        observer: _receives(beacons[observer], beacons[node], node)
         for observer in nodes_of
         if node not in nodes_of[observer]
     }
@@ -116,18 +118,18 @@ def _alone(node: str, hears: bool) -> Opinion:
     return Opinion(node, Verdict.ALIVE, (PHM,)) if hears else Opinion(node, Verdict.UNDECIDED, (), (PHM,))
 
 
-def _hears(observer: api.BeaconFact, other: api.BeaconFact, node: str) -> bool | None:
+def _receives(observer: api.BeaconFact, other: api.BeaconFact, node: str) -> bool | None:
     """Whether the observer receives the other node; None: no opinion, as they have not had enough time to discover each other."""
     view = observer.views.get(node)
     if view is not None:
         return view.alive
-    lived_s = min(fact.beats * fact.period_s for fact in (observer, other))
-    return False if lived_s >= MET_S else None
+    uptime_s = min(fact.heartbeats * fact.period_s for fact in (observer, other))
+    return False if uptime_s >= MET_S else None
 
 
 def _sides(nodes_of: Mapping[str, list[str]], opinions: Iterable[Opinion]) -> tuple[tuple[str, ...], ...]:
     """Groups of nodes that receive each other, directly or through others. One direction is enough: a failure of the other is a dissent."""
-    not_received = {(observer, opinion.node) for opinion in opinions for observer in opinion.unheard_by}
+    not_received = {(observer, opinion.node) for opinion in opinions for observer in opinion.not_heard_by}
 
     def apart(one: str, other: str) -> bool:
         return all(
@@ -139,8 +141,8 @@ def _sides(nodes_of: Mapping[str, list[str]], opinions: Iterable[Opinion]) -> tu
     while left:
         side, fresh = [left[0]], [left.pop(0)]
         while fresh:
-            near = fresh.pop()
-            joined = [other for other in left if not apart(near, other)]
+            current = fresh.pop()
+            joined = [other for other in left if not apart(current, other)]
             left = [other for other in left if other not in joined]
             side += joined
             fresh += joined

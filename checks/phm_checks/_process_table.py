@@ -115,16 +115,16 @@ class ProcessTable:
         self._listed_at: float | None = None
         self._asked_at = NEVER
         self._again_s = QUIET_S
-        self._doubts: dict[Hashable, float] = {}
+        self._suspicions: dict[Hashable, float] = {}
         """When each doubt last existed. Bounded: a few strings for each configured node."""
         self._doubt_since = NEVER
 
     # ------------------------------------------------------------ queries
 
-    def look(self, world: api.World, doubts: Collection[Hashable], *, blind: bool) -> None:
-        """Query the engine if there is a reason. doubts: a new one causes an immediate query."""
+    def look(self, world: api.World, suspicions: Collection[Hashable], *, blind: bool) -> None:
+        """Query the engine if there is a reason. suspicions: a new one causes an immediate query."""
         now = world.clock.mono()
-        if not self._due(now, doubts, blind):
+        if not self._due(now, suspicions, blind):
             return
         self._asked_at = now
         try:
@@ -153,17 +153,17 @@ class ProcessTable:
             self._ending_since = now
         return self._ending_since is not None and now - self._ending_since < ENDING_S
 
-    def _due(self, now: float, doubts: Collection[Hashable], blind: bool) -> bool:
+    def _due(self, now: float, suspicions: Collection[Hashable], blind: bool) -> bool:
         waited = now - self._asked_at
-        self._doubts = {why: at for why, at in self._doubts.items() if now - at <= CALM_S}
-        new = [why for why in doubts if why not in self._doubts]
+        self._suspicions = {why: at for why, at in self._suspicions.items() if now - at <= CALM_S}
+        new = [why for why in suspicions if why not in self._suspicions]
         if new and waited < max(GAP_S, self._again_s):
             return False
-        self._doubts.update(dict.fromkeys(doubts, now))
+        self._suspicions.update(dict.fromkeys(suspicions, now))
         if new:
             self._doubt_since = now
             return True
-        if self._doubts:
+        if self._suspicions:
             return waited >= max(SOON_S, min((now - self._doubt_since) / SHARE, QUIET_S), self._again_s)
         return waited >= max(BLIND_S if blind else QUIET_S, self._again_s)
 
@@ -197,7 +197,7 @@ class ProcessTable:
     def _renew(self, name: str, known: KnownProcess | None, matched: Match, now: float) -> KnownProcess:
         """Assign another process to the node: it is the first in this generation, or the old one has ended, or the old match was wrong:
         until a launcher has started its nodes, it is the only process with their names."""
-        first = not self.left_out(name) if known is None else known.first and known.match.way > matched.way
+        first = not self.not_started(name) if known is None else known.first and known.match.way > matched.way
         if known is not None and known.match.way <= matched.way:
             self._began_at[name] = now
         self._ways[name] = min(matched.way, self._ways.get(name, matched.way))
@@ -231,7 +231,7 @@ class ProcessTable:
         """The container generation that was seen last; empty before the first query."""
         return self._generation
 
-    def lived(self, name: str) -> bool:
+    def was_alive(self, name: str) -> bool:
         """Whether a process of the node was seen in this generation."""
         return name in self._known
 
@@ -295,9 +295,9 @@ class ProcessTable:
         """Whether the node's process was found in an earlier generation of the container, but not in this one."""
         if name not in self._ways or self._unclear.get(name):
             return False
-        return now - self.began_at(name) >= self._grace_s or self.left_out(name)
+        return now - self.began_at(name) >= self._grace_s or self.not_started(name)
 
-    def left_out(self, name: str) -> bool:
+    def not_started(self, name: str) -> bool:
         """Whether the others started as before but this node did not, long after it should have: PHM need not wait for it.
 
         Only if it and the others are known from earlier generations: the same commands start the same nodes.

@@ -10,7 +10,7 @@ from phm import api
 
 STABLE_S = 12.0
 """Longer than Docker's own limit of 10 s, after which its restart policy resets its back-off, and longer than the 11 s for which the
-parts of a container are suppressed after it was told to stop. So a container that never becomes healthy is reported, either by its parts
+parts of a container are suppressed after a stop was requested. So a container that never becomes healthy is reported, either by its parts
 or by the container itself."""
 ENGINE_RESTARTS = 3
 """This many restarts in a row by the engine's restart policy, each after a short run, are a loop."""

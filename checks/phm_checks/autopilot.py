@@ -1,4 +1,4 @@
-"""Slot 10: the autopilot is heard, and has not rebooted."""
+"""Slot 10: the autopilot sends heartbeats and has not rebooted."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from phm.api import Layer, Slot
 from phm_checks._command_path import all_closed, link_id, link_of, routed, silent, starting, target_of, to_autopilot
 from phm_checks._text import StableNumber, brief, span
 
-TOLD_S = 30.0
-"""A reboot is told for so long: a ground station that is away for a moment hears of it, too."""
+REPORT_S = 30.0
+"""A reboot is reported for so long, so that a ground station with a short interruption receives it too."""
 SETTLE_S = 1.5
-"""Whatever carries its heartbeats falls silent up to a second later, when the last of others has come by it. Only where that
-may be what is wrong: not while frames of others still come, nor where nothing lies between it and PHM."""
+"""When the router or radio on the way fails, its last frame from other senders may come up to a second later. Not used
+while other frames still arrive, nor with nothing between the autopilot and PHM."""
 SAMPLED_S = 0.5
-"""How exactly it is known when others were heard."""
+"""Accuracy of the time of the last frame from other senders."""
 GRACE_S = 5.0
 
 
 class Autopilot(api.Check):
-    """The vehicle's autopilot. A living PHM feeds the ground's own timer for the vehicle, so it is PHM that must tell."""
+    """The vehicle's autopilot. PHM must report its loss: PHM's heartbeats keep the ground station's link timer running."""
 
     name, slot, layer = "autopilot", Slot.AUTOPILOT, Layer.LINK
     period_s = 1.0
@@ -61,14 +61,14 @@ class Autopilot(api.Check):
             return self._lost(world, fact, early=True)
         self._age.forget("age")
         values = _values(fact)
-        if fact.rebooted_s is not None and fact.rebooted_s <= TOLD_S:
-            # It is the autopilot itself that tells this, so nothing else can be the cause.
+        if fact.rebooted_s is not None and fact.rebooted_s <= REPORT_S:
+            # The autopilot's own messages show the reboot, so no other component can be the cause.
             return replace(_rebooted(fact, fact.rebooted_s, values), settle_s=0.0)
         flying = "armed" if fact.armed else "disarmed"
         return api.ok(f"last autopilot heartbeat {span(fact.age_s)} ago, {flying}, mode {fact.custom_mode}", **values)
 
     def _certain(self, world: api.World, fact: api.AutopilotFact) -> bool:
-        """Whether nothing that carries its heartbeats can be the cause and still have to be told."""
+        """Whether no link, router or radio on the way can be the cause."""
         entry = next((entry for entry in self._links if entry.key == fact.link), None)
         link = link_of(world, fact.link)
         if entry is None or link is None or not link.open:
@@ -76,7 +76,7 @@ class Autopilot(api.Check):
         return not routed(world, entry) or self._others(world, fact)
 
     def _others(self, world: api.World, fact: api.AutopilotFact) -> bool:
-        """Whether frames of others have come by its link since its own ended."""
+        """Whether its link has carried frames from other senders since its own stopped."""
         link, quiet_s = link_of(world, fact.link), fact.age_s if fact.quiet_s is None else fact.quiet_s
         own = (self._settings.agent.id, 1)
         return link is not None and any(
@@ -109,7 +109,7 @@ class Autopilot(api.Check):
 
 
 def _rebooted(fact: api.AutopilotFact, ago_s: float, values: dict[str, api.Value]) -> api.Result:
-    """In the air it is the gravest thing that a link can tell; on the ground it is worth a look."""
+    """ERROR if it was armed, WARN on the ground."""
     words = f"the autopilot rebooted: its time since boot restarted {span(ago_s)} ago"
     if fact.rebooted_armed:
         return api.error(

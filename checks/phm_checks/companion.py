@@ -1,4 +1,4 @@
-"""Slot 1: PHM itself is alive, and all its parts do."""
+"""Slot 1: PHM itself is running and all its components work."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from phm import api
 from phm.api import Layer, Slot
 from phm_checks._text import brief, clean, joined, listed, span
 
-TOLD_S = 12.0
-"""What is over when it is noticed is told for so long: once in a refresh of the status line, 10 s apart."""
+REPORT_S = 12.0
+"""An interruption is over when it is detected. It is reported for so long that one refresh of the status, every 10 s,
+contains it."""
 
 
 class Companion(api.Check):
-    """The companion computer: PHM's own parts. The links have checks of their own (`link`, `gcs`)."""
+    """The companion computer: PHM's own components. The links have their own checks (`link`, `gcs`)."""
 
     name, slot, layer = "companion", Slot.COMPANION, Layer.COMPANION
     period_s = 1.0
@@ -23,7 +24,7 @@ class Companion(api.Check):
         return frozenset({"link", "myself"})
 
     def run(self, world: api.World) -> api.Result:
-        """Everything wrong in one summary."""
+        """All problems in one summary."""
         facts = world.myself.look()
         bad = self._own(facts)
         values: dict[str, api.Value] = {"uptime_s": round(facts.uptime_s, 1), "ros_restarts": facts.ros_restarts}
@@ -62,15 +63,15 @@ class Companion(api.Check):
 
     @staticmethod
     def _interruptions(facts: api.SelfFact) -> Iterable[api.Result]:
-        if facts.ended_badly and facts.uptime_s < TOLD_S:
+        if facts.ended_badly and facts.uptime_s < REPORT_S:
             yield api.warn(
                 "PHM terminated unexpectedly and was restarted; this agent was not monitored meanwhile: see the "
                 "end of its container's log, and whether its memory limit is too low",
                 brief="PHM was restarted",
                 condition="phm_restarted",
             )
-        ago_s, lasted_s = facts.stood_still_ago_s, facts.stood_still_s
-        if ago_s is not None and lasted_s is not None and ago_s < TOLD_S:
+        ago_s, lasted_s = facts.suspended_ago_s, facts.suspended_s
+        if ago_s is not None and lasted_s is not None and ago_s < REPORT_S:
             why = (
                 "a signal had stopped it (SIGSTOP) and its watchdog resumed it; set `PHM_WATCHDOG=off` if the stop was intended"
                 if facts.was_stopped

@@ -1,6 +1,6 @@
-"""Slot 6: the nodes agree on who is alive: nobody hears less than the others do, and the nodes are not split.
+"""Slot 6: the nodes agree on which nodes are alive, and the nodes are not split into groups.
 
-That a node is dead or hangs is told by the check `nodes`; here is told what only the nodes themselves can know.
+The check `nodes` reports dead and hung nodes. This check reports what only the nodes themselves can observe.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from phm.api import Layer, Level, Slot
 from phm_checks._node_consensus import Agreement, Verdict, agree
 from phm_checks._text import brief, joined, last, listed, span
 
-OLD_PICTURE_S = 5.0
-"""A picture of the graph older than this proves nothing."""
+OLD_SNAPSHOT_S = 5.0
+"""Older snapshots of the graph are not evaluated."""
 FORGET_S = 60.0
-"""A beacon silent for longer is none any more: its node was changed, or its beacon closed."""
+"""A beacon silent for longer is ignored: its node was changed, or its beacon closed."""
 LOST_S = 10.0
-"""A beacon that is required and silent for longer, while its node is listed, is missing."""
+"""A required beacon silent for longer, while its node is listed, is missing."""
 FRESH_S = 5.0
-"""A diagnostic status younger than this is a sign of life; diagnostic_updater sends one a second."""
+"""A diagnostic status younger than this shows that the node is alive; diagnostic_updater sends one per second."""
 CROWDED_S = 5.0
-"""So long after beacons were lost among too many messages nothing is said."""
+"""After beacons were lost among too many messages, the result is STALE for this long."""
 SETTLE_S = 3.0
-"""After a death or a start the neighbours' views differ for a moment."""
+"""After a node died or started, the views of the other nodes differ briefly."""
 REMEDY = (
     "check the network and ROS_DOMAIN_ID between them; nodes in different containers that share no /dev/shm need "
     "FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
@@ -31,7 +31,7 @@ REMEDY = (
 
 
 class Consensus(api.Check):
-    """One unit for all configured nodes. Blocked by their faults, which the views only repeat."""
+    """One unit for all configured nodes. It depends on their units: a dead node is one fault, not also a dissent."""
 
     name, slot, layer = "consensus", Slot.NODES, Layer.ROS
     period_s = 1.0
@@ -63,7 +63,7 @@ class Consensus(api.Check):
             fact = world.ros.look()
         except api.CannotTell as reason:
             return api.stale(str(reason))
-        if fact.age_s > OLD_PICTURE_S:
+        if fact.age_s > OLD_SNAPSHOT_S:
             return api.stale(f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate")
         if fact.lost_s is not None and fact.lost_s <= CROWDED_S:
             return api.stale(
@@ -78,15 +78,15 @@ class Consensus(api.Check):
         if lacking is not None:
             return lacking
         if not beacons:
-            return self._nobody(fact)
+            return self._none_received(fact)
         copied = _copied(fact, beacons)
         if copied is not None:
             return copied
-        others = {name: hears(fact, name, self._nodes) for name in self._nodes if name not in beacons}
+        others = {name: receives(fact, name, self._nodes) for name in self._nodes if name not in beacons}
         return self._judge(agree(beacons, others, fact.age_s), fact, beacons)
 
     def _lacking(self, fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Result | None:
-        """A required beacon that is not there, of a node that is."""
+        """The result for required beacons that are missing although their node is listed; None when there are none."""
         lacking = [
             name
             for name in self._required
@@ -106,7 +106,7 @@ class Consensus(api.Check):
             refused=fact.refused,
         )
 
-    def _nobody(self, fact: api.RosFact) -> api.Result:
+    def _none_received(self, fact: api.RosFact) -> api.Result:
         if fact.refused:
             return api.warn(
                 f"no beacon received from the configured nodes{_refused(fact)}",
@@ -140,14 +140,14 @@ class Consensus(api.Check):
         dissents = _dissents(agreement)
         if dissents:
             first = agreement.dissents[0]
-            short = brief(last(first.node), f"not seen by {last(first.unheard_by[0])}"[:30])
+            short = brief(last(first.node), f"not seen by {last(first.not_heard_by[0])}"[:30])
             return api.Result(Level.WARN, joined([*dissents, REMEDY]), short, "dissent", "", values)
         stuck = f"; the executor of {_names(hung)} is blocked" if hung else ""
         return api.ok(f"{_agreed(agreement)}{_alone(agreement, beacons)}{stuck}", **values)
 
 
 def _copied(fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Result | None:
-    """A second publisher that speaks for a node. Where the graph lists two nodes of the name, the check of nodes says so."""
+    """WARN for a second publisher of a node's beacon. Two nodes with one name are reported by the check `nodes` instead."""
     by = {name: beacon.copied_by for name, beacon in beacons.items() if beacon.copied_by}
     twice = [name for name, beacon in beacons.items() if beacon.rivals and fact.nodes.get(name, 0) < 2]
     if not by and not twice:
@@ -165,8 +165,8 @@ def _copied(fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Res
     )
 
 
-def hears(fact: api.RosFact, node: str, nodes: Iterable[str]) -> bool:
-    """Whether PHM hears a node that has no beacon: through a topic that it alone publishes, or its diagnostics."""
+def receives(fact: api.RosFact, node: str, nodes: Iterable[str]) -> bool:
+    """Whether PHM receives data from a node without a beacon: a topic that it alone publishes, or its diagnostics."""
     for topic in fact.topics.values():
         if topic.rate is not None and {end.node for end in topic.publishers} == {node} and topic.rate.hz:
             return True
@@ -181,16 +181,16 @@ def _agreed(agreement: Agreement) -> str:
 
 
 def _alone(agreement: Agreement, beacons: Mapping[str, api.BeaconFact]) -> str:
-    """Those without a beacon: what is known of them is PHM's word alone."""
-    told = [item.node for item in agreement.opinions if item.node not in beacons and item.heard_by]
-    untold = [item.node for item in agreement.opinions if item.node not in beacons and not item.heard_by]
-    words = f"; {_names(told)} without a beacon, observed by PHM only" if told else ""
-    return words + (f"; no observer for {_names(untold)}" if untold else "")
+    """The part of the summary about nodes without a beacon, which PHM alone can observe."""
+    observed = [item.node for item in agreement.opinions if item.node not in beacons and item.heard_by]
+    unobserved = [item.node for item in agreement.opinions if item.node not in beacons and not item.heard_by]
+    words = f"; {_names(observed)} without a beacon, observed by PHM only" if observed else ""
+    return words + (f"; no observer for {_names(unobserved)}" if unobserved else "")
 
 
 def _dissents(agreement: Agreement) -> list[str]:
     return [
-        f"{_names([item.node])} is not received by {_names(item.unheard_by)}, but is received by {_names(item.heard_by)}"
+        f"{_names([item.node])} is not received by {_names(item.not_heard_by)}, but is received by {_names(item.heard_by)}"
         f"{'; most do not receive it' if item.verdict is Verdict.DEAD else ''}"
         for item in agreement.dissents
     ]

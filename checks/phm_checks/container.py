@@ -1,4 +1,4 @@
-"""Slot 2: each configured container is running; if not, why not, in words."""
+"""Slot 2: each configured container is running; if not, why."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from phm_checks._restart_loop import OTHER_STARTS, STABLE_S, RestartLoop
 from phm_checks._text import brief, clean, span
 
 _CODES = {
-    0: "ended by itself without an error",
+    0: "exited by itself without an error",
     125: "Docker could not run it",
     126: "its command cannot be executed: check the file's execute bit and its format",
     127: "its command was not found: check the image's entry point and PATH",
@@ -25,7 +25,7 @@ _CODES = {
 
 
 def code_in_words(code: int) -> str:
-    """What an exit code says. Codes above 128 stand for signal `code - 128`, as shells and Docker count."""
+    """The meaning of an exit code. Above 128: terminated by signal `code - 128`, the convention of shells and Docker."""
     if code in _CODES:
         return _CODES[code]
     if code > 128:
@@ -37,19 +37,19 @@ def code_in_words(code: int) -> str:
 
 
 class Container(PerContainer):
-    """The container's process exists, is not frozen, and is not started again and again."""
+    """The container's process exists, is not paused, and is not restarted repeatedly."""
 
     name, slot = "container", Slot.CONTAINER
     period_s = 5.0
-    """No event tells that a restarted container has run for long enough."""
+    """No event signals that a restarted container has run for long enough."""
 
     def __init__(self, entry: api.ContainerSettings, steady_s: float = STABLE_S, by_hand: int = OTHER_STARTS) -> None:
         super().__init__(entry)
-        self._lives = RestartLoop(steady_s, by_hand)
+        self._restarts = RestartLoop(steady_s, by_hand)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
-        """Grace follows each start, so a life shorter than that of what runs in it proves nothing."""
+        """One check per container. A run shorter than the grace period of its nodes does not count as stable."""
         steady_s = max(STABLE_S, settings.ros.grace)
         by_hand = max(OTHER_STARTS, settings.recovery.budget + 1)
         return [cls(entry, steady_s, by_hand) for entry in settings.containers]
@@ -71,26 +71,26 @@ class Container(PerContainer):
                 "the configuration",
                 "missing",
             )
-        self._lives.look(fact, world.clock.mono())
+        self._restarts.look(fact, world.clock.mono())
         values: dict[str, api.Value] = {"restart_count": fact.restart_count}
         if fact.running:
             return self._running(fact, {"pid": fact.pid, **values})
         return self._stopped(fact, {"exit_code": fact.exit_code, **values})
 
     def _running(self, fact: api.ContainerFact, values: dict[str, api.Value]) -> api.Result:
-        lives = self._lives
-        if lives.looping:
-            who = f"{lives.by_hand} times" if not lives.by_engine else f"by Docker (restart {fact.restart_count})"
+        starts = self._restarts
+        if starts.looping:
+            who = f"{starts.by_hand} times" if not starts.by_engine else f"by Docker (restart {fact.restart_count})"
             words = (
                 f"{self.key} is running at the moment, but is restarted repeatedly, {who}, and has not run for "
-                f"{span(lives.steady_s)} in between, expected to stay up. PHM leaves it to its restart policy or operator; see "
+                f"{span(starts.steady_s)} in between, expected to stay up. PHM leaves it to its restart policy or operator; see "
                 f"`docker logs {fact.name}`"
             )
             return self._bad("restarting", words, "crash loop", values)
-        if lives.by_engine and not lives.steady:
+        if starts.by_engine and not starts.steady:
             return api.warn(
                 f"{self.key} exited, and Docker restarted it by its restart policy (restart {fact.restart_count}); it has "
-                f"not run for {span(lives.steady_s)} yet: see `docker logs {fact.name}` for why",
+                f"not run for {span(starts.steady_s)} yet: see `docker logs {fact.name}` for why",
                 brief=brief(self.key, "was restarted"),
                 condition="restarted",
                 target=self.key,
@@ -105,7 +105,7 @@ class Container(PerContainer):
             return self._exited(fact, said, values)
         if status == "restarting":
             return self._restarting(fact, said, values)
-        told = {
+        statuses = {
             "created": ("never started", f"was created but never started: `docker start {fact.name}`"),
             "paused": ("paused", f"is paused, its processes are frozen: `docker unpause {fact.name}`"),
             "dead": (
@@ -114,16 +114,17 @@ class Container(PerContainer):
             ),
             "removing": ("being removed", "is being removed: create it again"),
         }
-        short, words = told.get(status, (f"is {clean(status, 12)}", f"is in the unknown state {clean(status, 40)!r}"))
-        condition = (
-            status if status in told and status != "removing" else "missing" if status == "removing" else "not_running"
+        short, words = statuses.get(
+            status, (f"is {clean(status, 12)}", f"is in the unknown state {clean(status, 40)!r}")
         )
+        known = "missing" if status == "removing" else status
+        condition = known if status in statuses else "not_running"
         return self._bad(condition, f"{key} {words}, expected running.{said}", short, values)
 
     def _restarting(self, fact: api.ContainerFact, said: str, values: dict[str, api.Value]) -> api.Result:
         ended = f"exit code {fact.exit_code}: {code_in_words(fact.exit_code)}"
-        if not self._lives.looping:
-            # Mostly over in a tenth of a second, and seen by chance: it is judged by what comes of it.
+        if not self._restarts.looping:
+            # Usually over within 0.1 s: wait for its outcome.
             return api.stale(f"{self.key} has exited ({ended}); Docker is about to restart it", brief="", **values)
         words = (
             f"{self.key} exits repeatedly; Docker waits before restarting it (restart {fact.restart_count}; last {ended})."

@@ -1,4 +1,4 @@
-"""Slot 5: the devices that the application uses are there, usable, and mapped into its container."""
+"""Slot 5: the application's devices exist, can be opened, and are mapped into its container."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from phm_checks._text import brief, clean, joined, last, listed
 _SERIAL_MAJORS = frozenset({166, 188, 204})
 """ttyACM, ttyUSB and the UARTs of ARM boards, from the kernel's devices.txt; ttyS is 4 from minor 64 on."""
 SETTLE_S = 0.1
-"""A device is looked at as soon as its folder changes; rules of udev may make its node and links anew within a moment."""
+"""udev rules may recreate a device file and its links within a moment; the check runs on each change of the folder."""
 _RULE = re.compile(r"^([acb])\s+(\d+|\*):(\d+|\*)(?:\s+[rwm]+)?$")
 
 
 def is_serial(fact: api.DeviceFact) -> bool:
-    """Whether opening it could raise a modem line and so reset what is behind it."""
+    """Whether opening it could raise a modem line and so reset the hardware behind it."""
     return fact.major in _SERIAL_MAJORS or (fact.major == 4 and fact.minor >= 64) or bool(fact.description)
 
 
 @dataclass(slots=True)
 class _Known:
-    """A device as it was first seen in this life of the container; `away` once it was missing or another since."""
+    """A device as first seen since the container started; `away` once it was missing or replaced."""
 
     generation: str
     numbers: tuple[int, int, int] | None
-    """Major, minor and inode; None when it was missing then."""
+    """Major, minor and inode; None if it was missing."""
     away: bool = False
 
 
 class Devices(PerContainer):
     """All configured devices of one container.
 
-    The unit needs no running container: Docker refuses to start one whose device is missing, so the
-    device is the cause then.
+    The unit does not depend on a running container: Docker refuses to start a container whose device is missing, and
+    then the device is the cause.
     """
 
     name, slot = "devices", Slot.DEVICES
     period_s = 5.0
-    """A device that comes, goes or changes its rights wakes the check; this is for what only opening it shows."""
+    """Changes of a device file wake the check; the period is for problems that only opening the device shows."""
 
     def __init__(self, entry: api.ContainerSettings) -> None:
         super().__init__(entry)
@@ -75,9 +75,9 @@ class Devices(PerContainer):
         return api.Result(first.level, summary, first.brief, first.condition, first.target, values)
 
     def _container(self, world: api.World) -> tuple[api.ContainerFact | None, str]:
-        """The container, or None and why its mapping cannot be judged."""
+        """The container, or None and why its mapping cannot be checked."""
         try:
-            return world.docker.container(self.key), f"there is no container {self.key}"
+            return world.docker.container(self.key), f"container {self.key} does not exist"
         except api.CannotTell as reason:
             return None, clean(str(reason))
 
@@ -100,10 +100,10 @@ class Devices(PerContainer):
             return self._bad(path, words, "not a device", "device_wrong_type")
         if fact.openable is False:
             words = (
-                f"{path} is there but cannot be used{_because(fact.reason)}: check its driver, cable and access rights"
+                f"{path} exists but cannot be used{_because(fact.reason)}: check its driver, cable and access rights"
             )
             return self._bad(path, words, "cannot be opened", "device_refused")
-        found = f"{path} is there{_because(fact.description)}"
+        found = f"{path} exists{_because(fact.description)}"
         if not wanted.mapped:
             return api.ok(found)
         if container is None:
@@ -143,7 +143,7 @@ class Devices(PerContainer):
             return self._bad(wanted.path, words, "plugged in again", "device_replugged")
         if not problem:
             return api.ok(f"{found}, mapped into {self.key}")
-        words = f"{wanted.path} is there, but {self.key} cannot use it: {problem}"
+        words = f"{wanted.path} exists, but {self.key} cannot use it: {problem}"
         return self._bad(wanted.path, words, "not mapped", "device_unmapped")
 
     @staticmethod
@@ -159,12 +159,12 @@ class Devices(PerContainer):
         return other is not None and other.character and (other.major, other.minor) == (fact.major, fact.minor)
 
     def _lost(self, path: str, container: api.ContainerFact) -> bool:
-        """Whether the container holds a device file of before; one that does not run gets a new one at its start."""
+        """Whether the container has an outdated copy of the device file. A stopped container gets a new one at its start."""
         alive = container.status in ("running", "paused")
-        return alive and self._known[path].away and not _lives(path, container)
+        return alive and self._known[path].away and not _follows_host(path, container)
 
     def _remember(self, path: str, fact: api.DeviceFact | None, container: api.ContainerFact) -> None:
-        """Docker copies a device file when the container starts; one that goes and comes back is lost to it."""
+        """Track changes of a device. Docker copies its file when the container starts, so a replaced device needs a restart."""
         numbers = (fact.major, fact.minor, fact.inode) if fact is not None else None
         known = self._known.get(path)
         if known is None or known.generation != container.generation:
@@ -174,7 +174,7 @@ class Devices(PerContainer):
 
     @staticmethod
     def _through_mount(path: str, fact: api.DeviceFact, container: api.ContainerFact) -> str:
-        """Empty when a bind of /dev together with a device cgroup rule brings it; else what is lacking."""
+        """Empty when a bind mount and a device cgroup rule provide the device; else what is missing."""
         bound = any(
             one.kind == "bind" and (path == one.source or path.startswith(f"{one.source.rstrip('/')}/"))
             for one in container.mounts
@@ -193,8 +193,8 @@ class Devices(PerContainer):
         return api.error(words, brief=brief(last(path), short), condition=condition, target=self.key)
 
 
-def _lives(path: str, container: api.ContainerFact) -> bool:
-    """Whether the container sees the device through a bound folder, such as all of /dev, so that it changes with the host's."""
+def _follows_host(path: str, container: api.ContainerFact) -> bool:
+    """Whether a bind-mounted folder such as /dev contains the device, so that the container sees the host's changes."""
     folders = (one.source.rstrip("/") for one in container.mounts if one.kind == "bind")
     return any(path.startswith(f"{folder}/") for folder in folders)
 
@@ -204,7 +204,7 @@ def _because(text: str) -> str:
 
 
 def _allows(rule: str, fact: api.DeviceFact) -> bool:
-    """Whether a device cgroup rule such as ``c 188:* rmw`` covers the device; one without reading does not help."""
+    """Whether a device cgroup rule such as ``c 188:* rmw`` allows reading the device."""
     match = _RULE.match(rule.strip())
     if match is None or (" " in rule.strip() and not set(rule.split()[-1]) & set("r")):
         return False

@@ -1,4 +1,4 @@
-"""Slot 6: what the nodes say of themselves on /diagnostics, for each configured name or pattern."""
+"""Slot 6: the statuses that nodes publish on /diagnostics, for each configured name or pattern."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._text import brief, clean, did_you_mean, last, listed, span
 
-OLD_PICTURE_S = 5.0
-"""What the ROS child said longer ago than this proves nothing."""
+OLD_SNAPSHOT_S = 5.0
+"""Older snapshots of the ROS child process are not evaluated."""
 SETTLE_S = 1.5
-"""Statuses come once a second by convention: one that the next message corrects is not told."""
-LIFE_S = 10.0
-"""How often the engine is asked, while all is well, whether the container was started anew."""
+"""Statuses come once a second by convention: a status that the next message corrects is not reported."""
+GENERATION_S = 10.0
+"""How often the engine is asked whether the container was restarted, while all statuses are OK."""
 VALUES = 8
-"""Key-values of the worst status that are kept in the result; its message has what matters."""
+"""How many key-value pairs of the worst status the result keeps."""
 
 _LEVELS = {0: Level.OK, 1: Level.WARN, 2: Level.ERROR}
 _STALE_IS = {"error": Level.ERROR, "warn": Level.WARN, "stale": Level.STALE}
@@ -45,7 +45,7 @@ class Watched:
 
 @dataclass(frozen=True)
 class Judged:
-    """One status and what is to be thought of it. words: what is wrong, as `says ERROR: no image`."""
+    """One status and its evaluation. `words`: what is wrong, e.g. `reports ERROR: no image`."""
 
     name: str
     fact: api.DiagnosticFact
@@ -56,7 +56,7 @@ class Judged:
 
 
 class Diagnostics(api.Check):
-    """All watched statuses, one unit each; the worst of those that match a unit counts."""
+    """All watched statuses, one unit per entry with the worst status that matches it."""
 
     name, slot, layer = "diagnostics", Slot.NODES, Layer.ROS
     period_s = 1.0
@@ -65,7 +65,7 @@ class Diagnostics(api.Check):
         self._watched = tuple(watched)
         self._patterns = {item.unit: item.pattern for item in watched}
         self._grace_s = grace_s
-        self._lives: dict[str, str] = {}
+        self._generations: dict[str, str] = {}
         self._began_s: dict[str, float] = {}
         self._asked_s: dict[str, float] = {}
 
@@ -88,12 +88,12 @@ class Diagnostics(api.Check):
         return frozenset({"ros", *(f"container:{key}" for key in keys)})
 
     def run(self, world: api.World) -> Mapping[str, api.Result]:
-        """A result for each unit; STALE for all when the ROS child says nothing."""
+        """A result for each unit; STALE for all without recent data from the ROS child process."""
         try:
             fact = world.ros.look()
         except api.CannotTell as reason:
             return {item.unit: api.stale(str(reason)) for item in self._watched}
-        if fact.age_s > OLD_PICTURE_S:
+        if fact.age_s > OLD_SNAPSHOT_S:
             words = f"the ROS child process has sent nothing for {span(fact.age_s)}, too old to evaluate"
             return {item.unit: api.stale(words) for item in self._watched}
         return {item.unit: self._judge(world, item, fact) for item in self._watched}
@@ -114,19 +114,19 @@ class Diagnostics(api.Check):
     def _judge(self, world: api.World, item: Watched, fact: api.RosFact) -> api.Result:
         matching = {name: said for name, said in fact.diagnostics.items() if self._patterns[item.unit].fullmatch(name)}
         judged = [_judged(name, said, item.entry) for name, said in sorted(matching.items())]
-        well = bool(judged) and all(one.level is Level.OK for one in judged)
-        began_s = self._container_began(world, item.container, well)
-        # A status that was last heard before the container was started anew need not come again.
+        healthy = bool(judged) and all(one.level is Level.OK for one in judged)
+        began_s = self._container_began(world, item.container, healthy)
+        # A status received before the container restarted need not come again.
         judged = [one for one in judged if one.fact.age_s <= world.clock.mono() - began_s]
         if not judged:
-            return self._unheard(item, fact, world.clock.mono() - began_s)
+            return self._not_received(item, fact, world.clock.mono() - began_s)
         worst = min(judged, key=lambda one: _RANK[one.level])
         if worst.level is Level.OK:
-            return api.ok(_well(judged), heard=len(judged))
+            return api.ok(_ok_summary(judged), heard=len(judged))
         return _bad(worst, judged, item.container)
 
-    def _unheard(self, item: Watched, fact: api.RosFact, ran_s: float) -> api.Result:
-        """ran_s: for how long its container has run, as far as that is known."""
+    def _not_received(self, item: Watched, fact: api.RosFact, ran_s: float) -> api.Result:
+        """The result without any matching status. `ran_s`: how long its container has run, if known."""
         entry = item.entry
         listened_s = min(fact.heard_for_s, ran_s)
         if min(fact.up_s, ran_s) < self._grace_s or listened_s < entry.timeout:
@@ -143,25 +143,25 @@ class Diagnostics(api.Check):
         short = brief(entry.name, "not received")
         return api.Result(level, words, short, "diagnostic_stale", item.container, {"heard": 0})
 
-    def _container_began(self, world: api.World, container: str, well: bool) -> float:
-        """When the present life of the container was first seen, on the monotonic clock; -inf: it is the only one seen."""
+    def _container_began(self, world: api.World, container: str, healthy: bool) -> float:
+        """When a restart of the container was last seen, on the monotonic clock; -inf for no restart."""
         now = world.clock.mono()
-        if not container or (well and now - self._asked_s.get(container, float("-inf")) < LIFE_S):
+        if not container or (healthy and now - self._asked_s.get(container, float("-inf")) < GENERATION_S):
             return self._began_s.get(container, float("-inf"))
         self._asked_s[container] = now
         try:
             fact = world.docker.container(container)
         except api.CannotTell:
             fact = None
-        if fact is not None and fact.generation != self._lives.get(container):
-            if container in self._lives:
+        if fact is not None and fact.generation != self._generations.get(container):
+            if container in self._generations:
                 self._began_s[container] = now
-            self._lives[container] = fact.generation
+            self._generations[container] = fact.generation
         return self._began_s.get(container, float("-inf"))
 
 
 def _publisher(name: str, settings: api.Settings) -> str:
-    """The configured node that diagnostic_updater would put before the colon of this name; empty when not exactly one."""
+    """The configured node that diagnostic_updater names before the colon; empty if not exactly one node matches."""
     before, colon, _ = name.partition(":")
     if not colon:
         return ""
@@ -182,12 +182,12 @@ def _judged(name: str, said: api.DiagnosticFact, entry: api.WatchedDiagnosticSet
     level = _LEVELS.get(said.level, Level.ERROR)
     if level is Level.OK:
         return Judged(name, said, level)
-    # As diagnostic_aggregator: a level that does not exist is an error.
-    told = level.name if said.level in _LEVELS else f"the unknown level {said.level}"
-    return Judged(name, said, level, f"diagnostic_{level.name.lower()}", f"reports {told}: {message}", level.name)
+    # As in diagnostic_aggregator: an undefined level is an error.
+    shown = level.name if said.level in _LEVELS else f"the unknown level {said.level}"
+    return Judged(name, said, level, f"diagnostic_{level.name.lower()}", f"reports {shown}: {message}", level.name)
 
 
-def _well(judged: Sequence[Judged]) -> str:
+def _ok_summary(judged: Sequence[Judged]) -> str:
     if len(judged) == 1:
         return f"{clean(judged[0].name, 80)} reports OK: {clean(judged[0].fact.message) or 'no message'}"
     return f"{len(judged)} statuses report OK: {listed(one.name for one in judged)}"

@@ -1,4 +1,4 @@
-"""Slot 2: the Docker Engine answers, and lets PHM ask."""
+"""Slot 2: the Docker Engine responds and permits PHM's requests."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from phm.api import Layer, Slot
 from phm_checks._text import clean
 
 SETTLE_S = 0.3
-"""A lost event stream wakes this check at once, so a refusal need not wait for the next period to be confirmed; a connection that
-is lost and found within a moment is no fault."""
+"""A connection that is lost and restored within this time is not a fault. A lost event stream wakes this check immediately."""
 
 
 class Engine(api.Check):
-    """The Docker Engine. Here, unlike everywhere else, getting no answer *is* the fault."""
+    """The Docker Engine. Unlike in other checks, no response is a fault here, not STALE."""
 
     name, slot, layer = "engine", Slot.CONTAINER, Layer.DOCKER
     period_s = 5.0
@@ -23,7 +22,7 @@ class Engine(api.Check):
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
-        """Nothing to judge when no container is configured."""
+        """One check if any container is configured, else none."""
         return [cls()] if settings.containers else []
 
     @property
@@ -44,9 +43,9 @@ class Engine(api.Check):
                 brief="Docker denies access to PHM",
                 condition="engine_refused",
             )
-        except api.CannotTell as silence:
+        except api.CannotTell as reason:
             return api.error(
-                f"the Docker Engine does not respond: {clean(str(silence))}. Running containers continue without it, but "
+                f"the Docker Engine does not respond: {clean(str(reason))}. Running containers continue without it, but "
                 "they can be neither monitored nor recovered: check `systemctl status docker` and free space on its disk",
                 brief="Docker not responding",
                 condition="engine_down",

@@ -1,4 +1,4 @@
-"""Slot 3: the application's files are there, executable where they must be, and unaltered."""
+"""Slot 3: the application's files exist, are executable where required, and are unaltered."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from phm_checks._per_container import PerContainer
 from phm_checks._text import brief, clean, joined, last, listed
 
 SETTLE_S = 0.2
-"""A file in a volume is looked at as soon as it changes, and whoever replaces one often removes the old one first."""
+"""Programs that replace a file often remove the old one first; the check runs on each change in a volume."""
 
 
 class Files(PerContainer):
     """All configured files of one container.
 
-    The unit does not need the running container: files are also seen in a stopped one, and a missing
-    file may be why it stopped.
+    The unit does not depend on a running container: files of a stopped container are visible too, and a missing file may
+    be the reason why it stopped.
     """
 
     name, slot = "files", Slot.FILES
@@ -38,8 +38,8 @@ class Files(PerContainer):
         return super().wakes | {"file"}
 
     def run(self, world: api.World) -> api.Result:
-        """All problems at once, the first in the brief; ERROR wins over what could not be seen."""
-        # What recovery can put back is named first: the condition of the first decides what is done.
+        """All problems in the summary, the first in the brief; ERROR wins over files that cannot be read."""
+        # Files that recovery can restore come first: the condition of the first selects the action.
         ordered = sorted(self.entry.files, key=lambda wanted: wanted.restore is None)
         findings = [self._judge(world, wanted) for wanted in ordered]
         first = api.worst(findings)

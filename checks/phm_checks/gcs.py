@@ -1,4 +1,4 @@
-"""Slot 1: the ground station is heard."""
+"""Slot 1: heartbeats of the ground station arrive."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from phm_checks._command_path import QUIET_S, all_closed, link_id, radio_id, to_
 from phm_checks._text import StableNumber, brief, span
 
 SAME_S = 0.3
-"""Two moments that differ by less are of one heartbeat."""
+"""Two times that differ by less belong to the same heartbeat."""
 GRACE_S = 5.0
-"""After a link or a radio is back, a ground station has so long to be heard again; it sends a HEARTBEAT a second."""
+"""Time for the first heartbeat, sent once a second, after a link or a radio is back."""
 TOGETHER_S = 2.5
-"""A radio may be heard until so long after the last heartbeat that came through it: these come once a second, and get lost."""
+"""The last RADIO_STATUS may come so much later than the last heartbeat through that radio: heartbeats come once a second,
+and some are lost."""
 
 
 class Gcs(api.Check):
-    """The ground station's heartbeat, on whichever link it comes."""
+    """The ground station's heartbeat, received on any link."""
 
     name, slot, layer = "gcs", Slot.COMPANION, Layer.LINK
     period_s = 1.0
@@ -27,7 +28,7 @@ class Gcs(api.Check):
         self._settings = settings
         self._age = StableNumber(share=1.0)
         self._lost_at: float | None = None
-        """When the ground station was heard last that was told as lost before the timeout."""
+        """Time of the last heartbeat of a ground station reported as lost before the timeout."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -35,7 +36,7 @@ class Gcs(api.Check):
 
     @property
     def units(self) -> Sequence[api.Unit]:
-        """It needs the autopilot only where that passes the ground's frames on."""
+        """The unit depends on the autopilot only if the autopilot forwards the ground station's frames."""
         ground, radios = to_ground(self._settings), with_radio(self._settings)
         through = any(entry.leads_to == "both" for entry in to_autopilot(self._settings))
         needs = [*(link_id(entry) for entry in ground), *(radio_id(entry) for entry in radios)]
@@ -74,11 +75,14 @@ class Gcs(api.Check):
         )
 
     def _early(self, world: api.World, fact: api.GcsFact) -> bool:
-        """Whether it is surely lost before the timeout. A radio that tells of the other one decides: losses come in bursts on the
-        air, and an operator's program may stand still. By other links a pause that it never made is proof enough."""
+        """Whether it is certainly lost, before the timeout.
+
+        With a radio that reports the state of the remote radio, that report decides: radio loss comes in bursts, and a
+        ground station program may hang briefly. On other links an unusually long pause decides.
+        """
         heard_at = world.clock.mono() - fact.age_s
         if self._lost_at is not None and heard_at - self._lost_at < SAME_S:
-            return True  # until it is heard again, whatever the radio finds meanwhile
+            return True  # until its next heartbeat, regardless of later radio reports
         self._lost_at = heard_at if self._surely(world, fact) else None
         return self._lost_at is not None
 
@@ -90,13 +94,14 @@ class Gcs(api.Check):
         return fact.overdue and not self._radio_due(world, fact)
 
     def _radio_due(self, world: api.World, fact: api.GcsFact) -> bool:
-        """Both fell silent together, so it may be the radio; how rarely that reports decides when it is known."""
+        """Whether the radio fell silent at the same time, so that it may be the cause; its reporting period decides when that
+        is known."""
         judged = {entry.key for entry in with_radio(self._settings)} & {fact.link}
         return any(radio.link in judged and radio.age_s >= fact.age_s - TOGETHER_S for radio in world.links.radios())
 
     @staticmethod
     def _advice(world: api.World, fact: api.GcsFact) -> str:
-        """What is well aboard need not be looked at."""
+        """The remedy, without components that are known to work."""
         if _alone(world, fact):
             return (
                 "the onboard radio responds but receives nothing from the ground radio, so check that one, the antennas and "
@@ -113,7 +118,7 @@ class Gcs(api.Check):
 
 
 def _alone(world: api.World, fact: api.GcsFact) -> bool:
-    """Whether the radio aboard has lost the one on the ground, by its own word: damaged frames alone are no such loss."""
+    """Whether the onboard radio reports that it receives nothing from the ground radio; damaged frames alone do not count."""
     if fact.silent_s <= QUIET_S:
         return False
     return any(radio.alone and radio.link == fact.link and radio.age_s < fact.age_s for radio in world.links.radios())

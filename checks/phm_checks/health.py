@@ -1,4 +1,4 @@
-"""Slot 2: what the image's own HEALTHCHECK says."""
+"""Slot 2: the result of the container's HEALTHCHECK."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Health(PerContainer):
         if fact.health == "healthy":
             return api.ok(f"Health check of {self.key} passes", **values)
         if fact.health == "unhealthy" and fact.health_streak == 0:
-            # What the engine says between the end of a pause and the first probe after it.
+            # The engine reports this between the end of a pause and the first probe after it.
             return api.stale(
                 f"health check of {self.key} has not run since the container was paused", brief="", **values
             )
@@ -61,9 +61,9 @@ class Health(PerContainer):
         return self._none(values)
 
     def _note_probe(self, fact: api.ContainerFact | None, now: float) -> float:
-        """When the engine's newest probe began, at the earliest (monotonic seconds); -inf: before PHM looked first.
+        """Earliest possible start of the engine's newest probe, in monotonic seconds; -inf if before PHM's first look.
 
-        A probe that fails counts up the streak; it came after the look before, and may have taken its whole time-out.
+        A failed probe increases the streak. It ended after PHM's previous look and may have taken its entire timeout.
         """
         probed = None if fact is None else (fact.generation, fact.health, fact.health_streak)
         if probed != self._probed:

@@ -1,4 +1,4 @@
-"""Slot 9: the companion computer has processor, memory, disk, cool and a steady clock to spare."""
+"""Slot 9: CPU, memory, disk, temperature and clock of the companion computer are within their limits."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from phm_checks._host_pressure import HostPressure
 from phm_checks._text import StableNumber, brief, clean, joined, listed, span
 from phm_checks._threshold import Threshold
 
-__all__ = ["STEP_TOLD_S", "Host", "Threshold"]
+__all__ = ["STEP_REPORT_S", "Host", "Threshold"]
 
-STEP_TOLD_S = 30.0
-"""A jump of the clock lasts one reading; it is told for this long so that it is seen."""
+STEP_REPORT_S = 30.0
+"""A clock jump shows in one reading; it is reported for this long so that operators see it."""
 SUSPECTS = ("memory", "disk")
-"""A full disk or used-up memory can be behind any fault; neither need be."""
+"""A full disk or exhausted memory can be, but need not be, the cause of any other fault."""
 
 
 class Host(api.Check):
@@ -67,7 +67,7 @@ class Host(api.Check):
         }
 
     def _judge_memory(self, fact: api.HostFact, now: float) -> api.Result:
-        """How much is used; and, worse, that tasks already wait for it."""
+        """Memory usage, and the time that tasks wait for memory."""
         used, stalled = fact.memory_percent, self._judge_memory_stalls(fact, now)
         values: dict[str, api.Value] = {
             "memory_percent": round(used, 1),
@@ -154,12 +154,12 @@ class Host(api.Check):
             f"{self._limits.disk.warn:g} %: remove old logs, bags and images (`docker system df`)"
         )
         short = brief(f"disk {path}", f"{self._steady.show(disk.path, most):.0f} %")
-        # Recovery may make room, where it is told what may go.
+        # Recovery can free space only if the configuration lists what it may delete.
         target = f"disk:{disk.path}" if self._limits.free_disk else ""
         return api.Result(level, words, short, "disk_full", target, values)
 
     def _judge_temperature(self, fact: api.HostFact) -> api.Result:
-        """Heat and throttling: what both come to is a processor that runs slower than it should."""
+        """Temperature and throttling: both slow the CPU down."""
         fans: dict[str, api.Value] = {f"fan_rpm {number}": rpm for number, rpm in enumerate(fact.fans_rpm)}
         if fact.temperature_c is None and fact.throttled is None:
             return api.bypass("This machine does not report its temperature.", **fans)
@@ -189,14 +189,14 @@ class Host(api.Check):
         return api.ok(f"{heat}{earlier}", **values)
 
     def _judge_clock(self, fact: api.HostFact, now: float) -> api.Result:
-        """A jump is told; being unsynchronised is only said: an aircraft in the field often has no time source."""
+        """WARN after a jump. An unsynchronised clock is only mentioned: in the field there is often no time source."""
         if abs(fact.clock_step_s) > self._limits.clock_step:
             self._step = (now, fact.clock_step_s)
         values: dict[str, api.Value] = {
             "clock_synchronized": fact.clock_synchronized,
             "clock_step_s": round(fact.clock_step_s, 3),
         }
-        if self._step is not None and now - self._step[0] < STEP_TOLD_S:
+        if self._step is not None and now - self._step[0] < STEP_REPORT_S:
             step = self._step[1]
             words = (
                 f"the UTC clock jumped by {step:+.1f} s, expected at most {self._limits.clock_step:g} s: timestamps before and "

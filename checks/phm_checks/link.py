@@ -1,4 +1,4 @@
-"""Slot 1: each MAVLink endpoint is open, and what comes by it is whole. A serial port that is closed says why."""
+"""Slot 1: each MAVLink endpoint is open and its data are intact. A closed serial port is reported with the reason."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from phm_checks._command_path import kind, link_id, link_of, named, routed, star
 from phm_checks._text import StableNumber, brief, clean, joined, last, listed, span
 
 SETTLE_S = 2.0
-"""A port or a connection that is opened anew at once is no news: an autopilot on USB is away for a moment when it reboots."""
+"""A port or connection that reopens within this time is not reported: a USB autopilot disappears briefly when it reboots."""
 REFUSALS, STEADY_S = 2, 5.0
-"""So many attempts refused in a row, 0.3 s: nobody is there any more, which is news when it was open for STEADY_S before."""
+"""After so many refused attempts in a row (0.3 s) nothing listens any more. Reported without settle time if the endpoint
+had been open for STEADY_S."""
 GRACE_S = 5.0
 SILENT_S = 3.0
-"""A router behind which several were heard a moment ago sends at least their heartbeats, one a second each."""
+"""A router with several recent senders forwards at least their heartbeats, one per second each."""
 TOGETHER_S = 3.0
 GARBLED_S = 20.0
-"""Bytes a second of which none make a frame: something speaks, and it is not MAVLink at this speed."""
+"""Bytes per second without one valid frame: the data are not MAVLink at this baud rate."""
 LINE_ERRORS_S = 1.0
 EASE = 0.7
 MOST_SENDERS = 8
@@ -42,8 +43,8 @@ class Link(api.Check):
         self._open_since: float | None = float("-inf")
         """None while it is closed."""
         self._opened = self._steady = False
-        """Whether it ever was open, and whether it last was so for STEADY_S."""
-        self._told_by = _devices_of(entry, settings)
+        """Whether it has ever been open, and whether the last time lasted STEADY_S."""
+        self._device_unit = _devices_of(entry, settings)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -88,11 +89,11 @@ class Link(api.Check):
     # ------------------------------------------------------------ closed
 
     def _closed(self, world: api.World, link: api.LinkFact) -> api.Result:
-        """An error, unless all that it leads to is heard by another: then only a reserve is lost."""
+        """ERROR, or WARN while another endpoint reaches the same peers: then only redundancy is lost."""
         missing = self.entry.serial and not self._there(world, link)
-        if missing and self._told_by:
-            # Not by a need: another device of that container would then hide what is wrong with this link.
-            return api.stale(f"the port {self.entry.url} is missing, which {self._told_by} reports")
+        if missing and self._device_unit:
+            # Not as a dependency: a fault of another device of that container would then hide faults of this link.
+            return api.stale(f"the port {self.entry.url} is missing, which {self._device_unit} reports")
         if missing:
             why = f"the port {self.entry.url} is missing: check its cable and power. Ports present: {_ports(world)}"
             short = f"{last(self.entry.url)} missing"
@@ -116,7 +117,7 @@ class Link(api.Check):
             return link.code != errno.ENOENT
 
     def _port(self, world: api.World, link: api.LinkFact) -> tuple[str, str]:
-        """Why a serial port that is there is closed, and the same in a few words: may PHM open it, who else has it."""
+        """Why an existing serial port is closed (permission, another user, failure), and the same in a few words."""
         path, said, name = self.entry.url, clean(link.error) or "no reason given", last(self.entry.url)
         if link.code == errno.ENOENT:
             return (
@@ -134,8 +135,8 @@ class Link(api.Check):
             by = f" by {who[0].partition(' (')[0]}" if who else ""
             whose = listed(who) if who else "a program that PHM cannot see from its container"
             return (
-                f"the port {path} is in use by {whose}: two programs on one port take each other's bytes; stop one, or put a "
-                "MAVLink router between",
+                f"the port {path} is in use by {whose}: two programs on one port take each other's bytes; stop one, or share "
+                "the port through a MAVLink router",
                 f"{name} in use{by}",
             )
         return f"the port {path} exists but cannot be used ({said}): check its cable and driver", f"{name} failed"
@@ -148,7 +149,7 @@ class Link(api.Check):
         return f"{said} ({self.entry.url}): check the network, the address, and that {what} runs", clean(said, 24)
 
     def _spare(self, world: api.World) -> bool:
-        """Whether the ground and the autopilot, as far as this one leads there, are being heard by other endpoints."""
+        """Whether other endpoints receive from the ground and the autopilot, as far as this endpoint leads there."""
         if not (self.entry.to_ground or self.entry.to_autopilot):
             return False
         gcs, pilot, limits = world.links.gcs(), world.links.autopilot(), self._settings.mavlink
@@ -164,7 +165,7 @@ class Link(api.Check):
     # ------------------------------------------------------------ open
 
     def _silent(self, world: api.World, link: api.LinkFact) -> list[api.Result]:
-        """Several senders behind a router cannot all stop at once; the router can."""
+        """When all of several senders behind a router stop together, the router has stopped."""
         silent_s = link.rx_age_s
         if silent_s is None or silent_s < SILENT_S or not routed(world, self.entry) or self._just_opened(world):
             return []
@@ -183,7 +184,7 @@ class Link(api.Check):
         ]
 
     def _just_opened(self, world: api.World) -> bool:
-        """What was silent while it was closed has had no time to be heard: opening it once more would only take longer."""
+        """Whether senders had no time yet to be received; reopening the endpoint would only prolong that."""
         return self._open_since is not None and world.clock.mono() - self._open_since < SILENT_S
 
     def _garbled(self, link: api.LinkFact) -> list[api.Result]:
@@ -216,8 +217,8 @@ class Link(api.Check):
         return found
 
     def _lossy(self, world: api.World, link: api.LinkFact) -> list[api.Result]:
-        """Judged for the neighbour on a serial port alone: routers and autopilots keep back what is not for PHM, and that
-        leaves gaps, too."""
+        """Frame loss of the direct neighbour on a serial port. Other senders are not evaluated: routers and autopilots
+        filter frames, which leaves gaps in their sequence numbers too."""
         neighbour = self._neighbour(world)
         sender = next((one for one in link.senders if (one.system, one.component) == neighbour), None)
         loss = sender.loss_percent if sender is not None else None
@@ -241,7 +242,7 @@ class Link(api.Check):
 
 
 def _devices_of(entry: api.EndpointSettings, settings: api.Settings) -> str:
-    """The unit that tells when the port is gone, because it is also a device of that container; empty for none."""
+    """The unit that reports a missing port because the port is also a configured device; empty for none."""
     check = settings.checks.get("devices")
     if check is not None and not check.enabled:
         return ""

@@ -1,4 +1,4 @@
-"""Slot 4: the container is on its networks, PHM is beside it, and its address answers."""
+"""Slot 4: the container is on its networks, PHM is on them too, and the container's address responds."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from phm_checks._data_path import DataPath
 from phm_checks._per_container import PerContainer
 from phm_checks._text import brief, clean, joined, listed
 
-_NO_ORDER = ("network_missing", "no_network", "disconnected", "sidecar_disconnected", "address_silent")
-"""Causes before consequences: the first of these that was found is the condition of the unit."""
+_BY_CAUSE = ("network_missing", "no_network", "disconnected", "sidecar_disconnected", "address_silent")
+"""Causes before consequences: the first of these found is the condition of the unit."""
 GRACE_S = 3.0
-"""After its start PHM joins the networks by itself; until then it is apart from them, and that is no fault."""
+"""PHM joins the networks after its own start; until then being disconnected is not a fault."""
 
 
 class Network(PerContainer):
@@ -25,7 +25,7 @@ class Network(PerContainer):
 
     def __init__(self, entry: api.ContainerSettings, settings: api.Settings) -> None:
         super().__init__(entry)
-        self._deaf = DataPath(self.key, settings)
+        self._data_path = DataPath(self.key, settings)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -53,7 +53,7 @@ class Network(PerContainer):
         findings = [self._judge(world, fact, name) for name in self.entry.networks]
         bad = sorted(
             (finding for finding in findings if finding.level.bad),
-            key=lambda finding: _NO_ORDER.index(finding.condition),
+            key=lambda finding: _BY_CAUSE.index(finding.condition),
         )
         values: dict[str, api.Value] = {"networks": len(findings), "networks_bad": len(bad)}
         if bad:
@@ -62,16 +62,16 @@ class Network(PerContainer):
         return self._blocked(world, fact) or api.ok(joined([finding.summary for finding in findings]), **values)
 
     def _blocked(self, world: api.World, fact: api.ContainerFact) -> api.Result | None:
-        """The network is as it must be, and what the nodes say still does not come."""
-        why, never = self._deaf.why(world, fact.generation), self._deaf.never_heard
-        if not why and (absent := self._deaf.absent(world)):
+        """The result when the networks are correct, but no data from the nodes arrive; None when they do."""
+        why, never = self._data_path.why(world, fact.generation), self._data_path.never_heard
+        if not why and (absent := self._data_path.absent(world)):
             return self._bad(
                 f"{self.key} is connected and responds, but {absent}: check ROS_DOMAIN_ID, firewalls and discovery between PHM and "
                 "it; PHM restarts nothing for this",
                 "nodes unreachable",
                 "nodes_unreachable",
             )
-        if not why and self._deaf.waiting(world, fact.generation):
+        if not why and self._data_path.waiting(world, fact.generation):
             return api.stale(
                 f"{self.key} is connected; its transport was blocked before it was restarted, and nothing has been received from its nodes since"
             )
@@ -89,12 +89,12 @@ class Network(PerContainer):
             "transport blocked",
             "transport_blocked",
         )
-        # Whose address was not asked for may be well, and PHM's own way to it broken: nothing is restarted for that.
+        # Without an address check the fault may be on PHM's side of the network: no recovery target.
         target = found.target if self.entry.address else ""
         return replace(found, evidence=api.Evidence(never_ok=never), target=target)
 
     def _mode(self, fact: api.ContainerFact) -> api.Result | None:
-        """The network modes in which a container cannot be on a network of its own."""
+        """The result for network modes in which a container has no network of its own; None for other modes."""
         mode, names = fact.network_mode, listed(self.entry.networks)
         if mode == "host":
             return api.bypass(
@@ -134,7 +134,7 @@ class Network(PerContainer):
         return self._sidecar(world, attached, name, network_id)
 
     def _sidecar(self, world: api.World, attached: api.Attachment, name: str, network_id: str) -> api.Result:
-        """A PHM that runs on the host, or with its network, reaches every bridge network as it is."""
+        """PHM and the container can reach each other. On the host's network PHM reaches every bridge network."""
         me = world.docker.myself()
         beside = me is None or me.network_mode == "host" or any(one.network_id == network_id for one in me.networks)
         if not beside:
@@ -152,7 +152,7 @@ class Network(PerContainer):
                 f"no address on {name}",
                 "disconnected",
             )
-        # One lost echo is no fault, so a silent address is asked twice.
+        # A single lost echo is not a fault, so a silent address is tried twice.
         if world.docker.reachable(attached.address) or world.docker.reachable(attached.address):
             return api.ok(f"{self.key} is connected to {name} and responds at {attached.address}")
         return self._bad(
@@ -163,5 +163,5 @@ class Network(PerContainer):
         )
 
     def _bad(self, words: str, short: str, condition: str, subject: str | None = None) -> api.Result:
-        told = self.key if subject is None else subject
-        return api.error(words, brief=brief(told, short), condition=condition, target=self.key)
+        named = self.key if subject is None else subject
+        return api.error(words, brief=brief(named, short), condition=condition, target=self.key)

@@ -1,5 +1,7 @@
-"""The way of a command from the ground to the autopilot, in one sentence: "the swarm was told to move and some did not:
-where did the command stop?" Its unit raises no alarm: the hop that is broken does."""
+"""The command path from the ground station to the autopilot, hop by hop, in one sentence.
+
+It shows where a command stops. Its unit raises no alarm: the unit of the broken hop does.
+"""
 
 from __future__ import annotations
 
@@ -32,15 +34,15 @@ from phm_checks.link import Link
 from phm_checks.radio import Radio
 
 OLD_S = 5.0
-"""A picture of the graph older than this proves nothing."""
+"""Older snapshots of the graph are not evaluated."""
 HANG_S = 5.0
 
 
 class CommandPath(api.Check):
     """Ground station, radio, port or router, companion, application, autopilot: each hop with its evidence.
 
-    It needs every unit on the way, so that while one of them is bad it is STALE, blocked by that one, and each of their
-    faults names `path` among its consequences.
+    The unit depends on the unit of each hop. While one of these is bad, it is STALE and blocked by it, and the fault of
+    the hop lists `path` among its consequences.
     """
 
     name, slot, layer = "path", Slot.AUTOPILOT, Layer.LINK
@@ -85,12 +87,12 @@ class CommandPath(api.Check):
         return found.with_evidence(api.Evidence(broken_hop=broken.name))
 
     def _hops(self, world: api.World) -> list[Hop]:
-        near = [self._name(entry) for entry in self._ground]
+        ports = [self._name(entry) for entry in self._ground]
         radios = {entry.key: named("radio", entry, self._radios) for entry in self._radios}
         through = ["autopilot"] if any(entry.leads_to == "both" for entry in self._ground) else []
         beyond = [entry for entry in self._flight if entry not in self._ground]
         return [
-            _ground(self._gcs.run(world), [*near, *through, *radios.values()]),
+            _ground(self._gcs.run(world), [*ports, *through, *radios.values()]),
             *(hop(radios[one.key], self._radio[one.key].run(world), [self._name(one)]) for one in self._radios),
             *(self._link(world, entry) for entry in self._ground),
             Hop("companion", HopState.OK),
@@ -103,14 +105,14 @@ class CommandPath(api.Check):
         return named(kind(entry), entry, self._ways)
 
     def _link(self, world: api.World, entry: api.EndpointSettings) -> Hop:
-        """Nothing passes by one that is closed, whoever tells that."""
+        """The hop of one endpoint. A closed endpoint is broken even if another unit reports why."""
         found, link = hop(self._name(entry), self._links[entry.key].run(world)), link_of(world, entry.key)
         closed = found.state is HopState.UNKNOWN and link is not None and not link.open
         return replace(found, state=HopState.BROKEN) if closed else found
 
     def _application(self, world: api.World) -> Hop:
-        """By the graph and the beacons. What the nodes' own check finds beyond that blocks this unit all the same, and is
-        told there."""
+        """The hop of the configured nodes, from the graph and the beacons. Other faults of the nodes block this unit as well
+        and are reported by the check `nodes`."""
         try:
             fact = world.ros.look()
         except api.CannotTell:
@@ -130,5 +132,5 @@ class CommandPath(api.Check):
 
 
 def _ground(result: api.Result, behind: Sequence[str]) -> Hop:
-    """A ground station is never unused: one that was not heard yet is not known."""
+    """The hop of the ground station. Unknown, never unused, before its first heartbeat."""
     return Hop("GCS", HopState.UNKNOWN, "no heartbeat yet") if result.bypass else hop("GCS", result, behind)

@@ -1,4 +1,4 @@
-"""Slot 12: the other agents live, as the swarm agrees; the network between them is whole."""
+"""Slot 12: the other agents are alive according to the swarm, and the network between them is intact."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from phm.api import Layer, Level, Slot
 from phm_checks._text import brief, joined, span
 
 GRACE_S = 30.0
-"""Agents are switched on one after another: for so long after PHM's start nobody is missed."""
+"""Agents are switched on one after another: a missing agent is not reported so soon after PHM's start."""
 SETTLE_S = 5.0
-"""Agents that vanish together are mostly known to be lost together (`phm.swarm.group_loss`), and else within seconds of each
-other: a split is told, at once, before single agents are."""
-WHOLE = "peers/swarm"
+"""Agents that disappear together are detected together (`phm.swarm.group_loss`) or within seconds of each other. A split
+is reported immediately, before single agents are."""
+SWARM = "peers/swarm"
 
 
 class Peers(api.Check):
-    """One unit for each configured agent, and one for the swarm as a whole, which tells of all others."""
+    """One unit for each configured agent, and one for the entire swarm, which also reports the agents not configured."""
 
     name, slot, layer = "peers", Slot.PEERS, Layer.LINK
     period_s = 1.0
@@ -25,10 +25,10 @@ class Peers(api.Check):
     def __init__(self, agents: Sequence[int]) -> None:
         self._agents = tuple(agents)
         self._away: frozenset[int] = frozenset()
-        """Who vanished together, as told: they come back one by one, and that is not told each time."""
+        """The agents reported as disappeared together. They return one by one, which does not change the report."""
         self._units = (
-            api.Unit(WHOLE, grace_s=GRACE_S),
-            *(api.Unit(_unit(agent), needs=(WHOLE,), settle_s=SETTLE_S, grace_s=GRACE_S) for agent in self._agents),
+            api.Unit(SWARM, grace_s=GRACE_S),
+            *(api.Unit(_unit(agent), needs=(SWARM,), settle_s=SETTLE_S, grace_s=GRACE_S) for agent in self._agents),
         )
 
     @classmethod
@@ -48,10 +48,10 @@ class Peers(api.Check):
     def run(self, world: api.World) -> Mapping[str, api.Result]:
         fact = world.swarm.look()
         results = {_unit(agent): _agent(agent, fact) for agent in self._agents}
-        return {WHOLE: self._whole(fact), **results}
+        return {SWARM: self._swarm(fact), **results}
 
-    def _whole(self, fact: api.SwarmFact) -> api.Result:
-        """What concerns several agents, and agents that are not configured one by one."""
+    def _swarm(self, fact: api.SwarmFact) -> api.Result:
+        """Faults of several agents, and faults of agents that are not in the configuration."""
         settled = {agent for agent, peer in fact.peers.items() if peer.since_s >= SETTLE_S}
         found = [*_clashes(fact), *_alone(fact), *self._split(fact)]
         if not found:
@@ -99,7 +99,7 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
         "heard_by": len(peer.heard_by),
         "not_heard_by": len(peer.not_heard_by),
     }
-    # Another agent has lost it, too, so the cause is not that this agent is late.
+    # Another agent has lost it too, so a delay on this agent is not the cause.
     known = api.Evidence(conclusive=bool(set(peer.not_heard_by) - {fact.own}))
     dissent = f", but still received by {_names(peer.heard_by)}" if peer.heard_by else ""
     silent = "" if peer.age_s is None else f", here for {span(peer.age_s)}"
@@ -139,7 +139,7 @@ def _clashes(fact: api.SwarmFact) -> list[api.Result]:
 
 
 def _alone(fact: api.SwarmFact) -> list[api.Result]:
-    """All others at once: it is this agent's own radio, as far as it can know, and one fault."""
+    """One fault when all others are lost together: the likely cause is this agent's own radio."""
     lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost" and fact.own not in peer.heard_by]
     here = [agent for agent, peer in fact.peers.items() if peer.state != "left"]
     if len(lost) < 2 or len(lost) < len(here):

@@ -14,17 +14,17 @@ from phm_checks._text import StableNumber, brief, joined
 from phm_checks._window_threshold import WindowThreshold
 
 NEWEST_S = 0.9
-"""The newest part of the window, a little less than the period."""
+"""Length of the newest part of the window, slightly less than the period."""
 IO_S = 5.0
-"""A container that waits for the disk has nothing else to do as long as it waits; a short write to a slow card is no fault."""
-KILLED_TOLD_S = 10.0
-"""A process killed for lack of memory is gone at one reading; it is reported for this long so that it is seen."""
+"""Window for disk waits: a short write to a slow card is not a fault."""
+KILL_REPORT_S = 10.0
+"""A process killed for lack of memory shows in one reading; it is reported for this long so that operators see it."""
 LOOK_FROM = 0.5
-"""From this share of the limit for waiting on, it is found out who has the CPUs: that takes two readings."""
+"""From this share of the waiting limit on, the top CPU consumer is determined: that takes two readings."""
 
 
 class Pressure(PerContainer):
-    """The container's limits, and what others leave of the computer, are enough for it."""
+    """The container's limits, and the resources that other programs leave, are sufficient."""
 
     name, slot = "pressure", Slot.HOST
     period_s = 1.0
@@ -52,7 +52,7 @@ class Pressure(PerContainer):
 
     @property
     def units(self) -> Sequence[api.Unit]:
-        """A start takes what it gets: it has the grace that the nodes in it have."""
+        """The unit has the grace period of the nodes: a start needs more resources than normal operation."""
         needs = (f"container/{self.key}",)
         return (api.Unit(self.unit_id, needs=needs, target=self.key, grace_s=self._grace_s),)
 
@@ -114,7 +114,7 @@ class Pressure(PerContainer):
         if newest.oom_kills:
             self._killed = now, newest.oom_kills
         levels = self._memory.level(over.memory, newest.memory), self._faults.level(over.faults_hz, newest.faults_hz)
-        if self._killed is not None and now - self._killed[0] < KILLED_TOLD_S:
+        if self._killed is not None and now - self._killed[0] < KILL_REPORT_S:
             words = (
                 f"{self.key} reached its memory limit{limit}, and the kernel killed {self._killed[1]} of its processes: raise the "
                 "limit (`mem_limit:`, `docker update --memory`), or find the leak"

@@ -1,4 +1,4 @@
-"""Slot 11: the telemetry radio answers, and its link is strong enough."""
+"""Slot 11: the telemetry radio responds, and its signal is strong enough."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from phm_checks._command_path import link_id, link_of, named, radio_id, silent, 
 from phm_checks._text import StableNumber, brief, joined, span
 
 PERIODS = 2.5
-"""A radio is silent after so many of its own periods: SiK answers PHM's heartbeats, which may be 10 s apart."""
+"""A radio is silent after so many of its own periods: SiK responds to PHM's heartbeats, which may be 10 s apart."""
 FULL_PERCENT = 20
-"""Less of the transmit buffer is free: commands and status wait in the radio."""
+"""With less of the transmit buffer free, commands and status are delayed in the radio."""
 EASE_MARGIN, EASE_ERRORS, EASE_PERCENT = 4.0, 0.5, 30
-"""What was told as bad must be better than its limit by so much to be well: a signal at the limit must not flap."""
+"""Hysteresis: a reported problem ends only when the value is better than its limit by so much."""
 GRACE_S = 5.0
-"""Time for the first report after the link is back, and after PHM's start."""
+"""Time for the first RADIO_STATUS after PHM started or the link came back."""
 
 
 class Radio(api.Check):

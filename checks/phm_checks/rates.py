@@ -1,4 +1,4 @@
-"""Slot 8: each configured topic flows at its rate."""
+"""Slot 8: each configured topic is published at its expected rate."""
 
 from __future__ import annotations
 
@@ -11,37 +11,38 @@ from phm_checks._node_activity import FRESH_S, turned_s
 from phm_checks._text import StableNumber, brief, clean, last, span
 
 CONFIRM_S = 0.9
-"""A rate must be off in two measurements, which the sampler makes once a second, before it is told."""
+"""A rate must be wrong in two measurements, made once a second, before it is reported."""
 SETTLE_S = 2.0
-"""A topic may be silent so much before its node is known to be dead."""
+"""A topic may fall silent so much earlier than its node is known to be dead."""
 GAP_PERIODS = 5
-"""A topic is told as silent no sooner than after so many periods, whatever speaks for its node."""
+"""A topic is not reported as silent before so many periods, even if its node is known to be alive."""
 LARGE_BPS = 0.8e6
-"""Topics of so many bytes a second are listened to with pauses (`phm.probes.ros.rates.topic_monitor`): when one fell silent is not known."""
+"""Topics with more bytes per second are sampled with pauses (`phm.probes.ros.rates.topic_monitor`), so the time at which
+one fell silent is not known."""
 STAY = 0.9
-"""A level is left only when the deviation is below this share of its limit, so that a rate at the limit does not flap."""
+"""Hysteresis: a level ends only when the deviation is below this share of its limit."""
 MEASURED_S = 1.0
-"""A silence is seen this much after its limit at the latest: the sampler looks, and the check runs, once a second."""
+"""A silence is detected at most this much after its limit: the sampler and the check run once a second."""
 _BLOCKS = "a firewall, or shared memory without a shared /dev/shm: set FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
 LATE_S = 0.1
-"""An executor that is later waits for its processor."""
+"""An executor with a larger delay is waiting for the CPU."""
 DOUBTS = 2.5
-"""A rate is off only by what goes beyond so many standard deviations of it: the publisher's own unevenness is no fault."""
+"""So many standard deviations of a rate are added to its tolerance: normal jitter of a publisher is not a fault."""
 WITNESSES = 2
-"""Nodes of one container of which nothing at all is heard: so many at once do not all have nothing to say."""
+"""When so many nodes of one container, and all of them, are silent, the transport is blocked: not all of them idle together."""
 
 
 @dataclass(slots=True)
 class _Memory:
-    """What one topic's judgement remembers between runs."""
+    """State of one topic between runs."""
 
     off_since: float | None = None
-    told: api.Result | None = None
+    reported: api.Result | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class _Case:
-    """One topic with what was measured on it."""
+    """One topic with its measurements."""
 
     topic: api.TopicSettings
     rate: float
@@ -92,7 +93,7 @@ class Rates(api.Check):
         return frozenset({"ros"})
 
     def run(self, world: api.World) -> Mapping[str, api.Result]:
-        """A result for each topic; STALE for all when the ROS child says nothing."""
+        """A result for each topic; STALE for all without data from the ROS child process."""
         try:
             fact = world.ros.look()
         except api.CannotTell as reason:
@@ -101,14 +102,14 @@ class Rates(api.Check):
         for topic in self._topics:
             seen = fact.topics.get(f"/{api.topic_id(topic.name)}", api.TopicFact())
             memory = self._memory[topic.name]
-            memory.told = self._judge(topic, seen, fact, memory, world.clock.mono())
-            results[_unit(topic)] = memory.told
+            memory.reported = self._judge(topic, seen, fact, memory, world.clock.mono())
+            results[_unit(topic)] = memory.reported
         return results
 
     def _judge(
         self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, memory: _Memory, now: float
     ) -> api.Result:
-        """Column of early returns, from what cannot be judged to what can."""
+        """Early returns, from unmeasurable topics to measured ones."""
         name = api.topic_id(topic.name)
         if not topic.rate:
             return self._latched(name, seen, fact)
@@ -150,7 +151,7 @@ class Rates(api.Check):
         return replace(result, settle_s=min(SETTLE_S, max(0.0, settle_s))) if turns else result
 
     def _latched(self, name: str, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
-        """Judged by its publishers; a sample that they keep for whoever comes must come to PHM, too."""
+        """A latched topic: it must have a publisher, and PHM must receive the sample that the publisher keeps."""
         if not seen.publishers:
             if fact.up_s < self._grace_s:
                 return api.stale(f"publisher of {name} not discovered yet")
@@ -178,7 +179,7 @@ class Rates(api.Check):
         return api.ok(f"{name}: latched, its publisher exists", **values)
 
     def _never(self, case: _Case, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
-        """Listed but not one sample; slow topics get three periods."""
+        """A topic that is listed but was never received. Slow topics get three periods."""
         if not self._due(case.topic, fact):
             return api.stale(
                 f"no sample of {case.name} yet; PHM has listened for only {span(fact.heard_for_s)}",
@@ -204,22 +205,22 @@ class Rates(api.Check):
         )
 
     def _due(self, topic: api.TopicSettings, fact: api.RosFact) -> bool:
-        """Whether PHM has listened for so long that a sample must have come."""
+        """Whether PHM has listened long enough to have received a sample."""
         return bool(topic.rate) and fact.up_s >= self._grace_s and fact.heard_for_s >= 3 / (topic.rate or 1.0)
 
     def _blocked(self, target: str, seen: api.TopicFact, fact: api.RosFact) -> str:
-        """What tells that the middleware finds publishers and gets no data of them; empty when something else may be it."""
+        """Evidence that publishers are discovered but their data do not arrive; empty when the cause may be different."""
         nodes = _nodes(seen)
         if nodes == {""}:
-            # A node's name comes as data; that there is a publisher comes with discovery.
+            # Node names arrive as data, publishers are found by discovery.
             return "A publisher is discovered, but neither its node name nor a sample was received"
-        unheard = self._unheard(target, fact)
-        if len(unheard) < WITNESSES or not unheard & nodes:
+        silent = self._silent_nodes(target, fact)
+        if len(silent) < WITNESSES or not silent & nodes:
             return ""
-        return f"{len(unheard)} nodes are discovered, but no sample from any of them was received"
+        return f"{len(silent)} nodes are discovered, but no sample from any of them was received"
 
-    def _unheard(self, target: str, fact: api.RosFact) -> set[str]:
-        """The nodes of this container that must have been heard, when none of them was; else nobody."""
+    def _silent_nodes(self, target: str, fact: api.RosFact) -> set[str]:
+        """The nodes of this container whose samples are due, if none of them was received; else the empty set."""
         nodes: set[str] = set()
         for topic in self._topics:
             seen = fact.topics.get(f"/{api.topic_id(topic.name)}", api.TopicFact())
@@ -238,7 +239,7 @@ class Rates(api.Check):
         assert measured is not None
         off = abs(hz - case.rate) / case.rate * 100
         doubt = DOUBTS * 100 * (measured.error_hz or 0.0) / case.rate
-        before = memory.told.level if memory.told is not None else Level.OK
+        before = memory.reported.level if memory.reported is not None else Level.OK
         warn = (case.topic.tolerance + doubt) * (STAY if before.bad else 1.0)
         error = (case.topic.error_limit + doubt) * (STAY if before is Level.ERROR else 1.0)
         # Rounding of a measured rate must not count: 10.000001 % is 10 %.
@@ -250,8 +251,8 @@ class Rates(api.Check):
             memory.off_since = now
         sure = self._changed(seen, fact)
         if not sure and not _confirmed(case, measured, now - memory.off_since):
-            if memory.told is not None and memory.told.level is not Level.STALE:
-                return memory.told
+            if memory.reported is not None and memory.reported.level is not Level.STALE:
+                return memory.reported
             return api.stale(f"{case.name} was measured once at {hz:.3f} Hz; measuring again", brief="", **case.values)
         low = hz < case.rate
         result = self._bad(
@@ -266,7 +267,7 @@ class Rates(api.Check):
         return replace(result, settle_s=0.0) if sure else result
 
     def _changed(self, seen: api.TopicFact, fact: api.RosFact) -> bool:
-        """Whether the rate has surely become another one: each look shows it, and it is not the whole machine that is slow."""
+        """Whether the rate has certainly changed: each measurement shows it, and the machine is not slow in general."""
         if seen.rate is None or seen.rate.changed_s is None:
             return False
         nodes = _nodes(seen)
@@ -301,8 +302,8 @@ def _values(topic: api.TopicSettings, rate: api.RateFact) -> dict[str, api.Value
 
 
 def _confirmed(case: _Case, measured: api.RateFact, off_s: float) -> bool:
-    """Whether a rate has been off for long enough. Where one sample more or less in the window is more than the tolerance,
-    that is longer than the window, and how uneven the publisher is must be known."""
+    """Whether a rate has been wrong long enough. If one sample changes the rate by more than the tolerance, the deviation
+    must last longer than the window and the publisher's jitter must be known."""
     if 100 / (case.rate * max(measured.window_s, 1.0)) <= case.topic.tolerance:
         return off_s >= CONFIRM_S
     return measured.error_hz is not None and off_s >= max(CONFIRM_S, measured.window_s)
@@ -317,8 +318,10 @@ def _rounded(number: float | None, digits: int) -> float | None:
 
 
 def _all_turned(seen: api.TopicFact, fact: api.RosFact, due_s: float) -> bool:
-    """Whether the executors of all its publishers, each listed once, have turned since a message was due, `due_s` ago: none of
-    them hangs or is dead."""
+    """Whether the executors of all its publishers ran since a message was due, `due_s` ago, so that none is hung or dead.
+
+    Each publisher's node must be listed exactly once.
+    """
     nodes = _nodes(seen)
     return bool(nodes) and all(fact.nodes.get(node) == 1 and turned_s(node, fact) <= due_s for node in nodes)
 
@@ -328,7 +331,7 @@ def _nodes(seen: api.TopicFact) -> set[str]:
 
 
 def _limit_s(topic: api.TopicSettings, silence_s: float) -> float:
-    """From when on a topic counts as silent at the latest. A latched one (rate 0) never does."""
+    """The longest silence before a topic counts as silent; for a latched topic (rate 0) the configured silence."""
     least_s = silence_s if topic.silence is None else topic.silence
     return max(3 / topic.rate, least_s) if topic.rate else least_s
 

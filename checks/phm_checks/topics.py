@@ -1,4 +1,4 @@
-"""Slot 7: each configured topic has its publishers and subscribers, of the right type, and they fit together."""
+"""Slot 7: each configured topic has its publishers and subscribers, with the right type and compatible QoS."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from phm_checks._qos import mismatches
 from phm_checks._similar_names import sentence, similar_names
 from phm_checks._text import brief, clean, did_you_mean, joined, last, listed, span
 
-OLD_PICTURE_S = 5.0
-"""A picture of the graph older than this proves nothing."""
+OLD_SNAPSHOT_S = 5.0
+"""Older snapshots of the graph are not evaluated."""
 SETTLE_S = 1.5
-"""The ends of a dying node may leave the graph so much before it is known to be dead."""
+"""Endpoints of a terminating node may leave the graph so much earlier than the node is known to be dead."""
 SURE_S = 0.2
-"""The same for what is wrong between ends that are there, of nodes that live: no death explains it."""
+"""Settle time for a mismatch between existing endpoints of live nodes: a terminating node cannot be its cause."""
 STRAY_S = 10.0
-"""A subscription on an almost right name may wait for its own publisher, which starts later."""
+"""A subscription to a similar name may wait for its own publisher, which starts later."""
 BETWEEN = ("qos_mismatch", "type_wrong")
-"""Conditions that say nothing of an end that is away."""
+"""Conditions about existing endpoints; a missing endpoint does not cause them."""
 
 
 class Topics(api.Check):
-    """The connections of all configured topics, one unit each, from one picture of the graph."""
+    """The connections of all configured topics, one unit each, from one graph snapshot."""
 
     name, slot, layer = "topics", Slot.TOPICS, Layer.ROS
     period_s = 1.0
@@ -56,15 +56,15 @@ class Topics(api.Check):
         grace_s: float,
         homes: Mapping[str, str],
     ) -> None:
-        """homes: the container of each named node, by full name."""
+        """`homes`: the container of each named node, by the node's full name."""
         self._topics = tuple(topics)
         self._units = tuple(units)
         self._targets = {unit.id: unit.target for unit in units}
         self._grace_s = grace_s
         self._homes = dict(homes)
         self._ends = EndpointHistory()
-        self._said: dict[str, api.Result] = {}
-        """What is wrong between the ends that are there: it stands while one of them is made anew."""
+        self._mismatches: dict[str, api.Result] = {}
+        """The last mismatch between existing endpoints per topic: kept while one of them is being recreated."""
         self._stray_since: dict[str, float] = {}
         self._gaps = GraphGaps()
         self._audits: dict[str, tuple[object, Sequence[api.Result]]] = {}
@@ -94,19 +94,19 @@ class Topics(api.Check):
         return frozenset({"ros"})
 
     def run(self, world: api.World) -> Mapping[str, api.Result]:
-        """A result for each topic; STALE for all when there is no picture to judge."""
+        """A result for each topic; STALE for all without a recent graph snapshot."""
         try:
             fact = world.ros.look()
         except api.CannotTell as reason:
             return {_unit(topic): api.stale(str(reason)) for topic in self._topics}
-        if fact.age_s > OLD_PICTURE_S:
+        if fact.age_s > OLD_SNAPSHOT_S:
             words = f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate"
             return {_unit(topic): api.stale(words) for topic in self._topics}
         now = world.clock.mono()
         return {_unit(topic): self._judge(topic, fact, now) for topic in self._topics}
 
     def _judge(self, topic: api.TopicSettings, fact: api.RosFact, now: float) -> api.Result:
-        """What is missing comes first, then the worst of: type, quality of service, an almost right name."""
+        """A missing endpoint first, then the worst of: type, QoS, similar name."""
         seen = fact.topics.get(full(topic.name), api.TopicFact())
         unknown = self._gaps.judge(topic, seen, now)
         if unknown is not None:
@@ -117,15 +117,15 @@ class Topics(api.Check):
                 return api.stale(
                     f"not seen yet, PHM has observed the graph for only {span(fact.up_s)}: {missing.summary}"
                 )
-            said = self._said.get(topic.name)
-            return said if said is not None and self._ends.young(full(topic.name), now) else missing
-        self._said.pop(topic.name, None)
+            before = self._mismatches.get(topic.name)
+            return before if before is not None and self._ends.young(full(topic.name), now) else missing
+        self._mismatches.pop(topic.name, None)
         found = [*self._audit(topic, seen), *self._unfed(topic, seen, fact, now)]
         if found:
-            worst = _between(api.worst(found))
+            worst = _conclusive(api.worst(found))
             if worst.condition in BETWEEN and all_alive((*seen.publishers, *seen.subscribers), fact):
                 worst = replace(worst, settle_s=SURE_S)
-            self._said[topic.name] = worst
+            self._mismatches[topic.name] = worst
             return worst
         return api.ok(
             f"Topic {api.topic_id(topic.name)} is connected: {_count(seen.publishers, 'publisher')}, "
@@ -134,7 +134,7 @@ class Topics(api.Check):
         )
 
     def _audit(self, topic: api.TopicSettings, seen: api.TopicFact) -> Sequence[api.Result]:
-        """What is wrong with the ends that are there. Looked through again when they changed: there may be many pairs."""
+        """Mismatches between the existing endpoints, cached until these change: there may be many pairs."""
         ends = (seen.publishers, seen.subscribers)
         known = self._audits.get(topic.name)
         if known is not None and known[0] == ends:
@@ -147,7 +147,7 @@ class Topics(api.Check):
     def _missing(
         self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float
     ) -> api.Result | None:
-        """The first of: no such topic, a publisher is missing, a subscriber is missing."""
+        """The first of: topic missing, publisher missing, subscriber missing."""
         name = full(topic.name)
         sides_of = named_sides(topic, seen)
         lost = [found for kind, wanted, there in sides_of for found in self._lost(name, kind, wanted, there, fact, now)]
@@ -195,7 +195,7 @@ class Topics(api.Check):
         fact: api.RosFact,
         now: float,
     ) -> list[Key]:
-        """Named ends that their running nodes once had."""
+        """Configured endpoints that existed earlier and whose node still runs."""
         names = {end.node for end in there}
         keys = [(name, kind, node) for node in map(full, wanted)]
         return [
@@ -205,7 +205,7 @@ class Topics(api.Check):
         ]
 
     def _type(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
-        """ERROR for a needed end whose type is not the configured one, or for a needed pair that differs; else WARN."""
+        """ERROR if a configured endpoint has the wrong type or a configured pair has different types; WARN for others."""
         name = full(topic.name)
         if topic.type is None:
             types = dict.fromkeys(end.type for _, end in all_ends(seen) if end.type)
@@ -215,8 +215,8 @@ class Topics(api.Check):
             ends = [f"{clean(end.type, 80)} at {side} {who(end)}" for side, end in sides(differing) or all_ends(seen)]
             return self._bad(
                 topic, seen, level_of(topic, seen, differing), "type_wrong", "mixed types",
-                f"topic {name} is used with different types, and ends of different type do not connect: {some(ends)}; build "
-                "them against the same message package",
+                f"topic {name} is used with different types, and endpoints of different types do not connect: {some(ends)}; "
+                "build them against the same message package",
             )  # fmt: skip
         wrong = [(side, end) for side, end in all_ends(seen) if end.type and end.type != topic.type]
         if not wrong:
@@ -225,12 +225,12 @@ class Topics(api.Check):
         ends = [f"type {clean(end.type, 80)} at {side} {who(end)}" for side, end in wrong]
         return self._bad(
             topic, seen, Level.ERROR if bad else Level.WARN, "type_wrong", "wrong type",
-            f"topic {name} has {some(ends)}; expected {topic.type} at all ends, others do not connect: build them against "
-            "the same message package",
+            f"topic {name} has {some(ends)}; expected {topic.type} at all endpoints, others do not connect: build them "
+            "against the same message package",
         )  # fmt: skip
 
     def _definition(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
-        """Types of one name and different content: they connect, and what arrives is wrong or cannot be read."""
+        """Types with the same name and different content: they connect, but messages are wrong or cannot be decoded."""
         found = [(out, into) for out, into in pairs_of(seen) if same_type(out, into) and not same_definition(out, into)]
         if not found:
             return None
@@ -238,41 +238,41 @@ class Topics(api.Check):
         return self._bad(
             topic, seen, level_of(topic, seen, found), "type_wrong", "type versions differ",
             f"topic {full(topic.name)}: {clean(found[0][0].type, 80)} is not the same type everywhere. {some(ends)}; build all "
-            "ends against the same version of its package",
+            "endpoints against the same version of its package",
         )  # fmt: skip
 
     def _qos(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
-        """Pairs whose publisher offers less than its subscriber asks for, so that DDS does not connect them."""
-        found = [(pair, amiss) for pair in pairs_of(seen) if same_type(*pair) and (amiss := mismatches(*pair))]
+        """Pairs whose publisher offers less than its subscriber requests, so that DDS does not connect them."""
+        found = [(pair, wrong) for pair in pairs_of(seen) if same_type(*pair) and (wrong := mismatches(*pair))]
         if not found:
             return None
-        asked_for = [entry for entry in found if needed(topic, seen, entry[0])]
-        words = [unfit(seen, pair, mismatch) for pair, amiss in asked_for or found for mismatch in amiss]
+        configured = [entry for entry in found if needed(topic, seen, entry[0])]
+        words = [unfit(seen, pair, mismatch) for pair, wrong in configured or found for mismatch in wrong]
         return self._bad(
-            topic, seen, Level.ERROR if asked_for else Level.WARN, "qos_mismatch", "QoS mismatch",
-            f"topic {full(topic.name)} does not connect all its ends. {joined(words[:SHOWN])}"
+            topic, seen, Level.ERROR if configured else Level.WARN, "qos_mismatch", "QoS mismatch",
+            f"topic {full(topic.name)} does not connect all its endpoints. {joined(words[:SHOWN])}"
             + (f" And {len(words) - SHOWN} more." if len(words) > SHOWN else ""),
-            self._home(topic, [pair for pair, _ in asked_for]),
+            self._home(topic, [pair for pair, _ in configured]),
         )  # fmt: skip
 
     def _home(self, topic: api.TopicSettings, pairs: Iterable[Pair]) -> str:
-        """The topic's container, if all ends of the pairs are its own; empty: it may be another's, so none is at fault for sure."""
+        """The topic's container if it contains all endpoints of the pairs; empty when the cause may be elsewhere."""
         default = self._targets[_unit(topic)]
         homes = {self._homes.get(end.node, default) for pair in pairs for end in pair}
         return default if homes <= {default} else ""
 
     def _unfed(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float) -> list[api.Result]:
-        """WARN for a subscription without any publisher on a name that is almost this one: it was most likely meant."""
+        """WARN for a subscription without a publisher on a similar name: most likely a misspelling of this topic."""
         name = full(topic.name)
         found = [stray for stray in similar_names(name, fact.others) if stray.sure and stray.unfed]
         since = self._stray_since.setdefault(name, now) if found else self._stray_since.pop(name, now)
         if not found or now - since < STRAY_S or fact.up_s < self._grace_s:
             return []
-        told = joined([sentence(name, stray) for stray in found[:SHOWN]])
+        hints = joined([sentence(name, stray) for stray in found[:SHOWN]])
         return [self._bad(
             topic, seen, Level.WARN, "name_mistaken", f"misnamed {found[0].name[-21:]}",
-            f"topic {name} is connected, but {told} Nothing publishes that name: correct it in that node's source, launch file or "
-            "remappings",
+            f"topic {name} is connected, but {hints} Nothing publishes that name: correct it in that node's source, launch file "
+            "or remappings",
         )]  # fmt: skip
 
     def _bad(
@@ -285,24 +285,24 @@ class Topics(api.Check):
         words: str,
         target: str | None = None,
     ) -> api.Result:
-        told = self._targets[_unit(topic)] if target is None else target
-        return api.Result(level, words, brief(last(topic.name), short), condition, told, _numbers(seen))
+        container = self._targets[_unit(topic)] if target is None else target
+        return api.Result(level, words, brief(last(topic.name), short), condition, container, _numbers(seen))
 
 
 def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *, absent: bool = False) -> str:
-    """Almost right names that may be what is missing: used by one of the nodes that are lacking, or from one side only.
+    """Sentences about similar names that may be the missing topic: names used by a missing node, or on one side only.
 
-    absent: nobody uses the right name, so any near one is worth a word.
+    `absent`: the configured name does not exist in the graph, so every similar name is mentioned.
     """
     name = full(topic.name)
-    near = similar_names(name, fact.others)
-    theirs = [stray for stray in near if stray.used_by([full(node) for node in lacking])]
-    likely = theirs or [stray for stray in near if absent or (stray.sure and stray.one_sided)]
+    similar = similar_names(name, fact.others)
+    theirs = [stray for stray in similar if stray.used_by([full(node) for node in lacking])]
+    likely = theirs or [stray for stray in similar if absent or (stray.sure and stray.one_sided)]
     return "".join(f" {sentence(name, stray)}" for stray in likely[:SHOWN])
 
 
-def _between(found: api.Result) -> api.Result:
-    """What is wrong between ends that are there is seen, not concluded: a node that is late does not change it."""
+def _conclusive(found: api.Result) -> api.Result:
+    """Mark a mismatch between existing endpoints as conclusive: it was observed directly, so a late node cannot cause it."""
     return found.with_evidence(api.Evidence(conclusive=True)) if found.condition in BETWEEN else found
 
 

@@ -21,9 +21,9 @@ class SelfFact:
     ros_restarts: int = 0
     ended_badly: bool = False
     """The previous PHM process was killed, crashed, or ended itself because it had stalled."""
-    stood_still_s: float | None = None
+    suspended_s: float | None = None
     """How long the last suspension of the entire PHM process lasted; None: it was never suspended."""
-    stood_still_ago_s: float | None = None
+    suspended_ago_s: float | None = None
     was_stopped: bool = False
     """A signal had suspended it, and the watchdog resumed it."""
 

@@ -98,25 +98,26 @@ class NeighbourFact:
 class BeaconFact:
     """The newest beacon of one node (`phm.beacon`).
 
-    period_s:  its intended period between heartbeats.
-    late_s:    how late its executor was at the newest heartbeat, as the node itself reports.
-    birth:     changes when the node is restarted.
-    beats:     number of heartbeats since the node started, at most a second old; for a node that is not configured, as of
-               its last change.
-    views:     what it reports about its neighbours, by full node name.
-    turns:     number of turns of its executor since the node started, as of the same time; 0: none yet, or the executor is
-               not watched, and late_s means nothing.
-    witness:   the process that sends the beacon; all nodes of a process receive as one.
-    rivals:    number of other processes that send heartbeats under the same name. Each rival, and this process, must have
-               sent several since the rival began.
-    copied_by: name of the other node or writer that uses the identity of this process; its messages are refused, but reported.
+    period_s:   its intended period between heartbeats.
+    late_s:     how late its executor was at the newest heartbeat, as the node itself reports.
+    birth:      changes when the node is restarted.
+    heartbeats: number since the node started, at most a second old; for a node that is not configured, as of its last
+                change.
+    views:      what it reports about its neighbours, by full node name.
+    turns:      number of turns of its executor since the node started, as of the same time; 0: none yet, or the executor
+                is not watched, and late_s means nothing.
+    witness:    the process that sends the beacon; all nodes of a process receive as one.
+    rivals:     number of other processes that send heartbeats under the same name. Each rival, and this process, must have
+                sent several since the rival began.
+    copied_by:  name of the other node or writer that uses the identity of this process; its messages are refused, but
+                reported.
     """
 
     age_s: float
     period_s: float
     late_s: float = 0.0
     birth: str = ""
-    beats: int = 0
+    heartbeats: int = 0
     views: Mapping[str, NeighbourFact] = field(default_factory=dict)
     turns: int = 0
     witness: str = ""

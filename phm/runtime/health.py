@@ -87,7 +87,7 @@ class DaemonHealth:
             self._bus.dropped(),
             (*problems, *self._bus.problems()),
             ended_badly=self.crashed_before,
-            stood_still_s=suspension.duration_s if suspension else None,
-            stood_still_ago_s=now - suspension.at if suspension else None,
+            suspended_s=suspension.duration_s if suspension else None,
+            suspended_ago_s=now - suspension.at if suspension else None,
             was_stopped=suspension is not None and suspension.stopped,
         )

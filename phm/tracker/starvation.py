@@ -48,7 +48,7 @@ _LEASE = Explanation(
 )
 _LATE = Explanation("its beacon or its executor is not scheduled, so the beat is late")
 _UNREAD = Explanation("PHM, or a router on this machine, passes frames on late", most_s=UNREAD_S)
-_HEARD = Explanation("the neighbours' beats are late, or read late")
+_VIEWS = Explanation("the neighbours' beacons are late, or read late")
 
 EXPLAINED: Mapping[str, Explanation] = {
     "rate_low": _SLOW,
@@ -66,8 +66,8 @@ EXPLAINED: Mapping[str, Explanation] = {
     "node_unanswering": _LATE,
     "node_busy": _LATE,
     "beacon_missing": _LATE,
-    "dissent": _HEARD,
-    "split": _HEARD,
+    "dissent": _VIEWS,
+    "split": _VIEWS,
     "diagnostic_stale": Explanation("its publisher is not scheduled in time"),
     "unhealthy": Explanation(
         "the probe of the health check takes longer than its time-out, or cannot be started", WAITING | {"pids_limit"}

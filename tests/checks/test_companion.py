@@ -53,13 +53,13 @@ def test_an_end_without_a_word_is_told_for_a_while() -> None:
 
 def test_standing_still_is_told_for_a_while() -> None:
     """PHM was stopped and goes on: how long nobody watched."""
-    myself = testing.FakeSelf(stood_still_s=4.2, stood_still_ago_s=1.0)
+    myself = testing.FakeSelf(suspended_s=4.2, suspended_ago_s=1.0)
     result = run(check(), testing.world(myself=myself))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "phm_suspended", "PHM suspended 4 s")
     assert "was it stopped or paused" in result.summary
-    myself.change(stood_still_s=0.42, was_stopped=True)
+    myself.change(suspended_s=0.42, was_stopped=True)
     result = run(check(), testing.world(myself=myself))
     assert (result.condition, result.brief) == ("phm_suspended", "PHM suspended 0.4 s")
     assert "SIGSTOP" in result.summary
-    myself.change(stood_still_ago_s=40.0)
+    myself.change(suspended_ago_s=40.0)
     assert run(check(), testing.world(myself=myself)).level is api.Level.OK

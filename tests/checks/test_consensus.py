@@ -18,7 +18,14 @@ ALL = (A, B, C, D)
 def beacon(hears: Mapping[str, bool] | None = None, **fields: Any) -> api.BeaconFact:
     """A beacon that beats, of a node that has lived for 100 s."""
     views = {name: api.NeighbourFact(alive, 0.3) for name, alive in (hears or {}).items()}
-    given: dict[str, Any] = {"age_s": 0.1, "period_s": 0.2, "birth": "w.1", "beats": 500, "views": views, "turns": 100}
+    given: dict[str, Any] = {
+        "age_s": 0.1,
+        "period_s": 0.2,
+        "birth": "w.1",
+        "heartbeats": 500,
+        "views": views,
+        "turns": 100,
+    }
     return api.BeaconFact(**{**given, **fields})
 
 
@@ -64,13 +71,13 @@ def test_the_majority_decides_against_phm() -> None:
     beacons = matrix(A, B, C)
     beacons[C] = beacon({}, age_s=5.0, witness=C)
     (dissent,) = agree(beacons, {}).dissents
-    assert (dissent.node, dissent.verdict, dissent.heard_by, dissent.unheard_by) == (C, Verdict.ALIVE, (A, B), (PHM,))
+    assert (dissent.node, dissent.verdict, dissent.heard_by, dissent.not_heard_by) == (C, Verdict.ALIVE, (A, B), (PHM,))
 
 
 def test_the_majority_decides_for_phm() -> None:
     """One of three does not hear it."""
     (dissent,) = agree(matrix(A, B, C, deaf=((A, B),)), {}).dissents
-    assert (dissent.node, dissent.verdict, dissent.heard_by, dissent.unheard_by) == (B, Verdict.ALIVE, (C, PHM), (A,))
+    assert (dissent.node, dissent.verdict, dissent.heard_by, dissent.not_heard_by) == (B, Verdict.ALIVE, (C, PHM), (A,))
 
 
 def test_a_tie_decides_nothing() -> None:
@@ -87,20 +94,20 @@ def test_nodes_of_one_process_are_one_observer() -> None:
     beacons[A] = beacon({**dict.fromkeys(names, True), B: True}, witness="a")
     beacons[B] = beacon({**dict.fromkeys(names, True), A: True}, witness="b")
     (dissent,) = agree(beacons, {}).dissents
-    assert (dissent.verdict, dissent.heard_by, dissent.unheard_by) == (Verdict.ALIVE, (B, PHM), (names[0],))
+    assert (dissent.verdict, dissent.heard_by, dissent.not_heard_by) == (Verdict.ALIVE, (B, PHM), (names[0],))
 
 
 def test_who_has_not_had_the_time_to_meet_has_no_opinion() -> None:
     """A node that started a second ago is not yet unheard; after ten seconds it is."""
-    beacons = {A: beacon({}, witness=A), B: beacon({A: True}, witness=B, beats=5)}
+    beacons = {A: beacon({}, witness=A), B: beacon({A: True}, witness=B, heartbeats=5)}
     assert not agree(beacons, {}).dissents
-    beacons[B] = beacon({A: True}, witness=B, beats=50)
+    beacons[B] = beacon({A: True}, witness=B, heartbeats=50)
     assert [item.node for item in agree(beacons, {}).dissents] == [B]
 
 
 def test_while_phm_itself_is_late_nobody_is_silent() -> None:
     """The age of the picture is taken off."""
-    beacons = {name: beacon({}, age_s=2.1, witness=name, beats=5) for name in (A, B)}
+    beacons = {name: beacon({}, age_s=2.1, witness=name, heartbeats=5) for name in (A, B)}
     assert opinions(agree(beacons, {}, late_s=2.0)) == {A: Verdict.ALIVE, B: Verdict.ALIVE}
     assert opinions(agree(beacons, {})) == {A: Verdict.DEAD, B: Verdict.DEAD}
 

@@ -117,7 +117,7 @@ def test_killed_for_lack_of_memory_is_told_as_such() -> None:
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        (0, "ended by itself"),
+        (0, "exited by itself"),
         (1, "application error"),
         (126, "cannot be executed"),
         (127, "not found"),

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks.diagnostics import LIFE_S, Diagnostics
+from phm_checks.diagnostics import GENERATION_S, Diagnostics
 
 NAME = "camera: Frequency"
 UNIT = f"diagnostics/{NAME}"
@@ -137,7 +137,7 @@ def test_what_was_heard_before_the_container_was_started_anew_need_not_come_agai
     world = testing.world(clock=clock, docker=docker, ros=ros)
     check = build(name="camera: *")
     assert judge(check, world).level is api.Level.OK
-    clock.advance(LIFE_S)
+    clock.advance(GENERATION_S)
     ros.change(diagnostics={"camera: Old": said(age_s=6.0), "camera: New": said()})
     assert judge(check, world).level is api.Level.ERROR
     docker.change("ros_app", started_at="2026-02-02T00:00:00Z")

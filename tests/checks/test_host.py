@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks.host import STEP_TOLD_S, Host, Threshold
+from phm_checks.host import STEP_REPORT_S, Host, Threshold
 
 
 class Bench:
@@ -113,7 +113,7 @@ def test_a_clock_step_is_told_for_a_while() -> None:
     bench = Bench()
     bench.look("clock", clock_step_s=10.0)
     assert bench.look("clock", clock_step_s=0.0).brief == "clock jumped +10 s"
-    bench.clock.advance(STEP_TOLD_S)
+    bench.clock.advance(STEP_REPORT_S)
     assert bench.look("clock").level is api.Level.OK
 
 

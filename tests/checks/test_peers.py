@@ -9,7 +9,7 @@ import pytest
 
 from phm import testing
 from phm.api import Level, PeerFact, Result
-from phm_checks.peers import SETTLE_S, WHOLE, Peers
+from phm_checks.peers import SETTLE_S, SWARM, Peers
 
 ALIVE = PeerFact("alive", 1.0, (1, 2), ())
 LOST = PeerFact("lost", 20.0, (), (1, 2))
@@ -24,14 +24,14 @@ def judge(peers: dict[int, PeerFact], agents: tuple[int, ...] = (2, 3, 4), **fie
 def test_all_live() -> None:
     results = judge(dict.fromkeys((2, 3, 4), ALIVE))
     assert {result.level for result in results.values()} == {Level.OK}
-    assert results[WHOLE].summary == "4 of 4 agents of the swarm are alive"
+    assert results[SWARM].summary == "4 of 4 agents of the swarm are alive"
 
 
 def test_one_that_is_lost_is_told_by_its_own_unit() -> None:
     results = judge({2: ALIVE, 3: LOST, 4: ALIVE})
     assert (results["peers/A03"].level, results["peers/A03"].condition) == (Level.ERROR, "peer_lost")
     assert results["peers/A03"].brief == "A03 lost"
-    assert results[WHOLE].level is Level.OK
+    assert results[SWARM].level is Level.OK
 
 
 def test_who_still_hears_the_lost_one_is_named() -> None:
@@ -44,8 +44,8 @@ def test_a_loss_is_conclusive_by_the_word_of_others() -> None:
     mine = PeerFact("lost", 20.0, (), (1,))
     results = judge({2: ALIVE, 3: LOST, 4: mine})
     assert [results[unit].evidence.conclusive for unit in ("peers/A03", "peers/A04")] == [True, False]
-    assert judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[WHOLE].evidence.conclusive is True
-    assert judge({2: LOST, 3: LOST, 4: LOST})[WHOLE].evidence.conclusive is False
+    assert judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[SWARM].evidence.conclusive is True
+    assert judge({2: LOST, 3: LOST, 4: LOST})[SWARM].evidence.conclusive is False
 
 
 @pytest.mark.parametrize(
@@ -69,8 +69,8 @@ def test_an_agent_that_nobody_ever_heard_is_missed_too() -> None:
 
 def test_a_split_is_one_fault_and_the_cause_of_the_single_ones() -> None:
     check = Peers((2, 3, 4))
-    assert all(unit.needs == (WHOLE,) for unit in check.units if unit.id != WHOLE)
-    result = judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[WHOLE]
+    assert all(unit.needs == (SWARM,) for unit in check.units if unit.id != SWARM)
+    result = judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[SWARM]
     assert (result.level, result.condition) == (Level.ERROR, "split")
     assert "A03 A04 disappeared together and A01 A02 are still reachable" in result.summary
 
@@ -85,7 +85,7 @@ def test_those_that_come_back_one_by_one_are_not_told_each_time() -> None:
         split = tuple(agent for agent in lost if not peers[agent].heard_by)
         split = split if len(split) > 1 else ()
         swarm = testing.FakeSwarm(peers=peers, members=5, living=5 - len(lost), split=split)
-        return dict(check.run(testing.world(swarm=swarm)))[WHOLE].brief
+        return dict(check.run(testing.world(swarm=swarm)))[SWARM].brief
 
     back = PeerFact("alive", 0.1, (1, 2), (), since_s=0.1)
     partly = PeerFact("partly reachable", 0.1, (1,), (2,), since_s=0.1)
@@ -99,38 +99,38 @@ def test_those_that_come_back_one_by_one_are_not_told_each_time() -> None:
 
 
 def test_all_lost_at_once_is_ones_own_radio() -> None:
-    result = judge({2: LOST, 3: LOST, 4: LOST}, split=(2, 3, 4))[WHOLE]
+    result = judge({2: LOST, 3: LOST, 4: LOST}, split=(2, 3, 4))[SWARM]
     assert (result.condition, result.brief) == ("alone", "all peers lost")
 
 
 def test_who_hears_the_others_is_not_alone() -> None:
     """Whatever these think of each other."""
     heard = PeerFact("lost", 1.0, (1,), (2, 3))
-    assert judge({2: heard, 3: heard}, (2, 3))[WHOLE].level is Level.OK
+    assert judge({2: heard, 3: heard}, (2, 3))[SWARM].level is Level.OK
 
 
 def test_the_only_other_agent_lost_is_lost() -> None:
     results = judge({2: LOST}, (2,))
-    assert results[WHOLE].level is Level.OK
+    assert results[SWARM].level is Level.OK
     assert results["peers/A02"].level is Level.ERROR
 
 
 def test_an_id_used_twice_is_told_first() -> None:
-    result = judge({2: ALIVE}, duplicate_ids=(2,))[WHOLE]
+    result = judge({2: ALIVE}, duplicate_ids=(2,))[SWARM]
     assert (result.condition, result.brief) == ("id_clash", "A02 id used twice")
 
 
 def test_without_configuration_the_heard_ones_are_missed() -> None:
-    result = judge({2: ALIVE, 3: LOST}, ())[WHOLE]
+    result = judge({2: ALIVE, 3: LOST}, ())[SWARM]
     assert (result.level, result.brief) == (Level.ERROR, "A03 lost")
 
 
 def test_without_configuration_a_heard_one_is_missed_no_sooner_than_a_configured_one() -> None:
     """A view that is on its way may still say that it lives, or that several are lost."""
     fresh = PeerFact("partly reachable", 7.0, (1,), (2,), since_s=1.0)
-    assert judge({2: ALIVE, 3: fresh}, ())[WHOLE].level is Level.OK
+    assert judge({2: ALIVE, 3: fresh}, ())[SWARM].level is Level.OK
     lasting = PeerFact("partly reachable", 7.0, (1,), (2,), since_s=SETTLE_S)
-    assert judge({2: ALIVE, 3: lasting}, ())[WHOLE].condition == "peer_partly"
+    assert judge({2: ALIVE, 3: lasting}, ())[SWARM].condition == "peer_partly"
 
 
 def test_what_several_share_is_told_at_once_and_single_agents_after_it() -> None:
@@ -139,7 +139,7 @@ def test_what_several_share_is_told_at_once_and_single_agents_after_it() -> None
 
 
 def test_alone_and_nobody_expected_is_well() -> None:
-    result = judge({}, ())[WHOLE]
+    result = judge({}, ())[SWARM]
     assert result.level is Level.OK
     assert result.bypass
 
@@ -149,4 +149,4 @@ def test_without_links_there_is_no_such_check() -> None:
     (check,) = Peers.build(
         testing.settings(mavlink={"endpoints": [{"url": "udpout:127.0.0.1:1"}]}, swarm={"agents": [1, 2, 2, 3]})
     )
-    assert [unit.id for unit in check.units] == [WHOLE, "peers/A02", "peers/A03"]
+    assert [unit.id for unit in check.units] == [SWARM, "peers/A02", "peers/A03"]

@@ -9,7 +9,7 @@ import pytest
 
 from phm import api, testing
 from phm_checks._text import BRIEF_MAX
-from phm_checks.pressure import KILLED_TOLD_S, Pressure
+from phm_checks.pressure import KILL_REPORT_S, Pressure
 
 MIB = 2**20
 FACT = api.PressureFact(
@@ -197,7 +197,7 @@ def test_a_process_killed_for_lack_of_memory_is_reported_for_a_while() -> None:
     bench.calm()
     result = bench.look(oom_kills=1)
     assert result.level is api.Level.ERROR and "killed 1 of its processes" in result.summary
-    assert names(bench.looks(int(KILLED_TOLD_S)))[-1] == "OK"
+    assert names(bench.looks(int(KILL_REPORT_S)))[-1] == "OK"
 
 
 def test_a_container_that_only_waits_for_the_disk_is_pressure_after_five_seconds() -> None:

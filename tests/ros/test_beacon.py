@@ -116,7 +116,7 @@ def test_a_restarted_node_has_another_birth(bench: Bench) -> None:
     bench.script(SCRIPT, "a")
     after = seen(probe, lambda fact: fact.beacons[A].birth != before[A].birth and fact.beacons[A], "another birth")
     assert after.witness != before[A].witness
-    assert after.beats < before[A].beats + 20
+    assert after.heartbeats < before[A].heartbeats + 20
 
 
 def test_a_node_that_is_destroyed_falls_silent_and_its_successor_is_another(bench: Bench) -> None:
@@ -181,7 +181,7 @@ def test_a_node_that_is_never_spun_or_not_watched_never_looks_hung(bench: Bench,
     """Its process is all that its beacon vouches for."""
     bench.script(SCRIPT, "a", option)
     fact = seen(
-        bench.probe(nodes=NODES), lambda fact: A in fact.beacons and fact.beacons[A].beats > 10 and fact, option
+        bench.probe(nodes=NODES), lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 10 and fact, option
     )
     assert (fact.beacons[A].turns, fact.beacons[A].late_s) == (0, 0.0)
 
@@ -190,7 +190,7 @@ def test_other_periods_are_told_and_kept(bench: Bench) -> None:
     """A slow beacon is not silent between its beats."""
     bench.script(SCRIPT, "a", "--period", "1.0")
     fact = seen(
-        bench.probe(nodes=NODES), lambda fact: A in fact.beacons and fact.beacons[A].beats > 3 and fact, "the node"
+        bench.probe(nodes=NODES), lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 3 and fact, "the node"
     )
     assert fact.beacons[A].period_s == 1.0
     assert fact.beacons[A].missed < 2
@@ -308,7 +308,7 @@ def test_a_copied_identity_is_refused_and_reported_with_its_publisher(bench: Ben
     """The first writer goes on to count while it beats; when it is killed, its copy does not keep it alive."""
     node = bench.script("ros_beaconed.py", "a")
     probe = bench.probe(nodes=[{"name": A}])
-    seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].beats > 5, "its beacon")
+    seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 5, "its beacon")
     bench.script("ros_copycat.py", A, "copy")
     fact = seen(probe, lambda fact: fact.beacons[A].copied_by and fact, "the report")
     assert fact.beacons[A].copied_by == "/elsewhere/copycat"
@@ -323,9 +323,9 @@ def test_large_beacons_of_strangers_displace_no_honest_one(bench: Bench) -> None
     """However much they say, it fits into messages, and the configured node beats on."""
     bench.script("ros_beaconed.py", "a")
     probe = bench.probe(nodes=[{"name": A}])
-    seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].beats > 5, "its beacon")
+    seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 5, "its beacon")
     bench.script("ros_copycat.py", A, "crowd")
-    began = seen(probe, lambda fact: len(fact.beacons) > 100 and fact, "the crowd").beacons[A].beats
+    began = seen(probe, lambda fact: len(fact.beacons) > 100 and fact, "the crowd").beacons[A].heartbeats
 
     def beats_on(fact: RosFact) -> bool:
         assert fact.beacons[A].missed < 20.0, "it was displaced"

@@ -58,7 +58,7 @@ def beacons_in(text: str) -> Iterator[tuple[str, BeaconFact, bool]]:
             period_s=period_s,
             late_s=_number(node["late_s"], 0.0, MAX_LATE_S),
             birth=_word(node["birth"]),
-            beats=_count(node["beats"]),
+            heartbeats=_count(node["beats"]),
             views=views,
             turns=_count(node["turns"]),
             witness=witness,
