@@ -21,10 +21,10 @@ def command(ctx: click.Context, fault: str, run_dir: str) -> None:
     budget and back-off still apply. The approval expires after recovery.approval (60 s), or when the situation changes.
     Exit code 0: approved; prints what will be done. 1: nothing to approve, or the daemon does not answer.
     """
-    tell(ctx, run_dir, {"do": "approve", "fault": fault})
+    send_request(ctx, run_dir, {"do": "approve", "fault": fault})
 
 
-def tell(ctx: click.Context, run_dir: str, request: dict[str, Any]) -> None:
+def send_request(ctx: click.Context, run_dir: str, request: dict[str, Any]) -> None:
     """Send a request and print the answer as one sentence; exits with 1 when it was refused."""
     from phm.wire.text import one_line
 

@@ -44,10 +44,12 @@ def command(ctx: click.Context, container: str, for_s: float | None, reason: str
     `phm release` ends it; starting the container does not.
     Exit code 0: on hold; 1: refused, or the daemon does not answer.
     """
-    tell(ctx, run_dir, {"do": "hold", "container": container, "for_s": for_s, "reason": reason}, as_json=as_json)
+    send_request(
+        ctx, run_dir, {"do": "hold", "container": container, "for_s": for_s, "reason": reason}, as_json=as_json
+    )
 
 
-def tell(ctx: click.Context, run_dir: str, request: dict[str, Any], *, as_json: bool) -> None:
+def send_request(ctx: click.Context, run_dir: str, request: dict[str, Any], *, as_json: bool) -> None:
     """Send a request and print the answer; exits with 1 when it was refused."""
     from phm.wire.text import one_line
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from phm.cli.approve import tell
+from phm.cli.approve import send_request
 from phm.cli.options import run_dir_option
 
 
@@ -17,4 +17,4 @@ def command(ctx: click.Context, text: str, run_dir: str) -> None:
 
     The line has the kind NOTE and at most 500 characters. Exit code 0: written; 1: the daemon does not answer.
     """
-    tell(ctx, run_dir, {"do": "note", "text": text})
+    send_request(ctx, run_dir, {"do": "note", "text": text})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from phm.cli.hold import tell
+from phm.cli.hold import send_request
 from phm.cli.options import json_option, run_dir_option
 
 
@@ -20,4 +20,4 @@ def command(ctx: click.Context, container: str, run_dir: str, as_json: bool) -> 
     reported and recovered as usual.
     Exit code 0: released; 1: it was not on hold, or the daemon does not answer.
     """
-    tell(ctx, run_dir, {"do": "release", "container": container}, as_json=as_json)
+    send_request(ctx, run_dir, {"do": "release", "container": container}, as_json=as_json)

@@ -116,10 +116,10 @@ def watch(
     kill: Callable[[int, int], None] = os.kill,
     look_s: float = LOOK_S,
     *,
-    tell: Callable[[], None] = lambda: None,
+    on_resume: Callable[[], None] = lambda: None,
     left_alone: str = "t",
 ) -> None:
-    """Run until the pipe ends or the daemon `pid` was killed. `tell` is called before the daemon is resumed.
+    """Run until the pipe ends or the daemon `pid` was killed. `on_resume` is called before the daemon is resumed.
 
     `left_alone`: states in which another program controls it: `t`, a debugger; in a terminal `T`, too.
     """
@@ -133,7 +133,7 @@ def watch(
             stopped = stopped + 1 if state == "T" and state not in left_alone else 0
             if stopped >= STOPPED_LOOKS:
                 _say(f"PHM (process {pid}) was stopped by a signal; resuming it")
-                tell()
+                on_resume()
                 kill(pid, signal.SIGCONT)
                 stopped = 0
             glances += 1
@@ -169,4 +169,4 @@ def _report_resume() -> None:
 
 if __name__ == "__main__":
     os.set_blocking(1, False)
-    watch(0, os.getppid(), tell=_report_resume, left_alone="tT" if TERMINAL in sys.argv[1:] else "t")
+    watch(0, os.getppid(), on_resume=_report_resume, left_alone="tT" if TERMINAL in sys.argv[1:] else "t")

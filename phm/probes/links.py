@@ -92,7 +92,7 @@ class Links:
             not_counted_s = self._not_counted_s(gcs[0], gcs[3], self._settings.gcs_timeout)
             return GcsFact(self._clock.mono() - gcs[0], *gcs[1:], due_s, overdue, not_counted_s)
 
-    def deaf(self) -> bool:
+    def gcs_unreachable(self) -> bool:
         """Whether this agent certainly cannot reach a ground station, even if `gcs_timeout` has not passed: the radio on board
         has lost its counterpart, or all endpoints to the ground are gone. Silence of the ground alone does not prove it."""
         return self._gcs_unreachable(self.gcs(), self.radios())

@@ -19,17 +19,17 @@ from phm.transport.priority import default_periods
 from phm.wire import status_word, tunnel
 
 FRESH_S, FRESH_PERIODS = 0.5, 0.1
-"""How old the picture may be: the shorter of both, for silence is noticed by looking alone."""
+"""Maximum age of the cached fact, the shorter of both: silence is detected only by looking."""
 LINK_S = 60.0
-"""A link on which no other agent was heard for so long leads to none."""
+"""A link without a frame from another agent for so long leads to no agent."""
 
 
 class SwarmMonitor:
     """A `phm.facts.SwarmProbe`. `on_wake` is called when the status changes, also because of silence; it must not block.
 
     gcs_age_s: seconds since the last heartbeat of a ground station, None if there was none.
-    deaf: whether the ground station is certainly unreachable, regardless of `gcs_age_s`. Frames arrive in the threads of the
-    endpoints.
+    gcs_unreachable: whether the ground station is certainly unreachable, regardless of `gcs_age_s`. Frames arrive in the
+    threads of the endpoints.
     """
 
     def __init__(
@@ -41,18 +41,18 @@ class SwarmMonitor:
         clock: Clock,
         gcs_age_s: Callable[[], float | None],
         on_wake: Callable[[], None],
-        deaf: Callable[[], bool] = lambda: False,
+        gcs_unreachable: Callable[[], bool] = lambda: False,
     ) -> None:
         self._hub, self._clock, self._on_wake, self._gcs_age_s = hub, clock, on_wake, gcs_age_s
-        self._gcs_unreachable = deaf
+        self._gcs_unreachable = gcs_unreachable
         self._own, self._component = agent, link_settings.component_id
         self._gcs_timeout_s = link_settings.gcs_timeout
         expected = settings.agents
         self._heartbeat_s = link_settings.heartbeat
-        # Each PHM with a key signs its heartbeats. Others, an autopilot's and a ground station's, are none of this probe's.
+        # Each PHM with a key signs its heartbeats. This probe ignores those of autopilots and ground stations.
         self._signed = link_settings.signing.key is not None and link_settings.signing.unsigned != "all"
         self._agents = len({*expected, self._own})
-        """How many share the links, this one included."""
+        """Number of agents that share the links, including this one."""
         self._peers = Peers(self._own, self._period_s(self._agents), expected, clock.late_s)
         self._agent_count = SmoothedAgentCount(self._agents, clock.mono())
         self._election = LeaderElection()
@@ -62,15 +62,15 @@ class SwarmMonitor:
         self._fresh: tuple[float, SwarmFact | None] = (0.0, None)
         self._fresh_s = FRESH_S
         self._since: dict[int, tuple[str, float]] = {}
-        """Each agent's state, and since when it is so."""
+        """Each agent's state, and since when it has it."""
         self._lock = threading.Lock()
         hub.set_agent_count(self._agents)
         hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_TUNNEL))
         hub.watch(self.wake_if_changed)
 
     def look(self) -> SwarmFact:
-        """Computed again when a frame brought something new, and when it is FRESH_S old or, in a small swarm, a tenth of a
-        heartbeat's period: a hundred views cost milliseconds. Wakes the check when it would judge differently."""
+        """The current fact, cached until a frame brings a change or it is FRESH_S old (in a small swarm a tenth of the
+        heartbeat's period): a hundred views cost milliseconds. Wakes the check when its result would change."""
         at, fact = self._fresh
         if fact is None or self._clock.mono() - at >= self._fresh_s:
             fact = self._look()

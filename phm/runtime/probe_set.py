@@ -181,7 +181,7 @@ def build_probes(
         clock,
         links.gcs_age_s,
         lambda: wake("swarm"),
-        links.deaf,
+        links.gcs_unreachable,
     )
     ros = (
         RosSupervisor(settings.ros, settings.agent.name, clock, lambda: wake("ros"), note)

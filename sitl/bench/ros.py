@@ -24,7 +24,7 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
-from phm.probes.ros.protocol import Picture, ProtocolError, Wanted, WantedTopic, decode, encode_wanted
+from phm.probes.ros.protocol import GraphMessage, ProtocolError, Wanted, WantedTopic, decode, encode_wanted
 from sitl.bench.ros_peers import Board, topic
 from sitl.harness.machine import machine
 
@@ -105,7 +105,7 @@ class Sampler(Way):
                 message = decode(line)
             except ProtocolError:
                 continue
-            if isinstance(message, Picture):
+            if isinstance(message, GraphMessage):
                 facts = (message.topics[topic(number)].rate for number in range(len(self._newest)))
                 self._newest = [(fact.hz if fact is not None else None) or 0.0 for fact in facts]
 

@@ -107,14 +107,14 @@ class Agent:
             self.device.chmod(0o666)
 
     @property
-    def life(self) -> str:
+    def generation(self) -> str:
         """Changes exactly when the application container is recreated or started again."""
         app = self.app
         return f"{app.id}@{app.attrs['State']['StartedAt']}"
 
-    def renew_app(self, life: str) -> None:
+    def renew_app(self, generation: str) -> None:
         """Restart the application container if it still is in that run: then it was not recovered."""
-        if self.life == life:
+        if self.generation == generation:
             self.app.restart(timeout=STOP_S)
 
     def signal_node(self, node: str, signal_name: str) -> float:

@@ -17,16 +17,16 @@ class Injection(Fault):
     layer = "container"
     cause = "a firewall or a policy of the network swallows all that the application sends and gets"
 
-    _life = ""
+    _generation = ""
 
     def inject(self, agent: Agent) -> float:
-        self._life = agent.life
+        self._generation = agent.generation
         moment = time.monotonic()
         drop(agent, "OUTPUT ! -o lo", "INPUT ! -i lo")
         return moment
 
     def clear(self, agent: Agent) -> None:
         clear(agent)
-        if agent.life == self._life:
+        if agent.generation == self._generation:
             # Nodes that were cut off for longer than their lease do not find each other again.
             agent.app.restart(timeout=STOP_S)

@@ -17,10 +17,10 @@ class Injection(Fault):
     layer = "ros"
     cause = "somebody started a node by hand, or two launch files have it"
 
-    _life = ""
+    _generation = ""
 
     def inject(self, agent: Agent) -> float:
-        self._life = agent.life
+        self._generation = agent.generation
         node = (
             f"echo $$ > {PID}; exec ros-entrypoint python -m sitl.application.node --name node_1 --namespace /{agent.name} "
             "--publish topic_1:10 --subscribe topic_3"
@@ -31,5 +31,5 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         """After a restart it is gone, and its number may be another's."""
-        kill = f"kill $(cat {PID}) || true; " if agent.life == self._life else ""
+        kill = f"kill $(cat {PID}) || true; " if agent.generation == self._generation else ""
         agent.run_in_app("sh", "-c", f"if [ -e {PID} ]; then {kill}rm {PID}; fi")

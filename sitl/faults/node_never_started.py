@@ -20,7 +20,7 @@ class Injection(Fault):
     layer = "ros"
     cause = "the application came up without one of its nodes, which lost a race at the start"
 
-    _life = ""
+    _generation = ""
 
     def inject(self, agent: Agent) -> float:
         old = agent.app
@@ -41,8 +41,8 @@ class Injection(Fault):
         finally:
             sidecar.unpause()
         old.remove(force=True)
-        self._life = agent.life
+        self._generation = agent.generation
         return moment
 
     def clear(self, agent: Agent) -> None:
-        agent.renew_app(self._life)
+        agent.renew_app(self._generation)

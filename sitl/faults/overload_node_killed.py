@@ -20,16 +20,16 @@ class Injection(Fault):
     also = ("host/cpu",)
     needs = frozenset({"alone", "starvation"})
 
-    _life = ""
+    _generation = ""
 
     def inject(self, agent: Agent) -> float:
         with undoing(lambda: end_overload(agent)):
             overload(agent)
             time.sleep(BEFORE_S)
-            self._life = agent.life
+            self._generation = agent.generation
             return agent.signal_node("node_1", "KILL")
 
     def clear(self, agent: Agent) -> None:
         end_overload(agent)
-        if self._life:
-            agent.renew_app(self._life)
+        if self._generation:
+            agent.renew_app(self._generation)

@@ -17,13 +17,13 @@ class Injection(Fault):
     layer = "ros"
     cause = "a node was updated and offers less than its subscriber asks for"
 
-    _life = ""
+    _generation = ""
 
     def inject(self, agent: Agent) -> float:
-        self._life = agent.life
+        self._generation = agent.generation
         return agent.signal_node("node_1", CARELESS)
 
     def clear(self, agent: Agent) -> None:
-        if agent.life == self._life:
+        if agent.generation == self._generation:
             agent.signal_node("node_1", CARELESS)
-            self._life = ""
+            self._generation = ""

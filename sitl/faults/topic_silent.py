@@ -13,11 +13,11 @@ class Injection(Fault):
     layer = "ros"
     cause = "a node's source has stopped, the node itself is well"
 
-    _life = ""
+    _generation = ""
 
     def inject(self, agent: Agent) -> float:
-        self._life = agent.life
+        self._generation = agent.generation
         return agent.signal_node("node_1", "USR1")
 
     def clear(self, agent: Agent) -> None:
-        agent.renew_app(self._life)
+        agent.renew_app(self._generation)

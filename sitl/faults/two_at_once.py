@@ -15,13 +15,13 @@ class Injection(Fault):
     layer = "container"
     cause = "two things that have nothing to do with each other break in the same moment"
 
-    _life = ""
+    _generation = ""
 
     def inject(self, agent: Agent) -> float:
-        self._life = agent.life
+        self._generation = agent.generation
         agent.run_in_app("rm", CRITICAL)
         return agent.signal_node("node_1", "KILL")
 
     def clear(self, agent: Agent) -> None:
         put_back(agent)
-        agent.renew_app(self._life)
+        agent.renew_app(self._generation)

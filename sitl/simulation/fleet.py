@@ -136,7 +136,7 @@ class Agent:
 
 
 class Fleet:
-    """`count` agents from number 1 on, without 51. `deaf`: receive nothing from the ground, and the reverse. `cut`: (sender, hearer) pairs.
+    """`count` agents from number 1 on, without 51. `no_gcs`: receive nothing from the ground, and the reverse. `cut`: (sender, hearer) pairs.
 
     units: what each agent's checks say, or a few of their own. step_s: of the clock; a coarse one is quicker to compute.
     """
@@ -155,7 +155,7 @@ class Fleet:
         numbers = [number for number in range(1, 251) if number != 51][:count]
         self.agents = {number: Agent(number, self.clock, numbers, budget, units) for number in numbers}
         self.down: set[int] = set()
-        self.deaf: set[int] = set()
+        self.no_gcs: set[int] = set()
         self.cut: set[tuple[int, int]] = set()
         self.ground: list[tuple[int, int, str]] = []
         """What the ground station read: agent, severity, text."""
@@ -167,7 +167,7 @@ class Fleet:
             self.clock.advance(self._step_s)
             up = [agent for number, agent in self.agents.items() if number not in self.down]
             for agent in up:
-                if agent.number not in self.deaf:
+                if agent.number not in self.no_gcs:
                     agent.gcs_heard = self.clock.mono()
                 for reporter in agent.reporters:
                     reporter.tick()
@@ -186,7 +186,7 @@ class Fleet:
         for agent in up:
             if agent.number != sender and (sender, agent.number) not in self.cut:
                 agent.port.hear(message for message in messages if self._random.random() >= self._loss)
-        if sender not in self.deaf:
+        if sender not in self.no_gcs:
             self.ground += [
                 (sender, message.severity, message.text) for message in messages if message.get_type() == "STATUSTEXT"
             ]

@@ -102,7 +102,7 @@ def played(
         os.getpid(),
         lambda pid, number: done.append((len(seen), signal.Signals(number).name)),
         0.0,
-        tell=lambda: done.append((len(seen), "told")),
+        on_resume=lambda: done.append((len(seen), "told")),
         left_alone=left_alone,
     )
     os.close(far)

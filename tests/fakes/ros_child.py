@@ -33,11 +33,11 @@ def main(behaviour: str, folder: str = "") -> int:
         _write(b"x" * 3_000_000 + b"\n")
     began_s = time.monotonic()
     while True:
-        _picture(wanted, time.monotonic() - began_s, times)
+        _graph_message(wanted, time.monotonic() - began_s, times)
         if behaviour == "blind":
             return _blind()
         if behaviour == "garbage":
-            _write(b'[WARN] stray library output\n\xff\xfe\n["picture"]\n[1,2]\n["tick",[NaN,{}]]\n\n')
+            _write(b'[WARN] stray library output\n\xff\xfe\n["graph"]\n[1,2]\n["tick",[NaN,{}]]\n\n')
         elif behaviour == "exit":
             sys.stderr.write("it went wrong\n")
             return 3
@@ -53,11 +53,11 @@ def main(behaviour: str, folder: str = "") -> int:
             return 0
 
 
-def _picture(wanted: dict[str, object], up_s: float, times: int) -> None:
+def _graph_message(wanted: dict[str, object], up_s: float, times: int) -> None:
     topics = wanted["topics"]
     assert isinstance(topics, list)
     empty: list[object] = [[], [], None]
-    picture = ["picture", [up_s, {"/a/n": times}, {t["name"]: empty for t in topics}, 1, True, [], 0.0]]
+    picture = ["graph", [up_s, {"/a/n": times}, {t["name"]: empty for t in topics}, 1, True, [], 0.0]]
     _write(json.dumps(picture).encode() + b"\n")
 
 

@@ -19,10 +19,10 @@ SENT = [
     *map(
         pipe.encode,
         (
-            pipe.Picture(1.0, {"/a": 1}, problems=("one",)),
+            pipe.GraphMessage(1.0, {"/a": 1}, problems=("one",)),
             pipe.Tick(1.0, {"/t": 0.5, "/u": None}, 3),
-            pipe.Heard({"/a": BEACON}, {"s": STATUS}, {"/b": 0.1}, 2),
-            pipe.Remark("words"),
+            pipe.SelfReportUpdate({"/a": BEACON}, {"s": STATUS}, {"/b": 0.1}, 2),
+            pipe.LogText("words"),
         ),
     ),
     pipe.encode_order(pipe.Publish(1.0, {"s": STATUS})),

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from phm.beacon import BEACON_FORMAT
 from phm.probes.ros.beacon_registry import BeaconRegistry, portions
 from phm.probes.ros.beacon_text import log_texts
-from phm.probes.ros.protocol import LINE_LIMIT, Heard, decode, encode
+from phm.probes.ros.protocol import LINE_LIMIT, SelfReportUpdate, decode, encode
 from phm.probes.ros.self_reports import SelfReports
 from tests.fuzz.hostile import messages, torn
 from tests.fuzz.targets import fuzzed
@@ -61,8 +61,8 @@ def test_any_beacon_is_counted_or_told(said: list[tuple[bytes, float, bytes | No
             line = encode(part)
             assert len(line) <= LINE_LIMIT
             back = decode(line)
-            assert isinstance(back, Heard)
+            assert isinstance(back, SelfReportUpdate)
             assert back == part
             kept.differs(back)
-            kept = kept.with_news(back, at_s)
+            kept = kept.with_update(back, at_s)
             kept.since(at_s + 1)

@@ -13,7 +13,7 @@ from phm.facts.ros import BeaconFact, NeighbourFact
 from phm.probes.ros.beacon_registry import FORGET_S, MAX_RIVALS, MAX_STRANGERS, BeaconRegistry, portions
 from phm.probes.ros.beacon_text import beacons_in, log_texts
 from phm.probes.ros.beacons import MAX_BYTES, OTHERS_BYTES, choose
-from phm.probes.ros.protocol import LINE_LIMIT, Heard, encode
+from phm.probes.ros.protocol import LINE_LIMIT, SelfReportUpdate, encode
 from phm.probes.ros.self_reports import MAX_NAMES, Own, SelfReports
 
 A, B = "/agent_1/a", "/agent_1/b"
@@ -34,8 +34,8 @@ def ledger(*names: str) -> BeaconRegistry:
     return BeaconRegistry(frozenset(names))
 
 
-def heard(book: BeaconRegistry, now_s: float) -> Heard:
-    news = book.news(now_s)
+def heard(book: BeaconRegistry, now_s: float) -> SelfReportUpdate:
+    news = book.changes(now_s)
     assert news is not None
     return news
 
@@ -91,8 +91,8 @@ def test_whatever_is_no_beacon_is_refused_and_counted(wrong: str) -> None:
     """Nothing of it is kept, and nothing is raised."""
     book = ledger(A)
     book.add(BEACON_FORMAT, wrong, 1.0)
-    assert book.news(1.0) == Heard(refused=1)
-    assert book.news(1.1) is None
+    assert book.changes(1.0) == SelfReportUpdate(refused=1)
+    assert book.changes(1.1) is None
 
 
 def test_another_format_is_refused() -> None:
@@ -108,8 +108,8 @@ def test_the_first_beat_is_told_whole_and_the_next_by_its_age() -> None:
     book.add(BEACON_FORMAT, text(), 1.0)
     assert set(heard(book, 1.1).beacons) == {A}
     book.add(BEACON_FORMAT, text(), 1.2)
-    assert book.news(1.25) == Heard(ages={A: 0.05})
-    assert book.news(1.3) is None
+    assert book.changes(1.25) == SelfReportUpdate(ages={A: 0.05})
+    assert book.changes(1.3) is None
 
 
 @pytest.mark.parametrize("news", [text({A: node(late_s=2.0)}), text({A: node("w.2")}), text(views=VIEWS)])
@@ -117,7 +117,7 @@ def test_news_is_told_whole(news: str) -> None:
     """Lateness, another life, a view."""
     book = ledger(A)
     book.add(BEACON_FORMAT, text(), 1.0)
-    book.news(1.0)
+    book.changes(1.0)
     book.add(BEACON_FORMAT, news, 1.2)
     assert set(heard(book, 1.2).beacons) == {A}
 
@@ -146,11 +146,11 @@ def test_silence_is_told_when_it_begins_and_when_it_ends() -> None:
     """After two missed beats, after three, and not again; then when it beats anew."""
     book = ledger(A)
     book.add(BEACON_FORMAT, text(), 1.0)
-    book.news(1.0)
-    assert book.news(1.35) is None
+    book.changes(1.0)
+    assert book.changes(1.35) is None
     assert heard(book, 1.41).beacons[A].age_s == 0.41
     assert heard(book, 1.61).beacons[A].age_s == 0.61
-    assert book.news(2.0) is None
+    assert book.changes(2.0) is None
     book.add(BEACON_FORMAT, text(), 2.1)
     assert set(heard(book, 2.1).beacons) == {A}
 
@@ -174,16 +174,16 @@ def test_configured_nodes_have_room_whatever_strangers_do() -> None:
     news = heard(book, 1.0)
     assert (len(news.beacons), news.refused) == (MAX_STRANGERS + 1, 5)
     assert A in news.beacons
-    book.news(2.0)
-    book.news(1.1 + FORGET_S)
+    book.changes(2.0)
+    book.changes(1.1 + FORGET_S)
     book.add(BEACON_FORMAT, text({"/y": node()}), 2.0 + FORGET_S)
     assert set(heard(book, 2.0 + FORGET_S).beacons) == {"/y"}
 
 
 def test_the_daemon_keeps_the_newest_and_its_age() -> None:
     """An age alone makes a known beacon young again; an unknown name is passed over."""
-    kept = SelfReports().with_news(Heard(beacons={A: BeaconFact(0.1, 0.2)}, refused=2), 10.0)
-    kept = kept.with_news(Heard(ages={A: 0.05, B: 0.05}, refused=2), 10.5)
+    kept = SelfReports().with_update(SelfReportUpdate(beacons={A: BeaconFact(0.1, 0.2)}, refused=2), 10.0)
+    kept = kept.with_update(SelfReportUpdate(ages={A: 0.05, B: 0.05}, refused=2), 10.5)
     beacons, _ = kept.since(10.6)
     assert beacons[A].age_s == pytest.approx(0.15)
     assert set(beacons) == {A}
@@ -202,10 +202,10 @@ def test_the_daemon_keeps_the_newest_and_its_age() -> None:
 )
 def test_checks_are_woken_by_what_matters(fact: BeaconFact, differs: bool) -> None:
     """Silence, lateness, another life; not by each beat."""
-    kept = SelfReports().with_news(Heard(beacons={A: BeaconFact(0.1, 0.2, 0.0, "w.1")}), 10.0)
-    assert kept.differs(Heard(beacons={A: fact})) is differs
-    assert SelfReports().differs(Heard(beacons={A: fact}))
-    assert not kept.differs(Heard(ages={A: 0.1}))
+    kept = SelfReports().with_update(SelfReportUpdate(beacons={A: BeaconFact(0.1, 0.2, 0.0, "w.1")}), 10.0)
+    assert kept.differs(SelfReportUpdate(beacons={A: fact})) is differs
+    assert SelfReports().differs(SelfReportUpdate(beacons={A: fact}))
+    assert not kept.differs(SelfReportUpdate(ages={A: 0.1}))
 
 
 def hello(witness: str, name: str, period_s: float = 0.4) -> str:
@@ -285,7 +285,7 @@ def test_two_processes_of_one_name_that_both_go_on_are_told() -> None:
         book.add(BEACON_FORMAT, text(), at_s)
         if 5 <= number < 12:
             book.add(BEACON_FORMAT, text(witness="v"), at_s + 0.1)
-        news = book.news(at_s + 0.1)
+        news = book.changes(at_s + 0.1)
         told += [(number, news.beacons[A].rivals)] if news is not None and A in news.beacons else []
     assert told == [(1, 0), (7, 1), (15, 0)]
 
@@ -299,7 +299,7 @@ def test_a_node_that_relieves_another_is_no_rival() -> None:
         if number == 1:
             book.add(BEACON_FORMAT, text(), at_s)
         book.add(BEACON_FORMAT, text(witness="v"), at_s)
-        news = book.news(at_s)
+        news = book.changes(at_s)
         assert news is None or all(fact.rivals == 0 for fact in news.beacons.values())
     assert news is not None
 
@@ -310,7 +310,7 @@ def test_rivals_without_end_are_capped() -> None:
     for number in range(100):
         book.add(BEACON_FORMAT, text(), 1.0)
         book.add(BEACON_FORMAT, text(witness=f"v{number}"), 1.0)
-    assert len(book._heard[A].rivals) == MAX_RIVALS
+    assert len(book._beacons[A].rivals) == MAX_RIVALS
 
 
 ONE, TWO = b"1" * 16, b"2" * 16
@@ -324,12 +324,12 @@ def test_an_identity_belongs_to_the_writer_that_used_it_first() -> None:
     """What another one says in its name is refused, and who that is is reported; the first one goes on to count."""
     book = BeaconRegistry(frozenset({A}), listing(ONE, TWO))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
-    book.news(1.0)
+    book.changes(1.0)
     book.add(BEACON_FORMAT, text({A: node(late_s=99.0)}), 1.1, TWO)
     fact = heard(book, 1.2).beacons[A]
     assert (fact.late_s, fact.age_s, fact.copied_by, book.refused) == (0.0, 0.2, "/elsewhere/forger", 1)
     book.add(BEACON_FORMAT, text(), 1.2, ONE)
-    assert book.news(1.2) == Heard(ages={A: 0.0}, refused=1)
+    assert book.changes(1.2) == SelfReportUpdate(ages={A: 0.0}, refused=1)
     book.add(BEACON_FORMAT, text(), 20.0, ONE)
     assert heard(book, 20.0).beacons[A].copied_by == ""
 
@@ -378,9 +378,9 @@ def test_writers_that_are_bound_are_no_more_than_nodes() -> None:
     book = BeaconRegistry(frozenset({A}), listing())
     for number in range(MAX_STRANGERS * 3):
         book.add(BEACON_FORMAT, text({f"/x{number}": node()}, witness=f"w{number}"), 1.0, ONE)
-    book.news(1.0)
+    book.changes(1.0)
     assert len(book._writers) <= MAX_STRANGERS
-    book.news(2.0 + FORGET_S)
+    book.changes(2.0 + FORGET_S)
     assert not book._writers
 
 
@@ -401,7 +401,9 @@ def test_news_of_any_size_fit_into_messages_and_begin_with_the_configured_nodes(
     names = [f"/{'n' * 250}{number:03}" for number in range(400)]
     views = {name: NeighbourFact(alive=True, age_s=123456.789, late_s=123456.789) for name in names[:MAX_NEIGHBOURS]}
     beacons = {name: BeaconFact(0.1, 0.2, birth="w" * 60, witness="\u00e9" * 60, views=views) for name in names}
-    messages = portions(Heard(beacons=beacons, ages=dict.fromkeys(map(str, range(2500)), 0.1), lost=True), {names[-1]})
+    messages = portions(
+        SelfReportUpdate(beacons=beacons, ages=dict.fromkeys(map(str, range(2500)), 0.1), lost=True), {names[-1]}
+    )
     assert next(iter(messages[0].beacons)) == names[-1]
     assert {name for message in messages for name in message.beacons} == set(names)
     assert sum(len(message.ages) for message in messages) == 2500
@@ -418,23 +420,23 @@ def test_what_strangers_say_of_strangers_is_dropped() -> None:
 
 def test_strangers_displace_no_configured_node_in_the_daemon() -> None:
     """The oldest of the configured ones is kept: a dead node is known by its silence."""
-    kept = SelfReports(own=Own(frozenset({A}))).with_news(Heard(beacons={A: BeaconFact(0.1, 0.2)}), 1.0)
+    kept = SelfReports(own=Own(frozenset({A}))).with_update(SelfReportUpdate(beacons={A: BeaconFact(0.1, 0.2)}), 1.0)
     for number in range(3 * MAX_NAMES):
-        kept = kept.with_news(Heard(beacons={f"/x{number}": BeaconFact(0.1, 0.2)}), 2.0 + number)
+        kept = kept.with_update(SelfReportUpdate(beacons={f"/x{number}": BeaconFact(0.1, 0.2)}), 2.0 + number)
     assert A in kept.beacons and len(kept.beacons) == MAX_NAMES + 1
 
 
 def test_silence_while_beacons_are_lost_proves_nothing() -> None:
     """Whoever has been silent since before the loss is not known; one that beat after it is."""
-    kept = SelfReports().with_news(Heard(beacons={A: BeaconFact(0.0, 0.2), B: BeaconFact(0.0, 0.2)}), 10.0)
-    kept = kept.with_news(Heard(lost=True), 12.0)
-    kept = kept.with_news(Heard(ages={B: 0.0}), 13.0)
+    kept = SelfReports().with_update(SelfReportUpdate(beacons={A: BeaconFact(0.0, 0.2), B: BeaconFact(0.0, 0.2)}), 10.0)
+    kept = kept.with_update(SelfReportUpdate(lost=True), 12.0)
+    kept = kept.with_update(SelfReportUpdate(ages={B: 0.0}), 13.0)
     assert set(kept.since(15.0)[0]) == {B}
-    assert kept.with_news(Heard(ages={A: 0.0}), 15.0).since(18.0)[0].keys() == {A, B}
+    assert kept.with_update(SelfReportUpdate(ages={A: 0.0}), 15.0).since(18.0)[0].keys() == {A, B}
 
 
 def test_a_rival_is_news_worth_a_look() -> None:
     """Checks are to look at once."""
-    known = SelfReports().with_news(Heard(beacons={A: BeaconFact(0.0, 0.2)}), 1.0)
-    assert known.differs(Heard(beacons={A: BeaconFact(0.0, 0.2, rivals=1)}))
-    assert not known.differs(Heard(beacons={A: BeaconFact(0.1, 0.2)}))
+    known = SelfReports().with_update(SelfReportUpdate(beacons={A: BeaconFact(0.0, 0.2)}), 1.0)
+    assert known.differs(SelfReportUpdate(beacons={A: BeaconFact(0.0, 0.2, rivals=1)}))
+    assert not known.differs(SelfReportUpdate(beacons={A: BeaconFact(0.1, 0.2)}))

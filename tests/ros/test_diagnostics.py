@@ -14,7 +14,7 @@ from typing import Any
 
 from phm.facts import DiagnosticFact, RosFact
 from phm.probes.ros.diagnostics import MAX_TEXT, MAX_VALUES, portions
-from phm.probes.ros.protocol import LINE_LIMIT, Heard, encode
+from phm.probes.ros.protocol import LINE_LIMIT, SelfReportUpdate, encode
 from phm.probes.ros.self_reports import MAX_NAMES, Own, SelfReports
 from phm.probes.ros.supervisor import RosSupervisor
 from phm.wire import json_log
@@ -282,16 +282,16 @@ def test_statuses_of_any_size_fit_into_messages() -> None:
     text = "\u20ac" * MAX_TEXT
     fact = DiagnosticFact(0.0, 2, text, text, {f"{number:03}{text[3:]}": text for number in range(MAX_VALUES)})
     messages = portions([(f"{number:03}{text[3:]}", fact) for number in range(50)])
-    assert sum(len(message.diagnostics) for message in messages if isinstance(message, Heard)) == 50
+    assert sum(len(message.diagnostics) for message in messages if isinstance(message, SelfReportUpdate)) == 50
     assert all(len(encode(message)) < LINE_LIMIT for message in messages)
     assert portions([]) == []
 
 
 def test_strangers_displace_no_status_that_is_watched() -> None:
     """The daemon keeps what is configured, by name or pattern, however long ago it was heard."""
-    kept = SelfReports(own=Own(statuses=("camera: *",))).with_news(
-        Heard(diagnostics={"camera: a": DiagnosticFact(0.0, 0)}), 1.0
+    kept = SelfReports(own=Own(statuses=("camera: *",))).with_update(
+        SelfReportUpdate(diagnostics={"camera: a": DiagnosticFact(0.0, 0)}), 1.0
     )
     for number in range(3 * MAX_NAMES):
-        kept = kept.with_news(Heard(diagnostics={f"x{number}": DiagnosticFact(0.0, 0)}), 2.0 + number)
+        kept = kept.with_update(SelfReportUpdate(diagnostics={f"x{number}": DiagnosticFact(0.0, 0)}), 2.0 + number)
     assert "camera: a" in kept.diagnostics and len(kept.diagnostics) == MAX_NAMES + 1

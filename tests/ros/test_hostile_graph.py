@@ -10,7 +10,7 @@ from phm.facts import EndpointFact, RosFact, TopicFact
 from phm.probes.ros.graph_snapshot import GraphSnapshot
 from phm.probes.ros.line_splitter import LineSplitter
 from phm.probes.ros.name_limits import MAX_STRANGERS, kept_ends, kept_nodes
-from phm.probes.ros.protocol import LINE_LIMIT, Picture, Tick, encode
+from phm.probes.ros.protocol import LINE_LIMIT, GraphMessage, Tick, encode
 from phm.probes.ros.raw_names import LONGEST, printable
 from phm.probes.ros.supervisor import OVERLONG, RosSupervisor
 from tests.fakes.ros_bench import Bench, seen, stale, until
@@ -77,11 +77,11 @@ def test_a_message_that_is_too_long_is_a_loss_of_sight(bench: Bench) -> None:
 
 def test_a_tick_does_not_refresh_another_picture() -> None:
     """The age of a picture is its own: a tick counts for the picture that it names alone, and other messages for none."""
-    view = GraphSnapshot().with_message(Picture(5.0, {NODE: 1}, number=1), 100.0)
-    assert view.picture is not None
-    assert view.with_message(Tick(6.0, {}, 1), 101.0).fact(view.picture, 101.5).age_s == 0.5
+    view = GraphSnapshot().with_message(GraphMessage(5.0, {NODE: 1}, number=1), 100.0)
+    assert view.graph is not None
+    assert view.with_message(Tick(6.0, {}, 1), 101.0).fact(view.graph, 101.5).age_s == 0.5
     lost = view.with_message(Tick(6.0, {}, 2), 101.0)
-    assert lost.picture is not None and lost.fact(lost.picture, 101.5).age_s == 1.5
+    assert lost.graph is not None and lost.fact(lost.graph, 101.5).age_s == 1.5
 
 
 def test_a_line_that_is_too_long_is_counted_once_and_dropped() -> None:
@@ -112,7 +112,7 @@ def test_configured_ends_are_kept_whatever_strangers_announce() -> None:
     assert [end.node for end in kept["/t"]].count("/z/own") >= 1
     topics = {name: TopicFact(kept.get(name, ()), kept_subscribers.get(name, ())) for name in {*kept, *subscribers}}
     nodes, _ = kept_nodes({end.node: 1 for end in strangers}, ())
-    assert len(encode(Picture(1.0, nodes, topics))) < LINE_LIMIT
+    assert len(encode(GraphMessage(1.0, nodes, topics))) < LINE_LIMIT
 
 
 def test_a_name_from_outside_is_short_and_printable() -> None:

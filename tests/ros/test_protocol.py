@@ -7,14 +7,14 @@ import pytest
 from phm.facts import BeaconFact, DiagnosticFact, EndpointFact, NameFact, NeighbourFact, RateFact, TopicFact
 from phm.probes.ros.graph_snapshot import GraphSnapshot
 from phm.probes.ros.protocol import (
-    Heard,
+    GraphMessage,
+    LogText,
     Message,
     Missing,
-    Others,
-    Picture,
+    OtherTopics,
     ProtocolError,
     Publish,
-    Remark,
+    SelfReportUpdate,
     Tick,
     Wanted,
     WantedTopic,
@@ -32,13 +32,13 @@ END = EndpointFact("/a/n", "std_msgs/msg/String", "reliable", "volatile")
 @pytest.mark.parametrize(
     "message",
     [
-        Picture(1.5, {"/a/n": 2}, {"/t": TopicFact((END,), (END, END), RateFact(9.9, 0.1, 3.0, 7, "x"))}),
-        Picture(0.0, {}, {"/t": TopicFact()}),
+        GraphMessage(1.5, {"/a/n": 2}, {"/t": TopicFact((END,), (END, END), RateFact(9.9, 0.1, 3.0, 7, "x"))}),
+        GraphMessage(0.0, {}, {"/t": TopicFact()}),
         Tick(2.0, {"/t": 0.5, "/u": None}),
-        Heard({"/a/n": BeaconFact(0.1, 0.2, 0.0, "x", 7, {"/a/m": NeighbourFact(True, 0.3)})}),
-        Heard({}, {"radio": DiagnosticFact(0.1, 2, "no link", "sik", {"rssi": "0"})}),
-        Others({"/u": NameFact(("/a/n",), ("/a/m", "/a/o"))}),
-        Remark("diagnostic_msgs is not installed"),
+        SelfReportUpdate({"/a/n": BeaconFact(0.1, 0.2, 0.0, "x", 7, {"/a/m": NeighbourFact(True, 0.3)})}),
+        SelfReportUpdate({}, {"radio": DiagnosticFact(0.1, 2, "no link", "sik", {"rssi": "0"})}),
+        OtherTopics({"/u": NameFact(("/a/n",), ("/a/m", "/a/o"))}),
+        LogText("diagnostic_msgs is not installed"),
         Missing("rclpy", "No module named 'rclpy'"),
     ],
 )
@@ -65,17 +65,17 @@ def test_the_configuration_comes_through() -> None:
         b"{}",
         b"7",
         b'["other",[]]',
-        b'["picture"]',
-        b'["picture",[]]',
-        b'[["picture"],[]]',
+        b'["graph"]',
+        b'["graph",[]]',
+        b'[["graph"],[]]',
         b'["tick",["x",{}]]',
         b'["tick",[1,[1]]]',
         b'["tick",[NaN,{}]]',
         b'["tick",[true,{}]]',
         b'["tick",[1,{}],3]',
-        b'["picture",[1,{"/a":1.5},{}]]',
-        b'["picture",[1,{"/a":1},{"/t',
-        b'["picture",[1,{},{"/t":[[["/n"]],[],null]}]]',
+        b'["graph",[1,{"/a":1.5},{}]]',
+        b'["graph",[1,{"/a":1},{"/t',
+        b'["graph",[1,{},{"/t":[[["/n"]],[],null]}]]',
         b'["tick",[1' + b"0" * 400 + b",{}]]",
         b"[" * 100_000,
     ],
@@ -112,14 +112,14 @@ def test_an_order_that_is_none_is_refused(line: bytes) -> None:
 def test_silence_goes_on_between_two_pictures() -> None:
     """A tick tells how long topics with a rate are silent; all else is as in the last picture, and all ages grow."""
     topics = {"/t": TopicFact((END,), (), RateFact(9.9, 0.1)), "/u": TopicFact((), (END,))}
-    view = GraphSnapshot().with_message(Picture(5.0, {"/a/n": 1}, topics), 100.0)
-    view = view.with_message(Heard({"/a/n": BeaconFact(0.1, 0.2)}), 100.0)
+    view = GraphSnapshot().with_message(GraphMessage(5.0, {"/a/n": 1}, topics), 100.0)
+    view = view.with_message(SelfReportUpdate({"/a/n": BeaconFact(0.1, 0.2)}), 100.0)
     view = view.with_message(Tick(5.25, {"/t": 0.35}), 100.25)
-    assert view.picture is not None
-    fact = view.fact(view.picture, 100.35)
+    assert view.graph is not None
+    fact = view.fact(view.graph, 100.35)
     assert fact.topics["/u"] == topics["/u"] and fact.topics["/t"].publishers == (END,)
     rate = fact.topics["/t"].rate
     assert rate is not None
     assert (rate.hz, rate.silent_s, fact.up_s) == (9.9, pytest.approx(0.45), pytest.approx(5.35))
     assert fact.beacons["/a/n"].age_s == pytest.approx(0.45)
-    assert view.with_message(Picture(6.0, {}, topics), 101.0).fact(view.picture, 101.0).topics == topics
+    assert view.with_message(GraphMessage(6.0, {}, topics), 101.0).fact(view.graph, 101.0).topics == topics

@@ -12,7 +12,7 @@ from phm import api
 from phm.core.scheduling_delay import ProcessStallMeter, SchedulingDelay
 from phm.probes.ros import supervisor
 from phm.probes.ros.graph_snapshot import AGAIN_S, BREAK_S, GraphSnapshot, again_s
-from phm.probes.ros.protocol import Heard, Picture, Tick
+from phm.probes.ros.protocol import GraphMessage, SelfReportUpdate, Tick
 from phm.probes.ros.rates.estimator import RateEstimator
 from phm.probes.ros.rates.publisher_stats import Sample
 from phm.probes.ros.supervisor import SupervisorLimits
@@ -21,7 +21,7 @@ from tests.fakes.ros_bench import Bench, until
 from tests.ros.test_supervision import fake
 
 NODE = "/a/n"
-PICTURE = Picture(100.0, {NODE: 1}, {"/a/t": api.TopicFact((), (), api.RateFact(10.0, 0.1, limit_s=1.0))}, 1)
+PICTURE = GraphMessage(100.0, {NODE: 1}, {"/a/t": api.TopicFact((), (), api.RateFact(10.0, 0.1, limit_s=1.0))}, 1)
 
 
 class Child:
@@ -32,7 +32,7 @@ class Child:
         self.view = GraphSnapshot(again_s=again_s(grace_s)).with_message(PICTURE, self.now)
 
     def hear(self) -> None:
-        self.view = self.view.with_message(Heard({NODE: api.BeaconFact(0.0, 0.2)}), self.now)
+        self.view = self.view.with_message(SelfReportUpdate({NODE: api.BeaconFact(0.0, 0.2)}), self.now)
 
     def tick(self, passed_s: float, late_s: float = 0.0) -> api.RosFact:
         self.now += passed_s
@@ -42,8 +42,8 @@ class Child:
         return self.fact()
 
     def fact(self) -> api.RosFact:
-        assert self.view.picture is not None
-        return self.view.fact(self.view.picture, self.now, self.late_s)
+        assert self.view.graph is not None
+        return self.view.fact(self.view.graph, self.now, self.late_s)
 
     def late_s(self, since: float, most_s: float | None = None) -> float:
         return self.late.late_s(since, self.now, most_s)
@@ -213,12 +213,12 @@ def test_what_was_heard_is_sent_before_the_picture(bench: Bench) -> None:
 
     class Looked(Observer):
         def __init__(self) -> None:
-            part = type("Part", (), {"look": lambda self, *_: [Heard()]})()
+            part = type("Part", (), {"look": lambda self, *_: [SelfReportUpdate()]})()
             self._beacons = self._diagnostics = part
             self._names = type("Names", (), {"look": lambda self, _: False})()
 
-        def _picture(self, *, notified: bool, late_s: float) -> Picture | Tick:
+        def _graph_message(self, *, notified: bool, late_s: float) -> GraphMessage | Tick:
             return Tick(1.0, late_s=late_s)
 
     order += [type(message).__name__ for message in Looked().look(late_s=0.5)]
-    assert order == ["Heard", "Heard", "Tick"]
+    assert order == ["SelfReportUpdate", "SelfReportUpdate", "Tick"]

@@ -265,15 +265,15 @@ def light(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_node_dies_during_the_overload(made: Callable[..., Agent]) -> None:
     """The node is gone, its container and the load are there; clearing ends the load and restarts the container."""
     agent, fault = made(), overload_node_killed.Injection()
-    life = agent.life
+    generation = agent.generation
     fault.inject(agent)
     assert len(hogs(agent)) == 1
     until(lambda: agent.processes(agent.app, "sleep 600") == [], "the end of the node")
-    assert agent.life == life
+    assert agent.generation == generation
     for _ in range(2):
         fault.clear(agent)
         assert hogs(agent) == []
-    assert agent.life != life
+    assert agent.generation != generation
 
 
 @pytest.mark.usefixtures("light")

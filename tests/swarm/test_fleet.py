@@ -33,7 +33,7 @@ def test_a_lost_leader_is_replaced_and_reported() -> None:
 def test_an_agent_without_its_ground_radio_is_reported_by_its_peers() -> None:
     """Its own lines do not reach the ground; its status word reaches its peers."""
     fleet = Fleet(4)
-    fleet.deaf = {3}
+    fleet.no_gcs = {3}
     fleet.run(60)
     assert "A03 no GCS radio, heard by A01 A02 A04: OK" in fleet.lines(4)
     fleet.agents[3].become("container/app", Level.ERROR, "app exited")
@@ -46,7 +46,7 @@ def test_an_agent_without_its_ground_radio_is_reported_by_its_peers() -> None:
 def test_a_new_speaker_repeats_nothing_aloud() -> None:
     """Nothing has changed for A03; the earlier leader had reported it to the ground."""
     fleet = Fleet(4)
-    fleet.deaf = {3}
+    fleet.no_gcs = {3}
     fleet.run(60)
     fleet.lines()
     fleet.down = {1}
@@ -58,7 +58,7 @@ def test_a_new_speaker_repeats_nothing_aloud() -> None:
 def test_unreported_changes_of_a_lost_leader_are_reported_by_the_next() -> None:
     """A03 fails in the moment in which the leader dies."""
     fleet = Fleet(4)
-    fleet.deaf = {3}
+    fleet.no_gcs = {3}
     fleet.run(60)
     fleet.lines()
     fleet.down = {1}
@@ -70,7 +70,7 @@ def test_unreported_changes_of_a_lost_leader_are_reported_by_the_next() -> None:
 def test_a_new_ground_station_gets_the_relayed_agents_again() -> None:
     """As each agent sends it its full state, the leader does for those that cannot."""
     fleet = Fleet(4)
-    fleet.deaf = {3}
+    fleet.no_gcs = {3}
     fleet.run(60)
     fleet.lines()
     for _ in range(3):
@@ -85,7 +85,7 @@ def test_an_agent_at_the_edge_of_its_radio_is_not_reported_each_time() -> None:
     """It loses and finds the ground every quarter of a minute, and fails and recovers meanwhile."""
     fleet = Fleet(4)
     fleet.run(60)
-    fleet.deaf = {3}
+    fleet.no_gcs = {3}
     fleet.run(20)
     fleet.lines()
     for turn in range(40):
@@ -117,9 +117,9 @@ def test_views_list_the_agents_that_an_agent_receives() -> None:
 
 def test_a_radio_that_comes_back_takes_the_word_back() -> None:
     fleet = Fleet(4)
-    fleet.deaf = {3}
+    fleet.no_gcs = {3}
     fleet.run(60)
-    fleet.deaf = set()
+    fleet.no_gcs = set()
     fleet.run(30)
     assert fleet.agents[1].probe.look().no_gcs == ()
     fleet.lines()
@@ -203,7 +203,7 @@ def test_a_hundred_agents_agree_and_stay_within_budget() -> None:
     fleet.run(60)
     assert {agent.probe.look().living for agent in fleet.agents.values()} == {100}
     before = sum(agent.port.bytes_out for agent in fleet.agents.values())
-    fleet.down, fleet.deaf = {5, 50, 95}, {7}
+    fleet.down, fleet.no_gcs = {5, 50, 95}, {7}
     fleet.lines()
     fleet.run(80)
     living = {agent.probe.look().living for number, agent in fleet.agents.items() if number not in fleet.down}

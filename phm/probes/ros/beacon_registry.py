@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from phm.beacon import BEACON_FORMAT
 from phm.facts.ros import BeaconFact
 from phm.probes.ros.beacon_text import beacons_in
-from phm.probes.ros.protocol import Heard
+from phm.probes.ros.protocol import SelfReportUpdate
 
 MAX_STRANGERS = 200
 """Most nodes kept that are not configured."""
@@ -26,7 +26,7 @@ COPIED_S = 10.0
 """A copied identity is reported for this long after its last message."""
 PORTION, AGES_PORTION = 40, 1000
 """Beacons, and ages, in one message to the daemon: a beacon has at most 50 neighbours with names of 255 characters, so 17 kB."""
-RIVAL_BEATS = 3
+RIVAL_HEARTBEATS = 3
 """Another process of the same name counts after this many heartbeats, if the first one has continued for at least a period."""
 MAX_RIVALS = 4
 
@@ -41,7 +41,7 @@ class _Rival:
 
 
 @dataclass(slots=True)
-class _Heard:
+class _NodeBeacon:
     """The newest beacon of one node, when it arrived (monotonic), and how much of its silence has been reported.
 
     rivals: by witness. copied_by: who used its identity last, and when.
@@ -76,7 +76,7 @@ class _Heard:
         """Count those sending now that also sent while this one continued: a replacement overlaps for one heartbeat."""
         period_s = self.fact.period_s
         return sum(
-            rival.heartbeats >= RIVAL_BEATS
+            rival.heartbeats >= RIVAL_HEARTBEATS
             and self.at_s - rival.since_s >= period_s
             and now_s - rival.at_s <= SILENT_MISSES * period_s
             for rival in self.rivals.values()
@@ -98,16 +98,16 @@ class BeaconRegistry:
         self._listed = listed
         self._writers: dict[str, bytes] = {}
         """By witness."""
-        self._heard: dict[str, _Heard] = {}
-        self._news: set[str] = set()
+        self._beacons: dict[str, _NodeBeacon] = {}
+        self._changed: set[str] = set()
         self._received: set[str] = set()
         self.refused = 0
         self._reported_refused = 0
 
     def own_writers(self) -> set[bytes]:
         """The writers of the heartbeats of configured nodes."""
-        heard = (self._heard[name].fact.witness for name in self._nodes & self._heard.keys())
-        return {self._writers[witness] for witness in heard if witness in self._writers}
+        witnesses = (self._beacons[name].fact.witness for name in self._nodes & self._beacons.keys())
+        return {self._writers[witness] for witness in witnesses if witness in self._writers}
 
     def add(self, format_name: str, text: str, at_s: float, writer: bytes | None = None) -> None:
         """Process one message. `at_s`: when it arrived. writer: its sender, if the middleware reports it."""
@@ -126,52 +126,54 @@ class BeaconRegistry:
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
             self.refused += 1
 
-    def news(self, now_s: float) -> Heard | None:
+    def changes(self, now_s: float) -> SelfReportUpdate | None:
         """Return what to report: all of each beacon with new content, only the age of a beacon that just continues."""
-        for name, heard in list(self._heard.items()):
-            seen = heard.now(now_s)
+        for name, beacon in list(self._beacons.items()):
+            seen = beacon.now(now_s)
             doubt = sum(seen.missed > limit for limit in DOUBT)
-            others = (seen.rivals, seen.copied_by) != (heard.fact.rivals, heard.fact.copied_by)
-            if doubt > heard.doubt or others:
-                self._news.add(name)
-            heard.doubt, heard.fact = doubt, seen
-            if name not in self._nodes and now_s - heard.at_s > FORGET_S:
-                del self._heard[name]
-        news = {name: self._heard[name].now(now_s) for name in self._news if name in self._heard}
-        unchanged = self._received - self._news
-        ages = {name: self._heard[name].now(now_s).age_s for name in unchanged if name in self._heard}
-        if len(self._writers) > len(self._heard):
-            witnesses = {heard.fact.witness for heard in self._heard.values()}
+            others = (seen.rivals, seen.copied_by) != (beacon.fact.rivals, beacon.fact.copied_by)
+            if doubt > beacon.doubt or others:
+                self._changed.add(name)
+            beacon.doubt, beacon.fact = doubt, seen
+            if name not in self._nodes and now_s - beacon.at_s > FORGET_S:
+                del self._beacons[name]
+        changes = {name: self._beacons[name].now(now_s) for name in self._changed if name in self._beacons}
+        unchanged = self._received - self._changed
+        ages = {name: self._beacons[name].now(now_s).age_s for name in unchanged if name in self._beacons}
+        if len(self._writers) > len(self._beacons):
+            witnesses = {beacon.fact.witness for beacon in self._beacons.values()}
             self._writers = {name: writer for name, writer in self._writers.items() if name in witnesses}
         more_refused = self.refused != self._reported_refused
-        self._news, self._received, self._reported_refused = set(), set(), self.refused
-        return Heard(beacons=news, ages=ages, refused=self.refused) if news or ages or more_refused else None
+        self._changed, self._received, self._reported_refused = set(), set(), self.refused
+        if not (changes or ages or more_refused):
+            return None
+        return SelfReportUpdate(beacons=changes, ages=ages, refused=self.refused)
 
     def _is_genuine(self, witness: str, writer: bytes | None, at_s: float) -> bool:
         """False for a message from another writer in the name of a process that is bound to its own writer."""
         bound = self._writers.get(witness)
         if writer is None or bound is None or bound == writer:
             return True
-        theirs = [heard for heard in self._heard.values() if heard.fact.witness == witness]
+        theirs = [beacon for beacon in self._beacons.values() if beacon.fact.witness == witness]
         listed = self._listed()
         gone = listed is not None and bound not in listed
-        if gone and all(at_s - heard.at_s > SILENT_MISSES * heard.fact.period_s for heard in theirs):
+        if gone and all(at_s - beacon.at_s > SILENT_MISSES * beacon.fact.period_s for beacon in theirs):
             del self._writers[witness]
             return True
         name = (listed or {}).get(writer, "")
-        for heard in theirs:
-            heard.copied_by = (name or f"writer {writer.hex()}", at_s)
+        for beacon in theirs:
+            beacon.copied_by = (name or f"writer {writer.hex()}", at_s)
         return False
 
     def _is_of(self, name: str, witness: str) -> bool:
-        heard = self._heard.get(name)
-        return heard is not None and heard.fact.witness == witness
+        beacon = self._beacons.get(name)
+        return beacon is not None and beacon.fact.witness == witness
 
     def _add(self, name: str, fact: BeaconFact, at_s: float, *, has_views: bool) -> None:
-        known = self._heard.get(name)
+        known = self._beacons.get(name)
         if known is None:
-            strangers = len(self._heard) - len(self._nodes & self._heard.keys())
-            if name not in self._nodes and strangers >= MAX_STRANGERS:
+            others = len(self._beacons) - len(self._nodes & self._beacons.keys())
+            if name not in self._nodes and others >= MAX_STRANGERS:
                 self.refused += 1
                 return
         elif known.fact.witness != fact.witness:
@@ -183,9 +185,9 @@ class BeaconRegistry:
             views = fact.views if has_views else known.fact.views
             fact = replace(fact, rivals=known.fact.rivals, copied_by=known.fact.copied_by, views=views)
         if known is None or has_views or known.doubt or _differs(known.fact, fact):
-            self._news.add(name)
+            self._changed.add(name)
         self._received.add(name)
-        new = self._heard[name] = _Heard(fact, at_s)
+        new = self._beacons[name] = _NodeBeacon(fact, at_s)
         if known is not None:
             new.rivals, new.copied_by = known.rivals, known.copied_by
 
@@ -199,14 +201,14 @@ def _reported(fact: BeaconFact) -> tuple[object, ...]:
     return fact.birth, fact.late_s, fact.period_s, fact.turns > 0
 
 
-def portions(news: Heard, first: Collection[str]) -> list[Heard]:
-    """Split the news into messages of limited size, beginning with the nodes in `first`."""
-    beacons = sorted(news.beacons.items(), key=lambda item: item[0] not in first)
-    ages = sorted(news.ages.items(), key=lambda item: item[0] not in first)
+def portions(changes: SelfReportUpdate, first: Collection[str]) -> list[SelfReportUpdate]:
+    """Split the changes into messages of limited size, beginning with the nodes in `first`."""
+    beacons = sorted(changes.beacons.items(), key=lambda item: item[0] not in first)
+    ages = sorted(changes.ages.items(), key=lambda item: item[0] not in first)
     count = max(1, -(-len(beacons) // PORTION), -(-len(ages) // AGES_PORTION))
     return [
         replace(
-            news,
+            changes,
             beacons=dict(beacons[turn * PORTION : (turn + 1) * PORTION]),
             ages=dict(ages[turn * AGES_PORTION : (turn + 1) * AGES_PORTION]),
         )

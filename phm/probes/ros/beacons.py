@@ -17,7 +17,7 @@ from phm.probes.ros.beacon_registry import BeaconRegistry, portions
 from phm.probes.ros.beacon_text import log_texts
 from phm.probes.ros.graph import full_name
 from phm.probes.ros.message_taker import GID_BYTES, MessageTaker, Taken
-from phm.probes.ros.protocol import Heard, Message
+from phm.probes.ros.protocol import Message, SelfReportUpdate
 from phm.probes.ros.raw_names import printable
 
 MAX_TAKES = 250
@@ -67,10 +67,10 @@ class BeaconListener:
                 self._registry.add(*log_texts(data), now_s - age_s, writer)
             except (ValueError, struct.error):
                 self._registry.refused += 1
-        news = self._registry.news(now_s)
-        if news is None:
-            return [Heard(refused=self._registry.refused, lost=True)] if self._lost else []
-        return [*portions(replace(news, lost=self._lost), self._nodes)]
+        changes = self._registry.changes(now_s)
+        if changes is None:
+            return [SelfReportUpdate(refused=self._registry.refused, lost=True)] if self._lost else []
+        return [*portions(replace(changes, lost=self._lost), self._nodes)]
 
     def _take(self) -> list[Taken]:
         """What has come since the last look, oldest first. As bytes: what is too long is never decoded."""

@@ -18,10 +18,10 @@ from phm.probes.ros.line_splitter import LineSplitter
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
     INSTALLS,
+    LogText,
     Message,
     Missing,
     ProtocolError,
-    Remark,
     Sandbox,
     decode_order,
     decode_wanted,
@@ -94,7 +94,7 @@ def _report(watch: Observer, out: int, tick_s: float) -> Observer:
     while True:
         _send(out, *watch.look(notified=notified, late_s=late_s))
         if missed := second.look(time.monotonic(), watch.known, lacking=watch.lacking):
-            _send(out, Remark(MISSED.format(", ".join(missed)[:MAX_MISSED])))
+            _send(out, LogText(MISSED.format(", ".join(missed)[:MAX_MISSED])))
             watch = watch.renewed()
             second.renewed(time.monotonic())
         leak.grow()

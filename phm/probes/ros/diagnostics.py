@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from phm.facts.ros import DiagnosticFact
-from phm.probes.ros.protocol import Heard, Message, Publish, Remark
+from phm.probes.ros.protocol import LogText, Message, Publish, SelfReportUpdate
 
 TOPIC = "/diagnostics"
 OWN = "phm/"
@@ -45,7 +45,7 @@ class DiagnosticsListener:
         """is_own: whether a status of this name is configured; these are kept first."""
         self._node = node
         self._is_own = is_own
-        self._remarks: list[Message] = []
+        self._log_texts: list[Message] = []
         self._said: set[str] = set()
         self._readers: dict[str, Any] = {}
         self._publisher: Any = None
@@ -57,15 +57,15 @@ class DiagnosticsListener:
             self._readers = {topic: self._reader(topic) for topic in listen}
 
     def look(self) -> list[Message]:
-        """What was heard since the last look: the newest of each status."""
-        heard: dict[str, DiagnosticFact] = {}
+        """The newest of each status received since the last look."""
+        received: dict[str, DiagnosticFact] = {}
         for topic, reader in self._readers.items():
             for array in self._arrays(topic, reader):
                 for status in array.status[:MAX_STATUSES]:
                     if status.name and not status.name.startswith(OWN):
-                        heard[status.name[:MAX_TEXT]] = _fact(status)
-        messages, self._remarks = self._remarks, []
-        kept = sorted(heard.items(), key=lambda item: not self._is_own(item[0]))[:MAX_STATUSES]
+                        received[status.name[:MAX_TEXT]] = _fact(status)
+        messages, self._log_texts = self._log_texts, []
+        kept = sorted(received.items(), key=lambda item: not self._is_own(item[0]))[:MAX_STATUSES]
         return [*messages, *portions(kept)]
 
     def publish(self, order: Publish) -> None:
@@ -94,7 +94,7 @@ class DiagnosticsListener:
         """For the log, each text once, and not without end: some quote what came."""
         if text not in self._said and len(self._said) < MAX_REMARKS:
             self._said.add(text)
-            self._remarks.append(Remark(text))
+            self._log_texts.append(LogText(text))
 
     def _reader(self, topic: str) -> Any:
         from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
@@ -163,11 +163,11 @@ def portions(statuses: Sequence[tuple[str, DiagnosticFact]]) -> list[Message]:
         own = _REST + len(name) + len(fact.message) + len(fact.hardware_id)
         own += sum(_REST + len(key) + len(value) for key, value in fact.values.items())
         if part and size + own > PORTION:
-            messages.append(Heard(diagnostics=part))
+            messages.append(SelfReportUpdate(diagnostics=part))
             part, size = {}, 0
         part[name] = fact
         size += own
-    return [*messages, Heard(diagnostics=part)] if part else messages
+    return [*messages, SelfReportUpdate(diagnostics=part)] if part else messages
 
 
 def _fact(status: Any) -> DiagnosticFact:

@@ -17,7 +17,7 @@ MAX_STRANGERS = 300
 FEW_ENDS = 400
 """So many endpoints fit into a message, however long their names are."""
 ENDS_BYTES = 500_000
-"""For all endpoints of one picture, of the 1 MB that a message may have."""
+"""Bytes for all endpoints of one graph message, which may have 1 MB."""
 _REST_BYTES = 160
 """Of an endpoint, beside the name of its node and its type."""
 

@@ -19,7 +19,7 @@ from phm.probes.ros.diagnostics import DiagnosticsListener
 from phm.probes.ros.graph import OWN, GraphReader
 from phm.probes.ros.graph_events import GraphEvents
 from phm.probes.ros.graph_snapshot import flow
-from phm.probes.ros.protocol import Message, Others, Picture, Publish, Tick, Wanted
+from phm.probes.ros.protocol import GraphMessage, Message, OtherTopics, Publish, Tick, Wanted
 from phm.probes.ros.rates.topic_monitor import TopicMonitor
 from phm.probes.ros.second_look import Known, Scout
 from phm.probes.ros.self_reports import Own
@@ -30,10 +30,10 @@ class Observer:
     """One look a tick; nothing in it waits."""
 
     def __init__(self, wanted: Wanted, number: int = 0) -> None:
-        """number: of the newest picture before."""
+        """`number`: that of the last graph message of an earlier observer."""
         self._wanted = wanted
         self.known: Known = frozenset()
-        """What the last look has found of nodes and ends that are configured."""
+        """The configured nodes and endpoints found at the last look."""
         self._context, self._node = _participant(wanted, wanted.agent)
         self._began_s = time.monotonic()
         self._graph = GraphReader(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
@@ -57,39 +57,39 @@ class Observer:
         return self._events.fd
 
     def look(self, *, notified: bool = False, late_s: float = 0.0) -> list[Message]:
-        """Called once a tick, notified: `events` was readable. Returns the messages for the daemon. late_s: how much too late.
+        """Return the messages for the daemon; called once per tick. notified: `events` was readable. late_s: delay of the call.
 
-        The picture comes last: by then everything that it needs to be evaluated has been sent.
+        The graph message comes last, so that the daemon has everything needed to evaluate it.
         """
         if notified:
             self._events.take()
-        picture = self._picture(notified=notified, late_s=round(late_s, 3))
-        heard = [*self._beacons.look(), *self._diagnostics.look()]
-        others: list[Message] = [Others(self._names.names)] if self._names.look(time.monotonic()) else []
-        return [*heard, *others, picture]
+        message = self._graph_message(notified=notified, late_s=round(late_s, 3))
+        reports = [*self._beacons.look(), *self._diagnostics.look()]
+        others: list[Message] = [OtherTopics(self._names.names)] if self._names.look(time.monotonic()) else []
+        return [*reports, *others, message]
 
     @property
     def lacking(self) -> bool:
-        """Whether a node that is configured is not listed, or a topic with a rate has no publisher."""
+        """Whether a configured node is not listed, or a topic with a rate has no publisher."""
         return not self._graph.nodes.keys() >= set(self._wanted.nodes) or any(
             not self._graph.publishers[name] for name in self._gauges
         )
 
     def second(self) -> Scout:
-        """Another participant, that looks at the same graph."""
+        """A second participant that observes the same graph."""
         return _Second(self._wanted)
 
     def renewed(self) -> Observer:
-        """Closes this one. Returns one that has a participant of its own and starts empty."""
+        """Close this observer and return a new one with a new participant and an empty graph."""
         self.close()
         return Observer(self._wanted, self._number)
 
     def obey(self, order: Publish) -> None:
-        """Called as soon as the daemon has said so."""
+        """Execute an order of the daemon."""
         self._diagnostics.publish(order)
 
-    def _picture(self, *, notified: bool, late_s: float) -> Picture | Tick:
-        """The whole picture when something changed or it is time, else only that nothing did."""
+    def _graph_message(self, *, notified: bool, late_s: float) -> GraphMessage | Tick:
+        """A GraphMessage after a change or when one is due, else a Tick."""
         now_s = time.monotonic()
         changed = self._graph.look(now_s, notified=notified)
         if changed:
@@ -110,17 +110,17 @@ class Observer:
         }
         self._number += 1
         problems = tuple(filter(None, (*graph.problems, self._names.problem)))
-        return Picture(up_s, graph.nodes, topics, self._number, graph.names_known, problems, late_s)
+        return GraphMessage(up_s, graph.nodes, topics, self._number, graph.names_known, problems, late_s)
 
     def close(self) -> None:
-        """Leave the graph politely, so that others forget this participant now and not after its lease."""
+        """Leave the graph, so that other participants remove this one immediately and not after its lease."""
         self._events.close()
         self._node.destroy_node()
         self._context.try_shutdown()
 
 
 class _Second:
-    """A participant that reads nothing but the graph."""
+    """A participant that reads only the graph."""
 
     def __init__(self, wanted: Wanted) -> None:
         self._context, self._node = _participant(wanted, f"{wanted.agent}_second")

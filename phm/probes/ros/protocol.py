@@ -1,9 +1,12 @@
-"""What the daemon and its ROS child say to each other: one JSON object a line, over pipes.
+"""The protocol between the daemon and its ROS child process: one JSON object per line, over pipes.
 
-The daemon writes one line, what it wants to know (`Wanted`), then `Publish` as often as it likes, and in the end closes
-the pipe. The child writes `Picture` when something changed and at least once a second, `Tick` in between, `Heard` when
-beacons or diagnostics came, `Others` when unconfigured topics came or went, `Remark` for the log, and
-`Missing` once when there is no ROS to look at, and first of all `Sandbox`. This module is imported by the child: standard library and facts only.
+The daemon writes one `Wanted`, then any number of `Publish`, and closes the pipe at the end.
+
+The child writes first `Sandbox`, or `Missing` without usable ROS. Then it writes `GraphMessage` after each change and at
+least once a second, `Tick` in between, `SelfReportUpdate` after beacons or diagnostics, `OtherTopics` when unconfigured
+topics appear or disappear, and `LogText` for the log.
+
+The child imports this module: standard library and facts only.
 """
 
 from __future__ import annotations
@@ -17,22 +20,22 @@ from phm.facts.ros import BeaconFact, DiagnosticFact, NameFact, TopicFact
 from phm.probes.ros.fact_codec import pack, value
 
 LINE_LIMIT = 1_000_000
-"""Longest line in bytes; a picture of 200 topics with 10 endpoints each is about 200 kB."""
+"""Longest line in bytes. A graph of 200 topics with 10 endpoints each takes about 200 kB."""
 
 INSTALLS = "PHM_ROS_INSTALLS"
-"""Variable of the child's environment with the folders of `ros.installs`, separated as in PATH."""
+"""Environment variable of the child with the folders of `ros.installs`, separated as in PATH."""
 
 EXIT_MISSING = 69
-"""The child's exit code for `there is no ROS here` (EX_UNAVAILABLE of sysexits.h)."""
+"""The child's exit code without usable ROS (EX_UNAVAILABLE of sysexits.h)."""
 
 
 class ProtocolError(ValueError):
-    """A line that is not a message: library output that strayed, or a line cut by a crash."""
+    """A line that is not a message, e.g. output of a library, or a line cut by a crash."""
 
 
 @dataclass(frozen=True, slots=True)
 class WantedTopic:
-    """rate_hz: expected; 0 is a latched topic, None is not looked at. silence_s: see RosSettings.silence."""
+    """rate_hz: the expected rate; 0 for a latched topic, None if not measured. silence_s: see RosSettings.silence."""
 
     name: str
     rate_hz: float | None = None
@@ -41,10 +44,11 @@ class WantedTopic:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What the child is to look at. domain: None leaves it to ROS_DOMAIN_ID. tick_s: between two looks.
+    """What the child monitors. domain: None means ROS_DOMAIN_ID. tick_s: time between two looks. full_s: between two complete
+    graph messages.
 
-    listen: topics of diagnostic_msgs/DiagnosticArray to read. nodes: full names of those that are configured, as
-    nodes or as ends of topics. watch: patterns of the statuses that are configured.
+    listen: topics of diagnostic_msgs/DiagnosticArray to read. nodes: full names of the configured nodes and of the nodes
+    named in topics. watch: patterns of the configured statuses.
     """
 
     agent: str
@@ -58,11 +62,11 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
-    """The graph as it is now. up_s: how long the child's participant has existed. number: counts pictures of this child. late_s: by
-    how much the child looked too late, because it did not get to run.
+class GraphMessage:
+    """The current graph. up_s: age of the child's participant. number: counts the graph messages of this child. late_s: delay
+    of this look because the child did not get to run.
 
-    names_known: whether the names of nodes could be read. problems: sentences about what could not be read or was left out.
+    names_known: whether node names could be read. problems: sentences about what could not be read or was omitted.
     """
 
     up_s: float
@@ -76,23 +80,23 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Nothing changed since the last picture but these: seconds of silence of the topics with a rate.
+    """The graph is unchanged since the last graph message. silent_s: seconds of silence of each topic with a rate.
 
-    picture: the number of that picture. If it never arrived, nothing is known of the graph. late_s: as in `Picture`.
+    number: that of the last graph message. If it never arrived, the graph is unknown. late_s: as in `GraphMessage`.
     """
 
     up_s: float
     silent_s: Mapping[str, float | None] = field(default_factory=dict)
-    picture: int = 0
+    number: int = 0
     late_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """What the application reported of itself since the last message of this kind; silent nodes are left out.
+class SelfReportUpdate:
+    """Beacons and diagnostics received since the last message of this kind; silent nodes are omitted.
 
-    ages: of beacons about which there is nothing else that is new. refused: see RosFact, so far. lost: more beacons came
-    than are read.
+    ages: seconds, of beacons without other changes. refused: the total, see RosFact. lost: more beacons arrived than can
+    be read.
     """
 
     beacons: Mapping[str, BeaconFact] = field(default_factory=dict)
@@ -103,14 +107,14 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True)
-class Others:
-    """All topics, up to a cap, that are not in `Wanted.topics`, by full name."""
+class OtherTopics:
+    """Topics that are not in `Wanted.topics`, by full name, up to a limit."""
 
     names: Mapping[str, NameFact] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
-class Remark:
+class LogText:
     """A sentence for the log."""
 
     text: str
@@ -118,7 +122,7 @@ class Remark:
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """There is no usable rclpy. module: what could not be imported. detail: the import's own words."""
+    """rclpy is not usable. module: what could not be imported. detail: the text of the import error."""
 
     module: str
     detail: str
@@ -126,27 +130,27 @@ class Missing:
 
 @dataclass(frozen=True, slots=True)
 class Sandbox:
-    """The child has restricted itself (`phm.probes.ros.sandbox`). missing: what the kernel does not offer; empty: nothing."""
+    """The child has applied its sandbox (`phm.probes.ros.sandbox`). missing: restrictions that the kernel does not support."""
 
     missing: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Publish:
-    """From the daemon: publish this on /diagnostics, now. utc_s: the array's stamp. statuses: by name; ages mean nothing."""
+    """From the daemon: publish on /diagnostics. utc_s: stamp of the array. statuses: by name; their ages are ignored."""
 
     utc_s: float
     statuses: Mapping[str, DiagnosticFact] = field(default_factory=dict)
 
 
-Message = Picture | Tick | Heard | Others | Remark | Missing | Sandbox
+Message = GraphMessage | Tick | SelfReportUpdate | OtherTopics | LogText | Missing | Sandbox
 
 _KINDS: Mapping[str, type[Message]] = {
-    "picture": Picture,
+    "graph": GraphMessage,
     "tick": Tick,
-    "heard": Heard,
-    "others": Others,
-    "remark": Remark,
+    "self_reports": SelfReportUpdate,
+    "other_topics": OtherTopics,
+    "log": LogText,
     "missing": Missing,
     "sandbox": Sandbox,
 }

@@ -1,4 +1,4 @@
-"""What nodes say of themselves, kept by the daemon: the newest of each, with when it was heard."""
+"""The newest beacon and diagnostic status of each node with its time of arrival, kept by the daemon."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from phm.facts.ros import BeaconFact, DiagnosticFact
 from phm.probes.ros.fact_codec import changer
-from phm.probes.ros.protocol import Heard
+from phm.probes.ros.protocol import SelfReportUpdate
 
 _aged_beacon = changer(BeaconFact, "age_s")
 _aged_status = changer(DiagnosticFact, "age_s")
@@ -19,13 +19,13 @@ _late_status = changer(DiagnosticFact, "not_counted_s")
 _Fact = TypeVar("_Fact", BeaconFact, DiagnosticFact)
 
 MAX_NAMES = 500
-"""Of beacons, and of diagnostics, that are not configured: names come from outside, and must not fill the memory."""
+"""Limit for unconfigured beacons, and for unconfigured statuses: names from outside must not fill the memory."""
 SILENT_MISSES = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class Own:
-    """What the configuration names: full names of nodes, and patterns of statuses with `*` and `?`."""
+    """The configured full node names, and patterns of statuses with `*` and `?`."""
 
     nodes: frozenset[str] = frozenset()
     statuses: tuple[str, ...] = ()
@@ -39,7 +39,7 @@ class Own:
 
 @functools.cache
 def _pattern(words: str) -> re.Pattern[str]:
-    """Only `*` and `?` are special, as in the check of diagnostics."""
+    """Only `*` and `?` are special, as in the check `diagnostics`."""
     parts = {"*": ".*", "?": "."}
     return re.compile("".join(parts.get(char, re.escape(char)) for char in words), re.DOTALL)
 
@@ -51,45 +51,45 @@ class SelfReports:
     beacons: Mapping[str, tuple[float, BeaconFact]] = field(default_factory=dict)
     diagnostics: Mapping[str, tuple[float, DiagnosticFact]] = field(default_factory=dict)
     refused: int = 0
-    """Messages on the beacons' topic that were none."""
+    """Number of messages on the beacon topic that were not valid beacons."""
     lost_at: float | None = None
-    """When more beacons came than are read."""
+    """When more beacons arrived than can be read."""
     own: Own = field(default_factory=Own)
 
-    def with_news(self, news: Heard, now_s: float) -> SelfReports:
-        beacons = {**self.beacons, **{name: (now_s, fact) for name, fact in news.beacons.items()}}
-        for name, age_s in news.ages.items():
+    def with_update(self, update: SelfReportUpdate, now_s: float) -> SelfReports:
+        beacons = {**self.beacons, **{name: (now_s, fact) for name, fact in update.beacons.items()}}
+        for name, age_s in update.ages.items():
             if name in beacons:
                 beacons[name] = (now_s, _aged_beacon(beacons[name][1], age_s))
-        diagnostics = {**self.diagnostics, **{name: (now_s, fact) for name, fact in news.diagnostics.items()}}
+        diagnostics = {**self.diagnostics, **{name: (now_s, fact) for name, fact in update.diagnostics.items()}}
         return SelfReports(
             _newest(beacons, self.own.is_node),
             _newest(diagnostics, self.own.is_status),
-            max(self.refused, news.refused),
-            now_s if news.lost else self.lost_at,
+            max(self.refused, update.refused),
+            now_s if update.lost else self.lost_at,
             self.own,
         )
 
-    def differs(self, news: Heard) -> bool:
-        """Whether there is news worth a look at once.
+    def differs(self, update: SelfReportUpdate) -> bool:
+        """Whether checks must run immediately.
 
-        A status with another level than before, or a new one that is not OK; a beacon that is new, wavers, or comes back.
+        True for a status with a changed level, a new status that is not OK, and a beacon that is new, late or back.
         """
         if any(
             fact.level != (self.diagnostics[name][1].level if name in self.diagnostics else 0)
-            for name, fact in news.diagnostics.items()
+            for name, fact in update.diagnostics.items()
         ):
             return True
         return any(
             name not in self.beacons or _state(fact) != _state(self.beacons[name][1])
-            for name, fact in news.beacons.items()
+            for name, fact in update.beacons.items()
         )
 
     def since(
         self, now_s: float, late: Callable[[float], float] = lambda passed_s: 0.0
     ) -> tuple[dict[str, BeaconFact], dict[str, DiagnosticFact]]:
-        """All of it that proves something, with ages as of `now_s`. late: of so many seconds until then, those in which the child did
-        not run."""
+        """Beacons and statuses that are valid evidence, with ages as of `now_s`. late: for a number of seconds until then,
+        the part in which the child did not run."""
         beacons = {name: _aged_beacon(fact, fact.age_s + now_s - at) for name, (at, fact) in self.beacons.items()}
         statuses = {name: _aged_status(fact, fact.age_s + now_s - at) for name, (at, fact) in self.diagnostics.items()}
         beacons |= {name: _late_beacon(fact, late_s) for name, fact in beacons.items() if (late_s := late(fact.age_s))}
@@ -99,7 +99,7 @@ class SelfReports:
         return {name: fact for name, fact in beacons.items() if not self._unproved(fact, now_s)}, statuses
 
     def _unproved(self, fact: BeaconFact, now_s: float) -> bool:
-        """Whether it is silent, and may have been lost among too many."""
+        """Whether the beacon is silent but its messages may have been lost because too many arrived."""
         return fact.missed > SILENT_MISSES and self.lost_at is not None and now_s - self.lost_at < fact.age_s
 
 
@@ -110,7 +110,7 @@ def _state(fact: BeaconFact) -> tuple[object, ...]:
 
 
 def _newest(found: dict[str, tuple[float, _Fact]], is_own: Callable[[str], bool]) -> dict[str, tuple[float, _Fact]]:
-    """What is configured, and of the rest at most MAX_NAMES, those received last."""
+    """All configured entries, and at most MAX_NAMES others, those received last."""
     if len(found) <= MAX_NAMES:
         return found
     others = sorted((name for name in found if not is_own(name)), key=lambda name: found[name][0])

@@ -29,12 +29,12 @@ from phm.probes.ros.protocol import (
     EXIT_MISSING,
     INSTALLS,
     LINE_LIMIT,
+    GraphMessage,
+    LogText,
     Message,
     Missing,
-    Picture,
     ProtocolError,
     Publish,
-    Remark,
     Sandbox,
     Tick,
     Wanted,
@@ -56,8 +56,8 @@ OVERLONG = f"a message of the ROS child was longer than {LINE_LIMIT // 1000} kB 
 CROWDED = "more messages come on /phm/beacon than PHM reads: beacons may be lost; see which nodes publish there"
 REPORTED_S = 30.0
 """How long a loss is reported."""
-_REMARKS = 20
-"""Different remarks of the child that are written to the log; each is written once."""
+MAX_LOG_TEXTS = 20
+"""So many different log texts of the child are written to the log, each once."""
 
 # Defaults that the environment may override.
 _ENVIRONMENT = {
@@ -96,7 +96,7 @@ class SupervisorLimits:
     """Deadlines of supervision, in seconds. Tests shorten them."""
 
     start_s: float = 20.0
-    """From start to the first picture: importing rclpy takes seconds on a small board with an SD card."""
+    """From start to the first graph message: importing rclpy takes seconds on a small board with an SD card."""
     silent_s: float = 3.0
     """Longest time between two messages in which the child could run; it sends four a second."""
     starved_s: float = 30.0
@@ -157,7 +157,7 @@ class RosSupervisor:
         self._late = SchedulingDelay()
         self._post = b""
         self._unsent = 0
-        self._remarks: set[str] = set()
+        self._log_texts: set[str] = set()
         self._dropped_s: float | None = None
         self._why = "the ROS child has not been started yet"
         self._renew = ""
@@ -190,12 +190,12 @@ class RosSupervisor:
         return self._sandbox
 
     def look(self) -> RosFact:
-        """The newest picture. Raises CannotTell while there is none that is fresh."""
+        """The newest snapshot. Raises CannotTell without a recent one."""
         with self._lock:
             view, why = self._view, self._why
-        if view.picture is None:
+        if view.graph is None:
             raise CannotTell(why)
-        fact = view.fact(view.picture, self._clock.mono(), self._late_s)
+        fact = view.fact(view.graph, self._clock.mono(), self._late_s)
         if fact.age_s > self._limits.silent_s:
             raise CannotTell(f"the ROS child has not reported the ROS graph for {fact.age_s:.1f} s")
         return fact
@@ -208,7 +208,7 @@ class RosSupervisor:
         """What keeps PHM from seeing all of the graph, in sentences."""
         with self._lock:
             view, times = self._view, {OVERLONG: self._dropped_s, CROWDED: self._view.self_reports.lost_at}
-        found = view.picture.problems if view.picture is not None else ()
+        found = view.graph.problems if view.graph is not None else ()
         now_s = self._clock.mono()
         return (*found, *(words for words, at in times.items() if at is not None and now_s - at < REPORTED_S))
 
@@ -219,7 +219,7 @@ class RosSupervisor:
         """
         line = encode_order(Publish(self._clock.utc(), statuses))
         with self._lock:
-            if self._view.picture is None or self._closing:
+            if self._view.graph is None or self._closing:
                 return 0
             self._unsent = self._unsent + 1 if self._post else 0
             self._post = line
@@ -340,12 +340,12 @@ class RosSupervisor:
 
     def _doubt(self, now_s: float) -> None:
         """What is listed twice, or without a name, for too long may be a mistake of this participant: another one shows."""
-        picture = self._view.picture
-        if picture is None:
+        graph = self._view.graph
+        if graph is None:
             return
         # Strangers cannot have the child replaced.
-        stale = self._stale_nodes.look({name: picture.nodes.get(name, 0) for name in self._nodes}, now_s)
-        fact = self._view.fact(picture, now_s, self._late_s)
+        stale = self._stale_nodes.look({name: graph.nodes.get(name, 0) for name in self._nodes}, now_s)
+        fact = self._view.fact(graph, now_s, self._late_s)
         beating = {name for name in self._nodes if name in fact.beacons and fact.beacons[name].missed < SILENT_MISSES}
         unnamed = self._unnamed.look(fact.topics, now_s, beating - fact.nodes.keys())
         if stale:
@@ -372,28 +372,32 @@ class RosSupervisor:
 
     def _take(self, message: Message, now_s: float) -> None:
         with self._lock:
-            if isinstance(message, (Picture, Tick)) and message.late_s >= NOISE_S:
+            if isinstance(message, (GraphMessage, Tick)) and message.late_s >= NOISE_S:
                 self._late.add(now_s - message.late_s, now_s)
             changed = self._view.changed_by(message)
             self._view = self._view.with_message(message, now_s)
-        if isinstance(message, Remark) and message.text not in self._remarks and len(self._remarks) < _REMARKS:
-            self._remarks.add(message.text)
+        if (
+            isinstance(message, LogText)
+            and message.text not in self._log_texts
+            and len(self._log_texts) < MAX_LOG_TEXTS
+        ):
+            self._log_texts.add(message.text)
             self._on_note(message.text)
         if changed:
             self._on_change()
 
     def _lose_sight(self, now_s: float) -> None:
-        """A message was too long: whatever it said of the graph, the newest picture may not be true any more."""
+        """Discard the graph after a message that was too long: it may have changed the graph."""
         with self._lock:
-            had_one = self._view.picture is not None
-            self._view, self._why, self._dropped_s = self._view.without_picture(), OVERLONG, now_s
+            had_one = self._view.graph is not None
+            self._view, self._why, self._dropped_s = self._view.without_graph(), OVERLONG, now_s
         self._report(OVERLONG)
         if had_one:
             self._on_change()
 
     def _lose(self, sentence: str) -> None:
         with self._lock:
-            had_one = self._view.picture is not None
+            had_one = self._view.graph is not None
             self._view, self._post = self._blank, b""
             self._why = sentence
         if had_one and not self._closing:

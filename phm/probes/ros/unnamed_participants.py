@@ -31,7 +31,7 @@ class UnnamedParticipants:
         self._rest_s = REST_S
 
     def look(self, topics: Mapping[str, TopicFact], now: float, unlisted: Collection[str] = ()) -> tuple[str, ...]:
-        """Names of topics and nodes. topics: of the newest picture. now: monotonic seconds. unlisted: nodes that beat and are
+        """Names of topics and nodes. topics: of the newest graph. now: monotonic seconds. unlisted: nodes that send beacons and are
         not listed."""
         for name in [name for name in self._since if name not in topics and name not in unlisted]:
             del self._since[name]

@@ -182,13 +182,13 @@ def test_a_radio_that_lost_the_other_one_makes_the_agent_deaf() -> None:
     scene.hear(255, 190, GCS)
     scene.hear(51, 68, radio_status())
     scene.clock.advance(2.0)
-    assert not scene.links.deaf()
+    assert not scene.links.gcs_unreachable()
     assert scene.hear(51, 68, radio_status(remrssi=0, remnoise=0)) == 1
-    assert not scene.links.deaf()
+    assert not scene.links.gcs_unreachable()
     assert scene.pass_time(1.0) == 1
-    assert scene.links.deaf()
+    assert scene.links.gcs_unreachable()
     assert scene.hear(255, 190, GCS) == 1
-    assert not scene.links.deaf()
+    assert not scene.links.gcs_unreachable()
 
 
 def test_a_report_of_the_radio_wakes_the_check_when_it_says_something_new() -> None:
@@ -404,16 +404,16 @@ def test_a_router_that_refuses_twice_leaves_the_agent_deaf() -> None:
     try:
         client, _ = listener.accept()
         until(lambda: [link.open for link in links.links()] == [True], "the connection")
-        assert not links.deaf()
+        assert not links.gcs_unreachable()
         until(lambda: hub.read_at("r") is not None, "it being read")
         listener.close()
         client.close()
-        until(links.deaf, "two refusals")
+        until(links.gcs_unreachable, "two refusals")
         (link,) = links.links()
         assert (link.open, link.failed >= 2, hub.read_at("r")) == (False, True, None)
         assert wakes
         with socket.create_server(("127.0.0.1", port)):
-            until(lambda: not links.deaf(), "the router being back")
+            until(lambda: not links.gcs_unreachable(), "the router being back")
             assert links.links()[0].failed == 0
     finally:
         hub.close()

@@ -94,7 +94,7 @@ def test_more_publishers_than_can_be_told_apart_are_ambiguous() -> None:
     many = Listening(publishers=count, several=True)
     fact = feed(RateEstimator(90.0, 3.0), publications, 100.0, 110.0, depth=DEPTH_MOST, listening=many)
     assert fact.hz is None
-    assert fact.problem == "ambiguous: 9 publishers, whose numbers cannot be told apart"
+    assert fact.problem == "ambiguous: 9 publishers, whose sequence numbers cannot be distinguished"
 
 
 def test_numbers_that_form_no_lines_are_ambiguous() -> None:
@@ -103,7 +103,7 @@ def test_numbers_that_form_no_lines_are_ambiguous() -> None:
     publications = [Publication(100 + n / 200, 100 + n / 200, rnd.randint(1, 10**6)) for n in range(2000)]
     meter = RateEstimator(200.0, 3.0)
     fact = feed(meter, publications, 100.0, 110.0, depth=32, listening=Listening(2, several=True))
-    assert fact.problem == "ambiguous: 2 publishers, whose numbers cannot be told apart"
+    assert fact.problem == "ambiguous: 2 publishers, whose sequence numbers cannot be distinguished"
 
 
 def test_a_restart_of_one_is_no_puzzle() -> None:

@@ -282,7 +282,7 @@ class RateEstimator:
         sorter = self._sorter
         if sorter is None or sorter.counted_hz is not None or not sorter.puzzled(publishers, now_s):
             return ""
-        return f"ambiguous: {publishers} publishers, whose numbers cannot be told apart"
+        return f"ambiguous: {publishers} publishers, whose sequence numbers cannot be distinguished"
 
     def _age_s(self, newest: PublisherStats | None, now_s: float) -> float | None:
         if newest is None:
@@ -291,12 +291,12 @@ class RateEstimator:
 
 
 def _listened_s(passed_s: float) -> float:
-    """Of the time between two looks, what counts as silence."""
+    """The part of the time between two looks that counts as silence."""
     return passed_s if passed_s <= LATE_S else passed_s / 2
 
 
 def _cut_s(longest_s: float) -> float:
-    """Of what counts of the longest time between two looks, what does not: PHM was suspended."""
+    """The part of the longest time between two looks in which PHM was suspended, which does not count as silence."""
     return max(0.0, (longest_s - STALL_S) / 2)
 
 
