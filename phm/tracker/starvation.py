@@ -46,7 +46,7 @@ _SLOW = Explanation("its publisher is not scheduled at each period")
 _LEASE = Explanation(
     "participants that do not announce themselves in time are dropped from the graph, with all their endpoints"
 )
-_LATE = Explanation("its beacon or its executor is not scheduled, so the beat is late")
+_LATE = Explanation("its beacon or its executor is not scheduled, so its beacon is late")
 _UNREAD = Explanation("PHM, or a router on this machine, passes frames on late", most_s=UNREAD_S)
 _VIEWS = Explanation("the neighbours' beacons are late, or read late")
 
